@@ -88,36 +88,10 @@ class AlarmAnswer(Answer):
 
     @classmethod
     def of(cls, alarm: Alarm, present_value: float = float("nan")) -> Self:
-        """Return the answer that tells an alarm."""
+        """Return the answer for an alarm."""
         condition = _CONDITIONS.get(alarm.condition)
-        return cls.model_validate(
-            {
-                "id": alarm.id,
-                "spacecraft_id": alarm.spacecraft_id,
-                "condition": alarm.condition,
-                "thing": alarm.thing,
-                "state": alarm.state,
-                "is_active": alarm.is_active,
-                "severity": alarm.severity.word,
-                "since": alarm.since_us,
-                "raised_at": alarm.raised_at_us,
-                "changed_at": alarm.changed_at_us,
-                "returned_at": alarm.returned_at_us,
-                "value": alarm.value,
-                "limit": alarm.limit,
-                "unit": alarm.unit,
-                "present_value": present_value,
-                "detail": alarm.detail,
-                "next_step": "" if condition is None else condition.next_step,
-                "count": alarm.count,
-                "repeats": alarm.repeats,
-                "announced_at": alarm.announced_at_us,
-                "acknowledged": alarm.acknowledged,
-                "shelved": alarm.shelved,
-                "shelved_until": alarm.shelved_until_us,
-                "cleared": alarm.cleared,
-            }
-        )
+        next_step = "" if condition is None else condition.next_step
+        return cls.of_record(alarm, severity=alarm.severity.word, present_value=present_value, next_step=next_step)
 
 
 class AlarmChangeAnswer(Answer):
@@ -136,17 +110,14 @@ class AlarmChangeAnswer(Answer):
 
     @classmethod
     def of(cls, change: AlarmChange) -> Self:
-        """Return the answer that tells a change."""
-        return cls.model_validate(
-            {
-                "sequence": change.sequence,
-                "change": change.kind.value,
-                "at": change.at_us,
-                "is_told": change.is_told,
-                "by": None if change.handling is None else change.handling.by,
-                "comment": None if change.handling is None else change.handling.comment,
-                "alarm": AlarmAnswer.of(change.alarm),
-            }
+        """Return the answer for a change."""
+        handling = change.handling
+        return cls.of_record(
+            change,
+            change=change.kind.value,
+            by=None if handling is None else handling.by,
+            comment=None if handling is None else handling.comment,
+            alarm=AlarmAnswer.of(change.alarm),
         )
 
 

@@ -144,29 +144,8 @@ class AlignmentAnswer(Answer):
 
     @classmethod
     def of(cls, alignment: Alignment) -> Self:
-        """Return the answer that tells an alignment."""
-        return cls.model_validate(
-            {
-                "id": alignment.id,
-                "epoch": alignment.epoch_us,
-                "yaw_deg": alignment.attitude_deg.yaw,
-                "roll_deg": alignment.attitude_deg.roll,
-                "pitch_deg": alignment.attitude_deg.pitch,
-                "sigma_deg": alignment.sigma_deg,
-                "calibration_id": alignment.calibration_id,
-                "source": alignment.source,
-                "window": None if alignment.window is None else WindowAnswer.of(alignment.window),
-                "override_reason": alignment.override_reason,
-                "created_at": alignment.created_at_us,
-                "created_by": alignment.created_by,
-                "references": alignment.references,
-                "references_by_method": alignment.references_by_method,
-                "calibration_by_method": alignment.calibration_by_method,
-                "changed_carriers": alignment.changed_carriers,
-                "reference_rule": alignment.reference_rule,
-                "warnings": alignment.warnings,
-            }
-        )
+        """Return the answer for an alignment."""
+        return cls.of_record(alignment)
 
 
 class AlignmentMadeAnswer(AlignmentAnswer):

@@ -32,26 +32,9 @@ class AuditEntryAnswer(Answer):
 
     @classmethod
     def of(cls, entry: AuditEntry) -> Self:
-        """Return the answer that tells an entry."""
-        audit_event = entry.audit_event
-        return cls.model_validate(
-            {
-                "number": entry.number,
-                "at": audit_event.at_us,
-                "who": audit_event.who,
-                "key_id": audit_event.key_id,
-                "role": audit_event.role,
-                "address": audit_event.address,
-                "action": audit_event.action,
-                "target": audit_event.target,
-                "outcome": audit_event.outcome,
-                "request_id": audit_event.request_id,
-                "body_sha256": audit_event.body_sha256,
-                "times": audit_event.times,
-                "previous_hash": entry.previous_hash,
-                "hash": entry.hash,
-            }
-        )
+        """Return the answer for an entry."""
+        chain = {"number": entry.number, "previous_hash": entry.previous_hash, "hash": entry.hash}
+        return cls.of_record(entry.audit_event, **chain)
 
 
 class AuditHeadAnswer(Answer):
@@ -62,8 +45,8 @@ class AuditHeadAnswer(Answer):
 
     @classmethod
     def of(cls, head: AuditHead) -> Self:
-        """Return the answer that tells a head."""
-        return cls(number=head.number, hash=head.hash)
+        """Return the answer for a head."""
+        return cls.of_record(head)
 
 
 class AuditPage(Answer):

@@ -9,6 +9,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import (
     AfterValidator,
+    AliasChoices,
+    AliasGenerator,
+    AliasPath,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -21,6 +24,7 @@ from service.api.protocol.epochs import epoch_of, plausible_epoch
 from service.records.calibration import Window
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
+from service.records.record_fields import AXIS_NAMES
 
 _EPOCH_SCHEMA = {"type": "string", "format": "date-time", "examples": ["2026-11-21T03:02:32.011250Z"]}
 
@@ -51,10 +55,41 @@ class Document(BaseModel):
     )
 
 
-class Answer(BaseModel):
-    """A document that goes out."""
+def _record_names(name: str) -> AliasChoices:
+    """Return the names that a member has in dictionaries and in records."""
+    at_axis = (
+        AliasPath(field, axis)
+        for field, pattern in AXIS_NAMES.items()
+        for axis in Axes._fields
+        if pattern.format(axis) == name
+    )
+    return AliasChoices(name, f"{name}_us", f"{name.removesuffix('_at')}_us", f"is_{name}", *at_axis)
 
-    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True, from_attributes=True)
+
+class Answer(BaseModel):
+    """A document that goes out; made from a record whose fields have the same names, or those of `_record_names`."""
+
+    model_config = ConfigDict(
+        frozen=True,
+        use_attribute_docstrings=True,
+        from_attributes=True,
+        alias_generator=AliasGenerator(validation_alias=_record_names),
+    )
+
+    @classmethod
+    def of_record(cls, record: object, **others: Any) -> Self:
+        """Return the answer for a record; ``others`` are the members that it does not have by name."""
+        return cls.model_validate(_Joined(record, others) if others else record)
+
+
+class _Joined:
+    """Record with further members."""
+
+    def __init__(self, record: object, others: dict[str, Any]) -> None:
+        self._record, self._others = record, others
+
+    def __getattr__(self, name: str) -> Any:
+        return self._others[name] if name in self._others else getattr(self._record, name)
 
 
 def _epoch_text(value: Any) -> Any:

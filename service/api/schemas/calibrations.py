@@ -13,7 +13,6 @@ from service.records.calibration import (
     CalibrationResult,
     CalibrationState,
     CarrierCalibration,
-    Harmonic,
     Window,
 )
 from service.records.epoch import US_PER_S
@@ -116,22 +115,6 @@ class HarmonicAnswer(Answer):
     samples_used: int
     samples_rejected: int
 
-    @classmethod
-    def of(cls, harmonic: Harmonic) -> Self:
-        """Return the answer that tells a harmonic."""
-        return cls.model_validate(
-            {
-                "amplitude_db": harmonic.amplitude_db,
-                "phase_rad": harmonic.phase_rad,
-                "offset_dbm": harmonic.offset_dbm,
-                "period_s": harmonic.period_s,
-                "node_epoch": harmonic.node_epoch_us,
-                "rms_db": harmonic.rms_db,
-                "samples_used": harmonic.samples_used,
-                "samples_rejected": harmonic.samples_rejected,
-            }
-        )
-
 
 class NoiseAnswer(Answer):
     """One coloured part of a carrier's noise."""
@@ -143,7 +126,7 @@ class NoiseAnswer(Answer):
 class StabilityAnswer(Answer):
     """First criterion: what the harmonic leaves."""
 
-    residual_rms_db: Figure
+    residual_rms_db: Annotated[Figure, Field(validation_alias="stability_residual_rms_db")]
     drift_db_per_day: Figure
 
 
@@ -151,9 +134,9 @@ class LinearityAnswer(Answer):
     """Second criterion: departure from a straight line."""
 
     deviation_at_0p5_deg_db: Figure
-    departure_deg: Figure
+    departure_deg: Annotated[Figure, Field(validation_alias="nonlinearity_deg")]
     """Greatest departure, in degrees of the carrier's own axis."""
-    range_deg: Figure
+    range_deg: Annotated[Figure, Field(validation_alias="linear_range_deg")]
     """Range in which it was judged."""
 
 
@@ -181,34 +164,8 @@ class CarrierCalibrationAnswer(Answer):
 
     @classmethod
     def of(cls, carrier: CarrierCalibration) -> Self:
-        """Return the answer that tells the calibration of a carrier."""
-        return cls.model_validate(
-            {
-                "id": carrier.id,
-                "level_dbm": carrier.level_dbm,
-                "sigma_white_db": carrier.sigma_white_db,
-                "noise": carrier.noise,
-                "harmonic": HarmonicAnswer.of(carrier.harmonic),
-                "sensitivity_db_per_deg": carrier.sensitivity_db_per_deg,
-                "sensitivity_plus_db_per_deg": carrier.sensitivity_plus_db_per_deg,
-                "sensitivity_minus_db_per_deg": carrier.sensitivity_minus_db_per_deg,
-                "residual_db": carrier.residual_db,
-                "stability": {
-                    "residual_rms_db": carrier.stability_residual_rms_db,
-                    "drift_db_per_day": carrier.drift_db_per_day,
-                },
-                "linearity": {
-                    "deviation_at_0p5_deg_db": carrier.deviation_at_0p5_deg_db,
-                    "departure_deg": carrier.nonlinearity_deg,
-                    "range_deg": carrier.linear_range_deg,
-                },
-                "axis": carrier.axis,
-                "axis_ratio": carrier.axis_ratio,
-                "criteria_met": carrier.criteria_met,
-                "rejected_because": carrier.rejected_because,
-                "selected": carrier.selected,
-            }
-        )
+        """Return the answer for the calibration of a carrier."""
+        return cls.of_record(carrier, stability=carrier, linearity=carrier)
 
 
 class ObservabilityAnswer(Answer):
@@ -244,25 +201,17 @@ class CalibrationAnswer(Answer):
 
     @classmethod
     def of(cls, calibration: Calibration) -> Self:
-        """Return the answer that tells a calibration."""
+        """Return the answer for a calibration."""
         request, result = calibration.request, calibration.result
-        return cls.model_validate(
-            {
-                "id": calibration.id,
-                "plan_id": calibration.plan_id,
-                "ephemeris_id": calibration.ephemeris_id,
-                "state": calibration.state,
-                "method": request.method,
-                "quiet": WindowAnswer.of(request.quiet),
-                "turns": WindowAnswer.of(request.turns),
-                "sources": {"yaw": request.source_yaw, "roll": request.source_roll, "pitch": request.source_pitch},
-                "created_at": calibration.created_at_us,
-                "created_by": calibration.created_by,
-                "error": calibration.error,
-                "quality": _quality(result),
-                "observability": None if result is None else result.observability,
-                "carriers": [] if result is None else [CarrierCalibrationAnswer.of(c) for c in result.carriers],
-            }
+        return cls.of_record(
+            calibration,
+            method=request.method,
+            quiet=request.quiet,
+            turns=request.turns,
+            sources={"yaw": request.source_yaw, "roll": request.source_roll, "pitch": request.source_pitch},
+            quality=_quality(result),
+            observability=None if result is None else result.observability,
+            carriers=[] if result is None else [CarrierCalibrationAnswer.of(c) for c in result.carriers],
         )
 
 

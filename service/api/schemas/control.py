@@ -1,6 +1,6 @@
 """Control: what the interlock says, and what persons order."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
@@ -78,12 +78,8 @@ class VerdictAnswer(Answer):
 
     @classmethod
     def of(cls, verdict: ControlVerdict) -> Self:
-        """Return the answer of a verdict."""
-        reasons = [
-            {"code": each.code, "text": each.text, "since": each.since_us, "next_step": each.next_step}
-            for each in verdict.reasons
-        ]
-        return cls.model_validate({"allowed": verdict.is_allowed, "state": verdict.state, "reasons": reasons})
+        """Return the answer for a verdict."""
+        return cls.of_record(verdict)
 
 
 class EnvelopeAnswer(Answer):
@@ -117,21 +113,8 @@ class SignCheckAnswer(Answer):
 
     @classmethod
     def of(cls, check: SignCheck) -> Self:
-        """Return the answer of a sign check."""
-        return cls.model_validate(
-            {
-                "axis": check.axis,
-                "state": check.state,
-                "started_at": check.started_us,
-                "started_by": check.started_by,
-                "until": check.until_us,
-                "legs": check.legs,
-                "legs_done": check.legs_done,
-                "log_ratio": check.log_ratio,
-                "wheels": check.wheels,
-                "detail": check.detail,
-            }
-        )
+        """Return the answer for a sign check."""
+        return cls.of_record(check)
 
 
 class ControlAnswer(Answer):
@@ -168,27 +151,12 @@ class ControlAnswer(Answer):
 
     @classmethod
     def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:
-        """Return the answer of a view of the interlock."""
-        reported: dict[str, Any] = {
-            "control": VerdictAnswer.of(verdict),
-            "state": verdict.state,
+        """Return the answer for the state of the interlock."""
+        return cls.of_record(
+            view,
+            control=VerdictAnswer.of(verdict),
+            state=verdict.state,
             # before anything ever happened there is no instant
-            "since": view.since_us or None,
-            "reasons": [reason.code for reason in verdict.reasons],
-            "trips": view.trips,
-            "armed": view.is_armed,
-            "withheld": view.is_withheld,
-            "release": view.release,
-            "mode": view.mode,
-            "envelope": view.envelope,
-            "authorised_by": view.authorised_by,
-            "authorised_until": view.authorised_until_us,
-            "requested_by": view.requested_by,
-            "requested_until": view.requested_until_us,
-            "proven_axes": view.proven_axes,
-            "open_commands": view.open_commands,
-            "unreported_commands": view.unreported_commands,
-            "sent_impulse_n_m_s": view.sent_impulse_n_m_s,
-            "sign_check": None if view.sign_check is None else SignCheckAnswer.of(view.sign_check),
-        }
-        return cls.model_validate(reported)
+            since=view.since_us or None,
+            reasons=[reason.code for reason in verdict.reasons],
+        )

@@ -177,18 +177,8 @@ class ReferenceAnswer(Answer):
 
     @classmethod
     def of(cls, record: AttitudeReference) -> Self:
-        """Return the answer that tells a record."""
-        angles = record.attitude_deg
-        return cls.model_validate(
-            {
-                "source": record.source,
-                "epoch": record.epoch_us,
-                "yaw_deg": angles.yaw,
-                "roll_deg": angles.roll,
-                "pitch_deg": angles.pitch,
-                "sigma_deg": AnglesAnswer.of(record.sigma_deg),
-            }
-        )
+        """Return the answer for a reference."""
+        return cls.of_record(record)
 
 
 class CorrectionAnswer(Answer):
@@ -219,18 +209,8 @@ class TelemetryAnswer(Answer):
 
     @classmethod
     def of(cls, record: TelemetryRecord) -> Self:
-        """Return the answer that tells a record."""
-        rates = record.body_rate_deg_s
-        return cls.model_validate(
-            {
-                "epoch": record.epoch_us,
-                "onboard_mode": record.onboard_mode,
-                "wheel_momentum_n_m_s": record.wheel_momentum_n_m_s,
-                "wheel_speed_rpm": record.wheel_speed_rpm,
-                "thrusters_active": record.thrusters_active,
-                "body_rate_deg_s": None if rates is None else AnglesAnswer.of(rates),
-            }
-        )
+        """Return the answer for a telemetry record."""
+        return cls.of_record(record)
 
 
 class ReferencePage(Answer):

@@ -22,15 +22,5 @@ class JobAnswer(Answer):
 
     @classmethod
     def of(cls, job: Job, result: str | None = None) -> Self:
-        """Return the answer that tells a job."""
-        return cls.model_validate(
-            {
-                "id": job.id,
-                "kind": job.kind,
-                "state": job.state,
-                "progress": job.progress,
-                "created_at": job.created_at_us,
-                "error": job.error,
-                "result": result,
-            }
-        )
+        """Return the answer for a job."""
+        return cls.of_record(job, result=result)

@@ -55,21 +55,10 @@ class KeyAnswer(Answer):
 
     @classmethod
     def of(cls, key: AccessKey, now_us: int, last_used_us: int | None) -> Self:
-        """Return the answer that tells a key."""
+        """Return the answer for a key."""
         state = KeyState.VALID if key.is_valid(now_us) else KeyState.EXPIRED
-        return cls.model_validate(
-            {
-                "id": key.id,
-                "name": key.name,
-                "role": key.role,
-                "state": KeyState.REVOKED if key.revoked_at_us is not None else state,
-                "created_at": key.created_at_us,
-                "created_by": key.created_by,
-                "expires_at": key.expires_at_us,
-                "last_used_at": last_used_us,
-                "revoked_at": key.revoked_at_us,
-            }
-        )
+        state = KeyState.REVOKED if key.revoked_at_us is not None else state
+        return cls.of_record(key, state=state, last_used_at=last_used_us)
 
 
 class NewKeyAnswer(Answer):

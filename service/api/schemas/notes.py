@@ -40,19 +40,8 @@ class NoteAnswer(Answer):
 
     @classmethod
     def of(cls, note: Note) -> Self:
-        """Return the answer that tells a note."""
-        return cls.model_validate(
-            {
-                "id": note.id,
-                "spacecraft_id": note.spacecraft_id,
-                "epoch": note.epoch_us,
-                "written_at": note.written_at_us,
-                "author": note.author,
-                "text": note.text,
-                "tags": list(note.tags),
-                "corrects": note.corrects,
-            }
-        )
+        """Return the answer for a note."""
+        return cls.of_record(note)
 
 
 class NotePage(Answer):

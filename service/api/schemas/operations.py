@@ -98,22 +98,8 @@ class OperationAnswer(Answer):
 
     @classmethod
     def of(cls, record: Operation) -> Self:
-        """Return the answer that tells a record."""
-        angles = record.attitude_uncertainty_deg
-        return cls.model_validate(
-            {
-                "id": record.id,
-                "revision": record.revision,
-                "kind": record.kind,
-                "start": record.start_us,
-                "stop": record.stop_us,
-                "carriers": record.carriers,
-                "transponders": record.transponders,
-                "inhibit_control": record.inhibit_control,
-                "attitude_uncertainty_deg": None if angles is None else AnglesAnswer.of(angles),
-                "comment": record.comment,
-            }
-        )
+        """Return the answer for an operation."""
+        return cls.of_record(record)
 
 
 class OperationPage(Answer):

@@ -69,18 +69,5 @@ class ReplayAnswer(ReplayStartedAnswer):
 
     @classmethod
     def of(cls, replay: Replay) -> Self:
-        """Return the answer that tells a replay."""
-        return cls.model_validate(
-            {
-                "id": replay.id,
-                "job": replay.job_id,
-                "version": replay.version,
-                "start": replay.start_us,
-                "stop": replay.stop_us,
-                "method": replay.method,
-                "calibration_id": replay.calibration_id,
-                "alignment_id": replay.alignment_id,
-                "order": replay.order,
-                "created_at": replay.created_at_us,
-            }
-        )
+        """Return the answer for a replay."""
+        return cls.of_record(replay, job=replay.job_id)

@@ -1,12 +1,11 @@
 """Commands to be released: what a person wants, what was prepared, what became of it, what goes up."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
 from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer, Text, WindowAnswer
 from service.api.schemas.torques import PulseAnswer, ScheduleCheckAnswer
-from service.records.levels.command import Pulse
 from service.records.operations.release import Command, CommandRequest, ProductForm, Purpose, UplinkProduct
 
 #: a reason is asked for, so one must stand there
@@ -120,46 +119,13 @@ class CommandAnswer(Answer):
 
     @classmethod
     def of(cls, command: Command) -> Self:
-        """Return the answer of a command."""
-        computed = command.computed
-        return cls.model_validate(
-            {
-                "id": command.counter,
-                "state": command.state,
-                "digest": command.digest,
-                "counter": command.counter,
-                "expires_at": command.expires_us,
-                "purpose": command.purpose,
-                "reason": command.reason,
-                "dry_run": command.is_dry_run,
-                "simulated": command.is_simulated,
-                "automatic": command.is_automatic,
-                "needs_approver": command.state == "PREPARED",
-                "attitude_epoch": command.attitude_epoch_us,
-                "start": command.start_us,
-                "stop": command.stop_us,
-                "schedule": [_pulse(pulse) for pulse in command.schedule],
-                "impulse_n_m_s": command.impulse_n_m_s,
-                "gross_impulse_n_m_s": command.gross_impulse_n_m_s,
-                "predicted": {
-                    "angle_change_deg": command.angle_change_deg,
-                    "rate_change_deg_s": command.rate_change_deg_s,
-                    "peak_angle_deg": command.peak_angle_deg,
-                    "peak_rate_deg_s": command.peak_rate_deg_s,
-                    "wheel_momentum_n_m_s": command.wheel_momentum_n_m_s,
-                },
-                "checks": [{"name": each.name, "ok": each.is_ok, "detail": each.detail} for each in command.checks],
-                "schedule_check": None if computed is None else computed.schedule_check,
-                "prepared_by": command.prepared_by,
-                "prepared_at": command.prepared_us,
-                "confirmed_by": command.confirmed_by,
-                "comment": command.comment,
-                "released_at": command.released_us,
-                "sent_at": command.sent_us,
-                "reported_at": command.reported_us,
-                "reported_by": command.reported_by,
-                "executed": [_pulse(pulse) for pulse in command.executed],
-            }
+        """Return the answer for a command."""
+        return cls.of_record(
+            command,
+            id=command.counter,
+            needs_approver=command.state == "PREPARED",
+            predicted=command,
+            schedule_check=None if command.computed is None else command.computed.schedule_check,
         )
 
 
@@ -192,30 +158,5 @@ class UplinkAnswer(Answer):
 
     @classmethod
     def of(cls, product: UplinkProduct) -> Self:
-        """Return the answer of an uplink product."""
-        return cls.model_validate(
-            {
-                "form": product.form,
-                "counter": product.counter,
-                "created_at": product.created_us,
-                "valid_from": product.valid_from_us,
-                "valid_until": product.valid_until_us,
-                "attitude_epoch": product.attitude_epoch_us,
-                "simulated": product.is_simulated,
-                "digest": product.digest or None,
-                "schedule": [_pulse(pulse) for pulse in product.schedule],
-                "attitude_deg": product.attitude_deg,
-                "sigma_deg": product.sigma_deg,
-            }
-        )
-
-
-def _pulse(pulse: Pulse) -> dict[str, Any]:
-    """Return one element of a schedule."""
-    return {
-        "start": pulse.start_us,
-        "duration_s": pulse.duration_s,
-        "roll_n_m": pulse.torque_n_m.roll,
-        "pitch_n_m": pulse.torque_n_m.pitch,
-        "yaw_n_m": pulse.torque_n_m.yaw,
-    }
+        """Return the answer for an uplink product."""
+        return cls.of_record(product, digest=product.digest or None)

@@ -1,6 +1,8 @@
 """Torque commands as they go out. Torque is the torque on the body; every element of a schedule ends by itself."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
+
+from pydantic import Field
 
 from service.api.schemas.base import AnglesAnswer, Answer, EpochAnswer, Figure, WindowAnswer
 from service.api.schemas.control import VerdictAnswer
@@ -22,9 +24,9 @@ class PulseAnswer(Answer):
 class PredictedAnswer(Answer):
     """What the schedule will have done when the command period ends."""
 
-    angle_change_deg: AnglesAnswer
-    rate_change_deg_s: AnglesAnswer
-    wheel_momentum_n_m_s: list[Figure]
+    angle_change_deg: Annotated[AnglesAnswer, Field(validation_alias="predicted_angle_change_deg")]
+    rate_change_deg_s: Annotated[AnglesAnswer, Field(validation_alias="predicted_rate_change_deg_s")]
+    wheel_momentum_n_m_s: Annotated[list[Figure], Field(validation_alias="predicted_wheel_momentum_n_m_s")]
     """Change of the stored momentum of each wheel."""
 
 
@@ -73,40 +75,8 @@ class TorqueAnswer(Answer):
 
     @classmethod
     def of(cls, command: TorqueCommand) -> Self:
-        """Return the answer that tells a command."""
-        return cls.model_validate(
-            {
-                "epoch": command.epoch_us,
-                "attitude_epoch": command.attitude_epoch_us,
-                "mode": command.mode,
-                "roll_n_m": command.torque_n_m.roll,
-                "pitch_n_m": command.torque_n_m.pitch,
-                "yaw_n_m": command.torque_n_m.yaw,
-                "wheels_n_m": command.wheels_n_m,
-                "saturated": command.saturated,
-                "command_period_s": command.command_period_s,
-                "valid_until": command.valid_until_us,
-                "schedule": [
-                    {
-                        "start": pulse.start_us,
-                        "duration_s": pulse.duration_s,
-                        "roll_n_m": pulse.torque_n_m.roll,
-                        "pitch_n_m": pulse.torque_n_m.pitch,
-                        "yaw_n_m": pulse.torque_n_m.yaw,
-                    }
-                    for pulse in command.schedule
-                ],
-                "impulse_n_m_s": command.impulse_n_m_s,
-                "predicted": {
-                    "angle_change_deg": command.predicted_angle_change_deg,
-                    "rate_change_deg_s": command.predicted_rate_change_deg_s,
-                    "wheel_momentum_n_m_s": command.predicted_wheel_momentum_n_m_s,
-                },
-                "control_allowed": command.control_allowed,
-                "inhibitions": command.inhibitions,
-                "schedule_check": command.schedule_check,
-            }
-        )
+        """Return the answer for a command."""
+        return cls.of_record(command, predicted=command)
 
     @classmethod
     def before_the_first(cls, mode: ControlMode, attitude_epoch_us: int | None) -> Self:
