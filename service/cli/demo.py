@@ -28,10 +28,10 @@ def demo(
     service: Annotated[str | None, typer.Option(help="Use a service that runs already (key in SOO_KEY).")] = None,
     analyzer: Annotated[str | None, typer.Option(help="HOST:PORT of a simulated analyzer that runs already.")] = None,
     ground: Annotated[str | None, typer.Option(help="HOST:PORT of its ground port.")] = None,
-    uplink: Annotated[str | None, typer.Option(help="HOST:PORT of its uplink, when its craft is flown.")] = None,
-    closed: Annotated[bool, typer.Option("--closed/--open", help="Keep the craft, or follow its slews.")] = True,
+    uplink: Annotated[str | None, typer.Option(help="HOST:PORT of its uplink, when its spacecraft is flown.")] = None,
+    closed: Annotated[bool, typer.Option("--closed/--open", help="Keep the spacecraft, or follow its slews.")] = True,
 ) -> None:
-    """Show the whole chain: SCPI analyzer to angles to torques that keep the craft, on a virtual clock."""
+    """Show the whole chain: SCPI analyzer to angles to torques that keep the spacecraft, on a virtual clock."""
     from rich.console import Console
 
     # its front end measures by it, in a process of its own

@@ -35,7 +35,7 @@ def _address(text: str) -> tuple[str, int]:
 
 
 class Alone(NamedTuple):
-    """Which craft is flown once more, without control."""
+    """Which spacecraft is flown once more, without control."""
 
     seed: int
     operation_days: float

@@ -162,7 +162,7 @@ def print_figures(console: Console, figures: dict[str, Any]) -> None:
     if figures["closed_loop"] is not None:
         _print_loop(console, figures["closed_loop"])
         for text in figures["estimate_misses"]:
-            console.print(f"not judged where the craft is kept, a miss where it is not: {text}")
+            console.print(f"not judged where the spacecraft is kept, a miss where it is not: {text}")
     for text in figures["missed"]:
         console.print(f"missed: {text}")
 

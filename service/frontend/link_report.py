@@ -1,4 +1,4 @@
-"""Reports of the links to the service, and what operators want of them: rest, go on, begin anew.
+"""Reports of the links to the service, and what operators want of them: rest, go on, begin again.
 
 Law of this file: it never disturbs the measuring. A service that is away, refuses the report or answers nonsense
 changes nothing; the next report says the same or newer.

@@ -31,7 +31,7 @@ FLICKER_NOISE = NoiseStatistics(
     chain_flicker=((0.07, 3600.0), (0.085, 72_000.0)),
     quantum_db=0.15,
 )
-#: days near an equinox, when the craft passes the Earth's shadow and the Sun passes behind it
+#: days near an equinox, when the spacecraft passes the Earth's shadow and the Sun passes behind it
 _EQUINOX_US = epoch_us_from_text("2026-09-18T00:00:00Z")
 _STORMS = Storm("storms", 5)
 _DAYS_BETWEEN = 30

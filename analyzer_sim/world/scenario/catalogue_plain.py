@@ -111,7 +111,7 @@ PLAIN: tuple[Scenario, ...] = (
     ),
     Scenario(
         "downlink_slew",
-        "Rain over the receiving site while the craft slews by 0.3 deg, once out and once back.",
+        "Rain over the receiving site while the spacecraft slews by 0.3 deg, once out and once back.",
         keeping=_CLOSE_KEEPING,
         manoeuvres=(
             Hold(8.0, 6.0, 60.0, yaw_deg=0.2, roll_deg=-0.3, pitch_deg=0.25),
@@ -157,7 +157,7 @@ PLAIN: tuple[Scenario, ...] = (
     Scenario("long14", "Fourteen days of ordinary keeping, no fault.", operation_h=14 * 24.0),
     Scenario(
         "init_bias",
-        "Aligned while the craft stands at 0.25/0.16/0.13 deg instead of zero.",
+        "Aligned while the spacecraft stands at 0.25/0.16/0.13 deg instead of zero.",
         keeping=KeepingErrors(alignment_deg=(0.25, 0.16, 0.13)),
     ),
     Scenario("interference", "Eight narrow signals inside carriers' bands.", faults=(Interference("signals", 8),)),

@@ -12,7 +12,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """The craft slews to an attitude, stays and slews back to zero."""
+    """The spacecraft slews to an attitude, stays and slews back to zero."""
 
     start_h: float
     #: from the start of the slew out to the start of the slew back
@@ -42,18 +42,18 @@ class Tour:
 
 @dataclass(frozen=True, slots=True)
 class FalseReport:
-    """A slew that the ground announces in full and the craft follows by a share; later it slews back as announced."""
+    """A slew that the ground announces in full and the spacecraft follows by a share; later it slews back."""
 
     name: str
     start_h: float
-    #: what the craft does of it: 0 = nothing, -1 = the opposite
+    #: what the spacecraft does of it: 0 = nothing, -1 = the opposite
     executed_share: float
     #: size of the announced change; its signs are drawn
     yaw_deg: float = 0.15
     roll_deg: float = 0.15
     pitch_deg: float = 0.15
     duration_h: float = 2.0
-    #: from the start until the craft slews back
+    #: from the start until the spacecraft slews back
     hold_h: float = 8.0
 
 
@@ -197,7 +197,7 @@ class Storm:
 
 @dataclass(frozen=True, slots=True)
 class Relevel:
-    """All users' levels are set anew, each by a Gaussian step of its own."""
+    """All users' levels are set again, each by a Gaussian step of its own."""
 
     name: str
     start_h: float
@@ -229,7 +229,7 @@ class SourceSwitch:
 
 @dataclass(frozen=True, slots=True)
 class Eclipse:
-    """The craft cools in the Earth's shadow: gains of the transponders fall, the receiving reflector bends."""
+    """The spacecraft cools in the Earth's shadow: gains of the transponders fall, the receiving reflector bends."""
 
     name: str
     start_h: Range

@@ -1,6 +1,6 @@
 """Stories as data: phases, figures of noise and of attitude keeping, events; no scenario is named here.
 
-Phases follow one another: `quiet` (sensors on, harmonics are learned), `turns` (sensors on, the craft is turned by the
+Phases follow one another: `quiet` (sensors on, harmonics are learned), `turns` (sensors on, turned by the
 timetable of `turns.py`), perhaps `pause` (nothing is measured), `alignment` (sensors on, an attitude that is held),
 `operation` (sensors off).
 """

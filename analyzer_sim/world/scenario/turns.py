@@ -1,7 +1,7 @@
 """Timetable of the calibration turns: 510 minutes.
 
 Each axis goes through +(0.125, 0.25, 0.375, 0.5) deg and, after a rest at zero, through the same with minus, 15
-minutes a level; after each staircase the craft rests 10 minutes at zero. Then come the eight corners of 0.3 deg, 10
+minutes a level; after each staircase the spacecraft rests 10 minutes at zero. Then the eight corners of 0.3 deg, 10
 minutes each, in an order that changes one sign at a time, and a last rest. A level is reached by a slew of 3 minutes
 at its start; the published turn is the part after the slew.
 """

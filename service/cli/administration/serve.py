@@ -115,7 +115,7 @@ def _listener(settings: "Settings") -> socket.socket:
 
 
 def _serve(settings: "Settings", listener: socket.socket) -> None:
-    """Listen, say where, and run until told to stop; begin anew on an archive that was put in the place of ours."""
+    """Listen, say where, and run until told to stop; begin again on an archive that was put in the place of ours."""
     # imported here so that other commands start without the web framework and the database
     from service.api.server_process import calm_collector
     from service.composition.bootstrap import build_app, first_administrator, watch_file
@@ -142,7 +142,7 @@ def _serve(settings: "Settings", listener: socket.socket) -> None:
         server.run(sockets=[listener.dup()])
         if not replaced.is_set():
             return
-        _LOG.warning("the files of the archive are not those that were opened; beginning anew on what is there")
+        _LOG.warning("the files of the archive are not those that were opened; beginning again on what is there")
         is_announced = True
 
 

@@ -36,7 +36,9 @@ def closed_loop(
     scenario: Annotated[
         list[str] | None, typer.Option(help=f"Scenario; may be given many times. Default: {', '.join(SCENARIOS)}.")
     ] = None,
-    uplink: Annotated[str, typer.Option(help="Way to the craft: link (delay, loss, repetition) or ideal.")] = "link",
+    uplink: Annotated[
+        str, typer.Option(help="Way to the spacecraft: link (delay, loss, repetition) or ideal.")
+    ] = "link",
     sensing: Annotated[
         list[str] | None, typer.Option(help="automatic, truth or off; may be given many times. Default: all.")
     ] = None,

@@ -40,7 +40,7 @@ ACTIONS: dict[AcquisitionState, str] = {
 MEANINGS: dict[AcquisitionEvent, str] = {
     AcquisitionEvent.OK: "the action succeeded",
     AcquisitionEvent.FAULT: "no answer, a broken line, an unreadable answer, a refusal, no good row for three periods",
-    AcquisitionEvent.RESET: "an operator asked for a new session; waiting times begin anew",
+    AcquisitionEvent.RESET: "an operator asked for a new session; waiting times begin again",
     AcquisitionEvent.DISABLE: "an operator disabled the link",
     AcquisitionEvent.ENABLE: "an operator enabled the link",
 }

@@ -108,7 +108,7 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
             "methods",
             Origin.ROW,
             "methods {thing} disagree in roll or pitch by {value}",
-            "compare both with another sensor; the method that is right shows in the residuals; align anew if none is",
+            "compare both with another sensor; the method that is right shows in the residuals; align again if none is",
             ConditionLimits(
                 # the chain has waited for them to be apart for long
                 warning=robust.disagreement_deg,
@@ -133,7 +133,7 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
             "sensor",
             Origin.REFERENCE,
             "sensor {thing} differs from the estimate, beyond three sigma of both, by {value}",
-            "find out which one is wrong by a third sensor; align anew if it is the estimate",
+            "find out which one is wrong by a third sensor; align again if it is the estimate",
             ConditionLimits(warning=0.15, distress=0.3, deadband=0.03, on_s=600.0, off_s=600.0, latching=True),
         ),
     )
@@ -162,7 +162,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
             Origin.CLOCK,
             "link {thing} has been down for {value}",
             "see its detail in GET /links; look at front end, analyzer and line; :reset begins a new session",
-            # only 0 s lies a deadband inside 30 s: a link is back when it works, not when it has just failed anew
+            # only 0 s lies a deadband inside 30 s: a link is back when it works, not when it has just failed again
             ConditionLimits(distress=30.0, critical=_HOUR_S, deadband=30.0, off_s=10.0, repeat_s=600.0),
         ),
         AlarmCondition(

@@ -43,7 +43,7 @@ MEANINGS: dict[AlarmEvent | CoverEvent, str] = {
     AlarmEvent.RETURN: "the value has been inside the limit by the deadband for `off_s`",
     AlarmEvent.RETURN_UNSEEN: "the same while the alarm was shelved or suppressed: nobody has to acknowledge it",
     AlarmEvent.ACKNOWLEDGE: "an operator has seen it",
-    AlarmEvent.CLEAR: "an operator closes it; a condition that still stands alarms anew after `on_s`",
+    AlarmEvent.CLEAR: "an operator closes it; a condition that still stands alarms again after `on_s`",
     CoverEvent.SHELVE: "an operator wants quiet until an instant, at most 24 h ahead",
     CoverEvent.UNSHELVE: "an operator ends that, or the instant has come",
     CoverEvent.SUPPRESS: "a declared operation says that the alarm means nothing now",

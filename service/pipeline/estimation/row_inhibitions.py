@@ -22,7 +22,7 @@ INHIBITIONS: dict[str, str] = {
     "no_fix": "too few carriers present for an attitude",
     "redundancy": "too few carriers beyond the unknowns to notice a wrong one",
     "downlink_fade": "downlink rain or a change of the receiving chain is taken for attitude",
-    "chain_step": "the level of all carriers has just changed; the receiving chain is being learned anew",
+    "chain_step": "the level of all carriers has just changed; the receiving chain is being learned again",
     "innovations": "the powers contradict the model more than its noise allows",
     "unannounced_motion": "roll or pitch moves as nobody announced",
     "no_ephemeris": "no ephemeris reaches this epoch, so the daily change is not known",
