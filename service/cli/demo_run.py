@@ -9,7 +9,7 @@ from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.study.closed_loop.plant_process import PlantFailedError
 from service.study.demonstration.closed_judgement import FlightAlone, fly_alone, judge_control
-from service.study.demonstration.demonstration import Endpoints, Story, run_story
+from service.study.demonstration.demonstration import ProcessAddresses, Story, run_story
 from service.study.demonstration.judgement import judge_story, tracked_angles
 from service.study.demonstration.processes import ProcessFailedError
 from service.study.demonstration.replay_check import METHODS
@@ -21,12 +21,12 @@ _PATIENCE_S = 60.0
 FAILURES = (ProcessFailedError, PlantFailedError, SpacecraftLineError, ClientError, TimeoutError, OSError)
 
 
-def external(service: str, analyzer: str, ground: str, uplink: str | None) -> Endpoints:
+def external(service: str, analyzer: str, ground: str, uplink: str | None) -> ProcessAddresses:
     """Return the addresses of processes that run already."""
     key = key_of(DEFAULT_KEY_ENVIRONMENT)
     host, port = _address(analyzer)
     spacecraft = _address(uplink) if uplink else None
-    return Endpoints(service, key, _address(ground), f"TCPIP::{host}::{port}::SOCKET", uplink=spacecraft)
+    return ProcessAddresses(service, key, _address(ground), f"TCPIP::{host}::{port}::SOCKET", uplink=spacecraft)
 
 
 def _address(text: str) -> tuple[str, int]:
@@ -42,7 +42,7 @@ class Alone(NamedTuple):
 
 
 def play(
-    directory: Path, endpoints: Endpoints, presenter: Presenter, figure: Path | None, alone: Alone
+    directory: Path, endpoints: ProcessAddresses, presenter: Presenter, figure: Path | None, alone: Alone
 ) -> dict[str, Any]:
     """Run the story to its end and return its figures."""
     with ServiceClient(endpoints.service_url, endpoints.key, timeout_s=_PATIENCE_S) as client:

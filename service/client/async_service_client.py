@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable
 
 from service.client.async_transport import AsyncTransport
-from service.client.documents import Job
+from service.client.documents import JobReply
 from service.client.endpoints import Endpoints
 from service.client.jobs import JobWatch
 from service.client.service_client import ServiceClient
@@ -38,7 +38,7 @@ class AsyncServiceClient(AsyncTransport, Endpoints):
         timeout_s: float = 600.0,
         poll_s: float = 0.2,
         on_progress: Callable[[float], None] | None = None,
-    ) -> Job:
+    ) -> JobReply:
         watch = JobWatch(job_id, timeout_s, on_progress)
         while not watch.is_done(job := await self.job(job_id)):
             await asyncio.sleep(poll_s)

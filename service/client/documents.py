@@ -47,7 +47,7 @@ class Receipt(TypedDict):
     flagged: list[Refused]
 
 
-class CatalogueWarning(TypedDict):
+class CatalogueWarningReply(TypedDict):
     """Something doubtful in a document that was stored."""
 
     #: JSON pointer into the document.
@@ -63,10 +63,10 @@ class PlanPut(TypedDict):
     sha256: str
     carriers: int
     #: Stations that have the satellite below 5 deg elevation.
-    warnings: list[CatalogueWarning]
+    warnings: list[CatalogueWarningReply]
 
 
-class Measurement(TypedDict):
+class MeasurementReply(TypedDict):
     """One row of carrier powers."""
 
     #: Middle of the dwell.
@@ -92,7 +92,7 @@ class Measurement(TypedDict):
     centroid_offset_hz: dict[str, float | None] | None
 
 
-class Exclusion(TypedDict):
+class ExclusionReply(TypedDict):
     """A carrier left out of the fix, and why."""
 
     carrier: str
@@ -100,7 +100,7 @@ class Exclusion(TypedDict):
     reason: str
 
 
-class ControlReason(TypedDict):
+class ControlReasonReply(TypedDict):
     """A reason why no torque may go, or why yaw is withheld."""
 
     code: str
@@ -118,7 +118,7 @@ class Verdict(TypedDict):
     #: ENGAGED under release automatic: computed commands count as applied.
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
     #: Every reason that stands; while allowed, those that withhold yaw alone.
-    reasons: list[ControlReason]
+    reasons: list[ControlReasonReply]
 
 
 class Attitude(TypedDict):
@@ -142,7 +142,7 @@ class Attitude(TypedDict):
     control_allowed_axes: AllowedAxes
     inhibitions: list[str]
     carriers_used: int
-    excluded: list[Exclusion]
+    excluded: list[ExclusionReply]
     downlink_fade: bool
     downlink_fade_db: float | None
     common_db: float | None
@@ -156,7 +156,7 @@ class Attitude(TypedDict):
     control: Verdict
 
 
-class Job(TypedDict):
+class JobReply(TypedDict):
     """One piece of long work."""
 
     id: str
@@ -171,7 +171,7 @@ class Job(TypedDict):
     result: str | None
 
 
-class Status(TypedDict):
+class StatusReply(TypedDict):
     """What is newest, what is pending, what is in force."""
 
     newest_measurement: str | None
@@ -200,7 +200,7 @@ class Status(TypedDict):
     alignment_id: int | None
 
 
-class Pulse(TypedDict):
+class PulseReply(TypedDict):
     """One element of a schedule."""
 
     start: str
@@ -219,7 +219,7 @@ class Check(TypedDict):
     detail: str
 
 
-class Command(TypedDict):
+class CommandReply(TypedDict):
     """A command that was prepared, as it stands."""
 
     #: Its counter, which stands in paths and in the uplink product.
@@ -243,7 +243,7 @@ class Command(TypedDict):
     attitude_epoch: str
     start: str
     stop: str
-    schedule: list[Pulse]
+    schedule: list[PulseReply]
     impulse_n_m_s: Angles
     #: Sum of the sizes of the pulses: what the envelope counts.
     gross_impulse_n_m_s: Angles
@@ -260,7 +260,7 @@ class Command(TypedDict):
     reported_at: str | None
     reported_by: str | None
     #: What of the schedule was carried out, by report.
-    executed: list[Pulse]
+    executed: list[PulseReply]
 
 
 class Control(TypedDict):

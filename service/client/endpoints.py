@@ -8,7 +8,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 from service.client.call import Call, Epoch, epoch_text
-from service.client.documents import Attitude, Command, Control, Job, Json, Measurement, PlanPut, Receipt, Status
+from service.client.documents import (
+    Attitude,
+    CommandReply,
+    Control,
+    JobReply,
+    Json,
+    MeasurementReply,
+    PlanPut,
+    Receipt,
+    StatusReply,
+)
 from service.client.endpoint_methods import Series, endpoint, series
 from service.client.event_lines import Follower, StreamEvent
 
@@ -130,14 +140,14 @@ class Endpoints:
         return Call("POST", _below(spacecraft_id, "/alignments"), alignment)
 
     @endpoint
-    def job(self, job_id: str) -> Call[Job]:
+    def job(self, job_id: str) -> Call[JobReply]:
         """Return the state and progress of a job."""
         return Call("GET", f"/jobs/{job_id}")
 
     # Out of the service
 
     @endpoint
-    def status(self, spacecraft_id: str) -> Call[Status]:
+    def status(self, spacecraft_id: str) -> Call[StatusReply]:
         """Return what is newest, pending and in force."""
         return Call("GET", _below(spacecraft_id, "/status"))
 
@@ -159,7 +169,7 @@ class Endpoints:
     @series
     def measurement_history(
         self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
-    ) -> Series[Measurement]:
+    ) -> Series[MeasurementReply]:
         """Yield every row of carrier powers of an interval; parameters as for `attitude_history`."""
         return Series(_below(spacecraft_id, "/measurements/history"), _window(start, stop, limit))
 
@@ -203,7 +213,7 @@ class Endpoints:
         duration_s: float | None = None,
         max_torque_n_m: float | None = None,
         dry_run: bool = False,
-    ) -> Call[Command]:
+    ) -> Call[CommandReply]:
         """Return a command that waits for another person to confirm its digest.
 
         Never sent twice: a second request would be another command.
@@ -227,19 +237,21 @@ class Endpoints:
         )
 
     @endpoint
-    def command(self, spacecraft_id: str, command_id: int) -> Call[Command]:
+    def command(self, spacecraft_id: str, command_id: int) -> Call[CommandReply]:
         """Return one command as it stands."""
         return Call("GET", _below(spacecraft_id, f"/torques/{command_id}"))
 
     @series
     def commands(
         self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
-    ) -> Series[Command]:
+    ) -> Series[CommandReply]:
         """Yield every command that was prepared in an interval; parameters as for `attitude_history`."""
         return Series(_below(spacecraft_id, "/torques/commands"), _window(start, stop, limit))
 
     @endpoint
-    def confirm_torques(self, spacecraft_id: str, command_id: int, digest: str, comment: str = "") -> Call[Command]:
+    def confirm_torques(
+        self, spacecraft_id: str, command_id: int, digest: str, comment: str = ""
+    ) -> Call[CommandReply]:
         """Return a command that another person prepared, released.
 
         Never sent twice: a second request would be refused though the first released the command.
@@ -248,7 +260,7 @@ class Endpoints:
         return Call("POST", path, {"digest": digest, "comment": comment})
 
     @endpoint
-    def cancel_torques(self, spacecraft_id: str, command_id: int, comment: str = "") -> Call[Command]:
+    def cancel_torques(self, spacecraft_id: str, command_id: int, comment: str = "") -> Call[CommandReply]:
         """Take a prepared command back."""
         return Call("POST", _below(spacecraft_id, f"/torques/{command_id}:cancel"), {"comment": comment})
 
@@ -262,7 +274,7 @@ class Endpoints:
         at: Epoch | None = None,
         executed_from: Epoch | None = None,
         executed_until: Epoch | None = None,
-    ) -> Call[Command]:
+    ) -> Call[CommandReply]:
         """Report what became of a released command; repeating a report is safe.
 
         Parameters

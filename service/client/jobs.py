@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from service.client.documents import Job
+from service.client.documents import JobReply
 from service.client.problem import ClientError
 
 
@@ -30,7 +30,7 @@ class JobWatch:
         self._deadline_s = time.monotonic() + timeout_s
         self._on_progress = on_progress
 
-    def is_done(self, job: Job) -> bool:
+    def is_done(self, job: JobReply) -> bool:
         """Whether a job is done; JobFailedError when it failed or takes too long."""
         if self._on_progress is not None:
             self._on_progress(float(job.get("progress") or 0.0))

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 from service.client.call import Epoch, epoch_text
-from service.client.documents import Job
+from service.client.documents import JobReply
 from service.client.endpoints import Endpoints
 from service.client.event_lines import StreamEvent
 from service.client.jobs import JobFailedError, JobWatch
@@ -39,7 +39,7 @@ class ServiceClient(Transport, Endpoints):
         timeout_s: float = 600.0,
         poll_s: float = 0.2,
         on_progress: Callable[[float], None] | None = None,
-    ) -> Job:
+    ) -> JobReply:
         """Return a job when it is done.
 
         Parameters

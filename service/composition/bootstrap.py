@@ -99,7 +99,7 @@ def first_administrator(settings: Settings, storage: Storage) -> Path | None:
     key = AccessKey(
         id=key_id, name="first administrator", role=Role.ADMIN, created_at_us=now_us, created_by="first start"
     )
-    deed = AuditEvent(
+    event = AuditEvent(
         at_us=now_us,
         who="service",
         key_id="",
@@ -116,7 +116,7 @@ def first_administrator(settings: Settings, storage: Storage) -> Path | None:
         path = path.with_name(f"administrator-{key_id}.key")
     path.touch(0o600, exist_ok=False)
     path.write_text(f"{text}\n")
-    if storage.keys.add_first_administrator(StoredKey(key, digest_of(text.encode("ascii"))), deed):
+    if storage.keys.add_first_administrator(StoredKey(key, digest_of(text.encode("ascii"))), event):
         return path
     # another service was quicker
     path.unlink()

@@ -31,8 +31,8 @@ def report_links(
 ) -> LinkWishesAnswer:
     """Take the reports of a front end and tell what is wanted of its links."""
     states = context.storage.links.report([each.to_record() for each in body.links], context.clock.system_us())
-    wishes = [LinkWishAnswer(id=state.report.id, enabled=state.enabled, reset=state.resets) for state in states]
-    return LinkWishesAnswer(links=wishes)
+    requests = [LinkWishAnswer(id=state.report.id, enabled=state.enabled, reset=state.resets) for state in states]
+    return LinkWishesAnswer(links=requests)
 
 
 @router.get("")

@@ -188,7 +188,7 @@ class PulseDocument(Document):
     torque_n_m: Quantity
 
 
-class FlexibleModeDocument(Document):
+class HubModeDocument(Document):
     """One flexible mode that the axis feels."""
 
     omega_rad_s: Quantity
@@ -208,7 +208,7 @@ class ScheduleDocument(Document):
 
     pulses: Annotated[list[PulseDocument], Field(min_length=1, max_length=500)]
     inertia_kg_m2: Quantity
-    modes: Annotated[list[FlexibleModeDocument], Field(min_length=1, max_length=16)]
+    modes: Annotated[list[HubModeDocument], Field(min_length=1, max_length=16)]
     peak_allowed_rad: Quantity
     alpha_rad: Quantity | None = None
     beta_rad: Quantity | None = None

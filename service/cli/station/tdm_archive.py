@@ -7,10 +7,10 @@ from typing import Any
 from service.errors import InvalidInputError
 from service.formats.tdm import read_tdm
 from service.frontend.backfill.columns import ArchiveError
-from service.frontend.backfill.reader import ArchiveReader, FileRow, open_archive
+from service.frontend.backfill.reader import ArchiveFileReader, FileRow, open_archive
 
 
-def open_any_archive(path: Path) -> ArchiveReader:
+def open_any_archive(path: Path) -> ArchiveFileReader:
     """Return a file by the ending of its name, messages too; ArchiveError when it cannot be read as that."""
     return TdmArchive(path) if path.suffix.lower() == ".tdm" else open_archive(path)
 

@@ -30,7 +30,7 @@ from service.frontend.backfill.columns import (
     read_epoch,
     read_levels,
 )
-from service.frontend.backfill.reader import ArchiveReader, FileRow, open_archive, sha256_of
+from service.frontend.backfill.reader import ArchiveFileReader, FileRow, open_archive, sha256_of
 from service.frontend.backfill.state import Destination, SendState
 from service.frontend.upload.answers import BatchAction, BatchReply, judge, read_receipt
 from service.records.epoch import format_epoch, is_leap_second
@@ -62,7 +62,7 @@ class ArchiveOrder:
     #: where state and refused rows are kept; None: beside the file
     folder: Path | None = None
     #: reads the file; archives of other formats come with readers of their own
-    open_file: Callable[[Path], ArchiveReader] = open_archive
+    open_file: Callable[[Path], ArchiveFileReader] = open_archive
 
 
 class Progress(NamedTuple):
@@ -201,7 +201,7 @@ class _Sender:
         self._backoff = backoff
         self._batch_rows = order.batch_rows
 
-    def send(self, archive: ArchiveReader, on_progress: Callable[[Progress], None]) -> None:
+    def send(self, archive: ArchiveFileReader, on_progress: Callable[[Progress], None]) -> None:
         """Send what is left of a file."""
         settled = self._state.counters.rows
         rows: list[_Row] = []
@@ -287,7 +287,7 @@ class _Sender:
 
 
 def _plan_columns(
-    client: ServiceClient, order: ArchiveOrder, archive: ArchiveReader, plan_id: int | None = None
+    client: ServiceClient, order: ArchiveOrder, archive: ArchiveFileReader, plan_id: int | None = None
 ) -> tuple[int, FileColumns]:
     """Return the number of a plan, the newest by default, and what the file's columns are under it."""
     plan = client.carriers(order.spacecraft_id, plan_id)
@@ -300,7 +300,7 @@ def _plan_columns(
 
 
 def _judged(
-    archive: ArchiveReader, columns: FileColumns, order: ArchiveOrder
+    archive: ArchiveFileReader, columns: FileColumns, order: ArchiveOrder
 ) -> Iterator[_Row | _Unreadable | _Foreign]:
     """Yield each row of a file as what it is."""
     wanted = {order.from_source} if order.from_source is not None else {order.source, ""}

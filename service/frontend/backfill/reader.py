@@ -26,7 +26,7 @@ class FileRow(NamedTuple):
     cells: list[Any]
 
 
-class ArchiveReader(Protocol):
+class ArchiveFileReader(Protocol):
     """A file that is read once from its beginning."""
 
     header: list[str]
@@ -43,7 +43,7 @@ class ArchiveReader(Protocol):
         ...
 
 
-def open_archive(path: Path) -> ArchiveReader:
+def open_archive(path: Path) -> ArchiveFileReader:
     """Return a file by the ending of its name; ArchiveError when it cannot be read as that."""
     try:
         return _ARCHIVES.get(path.suffix.lower(), CsvArchive)(path)
@@ -206,7 +206,7 @@ class ParquetArchive:
 
 
 #: ending of a name -> what reads it; CSV any other
-_ARCHIVES: dict[str, Callable[[Path], ArchiveReader]] = {
+_ARCHIVES: dict[str, Callable[[Path], ArchiveFileReader]] = {
     ".parquet": ParquetArchive,
     ".ndjson": NdjsonArchive,
     ".jsonl": NdjsonArchive,

@@ -134,12 +134,12 @@ class SendState:
             "is_complete": self.is_complete,
             "plan_id": self.plan_id,
         }
-        beside = self.path.with_name(self.path.name + ".new")
-        with beside.open("w") as file:
+        others = self.path.with_name(self.path.name + ".new")
+        with others.open("w") as file:
             json.dump(document, file)
             file.flush()
             os.fsync(file.fileno())
-        beside.replace(self.path)
+        others.replace(self.path)
 
 
 def _cell(value: Any) -> Any:

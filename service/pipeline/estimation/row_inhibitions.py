@@ -60,25 +60,25 @@ class RowPermission:
         return not self.inhibitions
 
 
-def judge(fix: AttitudeFix, circumstances: RowContext, config: InterlockConfig) -> RowPermission:
+def judge(fix: AttitudeFix, context: RowContext, config: InterlockConfig) -> RowPermission:
     """Return the verdict on one fix."""
-    standing = _circumstantial(circumstances) | _of_fix(fix, config)
+    standing = _circumstantial(context) | _of_fix(fix, config)
     inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
     if inhibitions:
         return RowPermission(inhibitions, (False, False, False))
     is_yaw_known = float(np.sqrt(fix.covariance_deg2[0, 0])) <= config.yaw_sigma_limit_deg
     is_yaw_valid = abs(float(fix.attitude_deg[0])) <= config.validity_limit_deg
-    return RowPermission((), (circumstances.is_yaw_controllable and is_yaw_known and is_yaw_valid, True, True))
+    return RowPermission((), (context.is_yaw_controllable and is_yaw_known and is_yaw_valid, True, True))
 
 
-def _circumstantial(circumstances: RowContext) -> set[str]:
+def _circumstantial(context: RowContext) -> set[str]:
     """Return the reasons that lie outside the fix."""
     conditions = {
-        "late": circumstances.is_late,
-        "catch_up": circumstances.is_catch_up,
-        "settling": not circumstances.is_settled,
-        "downlink_fade": circumstances.is_fading,
-        "operation": circumstances.has_inhibiting_operation,
+        "late": context.is_late,
+        "catch_up": context.is_catch_up,
+        "settling": not context.is_settled,
+        "downlink_fade": context.is_fading,
+        "operation": context.has_inhibiting_operation,
     }
     return {reason for reason, stands in conditions.items() if stands}
 

@@ -18,7 +18,7 @@ from service.records.calibration import (
 )
 from service.records.inputs import Correction, Operation
 from service.records.operations.job import Job
-from service.runtime.jobs.job_runner import JobFailedError, JobRunner, Progress
+from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
 
 #: operations and corrections that a calibration looks at, at most of each
 _MAX_INPUTS = 1000
@@ -103,9 +103,9 @@ class Calibrator:
             data = self._read(spacecraft_id, draft)
             report(0.3)
             result = self._fitted(data)
-        except (CalibrationError, JobFailedError, SooError) as error:
+        except (CalibrationError, JobAbortedError, SooError) as error:
             results.finish_calibration(spacecraft_id, draft.id, None, str(error))
-            raise JobFailedError(str(error)) from error
+            raise JobAbortedError(str(error)) from error
         except Exception as error:
             results.finish_calibration(spacecraft_id, draft.id, None, f"internal error: {error!r}")
             raise

@@ -20,7 +20,7 @@ from service.core.dynamics.orbital_frame_kernel import fly
 from service.errors import BusyError
 from service.pipeline.kernels import flight_kernel
 from service.records.operations.job import Job
-from service.runtime.jobs.job_runner import JobFailedError, JobRunner, Progress
+from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
 
 KIND = "closed-loop"
 #: analyses that wait or fly at once
@@ -86,7 +86,7 @@ class FlightAnalyses:
             report(0.1)
             flown = self._flown(request, points)
         except (ValueError, ArithmeticError) as error:
-            raise JobFailedError(str(error)) from error
+            raise JobAbortedError(str(error)) from error
         finally:
             self._leave()
         with self._lock:

@@ -20,7 +20,7 @@ _LOG = logging.getLogger("soo.jobs")
 Progress = Callable[[float], None]
 
 
-class JobFailedError(Exception):
+class JobAbortedError(Exception):
     """The work cannot be done; the text tells the operator why and what to do."""
 
 
@@ -74,14 +74,14 @@ class JobRunner:
         def report(progress: float) -> None:
             if self._is_stopping.is_set():
                 message = "the service is stopping; start the job again"
-                raise JobFailedError(message)
+                raise JobAbortedError(message)
             self._results.update_job(job_id, JobState.RUNNING, progress)
 
         try:
             report(0.0)
             work(report)
             self._results.update_job(job_id, JobState.DONE, 1.0)
-        except (JobFailedError, SooError) as error:
+        except (JobAbortedError, SooError) as error:
             self._results.update_job(job_id, JobState.FAILED, 1.0, str(error))
         except Exception as error:  # noqa: BLE001 a job's fault must reach its operator, whatever it is
             _LOG.exception("job %s failed", job_id)

@@ -36,7 +36,7 @@ _LONGEST_PAUSE_S = 40 * 86_400
 
 
 @dataclass(frozen=True)
-class Endpoints:
+class ProcessAddresses:
     """Where the three processes are reached."""
 
     service_url: str
@@ -94,7 +94,7 @@ def simulated_station(
     quiet_days: float | None = None,
     scenario: str = "demo",
     uplink: str | None = None,
-) -> Iterator[Endpoints]:
+) -> Iterator[ProcessAddresses]:
     """Start simulator and service, give their addresses, and end them; with an uplink the craft is flown."""
     key = secrets.token_urlsafe(24)
     own = {"SOO_BOOTSTRAP_KEY": key, "SOO_KEY": key, "SOO_FUTURE_TOLERANCE_DATA_S": str(_LONGEST_PAUSE_S)}
@@ -117,10 +117,10 @@ def simulated_station(
         resource = f"TCPIP::127.0.0.1::{ports['scpi_port']}::SOCKET"
         host = "127.0.0.1"
         spacecraft = (host, int(ports["uplink_port"])) if uplink else None
-        yield Endpoints(url, key, (host, int(ports["ground_port"])), resource, (analyzer, service), spacecraft)
+        yield ProcessAddresses(url, key, (host, int(ports["ground_port"])), resource, (analyzer, service), spacecraft)
 
 
-def front_end(directory: Path, endpoints: Endpoints, spacecraft_id: str) -> FrontEnd:
+def front_end(directory: Path, endpoints: ProcessAddresses, spacecraft_id: str) -> FrontEnd:
     """Return the front end of a spacecraft, not yet started."""
     environment = {**os.environ, "SOO_KEY": endpoints.key, "OPENBLAS_NUM_THREADS": "1"}
     arguments = [
@@ -131,7 +131,7 @@ def front_end(directory: Path, endpoints: Endpoints, spacecraft_id: str) -> Fron
     return FrontEnd(directory, endpoints.resource, arguments, environment)
 
 
-def run_story(directory: Path, endpoints: Endpoints, client: ServiceClient, show: Show) -> Story:
+def run_story(directory: Path, endpoints: ProcessAddresses, client: ServiceClient, show: Show) -> Story:
     """Carry the story from the first line to the end of the scenario and return what was told."""
     story = Story()
     with ExitStack() as stack:

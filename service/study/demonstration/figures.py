@@ -1,4 +1,4 @@
-"""Figures drawn for people: estimates beside the truth, and what control makes of it."""
+"""Figures drawn for people: estimates with the truth, and what control makes of it."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -54,10 +54,10 @@ def _draw(path: Path, draw_axis: Callable[[Axes, int], None]) -> None:
 
 
 def _draw_axis(plot: Axes, tracked: Mapping[str, TrackedAngles], k: int) -> None:
-    """Draw one angle: the method beside below, then the driving one with its sigma, the truth on top."""
-    driving, beside = (tracked[method] for method in METHODS)
-    others = (beside.epochs_us - driving.epochs_us[0]) / US_PER_S / 3600.0
-    plot.plot(others, beside.estimate_deg[:, k], color=_COLOURS[METHODS[1]], linewidth=0.6, label=METHODS[1])
+    """Draw one angle: the other method below, then the driving one with its sigma, the truth on top."""
+    driving, peers = (tracked[method] for method in METHODS)
+    others = (peers.epochs_us - driving.epochs_us[0]) / US_PER_S / 3600.0
+    plot.plot(others, peers.estimate_deg[:, k], color=_COLOURS[METHODS[1]], linewidth=0.6, label=METHODS[1])
     _draw_driving(plot, driving, _hours(driving), k)
 
 

@@ -78,7 +78,7 @@ def judge_story(story: Story, client: ServiceClient, loop: dict[str, Any] | None
     control takes the estimate to zero, so that its error is the attitude of the craft, and slopes say nothing.
     """
     is_moved = loop is None
-    driving, beside = (judge_method(story, client, method) for method in METHODS)
+    driving, others = (judge_method(story, client, method) for method in METHODS)
     kept = check_archive(client, story.spacecraft_id, story.truth_deg)
     kept |= check_replay(client, story.spacecraft_id, story.phases["operation"], METHODS)
     estimate_misses = missed_bounds(driving.merits, METHODS[0], is_moved=is_moved)
@@ -89,9 +89,9 @@ def judge_story(story: Story, client: ServiceClient, loop: dict[str, Any] | None
         "availability": driving.availability,
         "axes": {axis: _figures(merit) for axis, merit in driving.merits.items()},
         METHODS[1]: {
-            "availability": beside.availability,
-            "axes": {axis: _figures(merit) for axis, merit in beside.merits.items()},
-            "missed": missed_bounds(beside.merits, METHODS[1], is_moved=is_moved),
+            "availability": others.availability,
+            "axes": {axis: _figures(merit) for axis, merit in others.merits.items()},
+            "missed": missed_bounds(others.merits, METHODS[1], is_moved=is_moved),
         },
         "zero_answer": {axis: _figures(merit) for axis, merit in driving.zeros.items()},
         "crlb_deg": story.bound_deg,

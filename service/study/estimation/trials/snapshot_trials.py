@@ -170,8 +170,8 @@ def _with_calibration(
     """Return the mean square of error over bound, and covariance and variance of yaw."""
     start_us = touring.ground.phases["operation"].start_us
     rows = np.flatnonzero(touring.ground.epochs_us >= start_us)[::_STRIDE]
-    beside = still.truth.attitude_deg[rows]
-    change_db = touring.ground.power_dbm[rows] - still.ground.power_dbm[rows] + predict_deviation(beside, response)
+    others = still.truth.attitude_deg[rows]
+    change_db = touring.ground.power_dbm[rows] - still.ground.power_dbm[rows] + predict_deviation(others, response)
     attitude = np.tile(touring.truth.attitude_deg[rows], (_DRAWS, 1))
     values = np.tile(change_db, (_DRAWS, 1)) + _noise_db(rng, len(attitude), sigma_db)
     estimate = _solve(response, values, sigma_db, MODEL_ERROR_DB).attitude_deg

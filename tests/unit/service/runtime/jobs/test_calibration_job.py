@@ -10,7 +10,7 @@ import service.runtime.jobs.calibration_job as calibrating
 from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.operations.job import JobState
-from service.runtime.jobs.job_runner import JobFailedError
+from service.runtime.jobs.job_runner import JobAbortedError
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_a_calibration_by_geometry_says_what_its_windows_lack(ground):
 
 
 def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
-    with patch.object(calibrating, "calibrate_paper", side_effect=JobFailedError("the service is stopping")):
+    with patch.object(calibrating, "calibrate_paper", side_effect=JobAbortedError("the service is stopping")):
         calibration, job = run(ground, ground.payload.request)
     assert calibration.error == job.error == "the service is stopping"
 

@@ -6,7 +6,7 @@ import pytest
 
 from service.errors import ConflictError
 from service.records.operations.job import JobState
-from service.runtime.jobs.job_runner import JobFailedError, JobRunner
+from service.runtime.jobs.job_runner import JobAbortedError, JobRunner
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_a_job_that_works_is_done_and_its_progress_is_kept(ground):
 @pytest.mark.parametrize(
     ("error", "text"),
     [
-        (JobFailedError("no turns in the window"), "no turns in the window"),
+        (JobAbortedError("no turns in the window"), "no turns in the window"),
         (ConflictError("thing.busy", "wait"), "thing.busy: wait"),
         (KeyError("c05"), "internal error, see the log: KeyError('c05')"),
     ],

@@ -8,7 +8,7 @@ import pytest
 from service.api.schemas.spacecraft import OnboardDocument
 from service.records.epoch import format_epoch
 from service.study.demonstration import demonstration
-from service.study.demonstration.demonstration import Endpoints, Story, run_story
+from service.study.demonstration.demonstration import ProcessAddresses, Story, run_story
 
 MINUTE_US = 60_000_000
 START_US = 1_793_491_200_000_000
@@ -146,7 +146,7 @@ def reported(script: list[dict], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     monkeypatch.setattr(demonstration, "GroundLink", lambda *_: Link(stage, script))
     monkeypatch.setattr(demonstration, "front_end", lambda *_: Station(stage))
     monkeypatch.setattr(demonstration, "_ARRIVAL_TIMEOUT_S", 0.3)
-    run_story(tmp_path, Endpoints("url", "key", ("host", 1), "resource"), Client(stage), lambda _scene: None)
+    run_story(tmp_path, ProcessAddresses("url", "key", ("host", 1), "resource"), Client(stage), lambda _scene: None)
     return stage.log
 
 
@@ -275,7 +275,7 @@ def flown(record: OrbitalFrameSpacecraft, monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.setattr(demonstration, "GroundLink", lambda *_: Link(stage, script))
     monkeypatch.setattr(demonstration, "SpacecraftLine", lambda *_: record)
     monkeypatch.setattr(demonstration, "front_end", lambda *_: Station(stage))
-    endpoints = Endpoints("url", "key", ("host", 1), "resource", uplink=("host", 2))
+    endpoints = ProcessAddresses("url", "key", ("host", 1), "resource", uplink=("host", 2))
     return stage, run_story(tmp_path, endpoints, Computing(stage), scenes.append), scenes
 
 
