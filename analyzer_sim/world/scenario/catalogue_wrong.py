@@ -7,11 +7,11 @@ _PLAIN_DRIFT_DEG_H = KeepingErrors().drift_deg_h
 _TRIPLE_DRIFT_DEG_H = (3.0 * _PLAIN_DRIFT_DEG_H[0], 3.0 * _PLAIN_DRIFT_DEG_H[1], 3.0 * _PLAIN_DRIFT_DEG_H[2])
 
 
-def _false_reports(name: str, executed_share: float, deed: str) -> Scenario:
+def _false_reports(name: str, executed_share: float, command: str) -> Scenario:
     """Return two days with two slews of 0.15 deg an axis of which the spacecraft does only a share."""
     reports = tuple(FalseReport(f"slew {day}", 9.0 + 21.0 * day, executed_share) for day in range(2))
     summary = (
-        f"Twice in two days, for two hours, announced corrections of 0.15 deg an axis are {deed} by the spacecraft."
+        f"Twice in two days, for two hours, announced corrections of 0.15 deg an axis are {command} by the spacecraft."
     )
     return Scenario(name, summary, manoeuvres=reports)
 
