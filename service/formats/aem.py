@@ -15,7 +15,7 @@ from math import isfinite
 import numpy as np
 
 from service.core.geometry.quaternion import quaternion_of_attitude, with_continuous_sign
-from service.formats.ccsds import as_bytes, comment, epoch_texts, line
+from service.formats.ccsds import as_bytes, comment, epoch_texts, line, message_header
 from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
 
 #: rows of one segment at most: what is held in memory
@@ -55,14 +55,8 @@ class AemWriter:
 
     def header(self) -> bytes:
         """Return what stands before the first segment."""
-        return as_bytes(
-            (
-                f"{_VERSION} = 2.0",
-                line("CREATION_DATE", epoch_texts(np.array([self._message.created_at_us]))[0]),
-                line("ORIGINATOR", self._message.originator),
-                line("MESSAGE_ID", self._message.message_id),
-            )
-        )
+        message = self._message
+        return message_header(_VERSION, message.created_at_us, message.originator, message.message_id)
 
     def segments(self, pages: Iterable[Sequence[AttitudeRow]]) -> Iterator[bytes]:
         """Yield each segment of rows that come in order of epoch; one segment is held at a time."""

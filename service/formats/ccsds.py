@@ -56,6 +56,18 @@ def as_bytes(lines: Iterable[str]) -> bytes:
     return "".join(f"{each}\n" for each in lines).encode("ascii")
 
 
+def message_header(version: str, created_at_us: int, originator: str, message_id: str) -> bytes:
+    """Return what stands before the first segment of a message."""
+    return as_bytes(
+        (
+            f"{version} = 2.0",
+            line("CREATION_DATE", epoch_texts(np.array([created_at_us]))[0]),
+            line("ORIGINATOR", originator),
+            line("MESSAGE_ID", message_id),
+        )
+    )
+
+
 @dataclass(slots=True)
 class Segment:
     """One block of metadata and the lines of its data."""

@@ -21,6 +21,7 @@ from service.formats.ccsds import (
     keyword_and_value,
     line,
     malformed,
+    message_header,
     read_segments,
     require,
 )
@@ -100,14 +101,8 @@ class TdmWriter:
 
     def header(self) -> bytes:
         """Return what stands before the first segment."""
-        return as_bytes(
-            (
-                f"{_VERSION} = 2.0",
-                line("CREATION_DATE", epoch_texts(np.array([self._message.created_at_us]))[0]),
-                line("ORIGINATOR", self._message.originator),
-                line("MESSAGE_ID", self._message.message_id),
-            )
-        )
+        message = self._message
+        return message_header(_VERSION, message.created_at_us, message.originator, message.message_id)
 
     def segments(self, pages: Iterable[Sequence[Measurement]]) -> Iterator[bytes]:
         """Yield the segments of rows that come in order of epoch, one stretch of rows held at a time."""

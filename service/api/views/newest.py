@@ -6,8 +6,7 @@ History is not rewritten: only the newest answer says EXPIRED, from the limit on
 from dataclasses import replace
 
 from service.api.context.dependencies import ApiContext
-from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
+from service.pipeline.control.command.compute_command import ended_command
 from service.ports import LIVE
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
@@ -39,8 +38,7 @@ def newest_command(
     is_ended = command.attitude_epoch_us < row.epoch_us and bool(row.inhibitions)
     if not is_ended and EXPIRED not in row.inhibitions and not (is_withheld and command.control_allowed):
         return command
-    period_s = command.command_period_s
-    return compute_command(row, spacecraft, NO_CARRY, period_s, TorqueConfig(), is_withheld=is_withheld).command
+    return ended_command(row, spacecraft, command.command_period_s, is_withheld=is_withheld)
 
 
 def _is_expired(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> bool:

@@ -10,6 +10,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from sgp4.io import compute_checksum
 
 from service.errors import InvalidInputError
 from service.formats.ephemeris.earth_fixed import earth_fixed_km, times_of, timescale
@@ -74,17 +75,12 @@ def _checked(lines: Sequence[str]) -> tuple[str, str]:
     for number, (line, form) in enumerate(zip(stripped, _LINES, strict=True), start=1):
         if len(line) != _LENGTH or form.fullmatch(line) is None:
             raise InvalidInputError("tle.malformed", f"line {number} has not the {_LENGTH} columns of the format")
-        if _checksum(line) != int(line[-1]):
-            detail = f"line {number} ends with checksum {line[-1]}, its content gives {_checksum(line)}"
+        if (computed := compute_checksum(line)) != int(line[-1]):
+            detail = f"line {number} ends with checksum {line[-1]}, its content gives {computed}"
             raise InvalidInputError("tle.checksum", detail)
     if any(a[2:7] != b[2:7] for a, b in pairwise(stripped)):
         raise InvalidInputError("tle.malformed", "the two lines belong to different satellites")
     return stripped[0], stripped[1]
-
-
-def _checksum(line: str) -> int:
-    """Return the sum of the digits, a minus counting one, modulo ten."""
-    return sum(int(c) if c.isdigit() else int(c == "-") for c in line[:-1]) % 10
 
 
 def _epoch_us(satellite: Any) -> int:

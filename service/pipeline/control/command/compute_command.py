@@ -77,9 +77,7 @@ def compute_command(
     body_rate_deg_s : Axes, optional
         Rate of the body against inertial space, for the law gyro_orbitant; None: not told, or too old.
     """
-    # a simulated spacecraft lives on its own epochs, a real one can be commanded only from the receipt on
-    epoch_us = row.epoch_us if spacecraft.simulated else max(row.epoch_us, row.received_at_us)
-    span = Span(epoch_us, period_s)
+    span = _span(row, spacecraft, period_s)
     inhibitions = control_inhibitions(row, spacecraft, is_withheld=is_withheld, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
         return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
@@ -92,6 +90,17 @@ def compute_command(
         outcome = TorqueOutcome(command, NO_CARRY)
     verdict = schedule_verdict(outcome.command.schedule, spacecraft, config, swing)
     return outcome if verdict is None else replace(outcome, command=replace(outcome.command, schedule_check=verdict))
+
+
+def ended_command(row: AttitudeRow, spacecraft: Spacecraft, period_s: float, *, is_withheld: bool) -> TorqueCommand:
+    """Return the zero command, with its reasons, of a row that ends the command before it."""
+    inhibitions = control_inhibitions(row, spacecraft, is_withheld=is_withheld, body_rate_deg_s=None)
+    return zero_command(row, spacecraft, _span(row, spacecraft, period_s), inhibitions)
+
+
+def _span(row: AttitudeRow, spacecraft: Spacecraft, period_s: float) -> Span:
+    """Return when a command acts: a simulated spacecraft lives on its own epochs, a real one from the receipt on."""
+    return Span(row.epoch_us if spacecraft.simulated else max(row.epoch_us, row.received_at_us), period_s)
 
 
 def command_for(

@@ -37,7 +37,7 @@ def test_nodes_are_where_sgp4_crosses_the_equator_and_the_track_is_its_direction
 def test_leap_seconds_are_counted_by_the_day():
     # 2016-12-31T23:59:59Z and the next second but one
     assert (leap_seconds_at(1_483_228_799_000_000), leap_seconds_at(1_483_228_800_000_000)) == (36, 37)
-    texts = times_of(np.array([1_483_228_799_000_000, 1_760_000_000_123_456])).utc_iso(positions=6)
+    texts = times_of(np.array([1_483_228_799_000_000, 1_760_000_000_123_456])).utc_iso(places=6)
     assert texts == ["2016-12-31T23:59:59.000000Z", "2025-10-09T08:53:20.123456Z"]
 
 
