@@ -167,7 +167,7 @@ def test_an_upgrade_that_took_release_automatic_away_alarms_for_a_day(rig):
 
 
 def keep_release(rig, driver):
-    """Store what a desk has stored."""
+    """Store what a release service has stored."""
     releases, document = rig.storage.releases, driver.releases.stored_release.document
     releases.save(
         "craft",
