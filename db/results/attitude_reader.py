@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from itertools import starmap
 from typing import Any, NamedTuple
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import Connection, Select, and_, func, select
 
 from db.database import beyond, within
 from db.encoding.json_documents import decode
@@ -18,12 +18,39 @@ from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
-from db.schema.tables import attitude, calibration, head, journal
+from db.schema.tables import attitude, calibration, head, journal, retention_mark
 from service.ports import LIVE
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method
 from service.records.inputs import CalibrationActivation
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
+
+
+def newest_computed(connection: Connection, key: int, method: Method) -> AttitudeRow | None:
+    """Return the newest stored row of a method where it is the row of the newest consumed measurement.
+
+    One statement; None says that an `AttitudeReader` must search.
+    """
+    mark = select(retention_mark.c.kept_from_us).where(
+        retention_mark.c.spacecraft_key == key, retention_mark.c.series == "attitude"
+    )
+    is_newest = attitude.c.epoch_us >= head.c.consumed_epoch_us
+    is_kept = attitude.c.epoch_us >= func.coalesce(mark.scalar_subquery(), attitude.c.epoch_us)
+    query = (
+        _stored(key, method)
+        .add_columns(and_(is_newest, is_kept).label("is_answer"))
+        .join(head, head.c.spacecraft_key == attitude.c.spacecraft_key)
+        .order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
+    )
+    row = connection.execute(query.limit(1)).first()
+    return attitude_of(row) if row is not None and row.is_answer else None
+
+
+def _stored(key: int, method: Method) -> Select[Any]:
+    """Return the query for the stored live rows of a method."""
+    return select(attitude).where(
+        attitude.c.spacecraft_key == key, attitude.c.version == LIVE, attitude.c.method == method.value
+    )
 
 
 class _Consumed(NamedTuple):
@@ -62,7 +89,7 @@ class AttitudeReader:
         newest = self._pages.newest(self._consumed(Window(begin_us, EVER.stop_us)))
         if newest is not None:
             return self._records([_Consumed(*newest)])[0]
-        query = self._stored().where(attitude.c.epoch_us < self._measured_from_us)
+        query = _stored(self._key, self._method).where(attitude.c.epoch_us < self._measured_from_us)
         row = self._connection.execute(
             query.order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc()).limit(1)
         ).first()
@@ -71,17 +98,10 @@ class AttitudeReader:
     def _left(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
         if window.start_us >= window.stop_us:
             return []
-        query = self._stored().where(within(attitude.c.epoch_us, window))
+        query = _stored(self._key, self._method).where(within(attitude.c.epoch_us, window))
         query = query.where(beyond(attitude.c.epoch_us, attitude.c.number, after))
         ordered = query.order_by(attitude.c.epoch_us, attitude.c.number).limit(limit)
         return [attitude_of(row) for row in self._connection.execute(ordered)]
-
-    def _stored(self) -> Select[Any]:
-        return select(attitude).where(
-            attitude.c.spacecraft_key == self._key,
-            attitude.c.version == LIVE,
-            attitude.c.method == self._method.value,
-        )
 
     def _consumed(self, window: Window) -> Chosen:
         """Return what the chain has consumed."""
@@ -92,7 +112,7 @@ class AttitudeReader:
         if not measurements:
             return []
         window = Window(measurements[0].epoch_us, measurements[-1].epoch_us + 1)
-        query = self._stored().where(within(attitude.c.epoch_us, window))
+        query = _stored(self._key, self._method).where(within(attitude.c.epoch_us, window))
         stored = {(row.epoch_us, row.number): row for row in self._connection.execute(query)}
         positions = [(measurement.epoch_us, measurement.number) for measurement in measurements]
         if all(position in stored for position in positions):

@@ -7,7 +7,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, not_,
 
 from db.database import Database, beyond, within
 from db.encoding.row_mapping import attitude_of, torque_of
-from db.results.attitude_reader import AttitudeReader
+from db.results.attitude_reader import AttitudeReader, newest_computed
 from db.results.calibrations import SqlCalibrations
 from db.results.jobs import SqlJobs
 from db.results.outcomes import Consumed, Result, store_outcomes
@@ -72,7 +72,8 @@ class SqlResults(SqlCalibrations, SqlJobs):
         key = self._database.key(spacecraft_id)
         if version == LIVE:
             with self._database.read() as connection:
-                return AttitudeReader(connection, self._database.segments, key, method).newest()
+                computed = newest_computed(connection, key, method)
+                return computed or AttitudeReader(connection, self._database.segments, key, method).newest()
         query = _of_version(key, version, method).order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
         row = self._database.fetch_one(query.limit(1))
         return None if row is None else attitude_of(row)

@@ -181,6 +181,20 @@ def test_there_is_one_row_a_consumed_measurement_of_the_prime_source(setting, ma
     assert repr(results.newest_attitude(setting.id, LIVE, Method.ROBUST)) == repr(rows[-1])
 
 
+def test_the_newest_row_takes_one_statement_and_is_the_last_of_the_history(setting, make, monkeypatch):
+    setting.append([10, 20, 30])
+    setting.consume(outcomes(setting, make))
+    results = setting.storage.results
+    last = results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 99, None)[-1]
+    with monkeypatch.context() as patch:
+        patch.setattr("db.results.results.AttitudeReader", None)
+        assert results.newest_attitude(setting.id, LIVE, Method.ROBUST) == last
+    # the row of a newer measurement was not computed: the search finds it
+    setting.append([40])
+    setting.consume([])
+    assert results.newest_attitude(setting.id, LIVE, Method.ROBUST).epoch_us == 40
+
+
 @pytest.mark.parametrize("version", [LIVE, "replay-1"])
 def test_pages_of_attitude_and_commands_join(setting, make, version):
     results = setting.storage.results
