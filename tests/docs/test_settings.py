@@ -8,8 +8,9 @@ from pydantic import SecretStr
 from typer.testing import CliRunner
 
 from service.cli.app import app
-from service.cli.settings_reference import ORIGINS, setting_entries, settings_markdown
+from service.cli.settings_reference import setting_entries, settings_markdown
 from service.composition.settings import Settings
+from service.records.setting import ORIGINS
 
 ROOT = Path(__file__).resolve().parents[2]
 DEFAULTS = list(setting_entries(Settings.model_construct()))

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+from service.records.setting import CHOSEN, setting
+
 #: addresses remembered at once; the one longest unheard of goes first
 MAX_ADDRESSES = 4096
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -36,16 +38,20 @@ class RateClass(StrEnum):
 class RateLimitConfig:
     """Requests a second and burst of each class; 0 a second = no limit."""
 
-    ingest_per_s: float = 5000.0
-    ingest_burst: int = 10_000
-    read_per_s: float = 500.0
-    read_burst: int = 2000
-    export_per_s: float = 10.0
-    export_burst: int = 100
-    control_per_s: float = 50.0
-    control_burst: int = 1000
-    anonymous_per_s: float = 20.0
-    anonymous_burst: int = 200
+    ingest_per_s: float = setting(
+        5000.0, "batches, traces and reports of stations: requests a second of one key; 0 = no limit", CHOSEN
+    )
+    ingest_burst: int = setting(10_000, "the same: requests at once", CHOSEN)
+    read_per_s: float = setting(500.0, "what is read: requests a second of one key; 0 = no limit", CHOSEN)
+    read_burst: int = setting(2000, "the same: requests at once", CHOSEN)
+    export_per_s: float = setting(10.0, "exports: requests a second of one key; 0 = no limit", CHOSEN)
+    export_burst: int = setting(100, "the same: requests at once", CHOSEN)
+    control_per_s: float = setting(50.0, "every other change: requests a second of one key; 0 = no limit", CHOSEN)
+    control_burst: int = setting(1000, "the same: requests at once", CHOSEN)
+    anonymous_per_s: float = setting(
+        20.0, "requests without a valid key, by address: requests a second; 0 = no limit", CHOSEN
+    )
+    anonymous_burst: int = setting(200, "the same: requests at once", CHOSEN)
 
 
 class Allowance(NamedTuple):

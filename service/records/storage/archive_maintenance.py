@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from service.records.setting import CHOSEN, setting
+
 
 @dataclass(frozen=True, slots=True)
 class SealedPart:
@@ -47,30 +49,30 @@ class RetiredRows:
 class SealingConfig:
     """When closed days are packed."""
 
-    #: after midnight, and after the last row of a day came in, s
-    quiet_s: float = 900.0
-    #: between two looks for days to seal and rows to drop, s
-    period_s: float = 60.0
-    #: between two transactions, so that rows come in between them, s
-    pause_s: float = 0.05
+    quiet_s: float = setting(900.0, "a day is packed this long after its end and after its last row came in, s", CHOSEN)
+    period_s: float = setting(60.0, "between two looks for days to pack and rows to drop, s", CHOSEN)
+    pause_s: float = setting(
+        0.05, "between two transactions of that work, so that rows come in between them, s", CHOSEN
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class RetentionConfig:
     """How long series are kept: 0 = for ever, and without limit of size."""
 
-    measurements_days: float = 0.0
-    attitude_days: float = 0.0
-    torques_days: float = 0.0
-    traces_days: float = 0.0
-    #: alarms that are closed, with what happened to them, by the instant they were raised at
-    alarms_days: float = 0.0
-    #: entries of the shift log, by the instant they are about
-    notes_days: float = 0.0
-    #: of each spacecraft
-    measurements_bytes: int = 0
-    attitude_bytes: int = 0
-    torques_bytes: int = 0
+    measurements_days: float = setting(
+        0.0, "measurements older than this are dropped and refused; 0 = kept for ever", CHOSEN
+    )
+    attitude_days: float = setting(0.0, "attitude older than this is dropped; 0 = kept for ever", CHOSEN)
+    torques_days: float = setting(0.0, "torque commands older than this are dropped; 0 = kept for ever", CHOSEN)
+    traces_days: float = setting(
+        0.0, "evidence traces older than this are dropped; 0 = kept while the ring has place", CHOSEN
+    )
+    alarms_days: float = setting(0.0, "closed alarms raised longer ago are dropped; 0 = kept for ever", CHOSEN)
+    notes_days: float = setting(0.0, "notes about instants longer ago are dropped; 0 = kept for ever", CHOSEN)
+    measurements_bytes: int = setting(0, "measurements of one spacecraft take this much at most; 0 = no limit", CHOSEN)
+    attitude_bytes: int = setting(0, "attitude of one spacecraft takes this much at most; 0 = no limit", CHOSEN)
+    torques_bytes: int = setting(0, "torque commands of one spacecraft take this much at most; 0 = no limit", CHOSEN)
 
     def days(self, series: str) -> float:
         """Return how many days of a series are kept, 0 = all."""

@@ -17,6 +17,7 @@ from threading import Lock, Thread
 from typing import Any, ParamSpec, TypeVar
 
 from service.errors import BusyError, InvalidInputError, UnavailableError
+from service.records.setting import CHOSEN, setting
 
 P = ParamSpec("P")
 Found = TypeVar("Found")
@@ -33,14 +34,13 @@ _DIED = "the process that computed it has died, see the system's log for lack of
 class WorkerConfig:
     """Bounds of what is computed in worker processes."""
 
-    processes: int = 2
-    #: analyses that wait while all workers compute
-    max_waiting: int = 8
-    #: calibrations that wait or run
-    max_calibrations: int = 8
-    analysis_timeout_s: float = 30.0
-    #: of a calibration, or a flight in the orbital frame
-    job_timeout_s: float = 600.0
+    processes: int = setting(2, "worker processes that compute analyses and calibrations", CHOSEN)
+    max_waiting: int = setting(8, "analyses that wait while all workers compute; one more is 429", CHOSEN)
+    max_calibrations: int = setting(8, "calibrations that wait or run; one more is 429", CHOSEN)
+    analysis_timeout_s: float = setting(30.0, "an analysis is ended after this, s", CHOSEN)
+    job_timeout_s: float = setting(
+        600.0, "a calibration, or a flight in the orbital frame, is ended after this, s", CHOSEN
+    )
 
     def __post_init__(self) -> None:
         """Refuse bounds under which nothing is computed."""
