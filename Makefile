@@ -77,7 +77,7 @@ imports: $(DEV_STAMP) ## import rules
 locks: ## lock files name no address
 	! grep -n '://' requirements*.lock
 
-check: lint types imports locks test-all clients ## all that must hold before a change lands
+check: lint types imports locks test-all clients docs ## all that must hold before a change lands
 
 coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
 	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered
