@@ -11,6 +11,7 @@ import httpx
 import pytest
 from fastapi import FastAPI
 from set_clock import SetClock
+from shared_routes import with_shared_routes
 
 from db.storage import SqlStorage
 from service.api.app import create_app
@@ -90,7 +91,7 @@ async def soo(storage: SqlStorage, workers: Workers) -> AsyncIterator[Soo]:
         on_accepted=accepted.append,
         on_rows_accepted=lambda spacecraft_id, _: accepted.append(spacecraft_id),
     )
-    app = create_app(context)
+    app = with_shared_routes(create_app(context))
     transport = httpx.ASGITransport(app=app)
     headers = {"Authorization": f"Bearer {KEY}"}
     async with httpx.AsyncClient(transport=transport, base_url="http://soo.test", headers=headers) as client:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from fastapi import FastAPI
 from set_clock import NOW_US, SetClock
+from shared_routes import with_shared_routes
 
 from db.storage import SqlStorage
 from service.api.app import create_app
@@ -305,7 +306,7 @@ async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
         bootstrap_key=KEY,
         limits=Limits(stream_heartbeat_s=0.3),
     )
-    app = create_app(context)
+    app = with_shared_routes(create_app(context))
     headers = {"Authorization": f"Bearer {KEY}"}
     transport = httpx.ASGITransport(app=app)
     async with httpx.AsyncClient(transport=transport, base_url="http://soo.test", headers=headers) as client:
