@@ -1,1 +1,4 @@
-"""Relational storage: tables, engine, mapping row to record, repositories."""
+"""Relational storage: tables, engine, mapping row to record, repositories.
+
+Public: storage.
+"""

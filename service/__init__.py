@@ -1,1 +1,4 @@
-"""SOO: attitude of a geostationary satellite from the powers of the carriers it retransmits."""
+"""SOO: attitude of a geostationary satellite from the powers of the carriers it retransmits.
+
+Public: errors.
+"""

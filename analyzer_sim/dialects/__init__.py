@@ -1,1 +1,4 @@
-"""What each maker's analyzer understands and answers, as tables of commands."""
+"""What each maker's analyzer understands and answers, as tables of commands.
+
+Public: dialect, dialects.
+"""

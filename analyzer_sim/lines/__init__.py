@@ -1,1 +1,4 @@
-"""Raw sockets and HiSLIP: sessions, dispatch, locks, faults of the line."""
+"""Raw sockets and HiSLIP: sessions, dispatch, locks, faults of the line.
+
+Public: line_faults, server.
+"""

@@ -1,1 +1,4 @@
-"""Plant: a world whose operation phase is flown by commanded torques."""
+"""Plant: a world whose operation phase is flown by commanded torques.
+
+Public: flown_world, plant, plant_lines, uplink_port.
+"""

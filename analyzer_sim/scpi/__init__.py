@@ -1,1 +1,4 @@
-"""The language: framing of messages, parser, header tree, parameters, errors, status model. No socket, no command."""
+"""The language: framing of messages, parser, header tree, parameters, errors, status model. No socket, no command.
+
+Public: errors, framing, parameters, parser, status, tree.
+"""

@@ -1,1 +1,4 @@
-"""Maintenance of an archive: backup, restore, integrity check."""
+"""Maintenance of an archive: backup, restore, integrity check.
+
+Public: archive_tools.
+"""

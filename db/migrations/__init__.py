@@ -1,1 +1,4 @@
-"""Schema migrations."""
+"""Schema migrations.
+
+Public: migrate.
+"""

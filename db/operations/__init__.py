@@ -1,1 +1,4 @@
-"""Operations: catalogue, alarms, notes, torque releases, links, keys, audit."""
+"""Operations: catalogue, alarms, notes, torque releases, links, keys, audit.
+
+Public: alarms, audit, catalogue, keys, links, notes, releases, traces.
+"""

@@ -1,1 +1,4 @@
-"""Results (L2-L5): attitude, commands, calibrations, jobs."""
+"""Results (L2-L5): attitude, commands, calibrations, jobs.
+
+Public: results.
+"""

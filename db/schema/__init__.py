@@ -1,1 +1,4 @@
-"""Tables of the archive and the version of its schema."""
+"""Tables of the archive and the version of its schema.
+
+Public: access_tables, alarm_tables, record_columns, release_tables, row_checksum, schema_version, tables.
+"""

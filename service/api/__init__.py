@@ -1,1 +1,4 @@
-"""REST interface, version 1."""
+"""REST interface, version 1.
+
+Public: app, server_process.
+"""

@@ -1,1 +1,4 @@
-"""Command line, one command group a file."""
+"""Command line, one command group a file.
+
+Public: app, extras.
+"""

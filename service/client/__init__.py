@@ -1,1 +1,4 @@
-"""Client of the REST interface."""
+"""Client of the REST interface.
+
+Public: archive_download, backoff, documents, problem, service_client.
+"""

@@ -1,1 +1,4 @@
-"""Front end: measurement task, analyzer session, carrier powers, upload."""
+"""Front end: measurement task, analyzer session, carrier powers, upload.
+
+Public: link_report, measurement_task, station.
+"""

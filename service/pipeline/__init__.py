@@ -1,1 +1,4 @@
-"""Stages of the chain, one a file: level in, level out; chain.py writes their order once."""
+"""Stages of the chain, one a file: level in, level out; chain.py writes their order once.
+
+Public: chain, config, ingest_screening, kernels.
+"""

@@ -1,1 +1,4 @@
-"""Studies: demonstrations and campaigns on simulated truth."""
+"""Studies: demonstrations and campaigns on simulated truth.
+
+Public: published.
+"""

@@ -1,1 +1,4 @@
-"""Command tables of the four makers."""
+"""Command tables of the four makers.
+
+Public: anritsu, keysight, rs, siglent.
+"""

@@ -1,1 +1,4 @@
-"""Faults and weather: what the events of a scenario do to levels."""
+"""Faults and weather: what the events of a scenario do to levels.
+
+Public: faults.
+"""

@@ -1,1 +1,4 @@
-"""Orbit of the satellite and directions seen from it."""
+"""Orbit of the satellite and directions seen from it.
+
+Public: geometry, orbit.
+"""

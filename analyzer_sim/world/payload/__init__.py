@@ -1,1 +1,4 @@
-"""Payload: carriers, beams, transponders and the levels that they give."""
+"""Payload: carriers, beams, transponders and the levels that they give.
+
+Public: carriers, effects, level_terms, payload, plan_versions, user_noise.
+"""

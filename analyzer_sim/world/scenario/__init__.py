@@ -1,1 +1,4 @@
-"""Scenarios as data: phases, events, and the catalogue of scenarios."""
+"""Scenarios as data: phases, events, and the catalogue of scenarios.
+
+Public: events, manoeuvres, scenario, story, turns.
+"""

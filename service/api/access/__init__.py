@@ -1,1 +1,4 @@
-"""Access: keys, roles, the audit trail of refused requests."""
+"""Access: keys, roles, the audit trail of refused requests.
+
+Public: access_housekeeping, access_middleware, audit_context, auth, key_cache, principals, refusal_audit.
+"""

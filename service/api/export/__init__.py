@@ -1,1 +1,4 @@
-"""Export of the archive over HTTP: files by day, ranges, streams."""
+"""Export of the archive over HTTP: files by day, ranges, streams.
+
+Public: export_chunks, export_files, export_responses.
+"""

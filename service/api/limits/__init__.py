@@ -1,1 +1,4 @@
-"""Limits of requests: rates, body sizes, HTTP heads."""
+"""Limits of requests: rates, body sizes, HTTP heads.
+
+Public: body_limit, connections, http_protocol, rate_limits.
+"""

@@ -1,1 +1,4 @@
-"""Problems (RFC 9457): codes, validation errors, handlers."""
+"""Problems (RFC 9457): codes, validation errors, handlers.
+
+Public: handlers, problems, validation_errors.
+"""

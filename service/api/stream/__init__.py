@@ -1,1 +1,4 @@
-"""Live stream: events, ids, backlog."""
+"""Live stream: events, ids, backlog.
+
+Public: event_ids, event_stream, open_streams.
+"""

@@ -1,1 +1,4 @@
-"""Views of the present: status, newest rows, links, hand-over."""
+"""Views of the present: status, newest rows, links, hand-over.
+
+Public: catalogue_findings, handover, links, newest, present, status.
+"""

@@ -1,1 +1,4 @@
-"""Commands of an operator: calibrate, align, replay, export."""
+"""Commands of an operator: calibrate, align, replay, export.
+
+Public: connection.
+"""

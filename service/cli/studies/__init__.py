@@ -1,1 +1,4 @@
-"""Commands `soo study ...`."""
+"""Commands `soo study ...`.
+
+Public: exit_code.
+"""

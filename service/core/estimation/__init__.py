@@ -1,1 +1,4 @@
-"""Harmonic, octants, sensitivity, snapshot fix, observability."""
+"""Harmonic, octants, sensitivity, snapshot fix, observability.
+
+Public: calibration_turns, carrier_sets, design, noise_identification, noise_model, observability.
+"""

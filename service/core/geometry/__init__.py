@@ -1,1 +1,4 @@
-"""Frames, Earth and stations, node phase."""
+"""Frames, Earth and stations, node phase.
+
+Public: frames, line_of_sight, node_phase, quaternion.
+"""

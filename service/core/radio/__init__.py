@@ -1,1 +1,4 @@
-"""Decibels, carrier power from a trace, presence, predicted sigma."""
+"""Decibels, carrier power from a trace, presence, predicted sigma.
+
+Public: band_weights, carrier_power, decibel, leakage, predicted_sigma, presence.
+"""

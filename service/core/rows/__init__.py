@@ -1,1 +1,4 @@
-"""Figures of stretches of rows: samples of equal intervals, gaps."""
+"""Figures of stretches of rows: samples of equal intervals, gaps.
+
+Public: row_gaps, sample_bins.
+"""

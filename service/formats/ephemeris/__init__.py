@@ -1,1 +1,4 @@
-"""Orbit of the satellite from two-line elements or an OEM."""
+"""Orbit of the satellite from two-line elements or an OEM.
+
+Public: oem, orbit, tle.
+"""

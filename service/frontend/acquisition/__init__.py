@@ -1,1 +1,4 @@
-"""Rows from sweeps: the state machine that runs one analyzer, its orders, pace and evaluation."""
+"""Rows from sweeps: the state machine that runs one analyzer, its orders, pace and evaluation.
+
+Public: acquisition, evaluation, settings, states.
+"""

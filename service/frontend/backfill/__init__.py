@@ -1,1 +1,4 @@
-"""Backfill: archive files sent to the service in resumable pieces."""
+"""Backfill: archive files sent to the service in resumable pieces.
+
+Public: backfill, columns, reader.
+"""

@@ -1,1 +1,4 @@
-"""From the spool to the service: lanes, answers, binding of rows to carrier plans."""
+"""From the spool to the service: lanes, answers, binding of rows to carrier plans.
+
+Public: answers, uploader.
+"""

@@ -1,1 +1,4 @@
-"""Alignment: references of both methods from a window with attitude sensors."""
+"""Alignment: references of both methods from a window with attitude sensors.
+
+Public: alignment.
+"""

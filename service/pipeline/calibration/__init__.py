@@ -1,1 +1,4 @@
-"""Calibration of both methods from quiet days and turns."""
+"""Calibration of both methods from quiet days and turns.
+
+Public: geometry_calibration, paper_calibration, window_harmonics, windows.
+"""

@@ -1,1 +1,4 @@
-"""Planning before a calibration: sets of carriers, turns, assumed beams."""
+"""Planning before a calibration: sets of carriers, turns, assumed beams.
+
+Public: assumed_beams, candidates, planning.
+"""

@@ -1,1 +1,4 @@
-"""Records of the data levels L0 to L5."""
+"""Records of the data levels L0 to L5.
+
+Public: attitude, command, disturbance, measurement, measurement_block, quality_flag, series, sweep, trace.
+"""

@@ -1,1 +1,4 @@
-"""Release service: interlock and torque commands over the archive."""
+"""Release service: interlock and torque commands over the archive.
+
+Public: automatic_release, release_publisher, release_service.
+"""

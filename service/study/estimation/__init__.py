@@ -1,1 +1,4 @@
-"""Campaign of the estimation: both methods over the simulator's worlds, judged by the bounds that were set for them."""
+"""Campaign of the estimation: both methods over the simulator's worlds, judged by the bounds that were set for them.
+
+Public: campaign, figures, report, scenarios.
+"""

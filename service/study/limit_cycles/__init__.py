@@ -1,1 +1,4 @@
-"""Reproduction of the study of relay-pulse wheel control of a flexible spacecraft."""
+"""Reproduction of the study of relay-pulse wheel control of a flexible spacecraft.
+
+Public: figures, report.
+"""

@@ -1,1 +1,4 @@
-"""Reproduction of the orbital-frame control of Meteor-M No. 2 (Belenkii, Vasilev, Semenov)."""
+"""Reproduction of the orbital-frame control of Meteor-M No. 2 (Belenkii, Vasilev, Semenov).
+
+Public: figures, reproduction.
+"""

@@ -1,1 +1,4 @@
-"""Reproduction of attitude from retransmitted carriers on Yamal-200 (Sevast'yanov)."""
+"""Reproduction of attitude from retransmitted carriers on Yamal-200 (Sevast'yanov).
+
+Public: figures, reproduction.
+"""

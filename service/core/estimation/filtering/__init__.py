@@ -1,1 +1,4 @@
-"""The attitude filter: prediction, common changes, carrier faults, rain, integrity."""
+"""The attitude filter: prediction, common changes, carrier faults, rain, integrity.
+
+Public: attitude_filter, carry_over, filter_update, hidden_shares.
+"""

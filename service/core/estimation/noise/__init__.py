@@ -1,1 +1,4 @@
-"""Noise of the carriers' levels, identified from quiet days."""
+"""Noise of the carriers' levels, identified from quiet days.
+
+Public: components, periodogram, quantisation.
+"""

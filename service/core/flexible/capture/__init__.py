@@ -1,1 +1,4 @@
-"""Capture: from which rates one axis comes to rest."""
+"""Capture: from which rates one axis comes to rest.
+
+Public: capture, capture_analysis.
+"""

@@ -1,1 +1,4 @@
-"""Check of a torque schedule against the flexible modes of one axis."""
+"""Check of a torque schedule against the flexible modes of one axis.
+
+Public: schedule_check, schedule_metrics, schedule_response.
+"""

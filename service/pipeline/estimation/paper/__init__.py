@@ -1,1 +1,4 @@
-"""Published method: harmonic removal, snapshot fix, rate filter."""
+"""Published method: harmonic removal, snapshot fix, rate filter.
+
+Public: harmonic_removal, runner, snapshot_fix.
+"""

@@ -1,1 +1,4 @@
-"""Robust method: attitude filter over all carriers."""
+"""Robust method: attitude filter over all carriers.
+
+Public: attitude_rows, runner.
+"""

@@ -1,1 +1,4 @@
-"""Trials of single steps of the method: snapshots, levels."""
+"""Trials of single steps of the method: snapshots, levels.
+
+Public: snapshot_trials.
+"""

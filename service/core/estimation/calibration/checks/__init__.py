@@ -1,1 +1,4 @@
-"""Checks of a calibration: axes of the sensors, places of the stations."""
+"""Checks of a calibration: axes of the sensors, places of the stations.
+
+Public: free_response, sensor_axes, station_check.
+"""

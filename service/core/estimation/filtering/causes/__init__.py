@@ -1,1 +1,4 @@
-"""Causes of a changed level: one carrier, a transponder, rain, the receiving chain."""
+"""Causes of a changed level: one carrier, a transponder, rain, the receiving chain.
+
+Public: carrier_faults, common_cause, common_change, fault_hypotheses, rain_state.
+"""

@@ -1,1 +1,4 @@
-"""Kernels of the attitude filter: compiled loops, and the same in arrays."""
+"""Kernels of the attitude filter: compiled loops, and the same in arrays.
+
+Public: kernels.
+"""

@@ -1,1 +1,4 @@
-"""Model and state of the attitude filter, and the priors of what it cannot see."""
+"""Model and state of the attitude filter, and the priors of what it cannot see.
+
+Public: declared, filter_model, filter_state, hidden_motion, torque_prior.
+"""

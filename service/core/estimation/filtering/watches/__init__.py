@@ -1,1 +1,4 @@
-"""Watches of the attitude filter: tests of its assumptions that run beside it."""
+"""Watches of the attitude filter: tests of its assumptions that run beside it.
+
+Public: command_watch, drift_watch, integrity, minute_sums, motion_watch, noise_watch.
+"""
