@@ -10,7 +10,7 @@ from threading import Lock
 from typing import NamedTuple
 
 from service.records.journal import JournalEntry
-from service.records.levels.measurement import BatchReceipt, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.runtime.live.row_publisher import is_whole, stored_rows
 
 #: rows of one spacecraft, 200 bytes each at 32 carriers; fewer would not outlast a stop of a second
@@ -24,6 +24,8 @@ class _Stored(NamedTuple):
     last: int
     batch: MeasurementBatch
     receipt: BatchReceipt
+    #: built already for a listener
+    rows: tuple[Measurement, ...] | None
 
 
 class _Kept:
@@ -62,13 +64,18 @@ class FreshRows:
         self._lock = Lock()
         self._kept: dict[str, _Kept] = {}
 
-    def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
-        """Keep a batch that was committed just now, if it was stored as a whole; called in the order of commits."""
+    def stored(
+        self, batch: MeasurementBatch, receipt: BatchReceipt, rows: tuple[Measurement, ...] | None = None
+    ) -> None:
+        """Keep a batch that was committed just now, if it was stored as a whole; called in the order of commits.
+
+        ``rows`` are its records where somebody has built them already.
+        """
         if receipt.first_number is not None and is_whole(batch, receipt) and receipt.accepted <= _KEPT_ROWS:
             last = receipt.first_number + receipt.accepted - 1
             with self._lock:
                 kept = self._kept.setdefault(batch.spacecraft_id, _Kept())
-                kept.add(_Stored(receipt.first_number, last, batch, receipt))
+                kept.add(_Stored(receipt.first_number, last, batch, receipt, rows))
 
     def after(self, spacecraft_id: str, number: int, limit: int) -> list[JournalEntry]:
         """Return some entries that follow a journal number without gap, none where they are not here.
@@ -82,5 +89,5 @@ class FreshRows:
             while reached < number + limit and (stored := kept.pop_next(reached)) is not None:
                 taken.append(stored)
                 reached = stored.last
-        rows = (row for each in taken for row in stored_rows(each.batch, each.receipt))
+        rows = (row for each in taken for row in each.rows or stored_rows(each.batch, each.receipt))
         return [JournalEntry(row.number, row) for row in rows if row.number > number]

@@ -38,16 +38,22 @@ class RowPublisher:
         with self._lock:
             self._reported[spacecraft_id] = max(number, self._reported.get(spacecraft_id, 0))
 
-    def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
-        """Tell of a batch that was committed just now, if it comes next; called in the order of commits."""
+    def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> tuple[Measurement, ...] | None:
+        """Publish a batch that was committed just now, if it comes next, and return the rows that were published.
+
+        Called in the order of commits.
+        """
         if receipt.first_number is None or receipt.accepted > _ROWS_AT_ONCE or not is_whole(batch, receipt):
-            return
+            return None
         with self._lock:
             if self._reported.get(batch.spacecraft_id) == receipt.first_number - 1:
                 self._reported[batch.spacecraft_id] = receipt.first_number + receipt.accepted - 1
                 # who subscribes from here on finds the rows in the archive
                 if self._feed.has_subscribers(batch.spacecraft_id):
-                    self._publish(batch.spacecraft_id, tuple(stored_rows(batch, receipt)))
+                    rows = tuple(stored_rows(batch, receipt))
+                    self._publish(batch.spacecraft_id, rows)
+                    return rows
+        return None
 
     def followed(self, spacecraft_id: str, entries: Sequence[JournalEntry]) -> None:
         """Tell of those rows among the next entries of a journal that were not told yet."""

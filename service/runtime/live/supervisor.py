@@ -192,8 +192,7 @@ class Supervisor:
 
     def _stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
         """Take over a batch that was committed just now, on the writer's thread."""
-        self._fresh.stored(batch, receipt)
-        self._publisher.stored(batch, receipt)
+        self._fresh.stored(batch, receipt, self._publisher.stored(batch, receipt))
 
     def _grown(self) -> tuple[str, ...]:
         """Return the spacecraft of which another service may have taken something in."""

@@ -1,5 +1,8 @@
 """Rows kept for whoever follows the journal: what comes next, whole, once, and never more than is bounded."""
 
+import asyncio
+from contextlib import closing
+
 import numpy as np
 import pytest
 
@@ -7,7 +10,9 @@ import service.runtime.live.row_cache as module
 import service.runtime.live.supervisor as supervisor_module
 from service.records.journal import JournalEntry
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.row_cache import FreshRows
+from service.runtime.live.row_publisher import RowPublisher
 
 
 @pytest.fixture
@@ -38,6 +43,26 @@ def test_what_follows_is_given_once_and_in_order(fresh):
     store(fresh, 1, 5, sc="other")
     assert after(fresh, 10) == [11, 12, 13, 14, 15]
     assert after(fresh, 10) == after(fresh, 15) == []
+
+
+def test_rows_that_a_listener_was_given_are_not_built_again(fresh):
+    publisher = RowPublisher(feed := LiveFeed())
+    publisher.begin("sc", 10)
+    loop = asyncio.new_event_loop()
+    with closing(loop):
+        loop.run_until_complete(_subscribed(feed))
+        batch = MeasurementBatch(
+            "sc", "sa-1", 1, 5, np.arange(2), np.arange(2), np.zeros((2, 2), np.float32), (None,) * 2, np.zeros(2, bool)
+        )
+        receipt = BatchReceipt(2, 0, 0, (), first_number=11)
+        published = publisher.stored(batch, receipt)
+        fresh.stored(batch, receipt, published)
+    assert published is not None
+    assert [id(entry.content) for entry in fresh.after("sc", 10, 100)] == [id(row) for row in published]
+
+
+async def _subscribed(feed: LiveFeed) -> None:
+    feed.subscribe("sc")
 
 
 def test_nothing_behind_a_gap_is_given_before_the_gap_is_read_elsewhere(fresh):
