@@ -10,7 +10,7 @@ import httpx
 import numpy as np
 import pytest
 from page_blocks import run_blocks
-from release_ground import ReleaseGround, seed_archive, spacecraft
+from release_ground import ReleaseGround, record, seed_archive
 
 from analyzer_sim.__main__ import main
 from service.api.schemas.carriers import CarrierDocument
@@ -44,7 +44,7 @@ OWN = (
 @pytest.fixture
 def archive(tmp_path: Path) -> None:
     """A spacecraft that is calibrated, laid down before the service starts."""
-    seed_archive(f"sqlite:///{tmp_path / 'archive.db'}", spacecraft("yamal-202"))
+    seed_archive(f"sqlite:///{tmp_path / 'archive.db'}", record("yamal-202"))
 
 
 @pytest.mark.system

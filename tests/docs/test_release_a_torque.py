@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 from page_blocks import run_blocks
-from release_ground import ReleaseGround, seed_archive, spacecraft
+from release_ground import ReleaseGround, record, seed_archive
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "how-to" / "release-a-torque.md"
@@ -28,7 +28,7 @@ PRINTED = (
 @pytest.fixture
 def archive(tmp_path: Path) -> None:
     """A spacecraft that is calibrated, laid down before the service starts."""
-    seed_archive(f"sqlite:///{tmp_path / 'archive.db'}", spacecraft("yamal-202"))
+    seed_archive(f"sqlite:///{tmp_path / 'archive.db'}", record("yamal-202"))
 
 
 @pytest.mark.system

@@ -9,7 +9,7 @@ import pytest
 
 from analyzer_sim.world.scenario.events import Hold
 from analyzer_sim.world.scenario.manoeuvres import chunk_edges, holds_of, planned_deg
-from analyzer_sim.world.scenario.scenario import KeepingFigures, Scenario, scenario_named
+from analyzer_sim.world.scenario.scenario import KeepingErrors, Scenario, scenario_named
 from analyzer_sim.world.scenario.turns import TIMETABLE, TURNS_H
 from analyzer_sim.world.spacecraft.spacecraft import (
     ORBITAL_RATE_PER_H,
@@ -20,7 +20,7 @@ from analyzer_sim.world.spacecraft.spacecraft import (
 
 QUIET = Scenario("short", "for tests", quiet_h=2.0, alignment_h=0.75, operation_h=12.0)
 #: nothing that the ground does not know
-KNOWN = KeepingFigures(drift_deg_h=(0.0, 0.0, 0.0), scale_error=0.0)
+KNOWN = KeepingErrors(drift_deg_h=(0.0, 0.0, 0.0), scale_error=0.0)
 HOLD = Hold(1.0, 3.0, 20.0, yaw_deg=0.3, roll_deg=-0.2, pitch_deg=0.25)
 
 
@@ -63,7 +63,7 @@ def test_corrections_and_coupling_integrate_to_the_truth_without_drift(is_couple
 
 
 def test_drift_makes_the_truth_leave_what_the_ground_can_integrate() -> None:
-    scenario = replace(QUIET, keeping=KeepingFigures(), operation_h=24.0)
+    scenario = replace(QUIET, keeping=KeepingErrors(), operation_h=24.0)
     history = flown(scenario)
     expected = integrated_deg(scenario, history)
     error = history.attitude_deg[-len(expected) :] - expected

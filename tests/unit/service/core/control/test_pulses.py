@@ -34,11 +34,11 @@ def test_a_large_wish_takes_as_few_quanta_as_the_period_allows():
     assert pulses.duration_s[0] == pytest.approx(60.0 * 0.0071 / 0.008, abs=1e-3)  # grid of durations
 
 
-@pytest.mark.parametrize("request", [0.0501, -0.06, 3.0])
-def test_beyond_the_limit_the_whole_period_is_used_and_nothing_is_saved_up(request):
-    pulses = shape([request, 0.0, 0.0])
+@pytest.mark.parametrize("wanted_n_m", [0.0501, -0.06, 3.0])
+def test_beyond_the_limit_the_whole_period_is_used_and_nothing_is_saved_up(wanted_n_m):
+    pulses = shape([wanted_n_m, 0.0, 0.0])
     assert pulses.is_saturated.tolist() == [True, False, False]
-    assert pulses.torque_n_m[0] == pytest.approx(np.sign(request) * 0.05)
+    assert pulses.torque_n_m[0] == pytest.approx(np.sign(wanted_n_m) * 0.05)
     assert pulses.duration_s[0] == pytest.approx(60.0)
     assert pulses.carry_n_m_s[0] == 0.0
 

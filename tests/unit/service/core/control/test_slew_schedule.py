@@ -57,10 +57,10 @@ def test_a_drive_that_cannot_is_refused(drive, horizon_s, message):
         plan_slew([0.0, 0.1, 0.0], NOTHING, INERTIA, horizon_s, drive)
 
 
-@pytest.mark.parametrize("request", [[0.0, float("nan"), 0.0], [0.1, 0.1]])
-def test_a_wish_that_is_no_angle_is_refused(request):
+@pytest.mark.parametrize("wanted", [[0.0, float("nan"), 0.0], [0.1, 0.1]])
+def test_a_wish_that_is_no_angle_is_refused(wanted):
     with pytest.raises(ValueError, match="three finite"):
-        plan_slew(request, NOTHING, INERTIA, 900.0, DRIVE)
+        plan_slew(wanted, NOTHING, INERTIA, 900.0, DRIVE)
 
 
 def test_the_way_counts_as_well_as_the_end():

@@ -54,7 +54,7 @@ def test_a_thinned_record_keeps_the_start_and_the_figures():
 
 
 @pytest.mark.parametrize(
-    ("request", "says"),
+    ("asked", "says"),
     [
         (SettlingRequest(spacecraft=OrbitalFrameSpacecraft(inertia=Inertia(zz=20_000.0))), "triangle"),
         (SettlingRequest(duration_s=math.nan), "duration_s"),
@@ -64,9 +64,9 @@ def test_a_thinned_record_keeps_the_start_and_the_figures():
         (SettlingRequest(start=Start(rate_rad_s=(2.1e-3, 0.0, 0.0)), beyond=BeyondOrbitalRate.AS_PRINTED), "imaginary"),
     ],
 )
-def test_what_cannot_fly_is_refused(request, says):
+def test_what_cannot_fly_is_refused(asked, says):
     with pytest.raises(ValueError, match=says):
-        check_closed_loop(request)
+        check_closed_loop(asked)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from service.study.estimation.bound_table import BOUNDS
-from service.study.estimation.bounds import Bound, Limit, Mark, around, at_least, at_most, idle_baselines, judge
+from service.study.estimation.bounds import Bound, Limit, Mark, at_least, at_most, idle_baselines, judge, within
 from service.study.estimation.scenarios import GROUPS, SNAPSHOT
 
 ROLL = Bound("nominal", "rms_deg.roll", at_most(0.025), at_most(0.015), "test")
@@ -45,7 +45,7 @@ def test_where_no_goal_was_set_a_must_is_all():
 
 @pytest.mark.parametrize(
     ("limit", "text"),
-    [(at_most(0.5), "<= 0.5"), (at_least(0.9), ">= 0.9"), (around(1.0, 0.15), "0.85..1.15"), (Limit(1, 2), "1..2")],
+    [(at_most(0.5), "<= 0.5"), (at_least(0.9), ">= 0.9"), (within(1.0, 0.15), "0.85..1.15"), (Limit(1, 2), "1..2")],
 )
 def test_limits_read_as_a_reader_would_write_them(limit, text):
     assert str(limit) == text
