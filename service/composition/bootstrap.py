@@ -263,7 +263,6 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         monitoring=_monitoring_settings(settings),
         is_following=lambda: supervisor.is_running,
         on_accepted=supervisor.notify,
-        on_rows_accepted=supervisor.notify,
         on_startup=start,
         on_shutdown=stop,
         supervisor=supervisor,

@@ -88,8 +88,7 @@ async def soo(storage: SqlStorage, workers: Workers) -> AsyncIterator[Soo]:
         ),
         bootstrap_key=KEY,
         limits=limits,
-        on_accepted=accepted.append,
-        on_rows_accepted=lambda spacecraft_id, _: accepted.append(spacecraft_id),
+        on_accepted=lambda spacecraft_id, *_: accepted.append(spacecraft_id),
     )
     app = with_shared_routes(create_app(context))
     transport = httpx.ASGITransport(app=app)

@@ -68,11 +68,7 @@ class Limits:
     evidence_bytes: int = 64 * 1024 * 1024
 
 
-def _ignore(_spacecraft_id: str) -> None:
-    """Tell nobody."""
-
-
-def _ignore_rows(_spacecraft_id: str, _number: int) -> None:
+def _ignore(_spacecraft_id: str, _newest_number: int = 0) -> None:
     """Tell nobody."""
 
 
@@ -113,10 +109,8 @@ class ApiContext:
     is_following: Callable[[], bool] = _always
     #: who writes exported levels
     kernels: Literal["numba", "numpy"] = "numba"
-    #: told the spacecraft whenever something of it entered the journal
-    on_accepted: Callable[[str], None] = _ignore
-    #: told spacecraft and newest journal number of rows that entered it
-    on_rows_accepted: Callable[[str, int], None] = _ignore_rows
+    #: called with the spacecraft whenever something of it entered the journal, for rows with their newest number
+    on_accepted: Callable[..., None] = _ignore
     on_startup: Callable[[], Awaitable[None]] = _nothing
     on_shutdown: Callable[[], Awaitable[None]] = _nothing
 

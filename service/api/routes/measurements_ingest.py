@@ -73,7 +73,7 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
     statistics: RequestMetrics = request.app.state.request_statistics
     statistics.add_receipt(spacecraft_id, receipt, screened)
     if receipt.first_number is not None:
-        context.on_rows_accepted(spacecraft_id, receipt.first_number + receipt.accepted - 1)
+        context.on_accepted(spacecraft_id, receipt.first_number + receipt.accepted - 1)
     return JSONResponse(_answer(body, receipt, screened, epochs.leap_positions))
 
 
