@@ -10,9 +10,11 @@ from pydantic import Field, TypeAdapter, model_validator
 from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import Answer, CatalogueWarning, Document, LatitudeDeg, LongitudeDeg, Name, Text
-from service.records.catalogue import Carrier, CarrierPlan, Station
+from service.records.catalogue import Carrier, CarrierPlan
 
 MAX_CARRIERS = 512
+#: fields of the document are those of the record
+_CARRIER = TypeAdapter(Carrier)
 FrequencyHz = Annotated[float, Field(gt=0, le=1e12)]
 
 
@@ -56,9 +58,7 @@ class CarrierDocument(Document):
 
     def to_record(self) -> Carrier:
         """Return the record that this document states."""
-        fields = self.model_dump(exclude={"station"})
-        station = None if self.station is None else Station(**self.station.model_dump())
-        return Carrier(**fields, station=station)
+        return _CARRIER.validate_python(self.model_dump())
 
 
 def _check_ids(carriers: tuple[CarrierDocument, ...]) -> None:

@@ -12,18 +12,11 @@ from service.core.control.quaternion_law import loop_gains
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import gyro_design
 from service.records.catalogue import (
-    AxisTorques,
     ControlLaw,
     ControlMode,
-    ControlSettings,
-    FedForwardTorque,
-    FlexibleMode,
-    GyroOrbitantGains,
     Matrix3,
     Method,
-    Onboard,
     Release,
-    Site,
     Spacecraft,
     WheelSet,
 )
@@ -81,6 +74,10 @@ AxisElement = Annotated[float, Field(ge=-1e3, le=1e3)]
 WheelAxis = tuple[AxisElement, AxisElement, AxisElement]
 
 
+#: fields of the documents are those of the records, but for the epoch of a torque that is fed forward
+_RECORDS = TypeAdapter(Spacecraft)
+
+
 class SiteDocument(Document):
     """The receiving site."""
 
@@ -126,10 +123,6 @@ class AxisTorquesDocument(Document):
     roll: TorqueNm = 0.0
     pitch: TorqueNm = 0.0
 
-    def to_record(self) -> AxisTorques:
-        """Return the record that this document states."""
-        return AxisTorques(self.yaw, self.roll, self.pitch)
-
 
 class FedForwardDocument(Document):
     """Known torque that the loop on board takes away: constant + cosine cos(p) + sine sin(p), p zero at the epoch."""
@@ -145,24 +138,6 @@ class FedForwardDocument(Document):
     axis_relative_error: Annotated[float, Field(ge=0, le=1)] = 0.01
     """One standard deviation of the share that each axis has wrong by itself."""
 
-    @classmethod
-    def of(cls, reported: FedForwardTorque) -> Self:
-        """Return the document that tells a record."""
-        values = asdict(reported)
-        return cls.model_validate({"epoch": format_epoch(values.pop("epoch_us")), **values}, strict=False)
-
-    def to_record(self) -> FedForwardTorque:
-        """Return the record that this document states."""
-        return FedForwardTorque(
-            epoch_us=self.epoch,
-            period_s=self.period_s,
-            constant_n_m=self.constant_n_m.to_record(),
-            cosine_n_m=self.cosine_n_m.to_record(),
-            sine_n_m=self.sine_n_m.to_record(),
-            relative_error=self.relative_error,
-            axis_relative_error=self.axis_relative_error,
-        )
-
 
 class OnboardDocument(Document):
     """What the spacecraft's own control offers."""
@@ -177,22 +152,6 @@ class OnboardDocument(Document):
     `null`: unknown, the filter begins with the prior `SOO_ROBUST__UNKNOWN_TORQUE_N_M`; yaw is known worse for it."""
     fed_forward_torque: FedForwardDocument | None = None
     """What is fed forward on board, for the filter to learn what is wrong with it; null = nothing is known."""
-
-    @classmethod
-    def of(cls, onboard: Onboard) -> Self:
-        """Return the document that tells a record."""
-        reported = onboard.fed_forward_torque
-        values = {
-            **asdict(onboard),
-            "fed_forward_torque": None if reported is None else FedForwardDocument.of(reported),
-        }
-        return cls.model_validate(values, strict=False)
-
-    def to_record(self) -> Onboard:
-        """Return the record that this document states."""
-        reported = self.fed_forward_torque
-        values = self.model_dump(exclude={"fed_forward_torque"})
-        return Onboard(**values, fed_forward_torque=None if reported is None else reported.to_record())
 
 
 class GyroOrbitantDocument(Document):
@@ -222,14 +181,6 @@ class ControlDocument(Document):
     """`gyro_orbitant`: yaw is told by the roll rate; needs `body_rate_deg_s`, against inertial space, in telemetry."""
     gyro_orbitant: GyroOrbitantDocument | None = None
 
-    def to_record(self) -> ControlSettings:
-        """Return the record that this document states."""
-        reported = self.gyro_orbitant
-        values = self.model_dump(exclude={"gyro_orbitant"})
-        return ControlSettings(
-            **values, gyro_orbitant=None if reported is None else GyroOrbitantGains(**reported.model_dump())
-        )
-
 
 class SpacecraftDocument(Document):
     """A spacecraft."""
@@ -252,26 +203,18 @@ class SpacecraftDocument(Document):
 
     @classmethod
     def of(cls, spacecraft: Spacecraft) -> Self:
-        """Return the document that tells a record."""
-        values = {**asdict(spacecraft), "onboard": OnboardDocument.of(spacecraft.onboard)}
+        """Return the document of a record."""
+        values = asdict(spacecraft)
+        if (torque := values["onboard"]["fed_forward_torque"]) is not None:
+            torque["epoch"] = format_epoch(torque.pop("epoch_us"))
         return cls.model_validate(values, strict=False)
 
     def to_record(self) -> Spacecraft:
         """Return the record that this document states."""
-        return Spacecraft(
-            id=self.id,
-            name=self.name,
-            cospar_id=self.cospar_id,
-            longitude_deg=self.longitude_deg,
-            simulated=self.simulated,
-            receiving_site=Site(**self.receiving_site.model_dump()),
-            inertia_kg_m2=self.inertia_kg_m2,
-            torque_limit_n_m=self.torque_limit_n_m,
-            wheels=WheelSet(**self.wheels.model_dump()),
-            modes=tuple(FlexibleMode(**mode.model_dump()) for mode in self.modes),
-            onboard=self.onboard.to_record(),
-            control=self.control.to_record(),
-        )
+        values = self.model_dump()
+        if (torque := values["onboard"]["fed_forward_torque"]) is not None:
+            torque["epoch_us"] = torque.pop("epoch")
+        return _RECORDS.validate_python(values)
 
     @property
     def fault_of_gains(self) -> str | None:

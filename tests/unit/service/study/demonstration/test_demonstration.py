@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.api.schemas.spacecraft import OnboardDocument
+from service.api.schemas.spacecraft import SpacecraftDocument
 from service.records.epoch import format_epoch
 from service.study.demonstration import demonstration
 from service.study.demonstration.demonstration import ProcessAddresses, Story, run_story
@@ -292,7 +292,10 @@ def test_the_catalogue_states_what_the_craft_says_its_loop_feeds_forward(monkeyp
         "fed_forward_torque": {**ANNOUNCED, "relative_error": 0.06, "axis_relative_error": 0.01},
     }
     # as the REST interface takes it, nothing of it lost
-    taken = OnboardDocument.model_validate_json(json.dumps(onboard)).to_record()
+    site, inertia = {"latitude_deg": 55.0, "longitude_deg": 37.0}, [[2600, 0, 0], [0, 1400, 0], [0, 0, 2600]]
+    plain = {"id": "a", "name": "A", "longitude_deg": 90.0, "receiving_site": site, "inertia_kg_m2": inertia}
+    text = json.dumps({**plain, "torque_limit_n_m": 0.05, "onboard": onboard})
+    taken = SpacecraftDocument.model_validate_json(text).to_record().onboard
     assert taken.residual_torque_n_m is None
     assert taken.fed_forward_torque is not None
     assert taken.fed_forward_torque.epoch_us == START_US
