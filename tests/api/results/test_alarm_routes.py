@@ -30,7 +30,7 @@ def absent(bench, make):
             epoch_us = make.now_us - 1000 * MINUTE + minute * MINUTE
             powers = np.array([np.nan if name in names else -40.0 for name in PLAN.carrier_ids])
             measurement = Measurement(epoch_us, epoch_us, minute, "sa", 9, powers, None)
-            bench.context.alarms.see(make.sc, [RowEvidence(measurement, PLAN, (), Method.PAPER, None, {})])
+            bench.context.alarms.on_rows(make.sc, [RowEvidence(measurement, PLAN, (), Method.PAPER, None, {})])
         bench.context.alarms._check_rows()
 
     return report

@@ -81,7 +81,7 @@ def raise_alarms(bench, make):
         gone = (False, minute > 0, minute > 80)
         powers = np.where(gone, np.nan, -40.0)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 9, powers, None)
-        bench.context.alarms.see(make.sc, [RowEvidence(measurement, plan, (), Method.PAPER, None, {})])
+        bench.context.alarms.on_rows(make.sc, [RowEvidence(measurement, plan, (), Method.PAPER, None, {})])
     bench.context.alarms._check_rows()
 
 

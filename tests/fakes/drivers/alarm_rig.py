@@ -73,7 +73,7 @@ class Rig:
         self.clock.us = max(self.clock.us, epoch_us)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array(power_dbm), None, is_late)
         facts = RowEvidence(measurement, self.plan, (), Method.ROBUST, None, {})
-        self.desk.see("craft", [facts])
+        self.desk.on_rows("craft", [facts])
         self.desk._check_rows()
 
     def rows(self, minutes, *power_dbm):
