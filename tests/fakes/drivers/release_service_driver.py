@@ -132,14 +132,14 @@ class ReleaseServiceDriver:
         """Hand the newest row over, beside those of other methods."""
         self.note()
         outcome = Outcome((self.row, *others), None if applied is None else applied.command, applied)
-        self.service.see(SC, [StoredRow(outcome, evidence)])
+        self.service.on_rows(SC, [StoredRow(outcome, evidence)])
         self.judge()
 
     def tell(self, **facts: object) -> None:
         """Change what the archive says."""
         for name, value in facts.items():
             setattr(self.archive, name, value)
-        self.service.see(SC, [], has_inputs=True)
+        self.service.on_rows(SC, [], has_inputs=True)
         self.note()
 
     def momentum(self, n_m_s: float) -> None:

@@ -238,7 +238,7 @@ READ_TRACE = {
 @pytest.mark.parametrize("name", list(DIALECTS))
 def test_every_dialect_sweeps_at_real_pace(name: str) -> None:
     dialect, source = DIALECTS[name], StandingSource.endless()
-    instrument = Instrument(source, TracePainter(1), model=dialect.model, life=SweepProgress(Pace.REAL))
+    instrument = Instrument(source, TracePainter(1), model=dialect.model, progress=SweepProgress(Pace.REAL))
     with start_in_thread(instrument, dialect=dialect) as handle, connect(handle.port) as line:
         line.sendall(b"*RST;*CLS;:FREQ:STAR 954 MHZ;STOP 990 MHZ;:BAND 30 KHZ;:SWE:TIME 0.15;:INIT:CONT ON\n")
         traces = {ask(line, READ_TRACE[name]) for _ in range(3)}

@@ -33,7 +33,7 @@ class Slow:
             bench.source,
             TracePainter(7, IDEAL),
             lambda: self.is_allowed,
-            life=SweepProgress(Pace.REAL, self.clock),
+            progress=SweepProgress(Pace.REAL, self.clock),
         )
         bench.instrument = self.instrument
         bench.session = Session(self.instrument, RS, command_tree(RS))

@@ -99,7 +99,7 @@ async def test_watchers_see_the_end_of_a_sweep_that_nobody_asks_about() -> None:
 
 
 async def test_a_short_sweep_does_not_wait_for_the_long_one_that_was_aborted() -> None:
-    async with two_sessions(life=SweepProgress(Pace.REAL)) as (party, first, second):
+    async with two_sessions(progress=SweepProgress(Pace.REAL)) as (party, first, second):
         party.allowed.set()
         held = party.asking(first, "INIT:CONT OFF;:SWE:TIME 1000;:INIT;*OPC?")
         assert not await settled(held)
@@ -109,7 +109,7 @@ async def test_a_short_sweep_does_not_wait_for_the_long_one_that_was_aborted() -
 
 
 async def test_the_first_of_endless_sweeps_wakes_who_waits_for_it() -> None:
-    async with two_sessions(life=SweepProgress(Pace.REAL)) as (party, first, second):
+    async with two_sessions(progress=SweepProgress(Pace.REAL)) as (party, first, second):
         await party.ask(first, "INIT:CONT OFF;:SWE:POIN 201;TIME 0.05;:INIT:CONT ON")
         traces = [party.asking(session, "TRAC? TRACE1") for session in (first, second)]
         assert not await settled(traces[0])
@@ -119,7 +119,7 @@ async def test_the_first_of_endless_sweeps_wakes_who_waits_for_it() -> None:
 async def test_a_sweep_that_is_over_before_anybody_looks_wakes_who_waits_for_it() -> None:
     reads = itertools.count()
 
-    async with two_sessions(life=SweepProgress(Pace.REAL, lambda: 0.0006 * next(reads))) as (party, first, second):
+    async with two_sessions(progress=SweepProgress(Pace.REAL, lambda: 0.0006 * next(reads))) as (party, first, second):
         for session in (first, second):
             trace = party.asking(session, "INIT:CONT OFF;:SWE:POIN 201;TIME 0.001;:INIT:CONT ON;:TRAC? TRACE1")
             assert (await trace).count(",") == 200
