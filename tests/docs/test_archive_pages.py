@@ -27,6 +27,7 @@ SENT = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.system
 def test_exports(service: Any, tmp_path: Path) -> None:
     with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:

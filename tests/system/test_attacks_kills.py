@@ -23,7 +23,7 @@ from service.records.calibration import (
 from service.records.catalogue import Ephemeris
 from service.records.levels.attitude import NO_ANGLES, Axes
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(600)]
 
 SC = "/api/v1/spacecraft/sim-1"
 S = 1_000_000

@@ -11,7 +11,7 @@ import pytest
 from service.client.async_service_client import AsyncServiceClient
 from service.client.service_client import ServiceClient, StreamEvent
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 KEY = "a-key-for-tests-only"
 SEED = 20261122

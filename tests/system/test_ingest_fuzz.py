@@ -16,7 +16,7 @@ import httpx
 import pytest
 from ingest_oracle import DETAILS, Fuzzer, Oracle, singles
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.slow]
 BASE = "/api/v1/spacecraft/sim-1"
 SOURCES = ("sa-1", "sa-2", "sa-3", "sa-4")
 WIDTHS = {1: 5, 2: 5, 3: 3}

@@ -49,6 +49,7 @@ def command(path: Path, url: str, *options: str) -> list[str]:
     return [*head, "--service", url, "--json", *options]
 
 
+@pytest.mark.slow
 def test_an_export_sent_through_kills_is_exported_the_same(
     start_service: Any,
     spacecraft: dict[str, Any],

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 SEED = 1
 STORY = ("--scenario", "slew_fade", "--seed", str(SEED), "--quiet-days", "0.02", "--operation-days", "0.02")

@@ -94,6 +94,7 @@ def command(url: str, output: Path, *options: str) -> list[str]:
     return [*head, "--service", url, "--output", str(output), "--json", *options]
 
 
+@pytest.mark.slow
 def test_an_interrupted_export_goes_on_and_every_format_is_the_archive(
     start_service: Any, tmp_path: Path, compiled_environment: dict[str, str]
 ) -> None:

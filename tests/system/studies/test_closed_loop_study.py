@@ -51,6 +51,7 @@ def test_the_chain_holds_roll_and_pitch_over_a_link():
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_loop_on_board_holds_on_angles_and_stops_without_them():
     """Angles go up in place of torques; an hour and a half without uplink, of which half an hour is bridged."""
     unit = LoopUnit("nominal", SEED, Sensing.AUTOMATIC, "link", 6.0 / 24.0, mode="onboard", silence_h=(3.0, 1.5))

@@ -21,7 +21,7 @@ from service.study.closed_loop.plant_process import PlantProcess, PlantRow
 from service.study.closed_loop.run import GroundJournal, LoopUnit, controller_of
 from service.study.estimation.flight.journal import JournalDocuments
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 SEED = 2
 
