@@ -54,6 +54,7 @@ PARALLEL := bash -c 'time "$$0" "$$@"' $(BIN)/python -m pytest -n 2 --dist works
 test: $(DEV_STAMP) ## run the tests of every change, in five minutes
 	$(PARALLEL) -m "not nightly and not slow"
 
+test-all: export SOO_TEST_PROFILE := ci
 test-all: $(DEV_STAMP) ## run the slow tests too, as continuous integration does
 	$(PARALLEL) -m "not nightly"
 
