@@ -52,7 +52,8 @@ def test_body_and_rotor_exchange_momentum(start, mode, drive, law):
     states = motion.states(np.linspace(0.0, 120.0, 50))
     balance = states[:, 4] - drive.inertia_kg_m2 * states[:, 1]
     given_n_m_s = drive.external_torque_n_m * np.linspace(0.0, 120.0, 50)
-    np.testing.assert_allclose(balance + given_n_m_s, balance[0], atol=1e-11)
+    # the instant at which the rotor reaches its limit is found within nanoseconds, its torque is 0.2 N m
+    np.testing.assert_allclose(balance + given_n_m_s, balance[0], atol=1e-9)
 
 
 @given(STATES, MODES, DRIVES, LAWS)

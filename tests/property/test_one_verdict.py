@@ -71,7 +71,7 @@ def context_of(driver):
     def newest_command(*_):
         if driver.row is None:
             return None
-        return compute_command(driver.row, driver.archive.owner, NO_CARRY, 60.0, TorqueConfig()).command
+        return compute_command(driver.row, driver.archive.record, NO_CARRY, 60.0, TorqueConfig()).command
 
     archive = driver.archive
     head = SimpleNamespace(consumed_epoch_us=None, newest_epoch_us=None, newest_number=0, consumed_number=0)
@@ -134,7 +134,7 @@ class AnyStory(RuleBasedStateMachine):
         self.is_automatic = release is Release.AUTOMATIC
         self.reset_us = None
         if self.is_automatic:
-            self.driver.archive.change_craft(release=release)
+            self.driver.archive.change_spacecraft(release=release)
             self.driver.rows(2)
         elif start != "nothing":
             getattr(self.driver, start)()
@@ -179,7 +179,7 @@ class AnyStory(RuleBasedStateMachine):
 
     @rule(mode=st.sampled_from(ControlMode))
     def the_mode_changes(self, mode):
-        self.driver.archive.change_craft(mode=mode)
+        self.driver.archive.change_spacecraft(mode=mode)
         self.driver.tell()
 
     @rule()
@@ -201,7 +201,7 @@ class AnyStory(RuleBasedStateMachine):
         assert all(other == verdict for other in others), reported
         context = context_of(driver)
         metrics = SimpleNamespace(_context=context)
-        samples = {name: value for name, _, value in Metrics._attitude(metrics, driver.archive.owner)}
+        samples = {name: value for name, _, value in Metrics._attitude(metrics, driver.archive.record)}
         assert samples["soo_control_allowed"] == verdict["allowed"]
         self._judge(verdict)
         if driver.row is not None:
@@ -216,7 +216,7 @@ class AnyStory(RuleBasedStateMachine):
             assert verdict["state"] in ("ARMED", "ENGAGED", "RECOVERY")
             assert not driver.is_bad()
             assert not driver.row.inhibitions
-            assert driver.archive.owner.control.mode is ControlMode.GROUND
+            assert driver.archive.record.control.mode is ControlMode.GROUND
             assert self.reset_us is None or driver.clock.now - self.reset_us >= 600 * US
             assert {one["code"] for one in verdict["reasons"]} <= {"sigma_yaw", "yaw_sign", "yaw_beyond"}
         else:
@@ -248,7 +248,7 @@ test_any_story = AnyStory.TestCase
 @pytest.mark.parametrize("release", Release)
 def test_a_stop_is_told_by_every_answer(release):
     driver = ReleaseServiceDriver()
-    driver.archive.change_craft(release=release)
+    driver.archive.change_spacecraft(release=release)
     driver.rows(12)
     if release is Release.TWO_STEP:
         driver.order(OrderKind.ARM)

@@ -53,7 +53,7 @@ async def test_a_ready_service_tells_its_parts(bench):
 
 async def test_an_estimator_that_is_behind_is_named(bench, make):
     bench.append([make.now_us + k * make.s for k in range(5)])
-    change(bench, observation=replace(bench.context.observation, ready_lag=3))
+    change(bench, monitoring=replace(bench.context.monitoring, ready_lag=3))
     problem = await unready(bench)
     assert problem["code"] == "consumers.behind"
     assert "yamal-202 by " in problem["detail"]
@@ -139,7 +139,7 @@ async def test_metrics_without_the_database_tell_the_rest(bench, monkeypatch):
 
 
 async def test_metrics_may_need_a_key(bench):
-    change(bench, observation=replace(bench.context.observation, metrics_need_key=True))
+    change(bench, monitoring=replace(bench.context.monitoring, metrics_need_key=True))
     assert (await bench.client.get("/metrics", headers={"Authorization": ""})).status_code == 401
     assert (await bench.client.get("/metrics")).status_code == 200
 

@@ -126,9 +126,9 @@ class ReleaseServiceDriver:
             self.pass_time(60.0)
             epoch_us = self.clock.now - round(lag_s * US)
             self.row = replace(GOOD, epoch_us=epoch_us, number=epoch_us // US, **change)
-            self.see(evidence=evidence)
+            self.on_rows(evidence=evidence)
 
-    def see(self, *others: AttitudeRow, applied=None, evidence=None) -> None:
+    def on_rows(self, *others: AttitudeRow, applied=None, evidence=None) -> None:
         """Hand the newest row over, beside those of other methods."""
         self.note()
         outcome = Outcome((self.row, *others), None if applied is None else applied.command, applied)

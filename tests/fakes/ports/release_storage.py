@@ -117,7 +117,7 @@ class FakeArchive:
         )
         self.audit = SimpleNamespace(append=self.audit_events.append)
 
-    def change_craft(self, **changes: object) -> None:
+    def change_spacecraft(self, **changes: object) -> None:
         """Change the catalogue's statement; fields of ``control`` by their own names."""
         own = {name: value for name, value in changes.items() if hasattr(self.record.control, name)}
         rest = {name: value for name, value in changes.items() if name not in own}

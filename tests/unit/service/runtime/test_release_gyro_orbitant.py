@@ -22,7 +22,7 @@ RATE = Axes(0.0, -W0_DEG_S * math.radians(0.1), -W0_DEG_S)
 @pytest.fixture
 def driver() -> ReleaseServiceDriver:
     driven = ReleaseServiceDriver()
-    driven.archive.change_craft(law=ControlLaw.GYRO_ORBITANT, gyro_orbitant=GAINS)
+    driven.archive.change_spacecraft(law=ControlLaw.GYRO_ORBITANT, gyro_orbitant=GAINS)
     return driven
 
 

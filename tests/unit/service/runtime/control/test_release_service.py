@@ -274,7 +274,7 @@ def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
 
 def test_under_automatic_release_the_interlock_watches_and_a_trip_withholds():
     driver = ReleaseServiceDriver()
-    driver.archive.change_craft(release=Release.AUTOMATIC)
+    driver.archive.change_spacecraft(release=Release.AUTOMATIC)
     driver.rows(2)
     assert driver.verdict.state == "ENGAGED"
     for order in (lambda: driver.order(OrderKind.ARM), driver.prepare, lambda: driver.engage("ann")):
@@ -297,7 +297,7 @@ def test_under_automatic_release_the_interlock_watches_and_a_trip_withholds():
     ],
 )
 def test_modes_without_torques_from_the_ground_release_none(driver, changes, code):
-    driver.archive.change_craft(**changes)
+    driver.archive.change_spacecraft(**changes)
     driver.rows(12)
     for order in (lambda: driver.order(OrderKind.ARM), driver.prepare, lambda: driver.engage("ann")):
         with pytest.raises(ConflictError, match=code.replace(".", r"\.")):
@@ -307,7 +307,7 @@ def test_modes_without_torques_from_the_ground_release_none(driver, changes, cod
 def test_mode_onboard_gets_angles_while_they_are_fit_for_use(driver):
     with pytest.raises(ConflictError, match=r"control\.mode"):
         driver.service.attitude_uplink(SC)
-    driver.archive.change_craft(mode=ControlMode.ONBOARD)
+    driver.archive.change_spacecraft(mode=ControlMode.ONBOARD)
     with pytest.raises(NotFoundError, match=r"uplink\.unknown"):
         driver.service.attitude_uplink(SC)
     driver.rows(3)
@@ -326,7 +326,7 @@ def test_under_the_data_clock_only_simulated_craft_get_commands():
     with pytest.raises(ConflictError, match=r"interlock\.simulated"):
         driver.order(OrderKind.ARM)
     driver = ReleaseServiceDriver(is_data_service=True)
-    driver.archive.change_craft(simulated=True)
+    driver.archive.change_spacecraft(simulated=True)
     driver.clock.is_of_data = True
     driver.armed()
     assert driver.sent().is_simulated
@@ -347,10 +347,10 @@ def test_facts_of_the_archive_reach_the_interlock(driver):
 
 def test_other_control_settings_trip_and_keep_the_proven_signs_other_wheels_do_not(driver):
     driver.armed()
-    driver.archive.change_craft(damping=0.7)
+    driver.archive.change_spacecraft(damping=0.7)
     driver.tell()
     assert (driver.view.trips, driver.view.proven_axes) == (("configuration",), ("roll", "pitch"))
-    driver.archive.change_craft(wheels=replace(driver.archive.record.wheels, torque_quantum_n_m=0.001))
+    driver.archive.change_spacecraft(wheels=replace(driver.archive.record.wheels, torque_quantum_n_m=0.001))
     driver.tell()
     assert driver.view.proven_axes == ()
 

@@ -102,7 +102,7 @@ def test_reasons_tell_since_when_they_stand_without_a_break():
 
 def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_restart():
     driver = ReleaseServiceDriver()
-    driver.archive.change_craft(release=Release.AUTOMATIC)
+    driver.archive.change_spacecraft(release=Release.AUTOMATIC)
     driver.rows(2)
     assert driver.verdict.is_allowed
     assert codes(driver.verdict) == ["yaw_sign"]

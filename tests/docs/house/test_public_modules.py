@@ -9,7 +9,7 @@ from pathlib import Path
 import grimp
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 ROOTS = ("service", "db", "analyzer_sim")
 GRAPH = grimp.build_graph(*ROOTS, cache_dir=None)
 PACKAGES = sorted(name for name in GRAPH.modules if (ROOT / name.replace(".", "/") / "__init__.py").exists())

@@ -1,0 +1,154 @@
+"""Words: one idea has one word, and retired words do not come back."""
+
+import ast
+import json
+import re
+import subprocess
+from collections import defaultdict
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[3]
+#: private words of earlier versions; the glossary has the words that replaced them
+RETIRED = frozenset(
+    [
+        "anew",
+        "annex",
+        "beside",
+        "book",
+        "circumstances",
+        "craft",
+        "crafts",
+        "deed",
+        "deeds",
+        "desk",
+        "dress",
+        "dressed",
+        "hear",
+        "landings",
+        "look",
+        "looks",
+        "news",
+        "obey",
+        "piece",
+        "pieces",
+        "place",
+        "places",
+        "remark",
+        "surroundings",
+        "synthesis",
+        "take",
+        "takes",
+        "tell",
+        "tells",
+        "tidings",
+        "told",
+        "took",
+        "upkeep",
+        "whoever",
+        "wish",
+        "wishes",
+        "wreck",
+    ]
+)
+#: words of the interface and of the archive stand as they are, and so does the alias of a command
+KEPT = frozenset({"upkeep", "told_executed_us", "place_chi_square"})
+RETIRED_IN_DOCUMENTS = ("tidings", "anew", "the craft", "other people's")
+FOLDERS = ("service", "db", "analyzer_sim", "bench")
+#: one file for each resource or revision
+UNBOUNDED = ("service/api/routes", "service/api/schemas", "db/migrations/versions", "docs/explanations/decisions")
+
+
+@cache
+def tracked() -> tuple[str, ...]:
+    """Return every path under version control."""
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True)
+    return tuple(name for name in listing.stdout.decode().split("\0") if name and (ROOT / name).is_file())
+
+
+def modules(*folders: str) -> list[str]:
+    """Return the Python files of some folders; migrations stay as they ran."""
+    found = [name for name in tracked() if name.endswith(".py") and name.startswith(tuple(f"{f}/" for f in folders))]
+    return [name for name in found if "migrations/versions" not in name]
+
+
+def words_of(identifier: str) -> set[str]:
+    """Return the words of an identifier."""
+    return set(re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", identifier).lower().split("_"))
+
+
+def defined_in(tree: ast.AST) -> Iterator[str]:
+    """Yield the names that a module defines, at any depth."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+                yield name
+            case ast.arg(arg=name) | ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+                yield name
+
+
+def names_of_the_interface() -> set[str]:
+    """Return the fields and the schemas of the OpenAPI document."""
+    document = json.loads((ROOT / "docs/reference/openapi.json").read_text())
+    found = set(document["components"]["schemas"])
+
+    def gather(value: Any) -> None:
+        if isinstance(value, dict):
+            properties = value.get("properties")
+            found.update(properties if isinstance(properties, dict) else ())
+            for inner in value.values():
+                gather(inner)
+        elif isinstance(value, list):
+            for inner in value:
+                gather(inner)
+
+    gather(document)
+    return found | {name.removesuffix("Input") for name in found}
+
+
+def test_no_identifier_contains_a_retired_word() -> None:
+    kept = KEPT | names_of_the_interface()
+    found = defaultdict(set)
+    for name in modules(*FOLDERS):
+        for identifier in {Path(name).stem, *defined_in(ast.parse((ROOT / name).read_text()))} - kept:
+            for word in words_of(identifier) & RETIRED:
+                found[word].add(f"{identifier} in {name}")
+    assert found == {}
+
+
+def test_no_public_class_name_has_two_meanings() -> None:
+    found = defaultdict(set)
+    for name in modules("service", "db"):
+        for node in ast.walk(ast.parse((ROOT / name).read_text())):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found[node.name].add(name)
+    assert len(found) > 500, "the search for classes finds too few"
+    assert {name: places for name, places in found.items() if len(places) > 1} == {}
+
+
+def test_documents_are_free_of_retired_words() -> None:
+    found = {
+        (name, word)
+        for name in tracked()
+        if name.endswith(".md") and name != "CHANGELOG.md"
+        for word in RETIRED_IN_DOCUMENTS
+        if re.search(rf"\b{word}\b", (ROOT / name).read_text(), re.IGNORECASE)
+    }
+    assert found == set()
+
+
+def test_folders_stay_small() -> None:
+    held = defaultdict(set)
+    for name in tracked():
+        *folders, _ = parts = name.split("/")
+        for depth in range(1, len(folders) + 1):
+            held["/".join(parts[:depth])].add(parts[depth])
+    too_many = {
+        folder: len(names)
+        for folder, names in held.items()
+        if folder.split("/")[0] in {*FOLDERS, "tests", "docs"} and folder not in UNBOUNDED
+        if len(names) > (25 if folder.split("/")[0] in {"tests", "docs"} else 15)
+    }
+    assert too_many == {}
