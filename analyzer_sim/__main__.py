@@ -6,7 +6,7 @@ that is taken is told and ends it with 1. HiSLIP is served when its port is give
     {"scpi_port": 5025, "alias_ports": [], "hislip_port": null, "ground_port": 5026, "uplink_port": null,
      "dialect": "rs", "scenario": "demo", "seed": 1}
 
-With ``--uplink-port`` the craft is flown: schedules come in on that port (``uplink_port.py``).
+With ``--uplink-port`` the spacecraft is flown: schedules come in on that port (``uplink_port.py``).
 """
 
 import argparse
@@ -135,7 +135,7 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--alias-port", type=_port, action="append", default=[], help="further SCPI port; may repeat")
     parser.add_argument("--hislip-port", type=_port, help="HiSLIP port, usually 4880, 0 = a free one (default: none)")
     parser.add_argument("--ground-port", type=_port, default=5026, help="ground port, 0 = a free one (default: 5026)")
-    parser.add_argument("--uplink-port", type=_port, help="fly the craft by schedules, 0 = a free port (default: none)")
+    parser.add_argument("--uplink-port", type=_port, help="fly the spacecraft by schedules, 0 = a free port")
     parser.add_argument("--await-ground", action="store_true", help="sweep no row before a ground client allows it")
     parser.add_argument(
         "--detail",
@@ -163,7 +163,7 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_spacecraft(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a craft that is flown."""
+    """Add the options of a spacecraft that is flown."""
     parser.add_argument(
         "--uplink",
         default="ideal",

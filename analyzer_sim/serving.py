@@ -60,7 +60,7 @@ def arm(faults: list[tuple[str, int]], line: LineFaults, trace: TraceFaults) -> 
 
 
 async def serve(options: argparse.Namespace, scenario: Scenario, flown: PlantOptions) -> None:
-    """Serve until SIGTERM or SIGINT; with a port for the uplink the craft is flown.
+    """Serve until SIGTERM or SIGINT; with a port for the uplink the spacecraft is flown.
 
     Raises
     ------
@@ -120,7 +120,7 @@ async def _serve_all(options: argparse.Namespace, station: _Station) -> None:
 
 
 async def _control_servers(options: argparse.Namespace, station: _Station) -> dict[str, asyncio.Server]:
-    """Open the ground port and, where a craft is flown, the uplink."""
+    """Open the ground port and, where a spacecraft is flown, the uplink."""
     opening: dict[str, Callable[[], Awaitable[asyncio.Server]]] = {
         "ground": lambda: serve_ground(
             station.world,

@@ -1,9 +1,10 @@
 """Time of one row through the chain: measurement in, attitude and torque command out, nothing stored.
 
 Run ``python -m bench.bench_chain``. The payload is synthetic (``tests/fakes``): every carrier is calibrated and used,
-white noise of 0.05 dB, the craft moves slowly. The step of the robust filter alone follows, with both sets of kernels.
-Times are given in milliseconds and as a ratio to a yardstick of the same run, a linear system of 91 unknowns solved for
-91 right sides by numpy, because the machine's speed changes from minute to minute. Figures only; no goal hangs on them.
+white noise of 0.05 dB, the spacecraft moves slowly. The step of the robust filter alone follows, with both sets of
+kernels. Times are given in milliseconds and as a ratio to a yardstick of the same run, a linear system of 91 unknowns
+solved for 91 right sides by numpy, because the machine's speed changes from minute to minute. Figures only; no goal
+hangs on them.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """Flown world: the world behind a served instrument whose operation phase is flown by torques.
 
-Up to the first row of operation it is the world as told; from there on each sweep flies the craft to the row that is
-swept, with what has come over the uplink until then, and shows the powers of the attitude flown.
+Up to the first row of operation it is the world as told; from there on each sweep flies the spacecraft to the row that
+is swept, with what has come over the uplink until then, and shows the powers of the attitude flown.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.world import World
 
 Line = dict[str, Any]
-#: hears what a craft has told on the way to a row: the row's epoch and the lines
+#: hears what a spacecraft has told on the way to a row: the row's epoch and the lines
 Listener = Callable[[int, list[Line]], None]
 
 #: schedules that may be sent from one row: more than anybody needs, few enough to keep the store small
@@ -58,11 +58,11 @@ class FlownWorld:
 
     @property
     def epoch_us(self) -> int | None:
-        """Epoch to which the craft has been flown; None before operation."""
+        """Epoch to which the spacecraft has been flown; None before operation."""
         return self._plant.epoch_us if self._is_flown(self.world.row_index) else None
 
     def listen(self, listener: Listener) -> None:
-        """Let somebody hear what the craft tells with each row."""
+        """Let somebody hear what the spacecraft tells with each row."""
         self._listeners.append(listener)
 
     def advance(self) -> Emission:
@@ -93,7 +93,7 @@ class FlownWorld:
         """
         if self.epoch_us is None:
             start = rfc3339(self.world.scenario.operation_start_us)
-            raise ScheduleError(f"the craft is under its sensors until {start} has been measured")
+            raise ScheduleError(f"the spacecraft is under its sensors until {start} has been measured")
         schedule = parse_schedule(text, self.epoch_us)
         if self._sent_from_row >= SCHEDULES_A_ROW:
             raise ScheduleError(f"more than {SCHEDULES_A_ROW} schedules from one row")
@@ -112,7 +112,7 @@ class FlownWorld:
         return row >= self._plant.first_row
 
     def _fly_to(self, row: int) -> None:
-        """Fly the craft to a row, over gaps too."""
+        """Fly the spacecraft to a row, over gaps too."""
         while self._plant.row < row:
             self._plant.advance(_NOTHING)
             self._attitude_deg[self._plant.row] = self._plant.state.attitude_deg

@@ -1,8 +1,8 @@
 """Plant: a world whose operation phase is flown by torques; powers and telemetry go out, schedules come in.
 
 In process it is a class that tests and the lines of ``plant_lines.py`` share. Before operation it is the world of the
-export to the last bit; from then on the craft is flown: body, wheels, fast loop (``world/flown_craft.py``), and what
-comes from the ground passes the uplink (``world/uplink.py``).
+export to the last bit; from then on the spacecraft is flown: body, wheels, fast loop (``world/flown_craft.py``), and
+what comes from the ground passes the uplink (``world/uplink.py``).
 """
 
 import math
@@ -66,7 +66,7 @@ class Plant:
     state : BodyState
         Attitude and rates at the present row.
     reports : list of Report
-        What the craft has told between the row before and the present one.
+        What the spacecraft has told between the row before and the present one.
     """
 
     def __init__(
@@ -149,7 +149,7 @@ class Plant:
         return counter
 
     def _receive(self, begin_us: int, end_us: int) -> None:
-        """Let the craft take what arrives before the next row."""
+        """Let the spacecraft take what arrives before the next row."""
         self.reports = []
         roll, pitch, yaw = self.momentum_n_m_s
         arrivals = self._uplink.arrivals(end_us)
@@ -185,7 +185,7 @@ class Plant:
             self.state = self._perfect.fly(self.state, (begin_us, end_us), self._acting, drift_deg_s, unseen_n_m)
 
     def _spacecraft(self, options: PlantOptions) -> OrbitalFrameSpacecraft:
-        """Return the craft as it stands when operation begins."""
+        """Return the spacecraft as it stands when operation begins."""
         keeping, seed = self.world.scenario.keeping, self.world.seed
         wheels = wheel_set(seed, self.reported_telemetry().wheel_momentum_n_m_s)
         attitude_deg = _triple(self._attitude_deg[self.first_row])

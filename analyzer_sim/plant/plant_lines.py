@@ -119,7 +119,7 @@ def _present(plant: Plant) -> Iterator[Line]:
 
 
 def telemetry_of(plant: Plant) -> Line:
-    """Return what the craft says of itself; its inertial model does not see the drift of its rate."""
+    """Return what the spacecraft says of itself; its inertial model does not see the drift of its rate."""
     momentum, reported = plant.momentum_n_m_s, plant.reported_telemetry()
     x, y, z = (math.degrees(rate) for rate in plant.flown.commanded_rad_s)
     return {
@@ -134,7 +134,7 @@ def telemetry_of(plant: Plant) -> Line:
 
 
 def report_line(report: Report) -> Line:
-    """Return what the craft tells of a command."""
+    """Return what the spacecraft tells of a command."""
     line: Line = {
         "type": "report",
         "counter": report.counter,

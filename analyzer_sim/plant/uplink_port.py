@@ -1,4 +1,4 @@
-"""Uplink port: torque schedules to the craft of a served instrument, and what it tells of them, as JSON lines over TCP.
+"""Uplink port: torque schedules to the spacecraft of a served instrument and its reports, as JSON lines over TCP.
 
 Out; fields in brackets are not always there:
 
@@ -6,7 +6,7 @@ Out; fields in brackets are not always there:
     {"type":"taken","counter":..,"sent":..}      the line was handed to the channel; counter null = nothing to send
     {"type":"report","counter":..,"state":"executed|repeated|late|refused","told":..,"received":..,
      ["executed_from":..,"executed_until":..,"impulse_n_m_s":{..}]}
-    {"type":"flown","epoch":..}                  the craft has come to this row; its reports are those before this line
+    {"type":"flown","epoch":..}                  the spacecraft has come to this row; its reports precede this line
     {"type":"error","detail":..}                 the line was refused and changes nothing
 
 In, at any time once the first row of operation has been measured; it leaves at the epoch of the newest row:
@@ -96,7 +96,7 @@ class UplinkPort:
         }
 
     def _answer(self, line: bytes) -> Line:
-        """Hand a line to the craft and return the answer."""
+        """Hand a line to the spacecraft and return the answer."""
         try:
             # bytes that are no text must reach the parser of lines, which answers them
             counter = self._spacecraft.send(line.decode("utf-8", errors="replace"))
@@ -106,7 +106,7 @@ class UplinkPort:
         return {"type": "taken", "counter": counter, "sent": None if epoch_us is None else rfc3339(epoch_us)}
 
     def _on_flown(self, epoch_us: int, reports: list[Line]) -> None:
-        """Tell what the craft has told on the way to a row."""
+        """Tell what the spacecraft has told on the way to a row."""
         if self._client is None:
             self._unheard.extend(reports)
             return

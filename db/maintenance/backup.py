@@ -133,7 +133,7 @@ def _copy_pages(path: Path, archive: Path, progress: Progress) -> None:
     target = sqlite3.connect(archive, isolation_level=None)
     archive.chmod(0o600)
     try:
-        # a transaction that is open already is the one that every step reads in: writers cannot make it begin anew
+        # a transaction that is open already is the one that every step reads in: writers cannot make it begin again
         source.execute("BEGIN")
         if not source.execute("SELECT count(*) FROM sqlite_schema WHERE name = 'alembic_version'").fetchone()[0]:
             message = f"{path} holds no archive"

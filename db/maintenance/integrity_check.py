@@ -240,7 +240,7 @@ def _results(connection: Connection, state: Row[Any], name: str, ledger: Ledger)
     if not is_whole:
         wrong.append(f"{sequences} results up to {newest}, where the head counts {state.result_sequence}")
     if wrong:
-        advice = "`soo replay` computes results anew from the rows; a backup has the live ones."
+        advice = "`soo replay` computes results again from the rows; a backup has the live ones."
         yield Diagnosis("results", "fault", f"{name}: {'; '.join(wrong)}", advice)
         return
     yield Diagnosis("results", "ok", f"{name}: {sequences} live results, each with its row")

@@ -1,6 +1,6 @@
 """Which sequence numbers of a source the archive holds, kept as intervals in the transaction that stores the rows.
 
-A front end numbers its rows in the order in which it takes them. Numbers that start anew while epochs go on are a new
+A front end numbers its rows in the order in which it takes them. Numbers that start again while epochs go on are a new
 run, and so are numbers that jump by more than ``MAX_JUMP``; a late row that far off its run is not counted. A row of
 an earlier epoch belongs to the run that had begun by then, so rows sent later find their gap. Of the
 newest run the newest interval stands with the source (the ``Tail``), which costs a batch that follows the one before
@@ -134,7 +134,7 @@ class SequenceNumbers:
         return tail._replace(start=block.first, last=block.last, rows_missing=missing)
 
     def _begun(self, tail: Tail, block: Block, after_us: int) -> Tail:
-        """Begin a run: numbers start anew while epochs go on."""
+        """Begin a run: numbers start again while epochs go on."""
         self._insert(tail.run, tail.after_us, tail.start, tail.last)
         run = tail.run + 1
         self.connection.execute(delete(_TABLE).where(self._is_mine(), _TABLE.c.run <= run - RUNS_KEPT))

@@ -56,7 +56,7 @@ class SqlLinks:
         return self._change(link_id, lambda state: replace(state, enabled=enabled))
 
     def request_reset(self, link_id: str) -> LinkState:
-        """Ask a link to zero its counters and to begin anew."""
+        """Ask a link to zero its counters and to begin again."""
         return self._change(link_id, lambda state: replace(state, resets=state.resets + 1))
 
     def remove(self, link_id: str) -> None:

@@ -20,7 +20,7 @@ def joined(file_format: str, paths: Sequence[Path], output: Path) -> None:
     paths : sequence of Path
         At least one.
     output : Path
-        Written anew.
+        Written again.
     """
     if file_format == "parquet":
         _join_parquet(paths, output)

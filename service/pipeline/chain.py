@@ -95,7 +95,7 @@ class Chain:
         return self._disagreement.is_standing
 
     def update(self, content: SlowInput) -> None:
-        """Consume a slow input; an alignment starts the methods anew, an activation keeps their state."""
+        """Consume a slow input; an alignment starts the methods again, an activation keeps their state."""
         self._knowledge = update(self._knowledge, content, self._lookup)
         if self._override is not None:
             active = {**self._knowledge.active, self._override.request.method: self._override}

@@ -214,7 +214,7 @@ async def test_what_nobody_expected_is_a_500_that_tells_nothing(soo, monkeypatch
 async def test_the_openapi_document_is_served_without_a_key_and_is_the_committed_one(soo):
     served = await soo.client.get("/openapi.json", headers={"Authorization": ""})
     assert served.json() == json.loads(render_openapi())
-    message = "the interface changed: write docs/reference/openapi.json anew with `python -m service openapi`"
+    message = "the interface changed: write docs/reference/openapi.json again with `python -m service openapi`"
     assert OPENAPI.read_text(encoding="utf-8") == render_openapi(), message
 
 

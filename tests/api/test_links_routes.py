@@ -76,7 +76,7 @@ async def test_a_report_is_answered_with_what_is_wanted_and_listed(soo):
 async def test_the_newest_good_row_is_as_old_as_the_clock_of_its_epoch_says(soo, spacecraft):
     await soo.client.post("/api/v1/spacecraft", json=spacecraft)
     day_us = 86_400 * S
-    # a simulated craft lives fifteen days behind the service
+    # a simulated spacecraft lives fifteen days behind the service
     soo.clock.data["yamal-202"] = NOW_US - 15 * day_us + 60 * S
     behind = format_epoch(NOW_US - 15 * day_us)
     front = report("front-1", kind="front_end", spacecraft_id=None, source=None)

@@ -148,7 +148,7 @@ def test_a_change_whose_entry_fails_is_undone(storage, noted):
     storage.audit.append(audit_event())
     with storage._database.engines.write.begin() as connection:
         connection.execute(text("DELETE FROM audit_head"))
-    # the chain would begin anew, but number 1 is taken
+    # the chain would begin again, but number 1 is taken
     noted(audit_event("create_key"))
     with pytest.raises(StorageError):
         storage.keys.add(stored())

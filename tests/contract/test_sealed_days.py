@@ -158,7 +158,7 @@ def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypa
     with sealed.storage._database.read() as connection:
         stored = connection.execute(select(measurement_segment.c.spacecraft_key)).all()
     assert len(stored) == len(list(sealed.storage.archive.segments(sealed.id))) > 2
-    # the same archive opened anew: nothing that was remembered helped
+    # the same archive opened again: nothing that was remembered helped
     reopened = SqlStorage(sealed.storage._database.engines.write.url.render_as_string(hide_password=False))
     sealed.storage = reopened
     assert answers(sealed, windows) == said[1]

@@ -1,4 +1,4 @@
-"""Whatever is commanded, the craft keeps its momentum, and the mirrored command mirrors what it does."""
+"""Whatever is commanded, the spacecraft keeps its momentum, and the mirrored command mirrors what it does."""
 
 import numpy as np
 from hypothesis import given, settings

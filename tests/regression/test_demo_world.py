@@ -1,6 +1,6 @@
 """The demonstration's figures on the simulator's truth, array in, rows out: both methods end to end.
 
-Every rms stands beside the rms of the truth and beside the answer that the craft never moves, which must miss the
+Every rms stands beside the rms of the truth and beside the answer that the spacecraft never moves, which must miss the
 bounds. Levels enter as the archive keeps them, float32.
 """
 

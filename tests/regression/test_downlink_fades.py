@@ -52,7 +52,7 @@ def test_dry_excursions_never_stop_control(seed):
     driven = exported_world.driven(scenario_named("demo"), seed)
     reached = np.abs(driven.truth_deg).max(axis=0)
     print(f"seed {seed}: largest excursions {reached.round(3)} deg")
-    assert (reached > 0.25).all(), "the craft must move for the claim to mean anything"
+    assert (reached > 0.25).all(), "the spacecraft must move for the claim to mean anything"
     assert (driven.downlink_fade_db == 0.0).all()
     assert not driven.is_stopped.any()
 

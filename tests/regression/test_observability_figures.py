@@ -47,7 +47,7 @@ def drawn(stations, count, rng):
     sensitivity, transponder = stations
     ku = np.unique(transponder[:32])
     chosen = [rng.choice(np.flatnonzero(transponder == label), count // len(ku), replace=False) for label in ku]
-    # beams differ from craft to craft: slopes are drawn anew by a tenth of their size
+    # beams differ from craft to craft: slopes are drawn again by a tenth of their size
     rows = sensitivity[np.concatenate(chosen)]
     return rows * rng.normal(1.0, 0.1, rows.shape)
 

@@ -25,7 +25,7 @@ TURN_DEG_S = np.degrees(7.292115e-5)
 
 @dataclass
 class ByCorrections:
-    """The law on angles that the craft's own commands tell: powers are not looked at."""
+    """The law on angles that the spacecraft's own commands tell: powers are not looked at."""
 
     law: ByTruth
     epoch_us: int = 0
@@ -78,7 +78,7 @@ def stating(residual_n_m):
 
 
 def test_where_the_catalogue_says_that_there_is_none_control_is_lost(monkeypatch):
-    """The default of before: the craft is left to the torque by the reason that its motion was not announced."""
+    """The default of before: the spacecraft is left to the torque by the reason that its motion was not announced."""
     monkeypatch.setattr(run, "flown_spacecraft", stating(0.0))
     _, merit = flown("unknown_residual_constant", SEED, SHORT_DAYS)
     assert merit.longest_inhibited_h > 0.5

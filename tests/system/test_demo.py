@@ -1,4 +1,4 @@
-"""``soo demo`` as a user starts it, shortened: the craft is kept, its rows are kept and replay to the last bit."""
+"""``soo demo`` as a user starts it, shortened: the spacecraft is kept, its rows are kept and replay to the last bit."""
 
 import csv
 import json
@@ -97,7 +97,7 @@ def test_the_kept_database_serves_exports_and_replays(kept, start_service, compi
         carriers = client.get(f"/api/v1/spacecraft/{known}/carriers").json()["carriers"]
         newest = client.get(f"/api/v1/spacecraft/{known}/status").json()["newest_measurement"]
         alignment = client.get(f"/api/v1/spacecraft/{known}/alignments").json()["rows"][0]["epoch"]
-    # what the craft said of its loop, and nothing besides
+    # what the spacecraft said of its loop, and nothing besides
     reported = record["onboard"]["fed_forward_torque"]
     sizes = [abs(reported[part][axis]) for part in ("cosine_n_m", "sine_n_m") for axis in ("yaw", "roll", "pitch")]
     assert 1e-6 < max(sizes) < 2e-5, "the Sun's light"

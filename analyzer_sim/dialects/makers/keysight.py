@@ -142,7 +142,7 @@ def _initiate_spectrum(call: Call) -> None:
 
 
 def _restart(call: Call) -> None:
-    """Begin anew: a single sweep when it does not sweep without end."""
+    """Begin again: a single sweep when it does not sweep without end."""
     call.instrument.abort()
     call.instrument.invalidate()
     if not call.instrument.settings.is_continuous:

@@ -31,7 +31,7 @@ def storm(fault: Storm, effects: Effects, rng: np.random.Generator) -> None:
 
 
 def relevel(fault: Relevel, effects: Effects, rng: np.random.Generator) -> None:
-    """Set every user's level anew."""
+    """Set every user's level again."""
     after, users = effects.hours >= fault.start_h, effects.plan.users
     effects.level_db[np.ix_(after, np.array(users))] += fault.sigma_db * rng.normal(size=len(users))
     effects.add_flag(after, users, FaultFlag.STEP)
@@ -62,7 +62,7 @@ def eclipse(fault: Eclipse, effects: Effects, rng: np.random.Generator) -> None:
 
 
 def cooling(hours: FloatArray, start_h: float, duration_h: float, tau_h: float) -> FloatArray:
-    """Return how far (T,) the craft has cooled: 0 in sunlight, towards 1 in the shadow, back with the same time."""
+    """Return how far (T,) the spacecraft has cooled: 0 in sunlight, towards 1 in shadow, back with the same time."""
     inside_h = np.clip(hours - start_h, 0.0, duration_h)
     after_h = np.maximum(0.0, hours - start_h - duration_h)
     share = -np.expm1(-inside_h / tau_h) * np.exp(-after_h / tau_h)

@@ -36,7 +36,8 @@ from analyzer_sim.world.world import World
 
 #: rows that one hold of the ground port spans
 ROWS_PER_CHUNK = 60
-#: lines that are not told where torques are flown: nobody flies corrections, and the craft has telemetry of its own
+#: lines that are not told where torques are flown: nobody flies corrections, and the spacecraft has telemetry of its
+#: own
 _NOT_FLOWN = {"corrections", "telemetry"}
 
 
@@ -147,7 +148,7 @@ def reported_lines(world: World, first: int, last: int) -> Iterator[Line]:
 
 
 def flown_lines(world: World, first: int, last: int) -> Iterator[Line]:
-    """Yield what the ground is told with the rows first..last where torques are flown: all that the craft does not."""
+    """Yield what the ground is told with the rows first..last where torques are flown, without the reports on board."""
     yield from (line for line in reported_lines(world, first, last) if line["kind"] not in _NOT_FLOWN)
 
 

@@ -6,7 +6,7 @@ once it has forwarded them; only then may the world be swept up to that epoch. A
 A client that comes back receives the catalogue and resumes at the first chunk it has not confirmed. A line that is not
 understood is answered with `{"kind":"error",...}` and changes nothing. One client holds the port at a time.
 
-Where a craft is flown nobody knows its attitude beforehand: a chunk of operation ends with its only row that is
+Where a spacecraft is flown nobody knows its attitude beforehand: a chunk of operation ends with its only row that is
 measured, and telemetry and truth of its rows follow once it has been swept.
 """
 
@@ -30,10 +30,10 @@ _POLL_S = 0.2
 
 
 class Flight(Protocol):
-    """A craft that is flown."""
+    """A spacecraft that is flown."""
 
     def listen(self, listener: Callable[[int, list[dict[str, Any]]], None]) -> None:
-        """Let somebody hear the epoch of each row to which the craft has flown."""
+        """Let somebody hear the epoch of each row to which the spacecraft has flown."""
         ...
 
     def reported_after(self, first: int, last: int) -> Iterator[dict[str, Any]]:

@@ -1,9 +1,9 @@
 """Loop on board that takes angles from the ground: the second way of control of the paper.
 
-The craft carries its angles on with the rate that its own torques have given and a bias that it learns; each product
-of the ground corrects both, at the epoch for which it is told. Products are taken once, in the order of their counters,
-and never after their end. Older than the age limit, the newest one is no longer acted on: the loop holds, it takes away
-the rate that it knows of and nothing else, and goes on with the next product.
+The spacecraft carries its angles on with the rate that its own torques have given and a bias that it learns; each
+product of the ground corrects both, at the epoch for which it is told. Products are taken once, in the order of their
+counters, and never after their end. Older than the age limit, the newest one is no longer acted on: the loop holds, it
+takes away the rate that it knows of and nothing else, and goes on with the next product.
 """
 
 import math

@@ -1,8 +1,8 @@
 """Disturbance: what moves the body in closed loop beside the commanded torques.
 
-The light of the Sun turns the craft by some 1e-5 N m that go round once a day; 95 % of it is known on board and fed
-forward, the rest acts. Roll and pitch are a quarter of a day apart, so that one of them is always pushed:
-left alone from rest the craft leaves 0.3 deg in one to two hours. A story may have another torque in place of this
+The light of the Sun turns the spacecraft by some 1e-5 N m that go round once a day; 95 % of it is known on board and
+fed forward, the rest acts. Roll and pitch are a quarter of a day apart, so that one of them is always pushed:
+left alone from rest the spacecraft leaves 0.3 deg in one to two hours. A story may have another torque in place of this
 rest: a constant or a daily wave of which nobody knows. The drift of the inertial model is that of the story.
 """
 

@@ -7,9 +7,9 @@ The loop holds a reference rate, tick by tick:
     w_m    = w - e - d,        J e' = T_external - T_fed
 
 ``w_m`` is the rate of the inertial model: it knows neither the external torque that is not fed forward (whose rate is
-e) nor its own drift d, so both move the craft although the loop is closed: this is what the ground has to take away.
-Held against a fixed inertial rate, roll and yaw exchange at the orbital rate; a mode that follows the orbit turns its
-reference with the body. Simplification: stored momentum and rate are known when w x (J w + h) is taken
+e) nor its own drift d, so both move the spacecraft although the loop is closed: this is what the ground has to take
+away. Held against a fixed inertial rate, roll and yaw exchange at the orbital rate; a mode that follows the orbit
+turns its reference with the body. Simplification: stored momentum and rate are known when w x (J w + h) is taken
 away; what is left of it would be taken by the feedback.
 """
 
@@ -41,7 +41,7 @@ _ZERO = (0.0, 0.0, 0.0)
 
 @dataclass(slots=True)
 class OrbitalFrameSpacecraft:
-    """A craft in flight; vectors about x roll, y pitch, z yaw unless said otherwise."""
+    """A spacecraft in flight; vectors about x roll, y pitch, z yaw unless said otherwise."""
 
     inertia_kg_m2: Vector
     motion: Motion
@@ -147,7 +147,7 @@ class OrbitalFrameSpacecraft:
 def spacecraft_at_rest(
     inertia_kg_m2: Vector, attitude_deg: Triple, wheels: Sequence[Wheel], *, is_coupled: bool = True
 ) -> OrbitalFrameSpacecraft:
-    """Return a craft whose loop has settled at an attitude, yaw, roll, pitch."""
+    """Return a spacecraft whose loop has settled at an attitude, yaw, roll, pitch."""
     yaw, roll, pitch = (math.radians(angle) for angle in attitude_deg)
     flown = OrbitalFrameSpacecraft(
         inertia_kg_m2, Motion(0.0, 0.0, 0.0, roll, pitch, yaw), wheels, is_coupled=is_coupled

@@ -1,11 +1,11 @@
-"""Attitude of the craft in truth.
+"""Attitude of the spacecraft in truth.
 
     roll' = w0 yaw + d_roll + (1 + s_roll) u_roll      d = drift of the inertial model, u = commanded correction
     yaw'  = -w0 roll + d_yaw + (1 + s_yaw) u_yaw       s = relative error of the effect of a correction
     pitch' = d_pitch + (1 + s_pitch) u_pitch
 
 holds in `operation`, where the ground knows `u` and nothing else. Before it the star tracker closes the loop on board:
-the craft follows the timetable within a small limit cycle. Angles in deg, rates in deg/h, order yaw, roll, pitch.
+the spacecraft follows the timetable within a small limit cycle. Angles in deg, rates in deg/h, order yaw, roll, pitch.
 """
 
 from dataclasses import dataclass
@@ -120,7 +120,7 @@ def _noise_series(
 def _free_flight(
     scenario: Scenario, seed: int, epochs_us: EpochArray, start_deg: FloatArray
 ) -> tuple[FloatArray, tuple[Correction, ...]]:
-    """Fly the operation phase: the ground commands piece by piece, the craft drifts in between."""
+    """Fly the operation phase: the ground commands piece by piece, the spacecraft drifts in between."""
     figures, count, step_s = scenario.keeping, len(epochs_us), scenario.row_period_s
     holds = holds_of(scenario.manoeuvres, seed, scenario.operation_h)
     hours = np.asarray(np.arange(count + 1) * step_s / 3600.0, dtype=np.float64)

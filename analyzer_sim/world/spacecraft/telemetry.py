@@ -1,4 +1,4 @@
-"""Telemetry: what the craft says about itself once an hour: on-board mode, wheel momentum, thrusters.
+"""Telemetry: what the spacecraft says about itself once an hour: on-board mode, wheel momentum, thrusters.
 
     roll  h = a cos(w0 t + p)      what the Sun gives and takes in a day
     yaw   h = a sin(w0 t + p)

@@ -1,4 +1,4 @@
-"""Uplink: the way of a schedule to the craft, and what the craft makes of it.
+"""Uplink: the way of a schedule to the spacecraft, and what the spacecraft makes of it.
 
 A command arrives some time after it was sent, is lost, or arrives twice; what becomes of the n-th one is drawn from a
 stream of its own. On board, in this order:
@@ -65,7 +65,7 @@ class Command(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """A command at the craft."""
+    """A command at the spacecraft."""
 
     received_us: int
     command: Command
@@ -74,7 +74,7 @@ class Arrival(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What the craft tells of a command."""
+    """What the spacecraft tells of a command."""
 
     reported_us: int
     counter: int

@@ -77,7 +77,7 @@ def unshelve_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: C
 
 @router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
 def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
-    """Close the alarm; a condition that still stands alarms anew after its time."""
+    """Close the alarm; a condition that still stands alarms again after its time."""
     return _reported(context, context.alarms.clear(alarm_id, principal.name, body.comment))
 
 

@@ -73,7 +73,7 @@ def disable_link(link_id: LinkId, context: Context) -> LinkAnswer:
 
 @router.post("/{link_id}:reset", dependencies=[MAY_OPERATE])
 def reset_link(link_id: LinkId, context: Context) -> LinkAnswer:
-    """Ask a link to zero its counters and to begin anew."""
+    """Ask a link to zero its counters and to begin again."""
     state = context.storage.links.request_reset(link_id)
     return link_answers(context, [state])[0]
 

@@ -130,6 +130,6 @@ def _check_ground_control(document: SpacecraftDocument) -> None:
     if document.lacks_fast_loop:
         detail = (
             "mode ground needs onboard.fast_loop and onboard.forecast_mode; without a fast loop 1 N m s of stored "
-            "momentum alone turns the craft 0.3 deg in ten minutes"
+            "momentum alone turns the spacecraft 0.3 deg in ten minutes"
         )
         raise invalid_request([FieldError("/control/mode", "control.no_fast_loop", detail)])

@@ -22,7 +22,7 @@ class Turns(StrEnum):
 
     NONE = "none"
     STANDARD = "standard"
-    #: yaw to 1 deg, where the craft allows it
+    #: yaw to 1 deg, where the spacecraft allows it
     FAR_YAW = "far_yaw"
 
 

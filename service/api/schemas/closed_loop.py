@@ -204,7 +204,7 @@ _NOMINAL_TENSOR = ((_J.xx, _J.xy, _J.xz), (_J.xy, _J.yy, _J.yz), (_J.xz, _J.yz, 
 
 
 class ClosedLoopDocument(Document):
-    """A craft in a circular orbit, its control, and how it starts."""
+    """A spacecraft in a circular orbit, its control, and how it starts."""
 
     inertia_kg_m2: Annotated[InertiaTensor, AfterValidator(_bounded)] = _NOMINAL_TENSOR
     """Tensor elements; x roll, y pitch, z yaw of the model."""
@@ -217,7 +217,7 @@ class ClosedLoopDocument(Document):
     wheels: FlownWheelsDocument | None = FlownWheelsDocument()
     """Null: give what they are told."""
     tones: TonesDocument | None = TonesDocument()
-    """Null: a rigid craft."""
+    """Null: a rigid spacecraft."""
     has_gravity_torque: bool = True
     steps: Annotated[int, Field(ge=1, le=16)] = 1
     """Runge-Kutta steps a period of the computer."""

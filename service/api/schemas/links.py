@@ -102,7 +102,7 @@ class LinkWishAnswer(Answer):
     id: str
     enabled: bool
     reset: int
-    """How many resets were asked for; a link that has seen fewer begins anew."""
+    """How many resets were asked for; a link that has seen fewer begins again."""
 
 
 class LinkWishesAnswer(Answer):

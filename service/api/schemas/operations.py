@@ -29,7 +29,7 @@ OperationKind = Literal[
     "calibration_turn",
     "other",
 ]
-#: kinds that turn the craft or blind the station: they stop control unless it is said otherwise
+#: kinds that turn the spacecraft or blind the station: they stop control unless it is said otherwise
 INHIBITING_KINDS = frozenset({"station_keeping", "momentum_unloading", "receive_chain_work", "calibration_turn"})
 Names = Annotated[tuple[Name, ...], Field(min_length=1, max_length=512)]
 

@@ -27,7 +27,7 @@ class PrepareDocument(Document):
     duration_s: Annotated[float, Field(gt=0, le=86_400)] | None = None
     """From the first pulse to the end of the last; null: the forecast horizon of the spacecraft's control."""
     max_torque_n_m: Annotated[float, Field(gt=0, le=1e3)] | None = None
-    """No pulse is stronger; null: the limit of the craft and its wheels."""
+    """No pulse is stronger; null: the limit of the spacecraft and its wheels."""
     dry_run: bool = False
     """True: nothing is stored, and checks that fail are told instead of refused."""
 

@@ -1,9 +1,9 @@
 """The pulses of one command: a slew that ends without a rate, then rare pulses against a torque that is known.
 
-A craft behind a link cannot be asked again at once, so a command holds for its whole horizon: the slew of
-`tracking.tracking_request` within its first part, and from there on pulses that hold the craft where the slew has left
-it. What is too much for the envelope is asked for in smaller steps: first the horizon becomes shorter, then the slew.
-Nothing is cut afterwards. Order everywhere: yaw, roll, pitch.
+A spacecraft behind a link cannot be asked again at once, so a command holds for its whole horizon: the slew of
+`tracking.tracking_request` within its first part, and from there on pulses that hold the spacecraft where the slew has
+left it. What is too much for the envelope is asked for in smaller steps: first the horizon becomes shorter, then the
+slew. Nothing is cut afterwards. Order everywhere: yaw, roll, pitch.
 """
 
 import math
@@ -26,7 +26,7 @@ _YAW_COUNTS_DEG = 0.3
 
 
 class Situation(NamedTuple):
-    """The craft when the command begins; (3,) each."""
+    """The spacecraft when the command begins; (3,) each."""
 
     attitude_deg: FloatArray
     rates_deg_s: FloatArray
@@ -91,8 +91,8 @@ def plan_command(
 
     Notes
     -----
-    When the slew ends the craft has no rate and the torque has been balanced until then; after each slice angle and
-    rate are back, but for what the shortest pulse cannot express, which the next slice takes.
+    When the slew ends the spacecraft has no rate and the torque has been balanced until then; after each slice angle
+    and rate are back, but for what the shortest pulse cannot express, which the next slice takes.
     """
     request = _request_of(gains, situation, forecast)
     counts = np.array([abs(situation.attitude_deg[0]) > _YAW_COUNTS_DEG, True, True])
@@ -164,7 +164,7 @@ def _bounds(
     """Return the least and greatest change of the slew (3,), rad, with which a command keeps to the envelope.
 
     With x = change over the time between its pulses, the first one gives the rate x - rate, the second one takes x;
-    until the horizon ends they turn the craft by change - rate * horizon, the slices by their own part.
+    until the horizon ends they turn the spacecraft by change - rate * horizon, the slices by their own part.
     """
     apart_s = (1.0 - LONGEST_SHARE) * forecast.slew_s
     horizon_s = forecast.slew_s + slices * forecast.slice_s

@@ -1,6 +1,6 @@
 """The gyro-orbitant law in the service's axes: roll and pitch measured, yaw taken from the roll rate.
 
-A craft that follows its orbit turns once a revolution about the orbit normal; when it is turned by yaw, a part
+A spacecraft that follows its orbit turns once a revolution about the orbit normal; when it is turned by yaw, a part
 ``-w0 yaw`` of that rate shows about its roll axis. Its rate sensor therefore tells yaw where nothing else does. The
 law is that of ``core/dynamics`` (axes: z up, y along the orbit normal); the service has z nadir and y South, half
 a turn about x: roll stays, pitch and yaw change sign, and so do their torques and rates.
@@ -58,10 +58,10 @@ def gyro_orbitant_torque(
 
 
 def does_rate_show_yaw(body_rate_deg_s: FloatArray, orbital_rate_rad_s: float) -> bool:
-    """Whether rates (3,) are within the law: |c| <= 1, and the craft turns with its orbit, not against it.
+    """Whether rates (3,) are within the law: |c| <= 1, and the spacecraft turns with its orbit, not against it.
 
-    Beyond, the guarded law takes any yaw for 45 degrees of half-angle: a craft that is not near its frame, or a sensor
-    that does not measure against inertial space. From the ground that is no ground for a torque.
+    Beyond, the guarded law takes any yaw for 45 degrees of half-angle: a spacecraft that is not near its frame, or a
+    sensor that does not measure against inertial space. From the ground that is no ground for a torque.
 
     Examples
     --------

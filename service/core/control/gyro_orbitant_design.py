@@ -1,4 +1,4 @@
-"""Gains of the gyro-orbitant law that a craft commanded from the ground can have: they settle and do not saturate.
+"""Gains of the gyro-orbitant law that a spacecraft commanded from the ground can have: they settle and do not saturate.
 
 Near zero attitude the law is linear, with p the rates against inertial space less that of the orbit:
 
@@ -47,7 +47,7 @@ def gyro_orbitant_law(
     command_period_s : float, s
         Time between commands.
     orbital_rate_rad_s : float, rad/s
-        Of the craft.
+        Of the spacecraft.
 
     Raises
     ------

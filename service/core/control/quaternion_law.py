@@ -1,6 +1,6 @@
-"""Attitude control law by quaternion error, for a craft whose roll and yaw exchange at the orbital rate.
+"""Attitude control law by quaternion error, for a spacecraft whose roll and yaw exchange at the orbital rate.
 
-The angles of a craft that an inertial loop holds and that follows its orbit move as
+The angles of a spacecraft that an inertial loop holds and that follows its orbit move as
 
     yaw' = -w0 roll + v_yaw      roll' = w0 yaw + v_roll      pitch' = v_pitch      I v' = u + d
 

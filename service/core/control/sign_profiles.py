@@ -1,8 +1,8 @@
 """Turns by which the sign of each axis is proven, small enough that a wrong sign loses less than a tenth of a degree.
 
-Roll and pitch swing as far to one side as to the other: the powers see the whole swing, the craft leaves its attitude
-by half of it, whatever the sign. Yaw hardly shows in the powers; held to one side and then to the other it makes roll
-rise and fall, ``roll' = w0 yaw``.
+Roll and pitch swing as far to one side as to the other: the powers see the whole swing, the spacecraft leaves its
+attitude by half of it, whatever the sign. Yaw hardly shows in the powers; held to one side and then to the other it
+makes roll rise and fall, ``roll' = w0 yaw``.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,8 @@
-"""Slews as pairs of pulses: one that gives the rate, one that takes it away; and what a schedule does to the craft.
+"""Slews as pairs of pulses, one that gives the rate and one that removes it; effect of a schedule on the spacecraft.
 
-A craft that is stopped in the middle of a slew keeps its rate until somebody takes it; each slew therefore carries
+A spacecraft that is stopped in the middle of a slew keeps its rate until somebody takes it; each slew therefore carries
 the pulse that nulls its rate, and both are sent together. A pulse of impulse J (N m s) acts as a step of the rate in
-its middle; two pulses a time T apart turn the craft by ``I^-1 J T``. Order everywhere: yaw, roll, pitch.
+its middle; two pulses a time T apart turn the spacecraft by ``I^-1 J T``. Order everywhere: yaw, roll, pitch.
 """
 
 import math
@@ -77,14 +77,14 @@ class Effect(NamedTuple):
 def plan_slew(
     angle_change_deg: ArrayLike, rate_deg_s: ArrayLike, inertia_kg_m2: FloatArray, horizon_s: float, drive: Drive
 ) -> tuple[AxisPulse, ...]:
-    """Return the pulses that turn a craft by some angles within a time and leave it without a rate.
+    """Return the pulses that turn a spacecraft by some angles within a time and leave it without a rate.
 
     Parameters
     ----------
     angle_change_deg : array_like, shape (3,), deg
         Wanted change of yaw, roll, pitch.
     rate_deg_s : array_like, shape (3,), deg/s
-        Rate that the craft has and shall lose.
+        Rate that the spacecraft has and shall lose.
     inertia_kg_m2 : ndarray, shape (3, 3), kg m^2
         Tensor in the order yaw, roll, pitch (`quaternion_law.inertia_about_angles`).
     horizon_s : float, s

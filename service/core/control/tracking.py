@@ -2,8 +2,8 @@
 
 A pair of pulses cannot follow a torque that changes; it sails at one rate and stops. Over a time T it therefore takes
 the share ``1 - exp(-w T / 2 z)`` of the error, w = 2 pi / period, z damping: the slow motion of the law's oscillator,
-which for T towards zero is its steady approach ``w / 2 z`` and never overshoots. After the slew the craft stands where
-roll and yaw exchange at the orbital rate; the rate that holds it there is left to it.
+which for T towards zero is its steady approach ``w / 2 z`` and never overshoots. After the slew the spacecraft stands
+where roll and yaw exchange at the orbital rate; the rate that holds it there is left to it.
 """
 
 import math
@@ -73,7 +73,8 @@ def tracking_request(
     error_deg = np.where(np.abs(error_deg) < least_deg, 0.0, error_deg)
     share = 1.0 - math.exp(-gains.stiffness_1_s2 / gains.friction_1_s * horizon_s)
     change_deg = -share * error_deg + 0.0
-    # of the present rate, that which holds the craft where it stands turns into that which holds it where it will be
+    # of the present rate, that which holds the spacecraft where it stands turns into that which holds it where it will
+    # be
     yaw_deg, roll_deg, _ = change_deg.tolist()
     exchanged_deg_s = gains.orbital_rate_rad_s * np.array([-roll_deg, yaw_deg, 0.0])
     pushed_deg_s = np.degrees(np.linalg.solve(gains.inertia_kg_m2, given[3])) * horizon_s / 2.0

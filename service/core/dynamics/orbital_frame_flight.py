@@ -1,4 +1,4 @@
-"""Flights of the craft in the orbital frame: start, seeded noise, record in degrees, figures of merit."""
+"""Flights of the spacecraft in the orbital frame: start, seeded noise, record in degrees, figures of merit."""
 
 import math
 from typing import NamedTuple
@@ -69,7 +69,7 @@ def fly_spacecraft(
     Raises
     ------
     ValueError
-        The craft cannot be, the duration is none, or a roll rate above sqrt(2) of the orbital one left the printed
+        The spacecraft cannot be, the duration is none, or a roll rate above sqrt(2) of the orbital one left the printed
         law without a yaw (its nu0 is imaginary); the text says which and what to do.
     """
     wrong = refusals(spacecraft)
@@ -179,8 +179,8 @@ def trimmed_correction_rad_s(
 ) -> float:
     """Return the correction of the measured yaw rate that brings the mean yaw to zero, by the secant rule.
 
-    What an operator does over some orbits: friction of the yaw wheel turns the craft, and the yaw rate's zero is moved
-    until it no longer does. The flight lasts two orbits beside its transient, over which the mean is taken.
+    What an operator does over some orbits: friction of the yaw wheel turns the spacecraft, and the yaw rate's zero is
+    moved until it no longer does. The flight lasts two orbits beside its transient, over which the mean is taken.
     """
     tried: list[tuple[float, float]] = []
     correction = 0.0

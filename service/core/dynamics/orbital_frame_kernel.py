@@ -1,4 +1,4 @@
-"""Flight of the craft in the orbital frame, period by period of its computer; one source, compiled or plain.
+"""Flight of the spacecraft in the orbital frame, period by period of its computer; one source, compiled or plain.
 
 The law of this file: what numba compiles without help. Order within a period: sensors are sampled, the computer
 computes, rounds and holds; wheels and body then move in Runge-Kutta steps over which the wheels' momentum is linear.

@@ -20,7 +20,7 @@ Triple = tuple[float, float, float]
 
 
 class Inertia(NamedTuple):
-    """Inertia tensor of the craft, kg m^2; products are tensor elements."""
+    """Inertia tensor of the spacecraft, kg m^2; products are tensor elements."""
 
     xx: float = 8000.0
     yy: float = 6000.0
@@ -150,7 +150,7 @@ _IDEAL = OrbitalFrameSpacecraft(
 def rigid_spacecraft(
     gains: OrbitalFrameGains = MAX_GAINS, inertia: Inertia | None = None, *, is_sampled: bool = False, steps: int = 1
 ) -> OrbitalFrameSpacecraft:
-    """Return a craft of ideal components: continuous, or with the computer's period and quantum."""
+    """Return a spacecraft of ideal components: continuous, or with the computer's period and quantum."""
     return _IDEAL._replace(
         inertia=Inertia() if inertia is None else inertia,
         law=Law(gains=gains),

@@ -1,4 +1,4 @@
-"""Equations of the craft in the orbital frame, in scalars, so that one source serves the compiler and Python alike.
+"""Equations of the spacecraft in the orbital frame, in scalars: one source serves the compiler and Python.
 
     dk/dt = k x w + M_gg     w = J^-1 (k - H)     dH/dt = -u     dq/dt = 1/2 q o (0, w - conj(q) o w0 o q)
     M_gg  = 3 w0^2 r x (J r),  r the third column of A, the matrix from the orbital to the body frame
@@ -75,8 +75,8 @@ def tilt(state: State) -> tuple[float, float]:
 def half_angles(law: Law, roll_rad: float, pitch_rad: float, rate: Triple) -> tuple[float, float, float, float]:
     """Return the quaternion that the law takes for the attitude, scalar first; unit length, NaN where it has none.
 
-    The tilt is measured, the yaw comes from the roll rate: a craft that is turned by yaw while it follows the orbit
-    rolls at w0 sin(yaw). The tilt's form is the paper's, exact to 1e-7 within the sensor's zone; from a tilt of
+    The tilt is measured, the yaw comes from the roll rate: a spacecraft that is turned by yaw while it follows the
+    orbit rolls at w0 sin(yaw). The tilt's form is the paper's, exact to 1e-7 within the sensor's zone; from a tilt of
     sqrt(8) rad on, where the form is that of a half turn, it stays one.
     """
     size = roll_rad * roll_rad + pitch_rad * pitch_rad

@@ -1,7 +1,7 @@
 """Which turns a calibration wants: every axis to both sides in steps, then the corners of all octants.
 
-The law of this file: the craft returns to zero between the axes, so that slow changes of the users' levels are seen
-apart from its turns, and consecutive corners differ in one sign, so that no slew is longer than it must be.
+The law of this file: the spacecraft returns to zero between the axes, so that slow changes of the users' levels are
+seen apart from its turns, and consecutive corners differ in one sign, so that no slew is longer than it must be.
 """
 
 from typing import NamedTuple
@@ -11,7 +11,7 @@ TURN_LEVELS_DEG = (0.125, 0.25, 0.375, 0.5)
 TURN_CORNER_DEG = 0.3
 TURN_MINUTES = 15.0
 REST_MINUTES = 10.0
-#: deg, yaw is turned this far where the craft allows it: it is eight times less visible.
+#: deg, yaw is turned this far where the spacecraft allows it: it is eight times less visible.
 FAR_YAW_DEG = 1.0
 
 
@@ -28,7 +28,7 @@ def recommended_turns(*, far_yaw: bool = False) -> tuple[TurnLevel, ...]:
     Parameters
     ----------
     far_yaw : bool
-        The craft may turn 1 deg about yaw; the yaw levels are then doubled.
+        The spacecraft may turn 1 deg about yaw; the yaw levels are then doubled.
 
     Returns
     -------

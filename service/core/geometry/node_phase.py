@@ -74,7 +74,7 @@ def node_phase_rad(epoch_us: IntArray, nodes_us: IntArray, nodal_period_s: float
     -------
     ndarray, shape (T,), rad
         In [0, 2 pi). All NaN without nodes or without a positive period: a phase that is not known is absent. Where the
-        interval between two listed nodes is longer than the period, the phase starts anew at the end of the period.
+        interval between two listed nodes is longer than the period, the phase starts again at the end of the period.
 
     References
     ----------

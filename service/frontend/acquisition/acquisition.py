@@ -165,7 +165,7 @@ class Acquisition:
         return AcquisitionEvent.OK
 
     def _follow(self, event: AcquisitionEvent) -> None:
-        """Carry out an order: whatever it is, the session is closed and waiting times begin anew."""
+        """Carry out an order: whatever it is, the session is closed and waiting times begin again."""
         logger.info("%s: %s by an operator", self._settings.resource, event.name)
         if event is AcquisitionEvent.RESET:
             self.counters.resets += 1

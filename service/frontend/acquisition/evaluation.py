@@ -91,7 +91,7 @@ class SweepEvaluation:
         return np.asarray(power.centroid_hz - self._center_hz - self._path.freq_offset_hz, dtype=np.float64)
 
     def _weights_of(self, settings: SweepSettings) -> BandWeights:
-        """Return the weights of these settings, made anew when the analyzer states others."""
+        """Return the weights of these settings, made again when the analyzer states others."""
         if self._weights is None or settings != self._settings:
             bands = self._bands(settings)
             grid = TraceGrid(

@@ -1,4 +1,4 @@
-"""What an operator wants of an acquisition, told from another thread: rest, go on, begin anew.
+"""What an operator wants of an acquisition, told from another thread: rest, go on, begin again.
 
 Law of this file: an order is taken once, between two actions; a wait ends as soon as there is one.
 """
@@ -42,7 +42,7 @@ class AcquisitionOrders:
             self._is_enabled, self._resets_wanted = is_enabled, resets
 
     def reset(self) -> None:
-        """Begin anew, whoever wants it."""
+        """Begin again, whoever wants it."""
         with self._lock:
             self._is_reset_here = True
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 
 from service.frontend.acquisition.states import AcquisitionState
 
-#: periods without a good row after which the session is opened anew
+#: periods without a good row after which the session is opened again
 WATCHDOG_PERIODS = 3.0
 
 
@@ -38,7 +38,7 @@ class AcquisitionCounters:
     overruns: int = 0
     #: settings found changed by somebody else, and restored
     foreign_changes: int = 0
-    #: sessions opened anew because no good row had come for three periods
+    #: sessions opened again because no good row had come for three periods
     watchdog: int = 0
     #: jumps of the clock that stamps the rows
     clock_jumps: int = 0

@@ -387,7 +387,7 @@ class Spool:
             self._board.put_up(codes.AGED, f"{totals['aged']} rows given up after {days:g} days", self._now_us())
 
     def _ready(self) -> SpoolFile:
-        """Return the file; in one that was opened anew, what is overdue is hidden again."""
+        """Return the file; in one that was opened again, what is overdue is hidden again."""
         file = self._disk.ready()
         if file is not self._known:
             file.hide(epoch_us for each in self._overdue for epoch_us in each.epochs_us)

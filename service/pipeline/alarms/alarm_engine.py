@@ -108,7 +108,7 @@ class AlarmEngine:
         return self._context
 
     def watches(self) -> tuple[WatchMemory, ...]:
-        """Return what is watched, for the next start; newest values are told anew by the next row."""
+        """Return what is watched, for the next start; newest values are told again by the next row."""
         fresh = ValueMemory()
         return tuple(
             WatchMemory(condition, thing, replace(watch, value=fresh.value, newest_us=fresh.newest_us))
@@ -200,7 +200,7 @@ class AlarmEngine:
         return self._uncover(self._open[key], handling.at_us, handling)
 
     def clear(self, key: Key, handling: Handling) -> AlarmChange:
-        """Close an alarm; a condition that still stands is watched anew."""
+        """Close an alarm; a condition that still stands is watched again."""
         self._watches[key[0]].pop(key[1], None)
         alarm = self._open[key]
         return self._put(ChangeKind.CLEARED, alarm, steps.cleared(alarm, handling), handling.at_us, handling)

@@ -1,7 +1,7 @@
 """One watched value: debounce on the way in, deadband and debounce on the way out.
 
 Time is that of the epochs told, so the same values at the same epochs lead to the same verdicts. A value that is not
-known (NaN) says nothing: what was about to alarm begins anew, what stands goes on standing.
+known (NaN) says nothing: what was about to alarm begins again, what stands goes on standing.
 """
 
 import math

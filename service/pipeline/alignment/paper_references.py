@@ -1,7 +1,7 @@
 """Reference powers of the paper method: the mean of a carrier's power over the window, brought to zero attitude.
 
-Harmonic and calibrated change at the sensors' angles are removed from every row, so that the craft need not stand at
-zero when it is aligned: the angles of the sensors are the initial setting, as published.
+Harmonic and calibrated change at the sensors' angles are removed from every row, so that the spacecraft need not stand
+at zero when it is aligned: the angles of the sensors are the initial setting, as published.
 
 Powers that tell of other angles than the stated ones are reported with a probability; the caller refuses.
 """

@@ -50,7 +50,7 @@ class MethodRunner(Protocol):
         ...
 
     def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:
-        """Take in a slow input that concerns the motion of the craft."""
+        """Take in a slow input that concerns the motion of the spacecraft."""
         ...
 
     def start(self, knowledge: Knowledge) -> None:

@@ -1,9 +1,10 @@
 """Planning: the carriers that two rules choose from what is known of them, and what each set can see.
 
-Known are sensitivities and noise, from a calibration or assumed for a craft that was never calibrated (assumed_beams).
-The rule ``optimal`` is the weighted A-optimal choice for the robust method; ``paper`` takes for each axis the carriers
-that answer mostly to it and asks for stable, linear ones. Both are judged by the same figures, beside the set of all
-usable carriers. Nothing is read or kept here; every carrier is told why it was chosen or left out.
+Known are sensitivities and noise, from a calibration or assumed for a spacecraft that was never calibrated
+(assumed_beams). The rule ``optimal`` is the weighted A-optimal choice for the robust method; ``paper`` takes for each
+axis the carriers that answer mostly to it and asks for stable, linear ones. Both are judged by the same figures,
+beside the set of all usable carriers. Nothing is read or kept here; every carrier is told why it was chosen or left
+out.
 """
 
 import math

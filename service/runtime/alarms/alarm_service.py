@@ -275,7 +275,7 @@ class AlarmService:
             self._notices.offer(change)
 
     def _is_on_duty(self) -> bool:
-        """Return whether this service leads; what another one may have changed meanwhile is read anew."""
+        """Return whether this service leads; what another one may have changed meanwhile is read again."""
         turn = self._turn()
         if turn == 0 or turn != self._served_turn:
             self._persisted_by_id.clear()
@@ -298,7 +298,7 @@ class AlarmService:
 
     @contextmanager
     def _guarded(self, spacecraft_id: str | None) -> Iterator[None]:
-        """Go on after a fault: changes wait while the archive is away; after any other fault it is read anew."""
+        """Go on after a fault: changes wait while the archive is away; after any other fault it is read again."""
         try:
             yield
         except StorageError as error:

@@ -2,7 +2,7 @@
 
 One thread asks for the lease again and again, so that a service takes over within about a second of the end of the one
 that had it. Each time it is taken counts as a turn: what was worked out in an earlier turn may be out of date and is
-read from the archive anew.
+read from the archive again.
 """
 
 import logging

@@ -1,11 +1,11 @@
-"""Controllers of the study: who decides what is sent to the craft, behind one small protocol.
+"""Controllers of the study: who decides what is sent to the spacecraft, behind one small protocol.
 
 ``automatic`` sends what the chain computes; ``truth`` applies the chain's law to the true state, the best that the law
 could do with perfect sensing; ``off`` sends nothing and has to fail.
 
-A craft behind a link must have its commands before they begin: they are released in two steps (`released.Releaser`), a
-lead time ahead and for a whole horizon. Over an ideal uplink there is no lead, and a command counts as applied from its
-epoch (release ``automatic``).
+A spacecraft behind a link must have its commands before they begin: they are released in two steps
+(`released.Releaser`), a lead time ahead and for a whole horizon. Over an ideal uplink there is no lead, and a command
+counts as applied from its epoch (release ``automatic``).
 """
 
 from dataclasses import dataclass, field, replace
@@ -26,7 +26,7 @@ from service.records.levels.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
 from service.study.closed_loop.released import Releaser
 
-#: the slowest way to the craft takes two minutes
+#: the slowest way to the spacecraft takes two minutes
 LEAD_S = 150.0
 
 
@@ -57,7 +57,7 @@ class Controller(Protocol):
         ...
 
     def on_input(self, reports: tuple[CommandReport, ...]) -> None:
-        """Take what the craft has told of commands."""
+        """Take what the spacecraft has told of commands."""
         ...
 
 
@@ -96,7 +96,7 @@ class ByChain:
         return ControllerOutput(schedule, not command.control_allowed, angles)
 
     def on_input(self, reports: tuple[CommandReport, ...]) -> None:
-        """Take what the craft has told of released commands."""
+        """Take what the spacecraft has told of released commands."""
         if self.release is not None:
             self.release.on_input(reports)
 

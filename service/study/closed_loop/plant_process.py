@@ -28,7 +28,7 @@ class PlantFailedError(Exception):
 
 
 class SpacecraftTruth(NamedTuple):
-    """State of the craft at one row; for the judge and for control with perfect sensing."""
+    """State of the spacecraft at one row; for the judge and for control with perfect sensing."""
 
     epoch_us: int
     attitude_deg: Axes
@@ -40,7 +40,7 @@ class SpacecraftTruth(NamedTuple):
 
 
 class CommandReport(NamedTuple):
-    """What the craft tells of a command."""
+    """What the spacecraft tells of a command."""
 
     counter: int
     #: executed, executing, replaced, repeated, late or refused

@@ -2,9 +2,9 @@
 
 Every command period, while nothing is inhibited, one command goes out for its whole horizon; beyond 0.4 deg of roll or
 pitch it is a person who releases it (RECOVERY), up to 0.6 deg. From its release to its
-report the chain takes its effect for uncertain. The report comes when the slew has been told by the craft, or when it
-should have been and was not: then nothing of it was executed, as far as anybody knows. What the craft executes
-afterwards, the pulses against the known torque, the chain hears of as it is told.
+report the chain takes its effect for uncertain. The report comes when the slew has been told by the spacecraft, or
+when it should have been and was not: then nothing of it was executed, as far as anybody knows. What the spacecraft
+executes afterwards, the pulses against the known torque, the chain hears of as it is told.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from service.study.closed_loop.plant_process import CommandReport
 
 #: a report that has not come so long after the end of the slew does not come any more, s
 _REPORT_TIMEOUT_S = 60.0
-#: up to which roll and pitch a person may bring back a craft that has left the range of automatic release, deg
+#: up to which roll and pitch a person may bring back a spacecraft that has left the range of automatic release, deg
 _RECOVERY_DEG = 0.6
 _EXECUTED = frozenset({"executed", "executing"})
 
@@ -53,7 +53,7 @@ class Released:
 
 @dataclass
 class Releaser:
-    """Who takes commands from the chain to the craft.
+    """Who takes commands from the chain to the spacecraft.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Releaser:
     spacecraft : Spacecraft
         Release in two steps.
     lead_s : float, s
-        The slowest way to the craft.
+        The slowest way to the spacecraft.
     config : TorqueConfig
         Of the chain.
     """
@@ -100,7 +100,7 @@ class Releaser:
         return command.schedule
 
     def on_input(self, reports: Sequence[CommandReport]) -> None:
-        """Tell the chain what the craft has told."""
+        """Tell the chain what the spacecraft has told."""
         for report in reports:
             for flying in self._flying:
                 if flying.counter == report.counter and report.state != "repeated":
@@ -130,7 +130,7 @@ class Releaser:
             self.chain.update(ReportedCommand(flying.counter, reported_us, executed))
 
     def _give_up(self, now_us: int) -> None:
-        """Report what the craft should have told and has not: nothing of it was executed."""
+        """Report what the spacecraft should have told and has not: nothing of it was executed."""
         for flying in list(self._flying):
             if not flying.is_reported and now_us >= flying.slew_stop_us + round(_REPORT_TIMEOUT_S * US_PER_S):
                 self._report(flying, (), now_us)

@@ -30,7 +30,7 @@ from service.study.estimation.flight.drive import UndrivenError, align, calibrat
 from service.study.estimation.flight.journal import JournalDocuments
 from service.study.estimation.flight.world import Ground
 
-#: what the craft tells of commands
+#: what the spacecraft tells of commands
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
 #: sigma of yaw up to which it is controlled, deg: half a day long yaw may be known to a quarter of a degree, and left
 #: alone it goes off by a degree in that time
@@ -77,7 +77,8 @@ class FlownRun:
     is_faded: BoolArray
     #: N m s, sum of the sizes of all impulses that were flown
     impulse_n_m_s: tuple[float, float, float]
-    #: commands sent, and how many the craft told to have executed, to have had before, to have got too late or refused
+    #: commands sent, and how many the spacecraft told to have executed, to have had before, to have got too late or
+    #: refused
     sent: int
     reported: dict[str, int]
 
@@ -139,8 +140,8 @@ def controller_of(unit: LoopUnit, ground: Ground, documents: JournalDocuments, p
 def flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
     """Return the catalogue's spacecraft under a way of release.
 
-    Over the link a craft whose torque is stated has commands as quick as delay, report and envelope allow; one whose
-    torque nobody knows has the defaults of the catalogue.
+    Over the link a spacecraft whose torque is stated has commands as quick as delay, report and envelope allow; one
+    whose torque nobody knows has the defaults of the catalogue.
     """
     control = replace(spacecraft.control, release=release)
     if release is Release.TWO_STEP and spacecraft.onboard.residual_torque_n_m is not None:

@@ -1,4 +1,4 @@
-"""What the control of the demonstration came to: the true attitude, what it cost, and the same craft left alone."""
+"""Result of the demonstration's control: the true attitude, what it cost, and the same spacecraft left alone."""
 
 from typing import Any, NamedTuple
 
@@ -14,12 +14,12 @@ from service.study.demonstration.merit import AXES
 #: what the true angles must keep in every run, and what 95 of 100 runs are to keep, deg
 TRUTH_BOUNDS_DEG = {"yaw": 0.5, "roll": 0.3, "pitch": 0.3}
 USUAL_BOUNDS_DEG = {"yaw": 0.4, "roll": 0.2, "pitch": 0.2}
-#: a craft that is left alone has left its bounds long before
+#: a spacecraft that is left alone has left its bounds long before
 _ALONE_DAYS = 0.5
 
 
 class FlightAlone(NamedTuple):
-    """The craft of a story without control; T rows."""
+    """The spacecraft of a story without control; T rows."""
 
     #: (T,) since operation began
     hours: FloatArray
@@ -47,7 +47,7 @@ def judge_control(story: Story, log: ControlLog, alone: FlightAlone) -> dict[str
     log : ControlLog
         What the control centre has done.
     alone : FlightAlone
-        The same craft without control.
+        The same spacecraft without control.
     """
     start_us = parse_epoch(story.phases["operation"][0])
     flown = np.array([angles for epoch_us, angles in sorted(story.truth_deg.items()) if epoch_us >= start_us])
@@ -65,7 +65,7 @@ def judge_control(story: Story, log: ControlLog, alone: FlightAlone) -> dict[str
 
 
 def fly_alone(scenario: str, seed: int, operation_days: float) -> FlightAlone:
-    """Fly the craft of a story without control.
+    """Fly the spacecraft of a story without control.
 
     Raises
     ------
@@ -85,10 +85,10 @@ def fly_alone(scenario: str, seed: int, operation_days: float) -> FlightAlone:
 
 
 def missed_control(loop: dict[str, Any] | None) -> list[str]:
-    """Return what a closed loop misses, in words; a craft that keeps its bounds without control proves nothing."""
+    """Return what a closed loop misses, in words; a spacecraft that keeps its bounds without control proves nothing."""
     if loop is None:
         return []
-    alone = [] if loop["control_off"]["missed"] else ["the craft keeps its bounds without control"]
+    alone = [] if loop["control_off"]["missed"] else ["the spacecraft keeps its bounds without control"]
     return [*loop["missed"], *alone]
 
 

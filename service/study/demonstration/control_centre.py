@@ -1,4 +1,4 @@
-"""Control centre of the demonstration: takes the service's commands to the craft, over the public interface alone.
+"""Control centre of the demonstration: takes the service's commands to the spacecraft, over the public interface alone.
 
 Release ``automatic``: the command of each row goes up as soon as it is computed, and counts as applied from its epoch.
 """
@@ -25,7 +25,7 @@ class SentCommand:
     """A command that went up."""
 
     schedule: list[Json]
-    #: what the craft told of it last, empty = nothing yet; a second arrival apart
+    #: what the spacecraft told of it last, empty = nothing yet; a second arrival apart
     state: str = ""
     is_twice: bool = False
 
@@ -50,7 +50,7 @@ class ControlLog:
     newest_us: int = 0
 
     def on_input(self, report: SpacecraftReport) -> None:
-        """Take what the craft tells of a command."""
+        """Take what the spacecraft tells of a command."""
         command = self.sent[report.counter]
         if report.state == "repeated":
             command.is_twice = True
@@ -74,14 +74,14 @@ class ControlLog:
 
 @dataclass
 class ControlCentre:
-    """Takes commands from the service to the craft.
+    """Takes commands from the service to the spacecraft.
 
     Parameters
     ----------
     client : ServiceClient
         Of the service.
     line : SpacecraftLine
-        Way to the craft.
+        Way to the spacecraft.
     """
 
     client: ServiceClient
@@ -91,7 +91,7 @@ class ControlCentre:
     _usual_s: float = 0.02
 
     def steer(self, spacecraft_id: str, epoch: str) -> None:
-        """Hear what the craft tells until a row, and send the command that follows from the row.
+        """Hear what the spacecraft tells until a row, and send the command that follows from the row.
 
         Raises
         ------

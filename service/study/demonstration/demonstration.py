@@ -45,7 +45,7 @@ class ProcessAddresses:
     #: VISA resource name of the analyzer
     resource: str
     processes: tuple[ChildProcess, ...] = ()
-    #: the craft's uplink; None = the story is only replayed
+    #: the spacecraft's uplink; None = the story is only replayed
     uplink: tuple[str, int] | None = None
 
 
@@ -95,7 +95,7 @@ def simulated_station(
     scenario: str = "demo",
     uplink: str | None = None,
 ) -> Iterator[ProcessAddresses]:
-    """Start simulator and service, give their addresses, and end them; with an uplink the craft is flown."""
+    """Start simulator and service, give their addresses, and end them; with an uplink the spacecraft is flown."""
     key = secrets.token_urlsafe(24)
     own = {"SOO_BOOTSTRAP_KEY": key, "SOO_KEY": key, "SOO_FUTURE_TOLERANCE_DATA_S": str(_LONGEST_PAUSE_S)}
     environment = {**os.environ, **own, "OPENBLAS_NUM_THREADS": "1"}
@@ -232,7 +232,7 @@ def _create(client: ServiceClient, body: dict[str, Any]) -> str:
 
 
 def _steered(body: dict[str, Any], centre: ControlCentre) -> dict[str, Any]:
-    """Return the catalogue entry of a craft whose commands are taken to it, with what its loop feeds forward."""
+    """Return the catalogue entry of a spacecraft whose commands are taken to it, with what its loop feeds forward."""
     onboard = body["onboard"]
     if centre.line.fed_forward is not None:
         errors = {"relative_error": RELATIVE_ERROR, "axis_relative_error": AXIS_RELATIVE_ERROR}

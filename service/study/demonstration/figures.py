@@ -26,7 +26,7 @@ def draw_tracking(tracked: Mapping[str, TrackedAngles], path: Path) -> None:
 
 
 def draw_control(tracked: TrackedAngles, alone: FlightAlone, path: Path) -> None:
-    """Draw the angles of a craft that is controlled and of the same one left alone; dashed: the usual bounds."""
+    """Draw the angles of a spacecraft that is controlled and of the same one left alone; dashed: the usual bounds."""
 
     def draw_axis(plot: Axes, k: int) -> None:
         hours = _hours(tracked)

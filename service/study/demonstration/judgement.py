@@ -75,7 +75,7 @@ def judge_story(story: Story, client: ServiceClient, loop: dict[str, Any] | None
     """Return the figures of both methods, of the answer that never moves, and of what the archive keeps.
 
     Where a loop was closed its figures stand beside them, and the true attitude is judged in place of the estimates:
-    control takes the estimate to zero, so that its error is the attitude of the craft, and slopes say nothing.
+    control takes the estimate to zero, so that its error is the attitude of the spacecraft, and slopes say nothing.
     """
     is_moved = loop is None
     driving, others = (judge_method(story, client, method) for method in METHODS)

@@ -1,4 +1,4 @@
-"""Figures of merit: estimates beside the truth, and beside the answer that the craft never moves.
+"""Figures of merit: estimates beside the truth, and beside the answer that the spacecraft never moves.
 
 Every rms stands beside the rms of the truth itself; skill = 1 - mean(error^2) / mean(truth^2), so that the answer
 0/0/0 has skill 0 and cannot pass for an estimate.
@@ -19,7 +19,7 @@ RMS_BOUNDS_DEG = {
     "paper": {"roll": 0.08, "pitch": 0.10},
 }
 SLOPE_BOUNDS = {"robust": {"yaw": 0.30, "roll": 0.05, "pitch": 0.05}, "paper": {"roll": 0.15, "pitch": 0.15}}
-#: least rms of the truth: a craft that hardly moves proves nothing
+#: least rms of the truth: a spacecraft that hardly moves proves nothing
 TRUTH_RMS_DEG = 0.12
 
 
@@ -57,7 +57,7 @@ def judge_axis(estimate_deg: FloatArray, truth_deg: FloatArray) -> AxisMerit:
 def missed_bounds(merits: Mapping[str, AxisMerit], method: str, *, is_moved: bool = True) -> list[str]:
     """Return what misses the bounds of the demonstration, in words; NaN misses every bound.
 
-    Of a craft that is kept still (`is_moved` false) only errors are judged: slopes need motion.
+    Of a spacecraft that is kept still (`is_moved` false) only errors are judged: slopes need motion.
     """
     missed = []
     for axis, bound_deg in RMS_BOUNDS_DEG[method].items():

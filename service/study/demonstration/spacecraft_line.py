@@ -1,4 +1,4 @@
-"""Craft line: the simulator's third port, where torque schedules go to the craft and its reports come back."""
+"""Craft line: the simulator's third port, where torque schedules go to the spacecraft and its reports come back."""
 
 import json
 import socket
@@ -11,11 +11,11 @@ _AXES = ("yaw", "roll", "pitch")
 
 
 class SpacecraftLineError(Exception):
-    """The line to the craft broke, or a schedule was refused on the way to it; the text says why."""
+    """The line to the spacecraft broke, or a schedule was refused on the way to it; the text says why."""
 
 
 class SpacecraftReport(NamedTuple):
-    """What the craft tells of a command."""
+    """What the spacecraft tells of a command."""
 
     counter: int
     #: executed, executing, replaced, repeated, late or refused
@@ -75,7 +75,7 @@ class SpacecraftLine:
         self._consume("taken")
 
     def await_flown(self, epoch: str) -> list[SpacecraftReport]:
-        """Wait until the craft has come to the row of an epoch and return what it has told since the last call."""
+        """Wait until the spacecraft has come to the row of an epoch and return what it has told since the last call."""
         while self._flown < epoch:
             self._flown = self._consume("flown")["epoch"]
         reported, self._reports = self._reports, []
@@ -86,10 +86,10 @@ class SpacecraftLine:
         while True:
             text = self._lines.readline()
             if not text:
-                raise SpacecraftLineError("the craft has closed its line")
+                raise SpacecraftLineError("the spacecraft has closed its line")
             line: Json = json.loads(text)
             if line["type"] == "error":
-                raise SpacecraftLineError(f"the craft's line refused: {line['detail']}")
+                raise SpacecraftLineError(f"the spacecraft's line refused: {line['detail']}")
             if line["type"] == "report":
                 self._reports.append(_report(line))
             if line["type"] == "flown":

@@ -1,6 +1,6 @@
 """Answers that need no powers, beside which every figure is printed.
 
-An estimator is worth something where it beats all of them: the answer that the craft never moves, the sum of the
+An estimator is worth something where it beats all of them: the answer that the spacecraft never moves, the sum of the
 announced corrections, and the alignment's attitude carried on by the exchange of roll and yaw with these corrections.
 """
 

@@ -31,7 +31,7 @@ from service.study.estimation.flight.world import World
 SETTLING_S = 3600.0
 #: errors that turn a torque the wrong way, yaw, roll, pitch, deg
 WRONG_DEG = np.array([0.3, 0.15, 0.15])
-#: hours of operation from which the craft does other than it is told; the page of the scenarios tells the deed
+#: hours of operation from which the spacecraft does other than it is told; the page of the scenarios tells the deed
 WRONG_FROM_H = {
     **dict.fromkeys(
         ("corrections_flipped", "corrections_halved", "corrections_lost", "corrections_doubled"), (9.0, 30.0)

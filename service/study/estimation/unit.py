@@ -46,7 +46,7 @@ class Course(NamedTuple):
     hours: Float32Array
     #: (T, 3) deg
     truth_deg: Float32Array
-    #: (T,) whether the craft is in the shadow or has not warmed yet
+    #: (T,) whether the spacecraft is in the shadow or has not warmed yet
     is_night: BoolArray
     methods: dict[str, Drawn]
 

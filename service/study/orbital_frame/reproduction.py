@@ -156,7 +156,7 @@ def _null(kernel: Fly) -> list[Row]:
 
 
 def full_spacecraft(kernel: Fly) -> OrbitalFrameSpacecraft:
-    """Return the craft of figure 4: every disturbance, smallest yaw gains, the yaw rate's zero corrected."""
+    """Return the spacecraft of figure 4: every disturbance, smallest yaw gains, the yaw rate's zero corrected."""
     spacecraft = _UNCORRECTED
     correction = trimmed_correction_rad_s(spacecraft, STABILISATION_S, kernel)
     return spacecraft._replace(computer=spacecraft.computer._replace(yaw_rate_correction_rad_s=correction))

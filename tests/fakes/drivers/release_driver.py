@@ -227,7 +227,7 @@ class ReleaseDriver:
         self.state = replace(self.state, interlock=replace(self.state.interlock, proven_axes=others))
 
     def restart(self) -> None:
-        """Kill the process: what is stored comes back, the steady clock begins anew, facts must be told again."""
+        """Kill the process: what is stored comes back, the steady clock begins again, facts must be told again."""
         self.state = restored(self.state)
         self.row = None
         self.steady_us = 0

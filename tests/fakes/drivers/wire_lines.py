@@ -161,7 +161,7 @@ class HislipLine:
         return self.on_asynchronous(STATUS_RESPONSE).control
 
     def clear(self) -> None:
-        """Clear the device: both channels, then start anew."""
+        """Clear the device: both channels, then start again."""
         self.put_asynchronous(ASYNC_CLEAR)
         self.on_asynchronous(ASYNC_CLEAR_ACKNOWLEDGE)
         self.put(CLEAR_COMPLETE)

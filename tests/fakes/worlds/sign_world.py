@@ -1,4 +1,4 @@
-"""Powers of a craft that answers commands with some sign: a simulation of its own, many runs at once."""
+"""Powers of a spacecraft that answers commands with some sign: a simulation of its own, many runs at once."""
 
 import numpy as np
 

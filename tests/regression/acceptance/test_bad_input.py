@@ -153,7 +153,7 @@ def test_blocks_of_45_per_cent_in_the_quiet_days_move_no_level():
 
 @pytest.mark.slow
 def test_a_manoeuvre_inside_the_quiet_days_moves_no_level(world):
-    """The craft is turned by 0.3 deg for four hours of the quiet window, and the star tracker sees it."""
+    """The spacecraft is turned by 0.3 deg for four hours of the quiet window, and the star tracker sees it."""
     quiet, at = world.ground.phases["quiet"], np.array([[0.2, -0.3, 0.25]])
     begin_us = quiet.start_us + 20 * HOUR_US
     turned = (world.ground.epochs_us >= begin_us) & (world.ground.epochs_us < begin_us + 4 * HOUR_US)

@@ -29,7 +29,7 @@ def test_the_paper_method_goes_through_octants():
 
 @pytest.mark.slow
 def test_the_order_of_the_carriers_does_not_matter_from_calibration_to_attitude(tmp_path):
-    """Acceptance test 15: another order in the plan, calibrated, aligned and flown anew by both methods."""
+    """Acceptance test 15: another order in the plan, calibrated, aligned and flown again by both methods."""
     straight = shared_world("nominal", 5)
     order = np.random.default_rng(SEED).permutation(16)
     shuffled = DrivenWorld(straight.simulated.scenario, 5, tmp_path, order=order)

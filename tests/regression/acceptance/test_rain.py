@@ -54,7 +54,7 @@ def assert_no_rain_in_octants(world):
     reported = world.plain
     reached = np.abs(reported.truth_deg).max(axis=0)
     print(f"largest excursions {reached.round(3)} deg, rain told {reported.is_fade.sum()} times")
-    assert (reached[1:] > 0.2).all(), "the craft must move for the claim to mean anything"
+    assert (reached[1:] > 0.2).all(), "the spacecraft must move for the claim to mean anything"
     assert not reported.is_fade.any()
 
 

@@ -1,4 +1,4 @@
-"""Acceptance test 11: carriers that return at another level, and references that were all learned anew."""
+"""Acceptance test 11: carriers that return at another level, and references that were all learned again."""
 
 import numpy as np
 import pytest

@@ -165,7 +165,7 @@ def test_a_transponder_that_steps_costs_no_more_than_to_an_oracle():
 
 @pytest.mark.nightly
 def test_yaw_is_told_in_its_own_scale(tmp_path):
-    """Acceptance test 4: eight seeds of `white`, the craft led through octants, slope of the estimate on the truth."""
+    """Acceptance test 4: eight seeds of `white`, the spacecraft led through octants, slope of estimate on truth."""
     tour = scenario_named("octants", operation_days=0.5)
     scenario = replace(scenario_named("white", operation_days=0.5), keeping=tour.keeping, manoeuvres=tour.manoeuvres)
     truth, error = [], []

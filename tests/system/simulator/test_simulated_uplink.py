@@ -74,7 +74,7 @@ def test_schedules_turn_the_craft_and_reports_come_back(ports) -> None:
     scpi, ground, uplink = (Line(ports[f"{name}_port"]) for name in ("scpi", "ground", "uplink"))
     assert uplink.on_input()["type"] == "start"
     uplink.say(b'{"schedule":[]}')
-    assert uplink.on_input()["type"] == "error", "the craft is under its sensors"
+    assert uplink.on_input()["type"] == "error", "the spacecraft is under its sensors"
     epoch = sweep_to_operation(scpi, ground)
     assert uplink.on_input() == {"type": "flown", "epoch": epoch}
     for data in (b"\xff\x00", b"", b'{"schedule":[{}]}', b"x" * 1_100_000):
@@ -83,7 +83,7 @@ def test_schedules_turn_the_craft_and_reports_come_back(ports) -> None:
     second = Line(ports["uplink_port"])
     assert (second.on_input()["type"], second.read()) == ("error", b"")
     second.close()
-    # as hard as it goes for a minute: 3 N m s, the craft turns over and over
+    # as hard as it goes for a minute: 3 N m s, the spacecraft turns over and over
     element = {"start": epoch, "duration_s": 60.0, "roll_n_m": 0.05, "pitch_n_m": 0.05, "yaw_n_m": -0.05}
     uplink.say(json.dumps({"schedule": [element], "counter": 5}).encode())
     assert uplink.on_input() == {"type": "taken", "counter": 5, "sent": epoch}

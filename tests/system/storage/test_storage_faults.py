@@ -165,7 +165,7 @@ def test_a_volume_that_turns_read_only_under_the_service(trial, start_service, t
         one.await_code("storage.unavailable")
         assert one.read()[0] == 200
         assert one.client.get("/healthz").status_code == 200
-        # the file system is checked and mounted anew, as a failed disk demands, and the service started again
+        # the file system is checked and mounted again, as a failed disk demands, and the service started again
         port = one.service.url.rpartition(":")[2]
         assert one.service.end()[0] == 0
         volume.repair()

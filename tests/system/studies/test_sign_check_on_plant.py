@@ -27,7 +27,7 @@ SEED = 2
 
 
 class CheckedCraft:
-    """A craft in the plant, the chain that hears its powers, and the sign check of one axis."""
+    """A spacecraft in the plant, the chain that hears its powers, and the sign check of one axis."""
 
     def __init__(self, plant: PlantProcess, axis: str) -> None:
         ground = ground_of(plant.opening())
@@ -93,5 +93,5 @@ def test_a_wrong_wheel_sign_is_found_before_a_tenth_of_a_degree_is_lost(axis, re
     print(f"seed {SEED}, {response}: {verdict.value} after {len(angles)} min, {lost:.3f} deg of {axis} lost")
     assert verdict is expected
     assert lost < 0.1
-    # the time of the check, and the way of its first leg to the craft
+    # the time of the check, and the way of its first leg to the spacecraft
     assert len(angles) <= 45 + LEAD_S / 60.0

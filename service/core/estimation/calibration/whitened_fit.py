@@ -2,7 +2,7 @@
 
 Noise that all carriers share (the receiving chain, the analyzer) is counted as each carrier's own in the fit, because
 it bends beams during the turns like any other. What it does to levels and daily changes is another matter: it moves all
-carriers alike, the next alignment measures it anew, and an error that all levels share is no error of the attitude. So
+carriers alike, the next alignment measures it again, and an error that all levels share is no error of the attitude. So
 the errors of level and daily change are scaled to what the carriers' own noise makes of them. The law of this file: a
 scaled covariance stays one, rows and columns together, and the downlink's gains with it.
 

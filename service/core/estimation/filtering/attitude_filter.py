@@ -85,7 +85,7 @@ def step(
     model : CarrierModel
         The carriers.
     settings : FilterSettings
-        The craft.
+        The spacecraft.
     state : FilterState
         State before; it is not changed.
     epoch_us : int, microseconds UTC

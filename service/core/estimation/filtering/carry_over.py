@@ -1,8 +1,8 @@
 """A change of the carrier plan in operation: the filter goes on with the carriers that stay.
 
-Attitude, drift, commanded rate, chain, rain and hidden states belong to the craft and the site and are kept with what
-they share with the carriers that stay. The law of this file: nothing is learned here; what the new plan does not know
-begins as wide as it is.
+Attitude, drift, commanded rate, chain, rain and hidden states belong to the spacecraft and the site and are kept with
+what they share with the carriers that stay. The law of this file: nothing is learned here; what the new plan does not
+know begins as wide as it is.
 """
 
 import numpy as np

@@ -136,7 +136,7 @@ def predict(
     model : CarrierModel
         The carriers.
     settings : FilterSettings
-        The craft.
+        The spacecraft.
     state : Gaussian
         State before the step.
     step_us : int, microseconds

@@ -162,7 +162,7 @@ def step_fade_watch(
     stop_after_s, return_after_s : float, s
         How long the condition must stand, and how long it must be dry.
     max_gap_s : float, s
-        Time without a judged row above this starts both counters anew and adds nothing to them. A standing stop stays:
+        Time without a judged row above this starts both counters again and adds nothing to them. A standing stop stays:
         a gap is no evidence of dry weather.
 
     Returns

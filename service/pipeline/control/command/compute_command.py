@@ -2,7 +2,7 @@
 
 Release ``automatic``: every row has its command, the mean torque of the law until the next one; the impulse that is too
 small for a pulse is carried. Release ``two_step``: a command is a slew that takes its own rate away and the pulses that
-balance the known torque until its horizon ends, so that the craft is at rest whatever happens to the link.
+balance the known torque until its horizon ends, so that the spacecraft is at rest whatever happens to the link.
 
 Whenever an inhibition stands the command is zero, says why, and the carry is dropped: a wish from before an inhibition
 is not given after it.
@@ -128,7 +128,7 @@ def command_for(
         Horizon. The slew takes its part of a command period, or of the horizon where that is shorter; what follows is
         as long as the envelope allows.
     max_torque_n_m : float or None
-        Greatest torque of a pulse; None: what the craft has.
+        Greatest torque of a pulse; None: what the spacecraft has.
     body_rate_deg_s : Axes, optional
         As `compute_command` has it.
 
@@ -220,7 +220,7 @@ def _design(spacecraft: Spacecraft, config: TorqueConfig, max_torque_n_m: float 
 
 
 def _situation_at(row: AttitudeRow, start_us: int, design: ControlDesign, disturbance: Disturbance | None) -> Situation:
-    """Return the craft at an instant after its row."""
+    """Return the spacecraft at an instant after its row."""
     ahead_s = max(0.0, (start_us - row.epoch_us) / US_PER_S)
     pushed_deg_s2 = np.zeros(3)
     if disturbance is not None:

@@ -12,7 +12,7 @@ CONTROL_INHIBITIONS: dict[str, str] = {
     "no_rate": "too few fixes yet for an angular rate",
     "no_law": "inertia, wheels, period and damping of the catalogue make no control law; the log says why",
     "no_body_rate": "the law gyro_orbitant needs body rates about all axes in telemetry that is not too old",
-    "law_beyond": "the roll rate exceeds the orbital rate, or the craft turns against its orbit: no yaw follows",
+    "law_beyond": "the roll rate exceeds the orbital rate, or the spacecraft turns against its orbit: no yaw follows",
     "tripped": "control has tripped; torques are withheld until ten good minutes after the reset",
 }
 

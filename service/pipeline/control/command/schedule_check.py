@@ -151,7 +151,7 @@ def _pulses(schedule: Sequence[Pulse], axis: str, start_us: int) -> tuple[Torque
 
 
 def _carried(swing: PanelSwing | None, spacecraft: Spacecraft, position: int, at_us: int) -> complex:
-    """Return what one mode still swings; a catalogue with other modes begins anew, a schedule within another too."""
+    """Return what one mode still swings; a catalogue with other modes begins again, a schedule within another too."""
     if swing is None or len(swing.phasor_rad) != len(spacecraft.modes):
         return 0j
     elapsed_s = max(0.0, (at_us - swing.at_us) / US_PER_S)

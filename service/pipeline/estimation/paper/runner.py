@@ -47,7 +47,7 @@ class PaperRunner:
         self._last = None
 
     def rebuild(self, knowledge: Knowledge) -> None:
-        """Take over a change; another set of carriers starts the means anew."""
+        """Take over a change; another set of carriers starts the means again."""
         former = self._model
         self._model, self._columns = self._model_of(knowledge)
         if self._model is None:

@@ -89,7 +89,7 @@ def initial_state(
 
 
 def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> RobustState:
-    """Return the state under another calibration: the craft and the carriers that stay keep what is known of them."""
+    """Return the state under another calibration; what is known of spacecraft and remaining carriers is kept."""
     if _torque_of(old.settings) != _torque_of(new.settings):
         pushed = with_stated_torque(old.filter, state.filter, len(state.released), old.settings, new.settings)
         state = replace(state, filter=pushed)

@@ -222,7 +222,7 @@ def _window_levels(arrays: GeometryModel, level: ExpectedLevel, alignment: Align
 
 
 def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
-    """Return what is known of the craft.
+    """Return what is known of the spacecraft.
 
     An exchange of roll and yaw that nobody knows of is drift of either by what the usual angle of the other makes.
     """

@@ -32,8 +32,8 @@ from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, 
 from service.study.estimation.flight.journal import Entry, JournalDocuments, measurements, slow_entries
 from service.study.estimation.flight.world import Ground
 
-#: what a row says, among its inhibitions or as advice, when the craft moves other than it was told to, or the powers
-#: do not fit the model
+#: what a row says, among its inhibitions or as advice, when the spacecraft moves other than it was told to, or the
+#: powers do not fit the model
 ALARMS = frozenset({"unannounced_motion", "commands_doubted", "innovations"})
 
 

@@ -229,7 +229,8 @@ def measure_alarms(
     start_us : int
         Start of operation.
     wrong_from_h : tuple of float
-        Hours of operation from which the craft does other than it was told, ascending; an alarm belongs to the last.
+        Hours of operation from which the spacecraft does other than it was told, ascending; an alarm belongs to the
+        last.
     """
     delays = []
     starts_us = [start_us + 60.0 * hours * _MINUTE_US for hours in wrong_from_h]

@@ -1,8 +1,9 @@
 """Trials of the snapshot, the fix of one epoch alone, at attitudes all over the range.
 
 Two worlds of one seed that differ in the attitude only have the same noise, so the difference of their powers is the
-true change of the beams, free of noise: the craft of ``octants`` against the craft of ``nominal``. To it are added the
-noise of fifteen averaged rows and a level common to all carriers. The calibration comes from ``white`` of that seed.
+true change of the beams, free of noise: the spacecraft of ``octants`` against the spacecraft of ``nominal``. To it are
+added the noise of fifteen averaged rows and a level common to all carriers. The calibration comes from ``white`` of
+that seed.
 
 * ``over_bound_true``: the coefficients are known; rms over the bound of Cramer and Rao with a common level.
 * ``over_bound_fitted``, ``yaw_scale``: the beams are the simulator's, the coefficients those of the calibration.

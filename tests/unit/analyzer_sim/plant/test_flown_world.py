@@ -1,4 +1,4 @@
-"""Flown world: before operation the story, from then on a craft that answers torques; what is shown was flown."""
+"""Flown world: before operation the story, from then on a spacecraft that answers torques; what is shown was flown."""
 
 import json
 from dataclasses import replace

@@ -239,7 +239,7 @@ def test_the_flown_craft_goes_where_a_perfect_loop_would_take_it() -> None:
         apart_deg = []
         for minute in range(119):
             now_us = flown.epoch_us
-            # out and back again: nobody holds the craft, and angles of a degree are not small any more
+            # out and back again: nobody holds the spacecraft, and angles of a degree are not small any more
             torque = {0: 0.004, 20: -0.004, 40: -0.004, 60: 0.004}.get(minute % 80, 0.0)
             pulse = TorqueElement(now_us + 3_000_000, now_us + 5_500_000, (torque, -torque, 0.5 * torque))
             for plant in (flown, perfect):

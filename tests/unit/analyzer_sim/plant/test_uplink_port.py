@@ -61,7 +61,7 @@ async def connected(port: int) -> AsyncIterator[Client]:
 
 @asynccontextmanager
 async def served(*, rows: int = 1) -> AsyncIterator[tuple[int, FlownWorld]]:
-    """Serve the port of a craft that has flown some rows; give its number and the craft."""
+    """Serve the port of a spacecraft that has flown some rows; give its number and the spacecraft."""
     subject = FlownWorld(STORY, SEED, PlantOptions())
     while rows and subject.epoch_us is None:
         subject.advance()

@@ -136,7 +136,7 @@ def test_released_in_two_steps_a_command_stays_within_the_envelope_and_its_perio
 
 
 class Body:
-    """A rigid craft in a geostationary orbit: x East, y South, z nadir; wheels, gravity gradient; steps of 5 s."""
+    """A rigid spacecraft in a geostationary orbit: x East, y South, z nadir; wheels, gravity gradient; steps of 5 s."""
 
     STEP_S = 5.0
 
@@ -168,7 +168,7 @@ class Body:
 
 
 def flown(body, record, hours):
-    """Return the angles each minute (T, 3), commands every minute; without a craft nothing is done."""
+    """Return the angles each minute (T, 3), commands every minute; without a spacecraft nothing is done."""
     carry, angles = NO_CARRY, []
     for minute in range(60 * hours):
         seen = body.angles_deg()

@@ -10,7 +10,7 @@ from service.pipeline.kernels import kernels_named
 
 @pytest.fixture(autouse=True)
 def _forgotten_choice():
-    """Ask anew in every test."""
+    """Ask again in every test."""
     kernels_named.cache_clear()
     yield
     kernels_named.cache_clear()

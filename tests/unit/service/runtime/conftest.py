@@ -278,7 +278,7 @@ def wait() -> Callable[..., None]:
 
 @pytest.fixture(scope="module")
 def alarm_archive(tmp_path_factory):
-    """An archive with one craft; every test gets a copy."""
+    """An archive with one spacecraft; every test gets a copy."""
     path = tmp_path_factory.mktemp("archive") / "soo.db"
     storage = SqlStorage(f"sqlite:///{path}")
     storage.migrate()

@@ -35,7 +35,7 @@ def replaced() -> tuple[ReleaseServiceDriver, object, object]:
 
 
 def before(schedule, stop_us):
-    """Return what of some pulses a craft flies that leaves them at an instant."""
+    """Return what of some pulses a spacecraft flies that leaves them at an instant."""
     kept = (p for p in schedule if p.start_us < stop_us)
     return tuple(replace(p, duration_s=min(p.duration_s, (stop_us - p.start_us) / US)) for p in kept)
 

@@ -3,7 +3,7 @@
 u = |innovation| / sigma: above 2 a carrier is trusted less (Huber), above 4 it is skipped; four skips in a row, or a
 cumulative sum beyond its threshold (slow fades never reach 4 sigma at once), flag it. A flagged carrier is out for a
 quarter of an hour at least; when its last 12 rows are quiet and within 0.2 dB of what it was its reference is restored.
-At another level it must have stood for an hour before its reference is learned anew: an antenna that dries looks quiet
+At another level it must have stood for an hour before its reference is learned again: an antenna that dries looks quiet
 long before it is, and a reference learned meanwhile turns the attitude while it dries on. A carrier without a reference
 shows 20 quiet rows after half an hour. A carrier that was off for half an hour is flagged too: users who switch on
 again often do so at another level, too near for 4 sigma and far enough to turn the attitude. The law of this file:
@@ -69,7 +69,7 @@ class CarrierWatch(NamedTuple):
     cusum: Cusum
     #: (N,) minutes without the carrier while the others were measured
     absent_minutes: FloatArray
-    #: (N,) whether the reference was learned anew since the alignment
+    #: (N,) whether the reference was learned again since the alignment
     is_relearned: BoolArray
 
 
@@ -145,7 +145,7 @@ def flag_failed(
     Returns
     -------
     Gaussian
-        The same state where nothing failed; else the failed carriers' states begin anew with a free reference.
+        The same state where nothing failed; else the failed carriers' states begin again with a free reference.
     CarrierWatch
         Watch after.
     """
@@ -209,7 +209,7 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
         The same state where none is released; else the released begin with the old reference, or a free one at the new
         level.
     CarrierWatch
-        Watch after; references that were learned anew are marked.
+        Watch after; references that were learned again are marked.
     """
     if not watch.is_flagged.any():
         return state, watch

@@ -121,7 +121,7 @@ def widen(
     Returns
     -------
     Widened
-        The sums of single carriers begin anew: what they had gathered belongs to the common cause.
+        The sums of single carriers begin again: what they had gathered belongs to the common cause.
     """
     calm = carriers._replace(cusum=quiet_cusum(model.carriers))
     if choice.cause is Cause.GROUP:

@@ -4,7 +4,7 @@
 
 y deviation in dB (power minus reference minus harmonic), l = (yaw, roll, pitch) in deg, g dB/deg, H dB/deg^2, c gain of
 the receiving chain, r >= 0 rain over the receiving site, a_ik coloured noise of several correlation times, b error of
-the reference. The law of this file: what a carrier does is told by arrays, what the craft does by settings.
+the reference. The law of this file: what a carrier does is told by arrays, what the spacecraft does by settings.
 """
 
 from typing import NamedTuple
@@ -78,7 +78,7 @@ class FedForward(NamedTuple):
 
 
 class FilterSettings(NamedTuple):
-    """What the craft and the receiving chain do; triples in the order yaw, roll, pitch; rates in deg/h."""
+    """What the spacecraft and the receiving chain do; triples in the order yaw, roll, pitch; rates in deg/h."""
 
     #: exchange of roll and yaw at the orbital rate, 1/h; 0 where the on-board mode does not follow it
     coupling_per_h: float = 0.2625162

@@ -3,9 +3,9 @@
     x = [yaw roll pitch | 3 drifts | 3 commanded rates | chain | rain | G common parts | E hidden
          | N first components | ... | N last components | N references]
 
-Angles in deg, rates in deg/h, levels in dB. Hidden states move the craft and stand in no level (`hidden_motion`); most
-craft have none. A vector carries its own E. The law of this file: a mean and a covariance are values; every function
-returns new ones.
+Angles in deg, rates in deg/h, levels in dB. Hidden states move the spacecraft and stand in no level (`hidden_motion`);
+most craft have none. A vector carries its own E. The law of this file: a mean and a covariance are values; every
+function returns new ones.
 """
 
 from typing import NamedTuple
@@ -128,7 +128,7 @@ def freed(state: Gaussian, positions: IntArray, variance: float) -> Gaussian:
 def reset_carriers(
     model: CarrierModel, state: Gaussian, carriers: IntArray, reference_db: FloatArray, variance_db2: FloatArray
 ) -> Gaussian:
-    """Return the state in which some carriers begin anew.
+    """Return the state in which some carriers begin again.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Hidden states: what moves the craft without standing in any level.
+"""Hidden states: what moves the spacecraft without standing in any level.
 
     h = [n shares | 3 constant torques | 3 cosines | 3 sines]         each triple yaw, roll, pitch
     m' = h_const + h_cos cos(p) + h_sin sin(p)       p = phase of the day, zero at midnight UTC, or of the period of
@@ -98,7 +98,7 @@ def hidden_transition(
     from_us, step_us : int, microseconds
         Epoch at which the step begins, and its length.
     settings : FilterSettings
-        The craft.
+        The spacecraft.
     known : KnownMotion
         With what the commands would do that nobody has reported.
 

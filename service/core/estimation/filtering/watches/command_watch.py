@@ -1,4 +1,4 @@
-"""Commanded corrections watched: whether the craft does what the ground announced, or the opposite, or nothing.
+"""Commanded corrections watched: whether the spacecraft does what the ground announced, or the opposite, or nothing.
 
     x(s) = x + (s - s0) v          nu(s) = nu - (s - s0) H v          s = share of the commands that is carried out
     log p(s) / p(s0) = (s - s0) b - (s - s0)^2 j / 2      b = sum (H v)' S^-1 nu      j = sum (H v)' S^-1 H v
@@ -65,7 +65,7 @@ class CommandWatch(NamedTuple):
 
 
 def executed_commands() -> CommandWatch:
-    """Return the watch of a craft that does what it is told."""
+    """Return the watch of a spacecraft that does what it is told."""
     return CommandWatch(np.empty((0, 2)), np.zeros(2), np.zeros((2, 2)), 1.0, 0.0)
 
 

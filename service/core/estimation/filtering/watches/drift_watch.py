@@ -1,4 +1,4 @@
-"""Drift of the inertial model watched in operation: whether the craft drifts as the settings say.
+"""Drift of the inertial model watched in operation: whether the spacecraft drifts as the settings say.
 
     E[d^2] = Var(d_hat) + P          so      d_hat^2 / (sigma^2 - P) averages one while the model holds
 
@@ -39,7 +39,7 @@ class DriftWatch(NamedTuple):
 
 
 def usual_drift() -> DriftWatch:
-    """Return the watch of a craft that drifts as its settings say."""
+    """Return the watch of a spacecraft that drifts as its settings say."""
     return DriftWatch(0.0)
 
 

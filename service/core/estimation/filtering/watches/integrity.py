@@ -22,7 +22,7 @@ class IntegrityLimits(NamedTuple):
     redundancy: int = 2
     #: largest running mean of normalised innovation squared a degree of freedom
     nis_ratio: float = 2.0
-    #: share of references learned anew above which a new alignment is advised
+    #: share of references learned again above which a new alignment is advised
     relearned_share: float = 1.0 / 3.0
 
 

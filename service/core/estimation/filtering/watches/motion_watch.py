@@ -4,9 +4,9 @@ While the model holds, what a row adds to an angle, in units of its sigma, is wh
 that was lost, doubled or turned round, or a coupling that does not act, makes shifts of one sign: the two-sided sum
 finds them, the axis is followed with a wide drift for an hour and control is told. Where a torque that nobody feeds
 forward is among the states it may be greater than it was thought to be: the first alarm of an axis widens it, and
-control goes on, for to stop it would leave the craft to that torque. The second within the hour widens it again and is
-reported for a quarter of an hour. What moves the axis on after that is something else. The law of this file: one value
-a minute and axis, order yaw, roll, pitch.
+control goes on, for to stop it would leave the spacecraft to that torque. The second within the hour widens it again
+and is reported for a quarter of an hour. What moves the axis on after that is something else. The law of this file:
+one value a minute and axis, order yaw, roll, pitch.
 """
 
 from typing import NamedTuple
@@ -57,7 +57,7 @@ class MotionWatch(NamedTuple):
 
 
 def still_watch(epoch_us: int) -> MotionWatch:
-    """Return the watch of a craft that does what it is told."""
+    """Return the watch of a spacecraft that does what it is told."""
     return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), np.zeros(3), np.zeros(3), np.zeros(3))
 
 
@@ -92,7 +92,7 @@ def forget_shifts(watch: MotionWatch, epoch_us: int) -> MotionWatch:
 
 
 def follow_all(watch: MotionWatch) -> MotionWatch:
-    """Return the watch of a craft that has jumped: all axes are followed, and no torque explains it."""
+    """Return the watch of a spacecraft that has jumped: all axes are followed, and no torque explains it."""
     left, alarms = np.full(3, FOLLOWED_MINUTES), watch.alarms + _EXPLAINED_ALARMS
     return watch._replace(cusum=quiet_cusum(3), minutes_left=left, reported_minutes=left, alarms=alarms)
 

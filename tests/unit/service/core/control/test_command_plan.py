@@ -15,7 +15,7 @@ GAINS = loop_gains(
     damping=0.9,
     torque_limit_n_m=0.05,
     command_period_s=None,
-    # the exchange of roll and yaw turns the craft as well; it is the slew's own test that looks at it
+    # the exchange of roll and yaw turns the spacecraft as well; it is the slew's own test that looks at it
     orbital_rate_rad_s=0.0,
 )
 DRIVE = Drive(0.05, 0.002, 0.1, 0.001)
@@ -31,7 +31,7 @@ def forecast(torque_n_m=(0.0, 0.0, 0.0), slices=7) -> Forecast:
 
 
 def flown(plan: PlannedPulses, rates_deg_s=NOTHING, torque_n_m=NOTHING, until_s=None) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the craft has turned and its rate, deg and deg/s, by steps of 10 ms and without exchange."""
+    """Return what the spacecraft has turned and its rate, deg and deg/s, by steps of 10 ms and without exchange."""
     stop_s = plan.horizon_s if until_s is None else until_s
     step_s = 0.01
     rate, angle = np.radians(rates_deg_s), np.zeros(3)
@@ -105,7 +105,7 @@ def test_a_yaw_that_is_not_far_off_does_not_shorten_what_roll_and_pitch_are_held
 
 
 def test_a_yaw_far_off_is_led_back_although_a_torque_fills_the_envelope_of_an_hour():
-    """Before: balancing 2e-6 N m for an hour left nothing to the slew, and the craft went on to turn away."""
+    """Before: balancing 2e-6 N m for an hour left nothing to the slew, and the spacecraft went on to turn away."""
     yaw_deg, rate_deg_s, torque_n_m = 0.8, 1e-4, 2e-6
     turned = Situation(np.array([yaw_deg, 0.0, 0.0]), np.array([rate_deg_s, 0.0, 0.0]), EVERY)
     expected = forecast((torque_n_m, 1e-7, 1e-7))

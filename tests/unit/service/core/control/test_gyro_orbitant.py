@@ -18,7 +18,7 @@ INERTIA = np.diag([8000.0, 6000.0, 5000.0])
 
 
 def _rate_at(attitude_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the inertial rate of a craft that stands still in the turning nadir frame, deg/s: x, y, z."""
+    """Return the inertial rate of a spacecraft that stands still in the turning nadir frame, deg/s: x, y, z."""
     return body_from_nadir(attitude_deg) @ np.array([0.0, -math.degrees(W0_RAD_S), 0.0])
 
 

@@ -69,7 +69,7 @@ def test_the_way_counts_as_well_as_the_end():
     pulses = tuple(AxisPulse(1, start_s, 2.0, torque) for start_s, torque in turns)
     found = effect_of(pulses)
     assert found.angle_change_deg[1] == pytest.approx(0.0, abs=1e-12)
-    # 0.02 N m s of 2600 kg m^2 for 400 s, less a quarter of the pulse in whose middle the craft turns back
+    # 0.02 N m s of 2600 kg m^2 for 400 s, less a quarter of the pulse in whose middle the spacecraft turns back
     assert found.peak_angle_deg[1] == pytest.approx(np.degrees(0.02 / 2600.0 * 399.5), rel=1e-9)
     quantities = [each.quantity for each in envelope_excesses(found, NOTHING, Envelope())]
     assert quantities == ["angle_change_deg", "rate_change_deg_s", "impulse_n_m_s"]

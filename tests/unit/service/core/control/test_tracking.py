@@ -58,7 +58,7 @@ def test_two_days_of_tracking_stay_within_the_envelope_and_near_zero(horizon_s):
 def test_without_noise_the_error_shrinks_by_its_share_each_period():
     track, _ = fly([0.0, 0.1, 0.0], 1800.0, 6, [0.0, 0.0, 0.0], LEFT_N_M)
     share = 1.0 - np.exp(-(2.0 * np.pi / 7200.0) / 1.8 * 1800.0)
-    # pulses of one tick, and the exchange with yaw while the craft sails
+    # pulses of one tick, and the exchange with yaw while the spacecraft sails
     np.testing.assert_allclose(track[1:4, 1] / track[:3, 1], 1.0 - share, atol=0.04)
 
 

@@ -33,7 +33,7 @@ def test_figures_are_those_of_the_flight():
 
 
 def test_harmonics_over_an_orbit_are_those_of_the_specification():
-    # the craft turns in a fifth of the periods here, which changes nothing of a slow motion
+    # the spacecraft turns in a fifth of the periods here, which changes nothing of a slow motion
     spacecraft = rigid_spacecraft(inertia=Inertia(xy=100.0, xz=60.0, yz=114.0))._replace(
         computer=Computer(False, period_s=1.0)
     )

@@ -56,7 +56,7 @@ def test_control_is_released_at_alpha():
     motion = follow_motion(BodyState(0.0349, 1e-4), FREE, None, LAW, 400.0)
     assert motion.states(motion.release_times_s)[0, 0] == pytest.approx(0.0175, abs=1e-12)
     assert [one.arm for one in motion.regulators][-1] is Arm.NEUTRAL
-    # on to the other side, where it begins anew
+    # on to the other side, where it begins again
     far = follow_motion(BodyState(0.0349, 1e-4), FREE, None, LAW, 800.0)
     assert far.states(far.firing_times_s)[1, 0] == pytest.approx(-0.0349, abs=1e-12)
 

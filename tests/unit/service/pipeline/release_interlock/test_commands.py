@@ -134,7 +134,7 @@ def test_a_command_that_failed_half_way_is_known_input_as_far_as_it_went(driver)
     middle_us = command.start_us + 100 * US
     step = report(driver, CommandTransition.FAILED, executed_from_us=command.start_us, executed_until_us=middle_us)
     assert step.effects[0] == JournalEffect(ReportedCommand(1, driver.now_us, command.schedule[:1]))
-    # the first pulse went, the one that nulls the rate did not: the craft is turning
+    # the first pulse went, the one that nulls the rate did not: the spacecraft is turning
     assert driver.command(1).executed == command.schedule[:1]
 
 

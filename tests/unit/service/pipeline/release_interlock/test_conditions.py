@@ -272,7 +272,7 @@ def test_one_person_is_not_enough_nor_are_two_who_want_different_things():
     assert driver.engage("bob", hours=5.0).refusal.code == "interlock.second_person"
     assert driver.engage("bob", is_approver=False).refusal.code == "interlock.second_person"
     driver.rows(11)
-    # the first one asked too long ago: bob begins anew
+    # the first one asked too long ago: bob begins again
     assert driver.engage("bob").refusal is None
     assert driver.name == "ARMED"
     driver.engage("ann")

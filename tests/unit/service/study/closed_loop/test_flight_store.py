@@ -1,4 +1,4 @@
-"""Flights on disk come back equal; those of another length or setting are flown anew."""
+"""Flights on disk come back equal; those of another length or setting are flown again."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Judgement of a closed loop: known angles give known figures, and a craft that needs no control proves nothing."""
+"""Judgement of a closed loop: known angles give known figures; a spacecraft that needs no control proves nothing."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ ALONE = FlightAlone(HOURS, np.stack([0.0 * HOURS, 0.3 * HOURS, 0.0 * HOURS], axi
 
 
 def story(angles_deg: np.ndarray) -> Story:
-    """Return a story with an hour before operation in which the craft was turned far."""
+    """Return a story with an hour before operation in which the spacecraft was turned far."""
     before = {START_US - 60_000_000 * k: (5.0, 5.0, 5.0) for k in range(1, 60)}
     rows = {START_US + 60_000_000 * k: tuple(row) for k, row in enumerate(angles_deg.tolist())}
     return Story(phases={"operation": (START, "2026-11-06T10:00:00Z")}, truth_deg={**rows, **before})
@@ -51,7 +51,7 @@ def test_one_row_at_its_bound_misses_it(axis, name):
 
 def test_a_craft_that_needs_no_control_proves_nothing():
     found = judge_control(story(np.zeros((100, 3))), ControlLog(), FlightAlone(HOURS, STILL))
-    assert missed_control(found) == ["the craft keeps its bounds without control"]
+    assert missed_control(found) == ["the spacecraft keeps its bounds without control"]
     assert found["control_off"]["hours_within_bounds"] is None
     assert missed_control(None) == []
 

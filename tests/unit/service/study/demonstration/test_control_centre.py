@@ -37,7 +37,7 @@ class Service:
 
 
 class Line:
-    """A craft that tells a script of reports, one list a row."""
+    """A spacecraft that tells a script of reports, one list a row."""
 
     def __init__(self, *reports: list) -> None:
         self.reports, self.sent = list(reports), []

@@ -231,7 +231,7 @@ ANNOUNCED = {
 
 
 class OrbitalFrameSpacecraft:
-    """A craft line that hands on nothing."""
+    """A spacecraft line that hands on nothing."""
 
     fed_forward: dict | None = ANNOUNCED
 

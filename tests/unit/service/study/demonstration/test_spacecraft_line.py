@@ -1,4 +1,4 @@
-"""Craft line: schedules out, reports and rows in; a refusal and a craft that leaves are told."""
+"""Craft line: schedules out, reports and rows in; a refusal and a spacecraft that leaves are told."""
 
 import json
 import socket

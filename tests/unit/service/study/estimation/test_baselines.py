@@ -1,4 +1,4 @@
-"""Answers without powers: a craft that turns with the orbit, and corrections spread over their time."""
+"""Answers without powers: a spacecraft that turns with the orbit, and corrections spread over their time."""
 
 import numpy as np
 import pytest

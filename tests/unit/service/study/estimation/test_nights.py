@@ -1,4 +1,4 @@
-"""Nights of an eclipse: what the estimates of the same craft with and without it differ by."""
+"""Nights of an eclipse: what the estimates of the same spacecraft with and without it differ by."""
 
 import numpy as np
 import pytest

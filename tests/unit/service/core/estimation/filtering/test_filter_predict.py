@@ -1,4 +1,4 @@
-"""Claims about the motion of the craft between rows."""
+"""Claims about the motion of the spacecraft between rows."""
 
 import filter_models
 import numpy as np

@@ -116,7 +116,7 @@ def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_
     driver.restart()
     driver.rows(8)
     assert (driver.verdict.is_allowed, driver.view.is_withheld) == (False, True)
-    # a bad row begins them anew
+    # a bad row begins them again
     driver.rows(1, downlink_fade=True)
     driver.rows(10)
     assert not driver.verdict.is_allowed

@@ -234,7 +234,7 @@ def test_rates_are_those_of_the_state():
 def test_the_state_is_carried_over_by_signal():
     old = Stepped()
     for minute in range(1, 90):
-        # c04 steps and is learned anew
+        # c04 steps and is learned again
         old.step(minute, np.where(np.arange(16) == 4, 1.0 if minute > 20 else 0.0, 0.0))
     order = [7, 4, 9, 0, 1, 2, 12, 13, 14]
     payload = PAYLOAD.permuted(order)

@@ -72,7 +72,7 @@ def turned_deg(minute, announced=SLEW):
 
 
 def flown(flight, inputs, last=LAST, announced=SLEW):
-    """Fly rows with inputs of minutes; the craft does what ``told`` says."""
+    """Fly rows with inputs of minutes; the spacecraft does what ``told`` says."""
     noise, rows = np.random.default_rng(6).normal(0.0, 0.05, (last + 1, 16)), []
     for minute in range(1, last + 1):
         for content in inputs.get(minute, ()):

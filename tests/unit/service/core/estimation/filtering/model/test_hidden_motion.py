@@ -1,4 +1,4 @@
-"""Claims about torques and shares that move the craft and stand in no level."""
+"""Claims about torques and shares that move the spacecraft and stand in no level."""
 
 import filter_models
 import numpy as np
@@ -152,11 +152,12 @@ def test_another_statement_of_the_catalogue_brings_widens_and_ends_the_torque(mo
     np.testing.assert_array_equal(ended.gaussian.mean, calm.gaussian.mean)
 
 
-# ---- a craft under a torque -----------------------------------------------------------------------------------------
+# ---- a spacecraft under a torque
+# -----------------------------------------------------------------------------------------
 
 
 class OrbitalFrameSpacecraft:
-    """A craft that a torque turns about pitch, kept near zero by commands; pitch is not coupled."""
+    """A spacecraft that a torque turns about pitch, kept near zero by commands; pitch is not coupled."""
 
     def __init__(self, model, settings, torque_deg_h2, seed=5):
         self.model, self.settings, self.rng = model, settings, np.random.default_rng(seed)
@@ -255,5 +256,5 @@ def test_reversed_commands_are_found_in_spite_of_the_torque(model):
             break
     assert spacecraft.state.command.share == -1.0
     assert "unannounced_motion" in spacecraft.reported[-1].integrity.reasons
-    # found after half an hour, before the craft is lost
+    # found after half an hour, before the spacecraft is lost
     assert abs(spacecraft.attitude_deg[2]) < 0.4

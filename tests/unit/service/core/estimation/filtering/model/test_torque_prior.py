@@ -109,10 +109,10 @@ def test_another_profile_is_learned_anew_and_none_ends_it(model):
     pushed = start(model, 0, aligned(model, TOLD))
     pushed.gaussian.mean[core_size(model)] = 0.3
     twice = TOLD._replace(fed_forward=PROFILE._replace(cosine_deg_h2=(3.2, 7.8, 0.0)))
-    anew = with_stated_torque(model, pushed, 0, TOLD, twice)
-    np.testing.assert_array_equal(anew.gaussian.covariance, aligned(model, twice).covariance)
-    assert not anew.gaussian.mean.any()
-    ended = with_stated_torque(model, anew, 0, twice, FilterSettings())
+    again = with_stated_torque(model, pushed, 0, TOLD, twice)
+    np.testing.assert_array_equal(again.gaussian.covariance, aligned(model, twice).covariance)
+    assert not again.gaussian.mean.any()
+    ended = with_stated_torque(model, again, 0, twice, FilterSettings())
     np.testing.assert_array_equal(ended.gaussian.covariance, aligned(model, FilterSettings()).covariance)
     same = with_stated_torque(model, pushed, 0, TOLD, TOLD._replace(torque_deg_h2=(0.1, 0.1, 0.1)))
     assert same.gaussian.mean[core_size(model)] == 0.3

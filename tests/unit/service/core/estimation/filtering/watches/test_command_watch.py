@@ -24,7 +24,7 @@ ZEROS = np.zeros(3)
 
 
 class OrbitalFrameSpacecraft:
-    """A craft without drift that carries out a share of what is commanded."""
+    """A spacecraft without drift that carries out a share of what is commanded."""
 
     def __init__(self, filter_models):
         self.model, self.rng = filter_models.carrier_model(carriers=CARRIERS), np.random.default_rng(8)
