@@ -52,7 +52,7 @@ def measure(carriers: int, steps: int, *, is_storm: bool, seed: int = 5) -> tupl
     # compiled kernels, as in operation: with those of numpy a step is longer and the share smaller
     chain = Chain(flight.documents, ChainConfig(kernels="numba"))
     for content in flight.opening():
-        chain.learn(content)
+        chain.update(content)
     reader = RowReader(AlarmEngine("craft", condition_table(AlarmConfig(), RobustConfig())), EngineMemory())
     noise = 0.05 * np.random.default_rng(seed).normal(size=(_SETTLING + steps, carriers))
     c_n0 = np.full(carriers, 85.0, dtype=np.float32)

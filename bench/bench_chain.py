@@ -123,7 +123,7 @@ def measure(carriers: int, steps: int, seed: int = 5) -> StepTimes:
     aligned_us = START_US + HOUR
     chain = Chain(FixedDocuments(payload, aligned_us), ChainConfig())
     for content in opening(payload.spacecraft()):
-        chain.learn(content)
+        chain.update(content)
     noise = 0.05 * np.random.default_rng(seed).normal(size=(_SETTLING + steps, carriers))
     taken, fixes = [], 0
     for row, noise_db in enumerate(noise, start=1):

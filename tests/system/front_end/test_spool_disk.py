@@ -16,7 +16,7 @@ import json, resource, sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 import spooled_rows as made
-from service.frontend.spool.file import Lane
+from service.frontend.spool.file import UploadLane
 hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
 with made.spool(Path(sys.argv[2])) as spool:
@@ -24,13 +24,13 @@ with made.spool(Path(sys.argv[2])) as spool:
     said = [each.code for each in spool.warnings]
     sent = 0
     while sent < 200:
-        rows = spool.batch(Lane.LIVE, 0, 50)
+        rows = spool.batch(UploadLane.LIVE, 0, 50)
         sent += len(rows)
         spool.settle(rows)
     resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
     time.sleep(1.1)
     healed = spool.append(made.row(2000))
-    left = [each.row.epoch_us for lane in (Lane.LIVE,) for each in spool.batch(lane, 0, 10_000)]
+    left = [each.row.epoch_us for lane in (UploadLane.LIVE,) for each in spool.batch(lane, 0, 10_000)]
     print(json.dumps({"kept": sum(kept), "said": said, "healed": healed, "left": left, "sent": sent,
                       "after": [each.code for each in spool.warnings], "dropped": spool.state.dropped}))
 """

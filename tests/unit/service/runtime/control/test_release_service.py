@@ -373,7 +373,7 @@ def test_a_command_that_did_nothing_trips_when_it_is_reported_executed(driver):
     driver.armed()
     driver.sent()
     driver.row = replace(GOOD, epoch_us=driver.clock.now)
-    driver.see(evidence=evidence)
+    driver.on_rows(evidence=evidence)
     assert driver.state == "ARMED"
     driver.report(1)
     assert driver.view.trips == ("response_missed",)

@@ -13,15 +13,15 @@ from service.study.closed_loop.run import COMMAND_PERIOD_S, LOOP_PERIOD_S, flown
 def test_the_ground_states_what_the_plant_announces_and_how_wrong_it_may_be() -> None:
     with PlantProcess("nominal", 1, operation_days=0.01) as plant:
         opening = plant.opening()
-    announced = ground_of(opening).spacecraft.onboard.fed_forward_torque
+    stated = ground_of(opening).spacecraft.onboard.fed_forward_torque
     announced = opening.fed_forward
+    assert stated is not None
     assert announced is not None
-    assert announced is not None
-    assert announced.cosine_n_m == AxisTorques(**announced["cosine_n_m"])
-    assert announced.sine_n_m == AxisTorques(**announced["sine_n_m"])
+    assert stated.cosine_n_m == AxisTorques(**announced["cosine_n_m"])
+    assert stated.sine_n_m == AxisTorques(**announced["sine_n_m"])
     # of the order of the light of the Sun, 95 % of it
-    assert 1.2e-5 < (announced.cosine_n_m.roll**2 + announced.sine_n_m.roll**2) ** 0.5 < 1.3e-5
-    assert (announced.relative_error, announced.axis_relative_error) == (RELATIVE_ERROR, AXIS_RELATIVE_ERROR)
+    assert 1.2e-5 < (stated.cosine_n_m.roll**2 + stated.sine_n_m.roll**2) ** 0.5 < 1.3e-5
+    assert (stated.relative_error, stated.axis_relative_error) == (RELATIVE_ERROR, AXIS_RELATIVE_ERROR)
     assert ground_of(opening).spacecraft.onboard.residual_torque_n_m == 0.0
     flown = flown_spacecraft(ground_of(opening).spacecraft, Release.TWO_STEP).control
     assert (flown.period_s, flown.command_period_s) == (LOOP_PERIOD_S, COMMAND_PERIOD_S)

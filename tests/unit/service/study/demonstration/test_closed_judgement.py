@@ -57,7 +57,7 @@ def test_a_craft_that_needs_no_control_proves_nothing():
 
 
 def test_the_craft_left_alone_is_judged_by_the_same_bounds():
-    found = ALONE.figures()
+    found = ALONE.statistics()
     assert (found["hours"], found["hours_within_bounds"]) == (1.65, 1.0)
     assert found["largest_deg"] == {"yaw": 0.0, "roll": 0.495, "pitch": 0.0}
     assert found["missed"] == ["true roll reached 0.495 deg, not below 0.3"]
