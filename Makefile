@@ -51,7 +51,7 @@ demo-check: $(STAMP) ## two virtual days on a tour of slews, half a day in close
 # prints wall time and processor time of all processes
 PARALLEL := bash -c 'time "$$0" "$$@"' $(BIN)/python -m pytest -n 2 --dist worksteal --durations=25
 
-test: $(DEV_STAMP) ## run the tests of every change, in five minutes
+test: $(DEV_STAMP) ## run the tests of every change
 	$(PARALLEL) -m "not nightly and not slow"
 
 test-all: export SOO_TEST_PROFILE := ci

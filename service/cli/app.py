@@ -32,7 +32,7 @@ _COMMANDS = {
     "doctor": CommandSource(
         "administration.doctor", "Look at an archive, also of a running service, and say what is wrong and what to do."
     ),
-    "upkeep": CommandSource(
+    "maintenance": CommandSource(
         "administration.maintenance",
         "Seal closed days and drop what retention no longer keeps, as the service does by itself.",
     ),
@@ -47,5 +47,8 @@ _COMMANDS = {
 }
 
 app = late_app(
-    _COMMANDS, name="soo", help="Attitude of a geostationary satellite from the powers of the carriers it retransmits."
+    _COMMANDS,
+    former={"upkeep": "maintenance"},
+    name="soo",
+    help="Attitude of a geostationary satellite from the powers of the carriers it retransmits.",
 )

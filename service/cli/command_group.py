@@ -17,12 +17,13 @@ class CommandSource(NamedTuple):
 
 
 class _LateCommands(Mapping[str, Any]):
-    """Commands by name, each imported when it is taken out."""
+    """Commands by name, each imported when it is taken out; former names work and are not listed."""
 
-    def __init__(self, sources: Mapping[str, CommandSource]) -> None:
-        self._sources = sources
+    def __init__(self, sources: Mapping[str, CommandSource], former: Mapping[str, str]) -> None:
+        self._sources, self._former = sources, former
 
     def __getitem__(self, name: str) -> Any:
+        name = self._former.get(name, name)
         module = import_module(f"service.cli.{self._sources[name].module}")
         app = getattr(module, "app", None)
         if app is None:
@@ -52,15 +53,25 @@ def _begin(ctx: typer.Context) -> None:
             gc.enable()
 
 
-def late_app(sources: Mapping[str, CommandSource], **options: Any) -> typer.Typer:
-    """Return a group of commands, each imported when it is run; its help is written from the table alone."""
+def late_app(
+    sources: Mapping[str, CommandSource], former: Mapping[str, str] | None = None, **options: Any
+) -> typer.Typer:
+    """Return a group of commands, each imported when it is run; its help is written from the table alone.
+
+    Parameters
+    ----------
+    sources : Mapping
+        Commands by name.
+    former : Mapping or None
+        Names of today by the names of former versions.
+    """
 
     class LateGroup(TyperGroup):
         """Group of the table."""
 
         def __init__(self, **settings: Any) -> None:
             super().__init__(**settings)
-            self.commands: Any = _LateCommands(sources)
+            self.commands: Any = _LateCommands(sources, former or {})
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
             imported_late = self.commands

@@ -1,4 +1,4 @@
-"""``soo upkeep``: seals closed days and drops what retention no longer keeps, now; a running service may go on.
+"""``soo maintenance``: seals closed days and drops what retention no longer keeps, now; a running service may go on.
 
 Exit codes: 0 done, 1 the archive of a spacecraft failed, 2 the option is wrong.
 """
@@ -14,7 +14,7 @@ EXIT_FAULT = 1
 EXIT_USAGE = 2
 
 
-def upkeep(
+def maintenance(
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL of the archive.")] = None,
     as_json: JsonOption = False,
 ) -> None:

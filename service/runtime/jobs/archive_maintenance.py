@@ -23,7 +23,7 @@ from service.records.storage.archive_maintenance import (
 )
 from service.runtime.live.leadership import Term, always
 
-_LOG = logging.getLogger("soo.upkeep")
+_LOG = logging.getLogger("soo.maintenance")
 _DAY_US = 86_400 * US_PER_S
 #: between two looks at the sizes of series, which read them through, s
 SIZING_S = 3600.0
@@ -74,7 +74,7 @@ class ArchiveMaintenance:
 
     def start(self) -> None:
         """Look after the archive until stopped."""
-        self._thread = threading.Thread(target=self._run, name="soo-upkeep", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="soo-maintenance", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
@@ -104,7 +104,7 @@ class ArchiveMaintenance:
             yield
         except Exception:  # noqa: BLE001 as the docstring says
             self.failed_polls += 1
-            _LOG.exception("upkeep of the archive of %s failed; it is tried again", whose)
+            _LOG.exception("maintenance of the archive of %s failed; it is tried again", whose)
 
     def _run(self) -> None:
         while not self._stopping.wait(self._sealing.period_s):
@@ -112,7 +112,7 @@ class ArchiveMaintenance:
                 if self._turn():
                     self.poll_once()
             except Exception:  # noqa: BLE001 as above
-                _LOG.exception("upkeep of the archive failed; it is tried again")
+                _LOG.exception("maintenance of the archive failed; it is tried again")
 
     def _drop(self, spacecraft_id: str) -> None:
         """Drop what is no longer kept; before days are packed, since what goes need not be."""

@@ -54,7 +54,7 @@ RETIRED = frozenset(
     ]
 )
 #: words of the interface and of the archive stand as they are, and so does the alias of a command
-KEPT = frozenset({"upkeep", "told_executed_us", "place_chi_square"})
+KEPT = frozenset({"told_executed_us", "place_chi_square"})
 RETIRED_IN_DOCUMENTS = ("tidings", "anew", "the craft", "other people's")
 FOLDERS = ("service", "db", "analyzer_sim", "bench")
 #: one file for each resource or revision

@@ -1,4 +1,4 @@
-"""``soo upkeep`` seals closed days and drops what is no longer kept, and says how much."""
+"""``soo maintenance`` seals closed days and drops what is no longer kept, and says how much."""
 
 import json
 
@@ -36,7 +36,7 @@ def url(tmp_path):
 
 
 def reported(url, *options):
-    answer = CliRunner().invoke(app, ["upkeep", "--database", url, *options])
+    answer = CliRunner().invoke(app, ["maintenance", "--database", url, *options])
     assert answer.exit_code == 0, answer.output
     return answer.output
 
@@ -47,11 +47,17 @@ def test_days_are_sealed_once(url):
     assert json.loads(reported(url, "--json")) == expected | {"sealed_rows": 0}
 
 
+def test_its_former_name_works(url):
+    former = CliRunner().invoke(app, ["upkeep", "--database", url, "--json"])
+    assert former.exit_code == 0, former.output
+    assert json.loads(former.output)["sealed_rows"] == 3
+
+
 def test_what_is_too_old_goes(url, monkeypatch):
     monkeypatch.setenv("SOO_RETENTION__MEASUREMENTS_DAYS", "1")
     assert reported(url) == "sealed 0 rows\ndropped 3 rows of measurements\n"
 
 
 def test_without_an_archive_the_option_is_wrong(tmp_path):
-    answer = CliRunner().invoke(app, ["upkeep", "--database", f"sqlite:///{tmp_path / 'none.db'}"])
+    answer = CliRunner().invoke(app, ["maintenance", "--database", f"sqlite:///{tmp_path / 'none.db'}"])
     assert answer.exit_code == 2
