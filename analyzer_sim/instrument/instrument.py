@@ -92,12 +92,12 @@ class Instrument:
 
     @property
     def is_pending(self) -> bool:
-        """Whether a single sweep waits for permission or runs."""
+        """Return whether a single sweep waits for permission or runs."""
         return self._progress.is_pending
 
     @property
     def is_waiting(self) -> bool:
-        """Whether a single sweep waits for permission."""
+        """Return whether a single sweep waits for permission."""
         return self._progress.state is SweepState.WAITING
 
     @property

@@ -75,12 +75,12 @@ class SweepProgress:
 
     @property
     def is_pending(self) -> bool:
-        """Whether a single sweep has been asked for and is not complete."""
+        """Return whether a single sweep has been asked for and is not complete."""
         return self._state in {SweepState.WAITING, SweepState.SWEEPING}
 
     @property
     def is_running(self) -> bool:
-        """Whether time passes for a sweep."""
+        """Return whether time passes for a sweep."""
         return self._state in {SweepState.SWEEPING, SweepState.CONTINUOUS}
 
     @property
@@ -97,7 +97,7 @@ class SweepProgress:
 
     @property
     def is_due(self) -> bool:
-        """Whether the sweep that runs has had its time."""
+        """Return whether the sweep that runs has had its time."""
         return self._state is SweepState.SWEEPING and self.sweeps_done > 0
 
     def wait(self) -> None:

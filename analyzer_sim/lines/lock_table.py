@@ -46,7 +46,7 @@ class LockTable:
 
     @property
     def is_exclusive(self) -> bool:
-        """Whether an exclusive lock is held."""
+        """Return whether an exclusive lock is held."""
         return self._exclusive is not None
 
     @property

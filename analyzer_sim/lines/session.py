@@ -58,12 +58,12 @@ class Session:
 
     @property
     def is_held(self) -> bool:
-        """Whether the session waits for the pending sweep."""
+        """Return whether the session waits for the pending sweep."""
         return self._is_held
 
     @property
     def is_busy(self) -> bool:
-        """Whether units of the last message are left."""
+        """Return whether units of the last message are left."""
         return bool(self._units)
 
     def clear(self) -> None:

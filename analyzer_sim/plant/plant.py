@@ -107,7 +107,7 @@ class Plant:
 
     @property
     def is_measured(self) -> bool:
-        """Whether the present row is measured at all."""
+        """Return whether the present row is measured at all."""
         return not self.world.rows.is_gap[self.row]
 
     @property

@@ -72,7 +72,7 @@ class Unit:
 
     @property
     def is_common(self) -> bool:
-        """Whether this is a command of IEEE 488.2, which leaves the header path alone."""
+        """Return whether this is a command of IEEE 488.2, which leaves the header path alone."""
         return self.nodes[0].startswith("*")
 
     @property

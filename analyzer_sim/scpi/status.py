@@ -68,7 +68,7 @@ class StatusRegister:
 
     @property
     def summary(self) -> bool:
-        """Whether an enabled event is latched."""
+        """Return whether an enabled event is latched."""
         return bool(self.event & self.enable)
 
 

@@ -45,12 +45,12 @@ class CarrierStructure:
 
     @property
     def is_stable(self) -> bool:
-        """Whether one harmonic explains the quiet phase."""
+        """Return whether one harmonic explains the quiet phase."""
         return self.residual_db <= STABLE_DB
 
     @property
     def is_linear(self) -> bool:
-        """Whether two straight pieces explain a turn."""
+        """Return whether two straight pieces explain a turn."""
         return self.nonlinearity_deg <= LINEAR_DEG
 
 

@@ -42,7 +42,7 @@ def decode_input(kind: str, text: str) -> SlowInput:
 
 
 def is_same_input(kind: str, stored: str, offered: str) -> bool:
-    """Whether two documents of a kind mean the same, also when one was written before a field was added."""
+    """Return whether two documents of a kind mean the same, also when one was written before a field was added."""
     return stored == offered or encode(decode_input(kind, stored)) == encode(decode_input(kind, offered))
 
 

@@ -95,7 +95,7 @@ def _file(path: Path) -> Iterator[Diagnosis]:
 
 
 def _permissions(path: Path) -> Diagnosis:
-    """Whether this user may write the file and the names beside it."""
+    """Return whether this user may write the file and the names beside it."""
     folder = path.resolve().parent
     lacking = [str(each) for each in (path, folder) if not os.access(each, os.W_OK)]
     if lacking:
@@ -118,7 +118,7 @@ def _companions(path: Path) -> list[Path]:
 
 
 def _disk(path: Path) -> Diagnosis:
-    """Whether there is room for more."""
+    """Return whether there is room for more."""
     usage = shutil.disk_usage(path.resolve().parent)
     detail = f"{usage.free >> 20} MiB free of {usage.total >> 20} MiB"
     advice = "Make room, set retention, or move the archive to a larger disk."

@@ -84,7 +84,7 @@ class Call(Generic[Result]):
 
     @property
     def is_safe(self) -> bool:
-        """Whether sending it twice does what sending it once does."""
+        """Return whether sending it twice does what sending it once does."""
         return self.is_keyed or self.method in _REPEATABLE
 
 

@@ -31,7 +31,7 @@ class JobWatch:
         self._on_progress = on_progress
 
     def is_done(self, job: JobReply) -> bool:
-        """Whether a job is done; JobFailedError when it failed or takes too long."""
+        """Return whether a job is done; JobFailedError when it failed or takes too long."""
         if self._on_progress is not None:
             self._on_progress(float(job.get("progress") or 0.0))
         if job["state"] == "failed":

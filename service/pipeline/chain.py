@@ -86,12 +86,12 @@ class Chain:
 
     @property
     def is_running(self) -> bool:
-        """Whether rows lead to angles."""
+        """Return whether rows lead to angles."""
         return any(runner.is_running for runner in self._runners)
 
     @property
     def is_disagreeing(self) -> bool:
-        """Whether the methods have told different roll or pitch angles for long."""
+        """Return whether the methods have told different roll or pitch angles for long."""
         return self._disagreement.is_standing
 
     def update(self, content: SlowInput) -> None:

@@ -11,7 +11,7 @@ class Clock(Protocol):
         ...
 
     def is_data(self, spacecraft_id: str) -> bool:
-        """Whether a spacecraft lives under the data clock, where its present is the newest epoch it sent."""
+        """Return whether a spacecraft lives under the data clock, where its present is the newest epoch it sent."""
         ...
 
     def system_us(self) -> int:

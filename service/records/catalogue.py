@@ -206,7 +206,7 @@ class Carrier:
 
     @property
     def is_usable_for_attitude(self) -> bool:
-        """Whether the carrier may enter the sensitivity system at all."""
+        """Return whether the carrier may enter the sensitivity system at all."""
         return self.enabled and self.kind != "beacon" and self.uplink_power_control != "auto"
 
 

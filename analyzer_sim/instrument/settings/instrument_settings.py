@@ -128,12 +128,12 @@ class Settings:
 
     @property
     def is_uncalibrated(self) -> bool:
-        """Whether the sweep is faster than the resolution filter settles."""
+        """Return whether the sweep is faster than the resolution filter settles."""
         return not self.is_fft and self.time_s < UNCALIBRATED_BELOW * 2.5 * self.span_hz / self.rbw_hz**2
 
     @property
     def is_fft(self) -> bool:
-        """Whether one capture of the whole sweep time serves all points."""
+        """Return whether one capture of the whole sweep time serves all points."""
         return self.sweep_type == "FFT"
 
     @property

@@ -62,7 +62,7 @@ class LevelTerms:
 
     @property
     def has_control(self) -> bool:
-        """Whether stations or transponders steer power: then a row depends on those before it."""
+        """Return whether stations or transponders steer power: then a row depends on those before it."""
         return bool(self._scenario.repeater.alc_transponders or self._scenario.repeater.power_controlled)
 
     @property

@@ -43,7 +43,7 @@ class Correction:
 
     @property
     def is_late(self) -> bool:
-        """Whether the ground hears of it only afterwards."""
+        """Return whether the ground hears of it only afterwards."""
         return self.reported_us > self.start_us
 
 

@@ -79,7 +79,7 @@ class StoredKeys:
         return Principal(stored.key.name, stored.key.role, key_id)
 
     async def still_holds(self, principal: Principal) -> bool:
-        """Whether a key that was valid is so still, for answers that take long."""
+        """Return whether a key that was valid is so still, for answers that take long."""
         if principal.key_id not in self._known:
             return True
         await self._refresh(REFRESH_S)

@@ -49,5 +49,5 @@ class Principal:
     key_id: str = ""
 
     def may(self, permission: Permission) -> bool:
-        """Whether the role carries a permission."""
+        """Return whether the role carries a permission."""
         return permission in PERMISSIONS[self.role]

@@ -42,7 +42,7 @@ class Refusals:
         self._lock = Lock()
 
     def admit(self, audit_event: AuditEvent) -> bool:
-        """Whether a refusal is to be written now; the others are counted."""
+        """Return whether a refusal is to be written now; the others are counted."""
         with self._lock:
             return self._is_first(audit_event)
 

@@ -20,7 +20,7 @@ class CarrierNameCache:
         self._names: dict[tuple[str, int], tuple[str, ...]] = {}
 
     def knows(self, spacecraft_id: str, plan_id: int) -> bool:
-        """Whether the carrier ids of a plan need no look-up."""
+        """Return whether the carrier ids of a plan need no look-up."""
         with self._lock:
             return (spacecraft_id, plan_id) in self._names
 

@@ -42,7 +42,7 @@ def faults_of(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> tuple[Fi
 
 
 def _is_echo(error: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether a sequence is called too short only because its elements failed and were not counted."""
+    """Return whether a sequence is called too short only because its elements failed and were not counted."""
     position = tuple(error["loc"])
     if error["type"] != "too_short":
         return False

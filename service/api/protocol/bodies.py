@@ -60,7 +60,7 @@ def media_type(request: Request) -> str:
 
 
 def is_json(media: str) -> bool:
-    """Whether a media type is JSON; a body without a type is taken for JSON."""
+    """Return whether a media type is JSON; a body without a type is taken for JSON."""
     return media in {"", "application/json"} or (media.startswith("application/") and media.endswith("+json"))
 
 

@@ -53,7 +53,7 @@ class AlignmentDocument(Document):
 
     @property
     def is_manual(self) -> bool:
-        """Whether angles are stated by hand."""
+        """Return whether angles are stated by hand."""
         return self.source == "manual"
 
     @model_validator(mode="after")

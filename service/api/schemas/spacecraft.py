@@ -244,12 +244,12 @@ class SpacecraftDocument(Document):
 
     @property
     def is_released_unattended(self) -> bool:
-        """Whether torques go to a real spacecraft without a person."""
+        """Return whether torques go to a real spacecraft without a person."""
         return self.control.release is Release.AUTOMATIC and not self.simulated
 
     @property
     def lacks_fast_loop(self) -> bool:
-        """Whether ground control is asked of a spacecraft that would not stay still between two commands."""
+        """Return whether ground control is asked of a spacecraft that would not stay still between two commands."""
         can_follow = self.onboard.fast_loop and self.onboard.forecast_mode
         return self.control.mode is ControlMode.GROUND and not can_follow
 

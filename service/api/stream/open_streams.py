@@ -32,7 +32,7 @@ class OpenStreams:
 
     @property
     def is_closed(self) -> bool:
-        """Whether streams are to end."""
+        """Return whether streams are to end."""
         return self._is_closed
 
     @property

@@ -42,7 +42,7 @@ def newest_command(
 
 
 def _is_expired(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> bool:
-    """Whether a row is too old to be the present."""
+    """Return whether a row is too old to be the present."""
     if context.clock.is_data(spacecraft_id):
         return False
     now_us = context.clock.now_us(spacecraft_id)

@@ -144,7 +144,7 @@ def _greatest(one: dict[str, Any], name: str, digits: int) -> str:
 
 
 def _is_unchecked(member: dict[str, Any]) -> bool:
-    """Whether no other carrier checks one: its leverage is known, the bound of its fault is not finite."""
+    """Return whether no other carrier checks one: its leverage is known, the bound of its fault is not finite."""
     return member["leverage"] is not None and member["undetectable_fault_db"] is None
 
 

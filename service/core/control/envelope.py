@@ -23,7 +23,7 @@ class Envelope(NamedTuple):
     impulse_an_hour_n_m_s: float = 0.1
 
     def is_within(self, other: "Envelope") -> bool:
-        """Whether no limit is wider than another envelope's, and each is a positive number."""
+        """Return whether no limit is wider than another envelope's, and each is a positive number."""
         return all(0.0 < own <= limit for own, limit in zip(self, other, strict=True))
 
 

@@ -58,7 +58,7 @@ def gyro_orbitant_torque(
 
 
 def does_rate_show_yaw(body_rate_deg_s: FloatArray, orbital_rate_rad_s: float) -> bool:
-    """Whether rates (3,) are within the law: |c| <= 1, and the spacecraft turns with its orbit, not against it.
+    """Return whether rates (3,) are within the law: |c| <= 1, and the spacecraft turns with its orbit, not against it.
 
     Beyond, the guarded law takes any yaw for 45 degrees of half-angle: a spacecraft that is not near its frame, or a
     sensor that does not measure against inertial space. From the ground that is no ground for a torque.

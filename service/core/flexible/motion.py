@@ -43,7 +43,7 @@ class Regulator(NamedTuple):
 
     @property
     def is_on(self) -> bool:
-        """Whether the motor runs."""
+        """Return whether the motor runs."""
         return self.arm in {Arm.FIRING, Arm.RELAY_ON}
 
 

@@ -50,7 +50,7 @@ class SwitchingLaw(NamedTuple):
 
     @property
     def is_relay(self) -> bool:
-        """Whether the motor runs until the angle has fallen to alpha."""
+        """Return whether the motor runs until the angle has fallen to alpha."""
         return math.isinf(self.pulse_s)
 
     @property

@@ -122,7 +122,7 @@ class Acquisition:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the action in hand has taken longer than anything in it may."""
+        """Return whether the action in hand has taken longer than anything in it may."""
         return time.monotonic() > self._bound_s
 
     def poll(self) -> None:

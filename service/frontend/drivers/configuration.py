@@ -94,7 +94,7 @@ class Configuration:
 
     @property
     def has_points(self) -> bool:
-        """Whether the analyzer states how many points it sweeps."""
+        """Return whether the analyzer states how many points it sweeps."""
         return self._has_points
 
     @property

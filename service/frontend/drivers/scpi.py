@@ -43,12 +43,12 @@ class AnalyzerMessage(NamedTuple):
 
     @property
     def is_execution_error(self) -> bool:
-        """Whether the analyzer did not do what it was told (-200 to -299); -222 only clamps a setting."""
+        """Return whether the analyzer did not do what it was told (-200 to -299); -222 only clamps a setting."""
         return -300 < self.code <= -200 and self.code != -222
 
     @property
     def is_command_error(self) -> bool:
-        """Whether the analyzer did not understand (-100 to -199), or cannot answer (-400 to -499)."""
+        """Return whether the analyzer did not understand (-100 to -199), or cannot answer (-400 to -499)."""
         return -200 < self.code <= -100 or -500 < self.code <= -400
 
 

@@ -129,7 +129,7 @@ class Uploader:
 
     @property
     def is_down(self) -> bool:
-        """Whether the last attempt failed."""
+        """Return whether the last attempt failed."""
         return self._is_down
 
     def run(self) -> None:

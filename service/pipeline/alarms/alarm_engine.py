@@ -50,7 +50,7 @@ class _InForce:
         self.bound = outermost(self.condition.kind, self.limits) if self.limits.enabled else None
 
     def is_beyond(self, value: float) -> bool:
-        """Whether a value has passed a limit; one that is not known has not."""
+        """Return whether a value has passed a limit; one that is not known has not."""
         if self.bound is None:
             return False
         if self.condition.kind is Kind.BELOW:
@@ -148,7 +148,7 @@ class AlarmEngine:
         return changes
 
     def is_settled(self, condition: str, extreme: float) -> bool:
-        """Whether values need no look: nothing is remembered, and the extreme one has passed no limit."""
+        """Return whether values need no look: nothing is remembered, and the extreme one has passed no limit."""
         return not self._watches[condition] and not self._in_force[condition].is_beyond(extreme)
 
     def observe(self, readings: Readings, at_us: int) -> list[AlarmChange]:
@@ -259,11 +259,11 @@ class AlarmEngine:
         return change
 
     def _is_quiet(self, key: Key) -> bool:
-        """Whether an operation keeps an alarm quiet."""
+        """Return whether an operation keeps an alarm quiet."""
         return self._in_force[key[0]].limits.suppressed or self._context.is_quiet(*key)
 
     def _is_to_repeat(self, alarm: Alarm, at_us: int) -> bool:
-        """Whether nobody has acted on an alarm for too long."""
+        """Return whether nobody has acted on an alarm for too long."""
         repeat_s = self._in_force[alarm.condition].limits.repeat_s
         is_unattended = alarm.process is Process.UNACKNOWLEDGED and alarm.cover is Cover.NONE
         reported_us = alarm.announced_at_us or alarm.raised_at_us

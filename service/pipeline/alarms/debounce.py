@@ -122,7 +122,7 @@ def _better(watch: ValueMemory, epoch_us: int, limits: ConditionLimits, *, is_go
 
 
 def _is_gone(kind: Kind, reported: float, limits: ConditionLimits) -> bool:
-    """Whether a value lies inside every limit by the deadband."""
+    """Return whether a value lies inside every limit by the deadband."""
     bound = outermost(kind, limits)
     if bound is None:
         return True
@@ -135,7 +135,7 @@ def _is_gone(kind: Kind, reported: float, limits: ConditionLimits) -> bool:
 
 
 def _is_beyond(kind: Kind, value: float, threshold: float) -> bool:
-    """Whether a value has passed a limit."""
+    """Return whether a value has passed a limit."""
     if kind is Kind.LASTING:
         return value >= threshold
     return value < threshold if kind is Kind.BELOW else value > threshold

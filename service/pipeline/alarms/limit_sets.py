@@ -68,7 +68,7 @@ class AlarmContext(NamedTuple):
     until_us: int = 1 << 62
 
     def is_quiet(self, condition: str, thing: str) -> bool:
-        """Whether a declared operation keeps an alarm quiet."""
+        """Return whether a declared operation keeps an alarm quiet."""
         return condition in _CARRIER_CONDITIONS and thing in self.quiet_carriers
 
 
@@ -138,6 +138,6 @@ def _up_to(chosen: str) -> tuple[str, ...]:
 
 
 def _is_ordered(kind: Kind, limits: ConditionLimits) -> bool:
-    """Whether limits of rising severity lie ever farther out."""
+    """Return whether limits of rising severity lie ever farther out."""
     stated = [threshold for threshold in limits.thresholds if threshold is not None]
     return stated == sorted(stated, reverse=kind is Kind.BELOW)

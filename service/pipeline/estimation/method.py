@@ -46,7 +46,7 @@ class MethodRunner(Protocol):
 
     @property
     def is_running(self) -> bool:
-        """Whether rows lead to angles."""
+        """Return whether rows lead to angles."""
         ...
 
     def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:

@@ -56,7 +56,7 @@ class RowPermission:
 
     @property
     def is_allowed(self) -> bool:
-        """Whether roll and pitch may be controlled."""
+        """Return whether roll and pitch may be controlled."""
         return not self.inhibitions
 
 

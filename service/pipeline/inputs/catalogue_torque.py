@@ -38,7 +38,7 @@ def constant_share(spacecraft: Spacecraft | None) -> float:
 
 
 def is_torque_unknown(spacecraft: Spacecraft | None) -> bool:
-    """Whether the catalogue does not state the size of the torque that is not fed forward."""
+    """Return whether the catalogue does not state the size of the torque that is not fed forward."""
     return spacecraft is not None and spacecraft.onboard.residual_torque_n_m is None
 
 

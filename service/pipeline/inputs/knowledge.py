@@ -66,7 +66,7 @@ class Knowledge:
 
     @property
     def is_withheld(self) -> bool:
-        """Whether the interlock withholds torques."""
+        """Return whether the interlock withholds torques."""
         return self.hold is not None and self.hold.is_withheld
 
     def momentum_n_m_s(self, epoch_us: int, age_s: float) -> tuple[float, ...] | None:
@@ -143,7 +143,7 @@ def _with_word(knowledge: Knowledge, reported: TelemetryRecord | InterlockHold) 
 
 
 def has_body_rate(reported: TelemetryRecord) -> bool:
-    """Whether a record tells the rate of the body about every axis."""
+    """Return whether a record tells the rate of the body about every axis."""
     return reported.body_rate_deg_s is not None and all(map(math.isfinite, reported.body_rate_deg_s))
 
 

@@ -52,7 +52,7 @@ class AccessKey:
     revoked_at_us: int | None = None
 
     def is_valid(self, at_us: int) -> bool:
-        """Whether the key opens anything at an instant."""
+        """Return whether the key opens anything at an instant."""
         return self.revoked_at_us is None and (self.expires_at_us is None or at_us < self.expires_at_us)
 
 

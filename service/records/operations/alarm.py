@@ -113,12 +113,12 @@ class Alarm:
 
     @property
     def is_open(self) -> bool:
-        """Whether the alarm still stands, be it under a cover."""
+        """Return whether the alarm still stands, be it under a cover."""
         return self.process is not Process.NORMAL or self.cover is not Cover.NONE
 
     @property
     def is_active(self) -> bool:
-        """Whether the condition stands."""
+        """Return whether the condition stands."""
         return self.process in (Process.UNACKNOWLEDGED, Process.ACKNOWLEDGED)
 
     @property

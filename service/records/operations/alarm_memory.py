@@ -22,7 +22,7 @@ class ValueMemory:
 
     @property
     def is_idle(self) -> bool:
-        """Whether there is nothing to remember."""
+        """Return whether there is nothing to remember."""
         return self.level == 0 and self.pending_us is None and self.since_us is None
 
 

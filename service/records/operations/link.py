@@ -70,11 +70,11 @@ class LinkState:
         return self.report.period_s or self.learned_period_s or DEFAULT_PERIOD_S
 
     def is_silent(self, now_us: int) -> bool:
-        """Whether the link has missed its reports; one that has said that it stops owes none."""
+        """Return whether the link has missed its reports; one that has said that it stops owes none."""
         return self.report.state != STOPPED and now_us - self.reported_at_us > SILENT_PERIODS * self.period_s * US_PER_S
 
     def is_down(self, now_us: int) -> bool:
-        """Whether a link that should work does not."""
+        """Return whether a link that should work does not."""
         return self.enabled and (self.is_silent(now_us) or self.report.state in DOWN_STATES)
 
 

@@ -233,7 +233,7 @@ class Command:
 
     @property
     def is_sign_check(self) -> bool:
-        """Whether its torque is kept from the filter, because it proves a sign."""
+        """Return whether its torque is kept from the filter, because it proves a sign."""
         return self.purpose is Purpose.SIGN_CHECK
 
 

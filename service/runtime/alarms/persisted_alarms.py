@@ -72,7 +72,7 @@ class PersistedAlarms:
 
 
 def _is_other(memory: EngineMemory, kept: EngineMemory) -> bool:
-    """Whether rows have gone on by much, or come at another pace, since the memory was stored."""
+    """Return whether rows have gone on by much, or come at another pace, since the memory was stored."""
     if memory.newest_row_us is None or memory.newest_row_us == kept.newest_row_us:
         return False
     if kept.newest_row_us is None or memory.newest_row_us - kept.newest_row_us > _FAR_US:

@@ -92,7 +92,7 @@ class ReleaseContext:
 
     @property
     def are_facts_old(self) -> bool:
-        """Whether the archive should be asked again."""
+        """Return whether the archive should be asked again."""
         return self.known is None or time.monotonic() - self.read_s > _FACTS_S
 
     @property

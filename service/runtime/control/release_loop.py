@@ -211,5 +211,5 @@ class ReleaseLoop:
             handle_row(context, stored, row, at, may_send=self._may_send(context.spacecraft))
 
     def _may_send(self, spacecraft: Spacecraft) -> bool:
-        """Whether a spacecraft gets commands at all under the clock of this service."""
+        """Return whether a spacecraft gets commands at all under the clock of this service."""
         return not self._is_data_service or spacecraft.simulated

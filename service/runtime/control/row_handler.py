@@ -86,7 +86,7 @@ def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None
 
 
 def _is_for_release(spacecraft: Spacecraft) -> bool:
-    """Whether commands of a spacecraft are released one by one."""
+    """Return whether commands of a spacecraft are released one by one."""
     is_able = spacecraft.onboard.fast_loop and spacecraft.onboard.forecast_mode
     return is_able and spacecraft.control.mode is ControlMode.GROUND and spacecraft.control.release is Release.TWO_STEP
 

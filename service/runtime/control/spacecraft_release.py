@@ -152,7 +152,7 @@ class SpacecraftRelease:
         return replace(entry, at_us=max(at.now_us, self.stored_us), version=self._version + 1)
 
     def _is_due(self, state: ReleaseState) -> bool:
-        """Whether a state that somebody relies on was stored long ago."""
+        """Return whether a state that somebody relies on was stored long ago."""
         is_relied_on = state.interlock.is_armed or bool(state.interlock.trips) or bool(state.commands)
         return is_relied_on and time.monotonic() - self._stored_s > _HEARTBEAT_S
 

@@ -87,7 +87,7 @@ def _counters(state: ReleaseState, is_wanted: Callable[[CommandState], bool]) ->
 
 
 def is_repeated(command: Command, event: Report) -> bool:
-    """Whether a report repeats the newest one of its kind; then it means nothing."""
+    """Return whether a report repeats the newest one of its kind; then it means nothing."""
     if event.transition is CommandTransition.SENT:
         return command.sent_us is not None and event.reported_at_us in (None, command.sent_us)
     executed_us = (event.executed_from_us, event.executed_until_us)

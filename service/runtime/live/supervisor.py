@@ -81,7 +81,7 @@ class _Step:
 
     @property
     def has_applied(self) -> bool:
-        """Whether the newest command counts as applied."""
+        """Return whether the newest command counts as applied."""
         return bool(self.outcomes) and self.outcomes[-1].applied is not None
 
     def withhold(self, trips: Sequence[Trip]) -> None:
@@ -152,7 +152,7 @@ class Supervisor:
 
     @property
     def is_running(self) -> bool:
-        """Whether the thread follows journals."""
+        """Return whether the thread follows journals."""
         return self._thread is not None and self._thread.is_alive()
 
     def notify(self, spacecraft_id: str, up_to: float = _UNKNOWN) -> None:

@@ -40,28 +40,28 @@ class RunMerit(NamedTuple):
 
     @property
     def is_narrow(self) -> bool:
-        """Whether every angle stays within the limits of 95 % of the runs."""
+        """Return whether every angle stays within the limits of 95 % of the runs."""
         return all(angle < limit for angle, limit in zip(self.largest_deg, NARROW_DEG, strict=True))
 
     @property
     def is_wide(self) -> bool:
-        """Whether every angle stays within the limits of all runs."""
+        """Return whether every angle stays within the limits of all runs."""
         return all(angle < limit for angle, limit in zip(self.largest_deg, WIDE_DEG, strict=True))
 
     @property
     def is_level(self) -> bool:
-        """Whether roll and pitch alone stay within the limits of 95 % of the runs."""
+        """Return whether roll and pitch alone stay within the limits of 95 % of the runs."""
         return all(angle < limit for angle, limit in zip(self.largest_deg[1:], NARROW_DEG[1:], strict=True))
 
     @property
     def is_unknown_torque_survived(self) -> bool:
-        """Whether the limits under a torque that nobody knows are kept, and control is never lost."""
+        """Return whether the limits under a torque that nobody knows are kept, and control is never lost."""
         is_within = all(angle < limit for angle, limit in zip(self.largest_deg, UNKNOWN_TORQUE_DEG, strict=True))
         return is_within and self.longest_inhibited_h <= UNKNOWN_TORQUE_INHIBITED_H
 
     @property
     def is_fade_survived(self) -> bool:
-        """Whether roll and pitch stay within the fade's limit and come back in time."""
+        """Return whether roll and pitch stay within the fade's limit and come back in time."""
         is_settled = self.settled_h is not None and self.settled_h <= FADE_SETTLE_H
         return max(self.largest_deg[1:]) < FADE_LIMIT_DEG and is_settled
 
@@ -90,7 +90,7 @@ class GroupMerit:
 
     @property
     def is_met(self) -> bool:
-        """Whether what was asked is reached; without control it must not be."""
+        """Return whether what was asked is reached; without control it must not be."""
         if self.survived_share is not None:
             return self.survived_share == 1.0
         return self.narrow_share >= NARROW_SHARE and self.wide_share == 1.0

@@ -153,7 +153,7 @@ class FrontEnd:
 
     @property
     def is_running(self) -> bool:
-        """Whether one was started and not stopped."""
+        """Return whether one was started and not stopped."""
         return self._process is not None
 
     def start(self, task: Mapping[str, Any], source: str) -> None:

@@ -34,7 +34,7 @@ class Limit(NamedTuple):
     high: float
 
     def holds(self, value: float) -> bool:
-        """Whether a figure lies inside; NaN never does."""
+        """Return whether a figure lies inside; NaN never does."""
         return self.low <= value <= self.high
 
     def __str__(self) -> str:
@@ -85,7 +85,7 @@ class Bound:
 
     @property
     def is_of_accuracy(self) -> bool:
-        """Whether an answer without powers can be held to it."""
+        """Return whether an answer without powers can be held to it."""
         return self.figure.partition(".")[0] in _ACCURACY
 
 
@@ -156,6 +156,6 @@ def idle_baselines(
 
 
 def _keeps(bound: Bound, value: float | None) -> bool:
-    """Whether a value keeps what a bound demands: the goal where this version was asked for it."""
+    """Return whether a value keeps what a bound demands: the goal where this version was asked for it."""
     demanded = bound.goal if bound.is_goal_asked else bound.must
     return value is not None and (demanded is None or demanded.holds(value))

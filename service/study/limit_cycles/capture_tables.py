@@ -146,7 +146,7 @@ def perpetual_table() -> ComparedTable:
 
 
 def agrees_with_published(case: PerpetualCase, lock: Lock, limit_rad: float) -> bool:
-    """Whether a run locked where it was to, at the amplitude of the energy balance, or stayed free."""
+    """Return whether a run locked where it was to, at the amplitude of the energy balance, or stayed free."""
     if not case.is_captured:
         return lock.firings_per_period < _FREE_FIRINGS
     low, high = _LOCKED_FIRINGS

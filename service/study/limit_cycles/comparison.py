@@ -24,7 +24,7 @@ class Compared(NamedTuple):
 
     @property
     def is_kept(self) -> bool:
-        """Whether the figure is within its tolerance; NaN never is."""
+        """Return whether the figure is within its tolerance; NaN never is."""
         if self.found == self.reference:
             return True
         allowed = self.tolerance * abs(self.reference) if self.is_relative else self.tolerance

@@ -253,5 +253,5 @@ def _waits(
 
 
 def _is_apart(pulses: list[TorquePulse]) -> bool:
-    """Whether no pulse begins before another one has ended."""
+    """Return whether no pulse begins before another one has ended."""
     return all(latter.start_s >= former.stop_s for former, latter in pairwise(sorted(pulses)))

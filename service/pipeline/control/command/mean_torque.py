@@ -35,7 +35,7 @@ class MeanPulses(NamedTuple):
 
 
 def is_gyro_orbitant(spacecraft: Spacecraft) -> bool:
-    """Whether the catalogue chose the gyro-orbitant law."""
+    """Return whether the catalogue chose the gyro-orbitant law."""
     return spacecraft.control.law is ControlLaw.GYRO_ORBITANT
 
 

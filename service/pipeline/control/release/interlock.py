@@ -91,12 +91,12 @@ class Interlock:
 
     @property
     def is_yaw_withheld(self) -> bool:
-        """Whether the yaw torque must be zero."""
+        """Return whether the yaw torque must be zero."""
         return any(condition.consequence is Consequence.YAW for condition in self.standing)
 
     @property
     def is_withholding(self) -> bool:
-        """Whether torques are withheld by a trip: from it until ten good minutes after its reset."""
+        """Return whether torques are withheld by a trip: from it until ten good minutes after its reset."""
         return self.state is State.TRIPPED or self.is_after_reset
 
     @property
@@ -167,7 +167,7 @@ def tripped(interlock: Interlock, condition: Condition, at: Instant, settings: R
 
 
 def is_beyond(row: InterlockRow | None, settings: ReleaseSettings) -> bool:
-    """Whether roll or pitch is known to be beyond the range of automatic release; what is not known inhibits."""
+    """Return whether roll or pitch is known to be beyond the range of automatic release; what is not known inhibits."""
     if row is None:
         return False
     angles = (row.attitude_deg.roll, row.attitude_deg.pitch)
@@ -175,7 +175,7 @@ def is_beyond(row: InterlockRow | None, settings: ReleaseSettings) -> bool:
 
 
 def _is_due(interlock: Interlock, trigger: Trigger, at: Instant, settings: ReleaseSettings) -> bool:
-    """Whether an instant brings a trigger about."""
+    """Return whether an instant brings a trigger about."""
     is_good = not interlock.inhibiting
     authorisation = interlock.authorisation
     if trigger is Trigger.TRIP:
@@ -204,7 +204,7 @@ def _has_been_good(interlock: Interlock, at: Instant, settings: ReleaseSettings)
 
 
 def _holds(guard: Guard, interlock: Interlock, at: Instant, settings: ReleaseSettings, asked: Request | None) -> bool:
-    """Whether a guard lets a transition happen."""
+    """Return whether a guard lets a transition happen."""
     match guard:
         case Guard.SECOND_PERSON:
             return _is_second(interlock.request, asked, settings)
@@ -218,7 +218,7 @@ def _holds(guard: Guard, interlock: Interlock, at: Instant, settings: ReleaseSet
 
 
 def _stands(guard: Guard, interlock: Interlock, settings: ReleaseSettings) -> bool:
-    """Whether a guard holds that asks for no person and no time."""
+    """Return whether a guard holds that asks for no person and no time."""
     match guard:
         case Guard.AUTHORISED:
             return interlock.authorisation is not None
@@ -235,14 +235,14 @@ def _stands(guard: Guard, interlock: Interlock, settings: ReleaseSettings) -> bo
 
 
 def _is_second(open_request: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
-    """Whether a request is that of another person for the same, in time."""
+    """Return whether a request is that of another person for the same, in time."""
     if open_request is None or asked is None or open_request.by == asked.by or open_request.terms != asked.terms:
         return False
     return 0 <= asked.at_us - open_request.at_us <= microseconds(settings.request_s)
 
 
 def _is_first(open_request: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
-    """Whether a request is a first one: none is open, it is too old, or the same person asks again."""
+    """Return whether a request is a first one: none is open, it is too old, or the same person asks again."""
     if asked is None:
         return False
     if open_request is None or open_request.by == asked.by:
@@ -284,7 +284,7 @@ def _engaged(interlock: Interlock, row: Transition, asked: Request | None) -> In
 
 
 def _has_jumped(before: Instant | None, at: Instant, settings: ReleaseSettings) -> bool:
-    """Whether the clock moved otherwise than the steady one; after a restart only a step back is seen."""
+    """Return whether the clock moved otherwise than the steady one; after a restart only a step back is seen."""
     if before is None:
         return False
     allowed_us = microseconds(settings.clock_jump_s)

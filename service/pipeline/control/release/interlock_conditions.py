@@ -228,7 +228,7 @@ def _has_lasted(since_us: int | None, now_us: int, seconds: float) -> bool:
 
 
 def _is_ephemeris_stale(inputs: InterlockInputs, now_us: int, settings: ReleaseSettings) -> bool:
-    """Whether the orbit is not known well enough."""
+    """Return whether the orbit is not known well enough."""
     if inputs.ephemeris_stop_us is None or inputs.ephemeris_received_us is None:
         return True
     if inputs.ephemeris_stop_us - now_us < microseconds(settings.ephemeris_ahead_s):

@@ -34,12 +34,12 @@ def profile_of(axis: str) -> Profile:
 
 
 def is_running(check: SignCheck | None) -> bool:
-    """Whether a sign check is under way."""
+    """Return whether a sign check is under way."""
     return check is not None and check.state == RUNNING
 
 
 def is_leg_due(check: SignCheck, start_us: int) -> bool:
-    """Whether the next leg may begin at an instant: yaw stays on each side for its time."""
+    """Return whether the next leg may begin at an instant: yaw stays on each side for its time."""
     legs = profile_of(check.axis).legs
     if check.state != RUNNING or check.leg is not None or check.legs_done >= len(legs):
         return False

@@ -81,7 +81,7 @@ class RobustRunner:
 
     @property
     def is_running(self) -> bool:
-        """Whether rows lead to angles."""
+        """Return whether rows lead to angles."""
         return self._model is not None
 
     def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:

@@ -60,7 +60,7 @@ class CommandWatch(NamedTuple):
 
     @property
     def is_doubted(self) -> bool:
-        """Whether commands are suspected not to act as announced."""
+        """Return whether commands are suspected not to act as announced."""
         return self.minutes_left > 0.0
 
 

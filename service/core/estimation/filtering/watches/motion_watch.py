@@ -45,13 +45,13 @@ class MotionWatch(NamedTuple):
 
     @property
     def is_followed(self) -> tuple[bool, bool, bool]:
-        """Whether each axis is followed with a wide drift."""
+        """Return whether each axis is followed with a wide drift."""
         yaw, roll, pitch = (self.minutes_left > 0.0).tolist()
         return yaw, roll, pitch
 
     @property
     def is_unannounced(self) -> tuple[bool, bool, bool]:
-        """Whether the motion of each axis is reported as unannounced."""
+        """Return whether the motion of each axis is reported as unannounced."""
         yaw, roll, pitch = (self.reported_minutes > 0.0).tolist()
         return yaw, roll, pitch
 
