@@ -63,9 +63,14 @@ UNBOUNDED = ("service/api/routes", "service/api/schemas", "db/migrations/version
 
 @cache
 def tracked() -> tuple[str, ...]:
-    """Return every path under version control."""
-    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True)
-    return tuple(name for name in listing.stdout.decode().split("\0") if name and (ROOT / name).is_file())
+    """Return every path under version control, or the files of the code and the documents where there is no git."""
+    listing = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if listing.returncode == 0 and listing.stdout:
+        return tuple(name for name in listing.stdout.decode().split("\0") if name and (ROOT / name).is_file())
+    found = (path for folder in (*FOLDERS, "tests", "docs") for path in (ROOT / folder).rglob("*"))
+    return tuple(
+        path.relative_to(ROOT).as_posix() for path in found if path.is_file() and "__pycache__" not in path.parts
+    )
 
 
 def modules(*folders: str) -> list[str]:
