@@ -104,6 +104,7 @@ def _sqlite_engines(target: URL, busy_s: float) -> Engines:
     for engine in (write, read):
         event.listen(engine, "commit", _commit)
         _guard(engine, watch)
+    event.listen(write, "commit", lambda _: watch.confirm())
     return Engines(write, read)
 
 

@@ -204,11 +204,13 @@ def test_packed_zeros_of_a_station(flooded):
 def test_wrong_keys(flooded):
     """480 of them made /readyz, and /metrics with a valid key, 429 for everybody behind that address."""
     target = flooded(SOO_METRICS_NEED_KEY="true")
-    transport = httpx.HTTPTransport(local_address="127.0.0.2")
+    transport, wrong = httpx.HTTPTransport(local_address="127.0.0.2"), {"Authorization": "Bearer x"}
 
     def neighbours_are_served() -> None:
         with httpx.Client(base_url=target.service.url, transport=transport, timeout=120, trust_env=False) as neighbour:
-            assert neighbour.get("/api/v1/spacecraft", headers={"Authorization": "Bearer x"}).status_code == 429
+            # a flood that gets little of a busy processor leaves tokens in the bucket of the address: take them first
+            answers = (neighbour.get("/api/v1/spacecraft", headers=wrong).status_code for _ in range(500))
+            assert 429 in answers
             assert neighbour.get("/readyz").status_code == 200
             valid = {"Authorization": f"Bearer {KEY}"}
             assert neighbour.get("/metrics", headers=valid).status_code == 200

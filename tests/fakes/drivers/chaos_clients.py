@@ -263,7 +263,8 @@ def difference(reported: Counter[tuple[str, str]], wanted: dict[tuple[str, int],
     """Return in words how what is told differs from what was promised."""
     names = {(source, text_of(epoch_us)) for source, epoch_us in wanted}
     doubled = [name for name, times in reported.items() if times > 1]
-    return f"missing {len(names - set(reported))}, beyond {len(set(reported) - names)}, doubled {len(doubled)}"
+    missing, beyond = sorted(names - set(reported)), sorted(set(reported) - names)
+    return f"of {len(names)} missing {missing}, beyond {beyond}, doubled {doubled}"
 
 
 def kill_server(cluster: Any) -> None:

@@ -1,5 +1,7 @@
 """A file that is no longer the one that was opened is noticed before anybody is told that it keeps a row."""
 
+import errno
+import os
 import shutil
 
 import pytest
@@ -45,6 +47,25 @@ def test_a_file_or_a_log_that_is_away_keeps_nothing_until_it_is_back(engines, tm
     away.rename(path)
     insert(engines, 3)
     assert stored(engines) == [1, 3]
+
+
+def test_a_commit_that_the_file_system_disowns_is_not_acknowledged(engines, monkeypatch):
+    """An aborted journal lets an fsync that already waits end well; from then on the log takes no change."""
+
+    def refuse(*_):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    insert(engines, 1)
+    with monkeypatch.context() as changed:
+        changed.setattr("db.connection.file_identity.os.utime", refuse)
+        with pytest.raises(StorageError, match="takes no changes: Read-only file system") as caught:
+            insert(engines, 2)
+        # a repetition finds the row, writes nothing, and is not acknowledged either
+        with pytest.raises(StorageError), engines.write.begin():
+            pass
+        assert stored(engines) == [1, 2]
+    assert caught.value.code == "storage.unavailable"
+    insert(engines, 3)
 
 
 def test_a_log_that_was_deleted_costs_nothing_once_the_archive_is_opened_anew(engines, tmp_path):
