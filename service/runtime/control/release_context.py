@@ -11,7 +11,7 @@ from service.errors import ConflictError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import ReleaseState, StoredRow
 from service.pipeline.control.release.interlock_conditions import InterlockRow, interlock_row
-from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.control.release.sign_checks import is_running
 from service.ports import Storage
 from service.records.catalogue import Method, Spacecraft
@@ -98,7 +98,7 @@ class ReleaseContext:
     @property
     def stale_us(self) -> int:
         """Age at which an estimate is too old."""
-        return microseconds(self.settings.stale_periods * self.period_s + self.settings.stale_margin_s)
+        return self.settings.stale_us(self.period_s)
 
     def update(self, stored: StoredRow, method: Method) -> AttitudeRow | None:
         """Update with a row; return that of the method that drives control, None where it is not of the present."""

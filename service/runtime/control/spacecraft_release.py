@@ -15,12 +15,13 @@ from service.errors import ConflictError, NotFoundError, StorageError
 from service.pipeline.control.release.advance import advance, restored
 from service.pipeline.control.release.command_transitions import command_of
 from service.pipeline.control.release.events import (
-    PERSONAL,
     Event,
     InputsChanged,
     JournalEffect,
+    PersonalEvent,
     ReleaseEffect,
     ReleaseState,
+    Report,
     Step,
     UplinkEffect,
 )
@@ -101,7 +102,7 @@ class SpacecraftRelease:
         with self.lock:
             for _ in range(_ATTEMPTS):
                 step = self._judged(event)
-                is_ordered = isinstance(event, PERSONAL) and step.refusal is None
+                is_ordered = isinstance(event, PersonalEvent | Report) and step.refusal is None
                 with nullcontext() if is_ordered else apart_from_request():
                     try:
                         self._store(step, event.at)

@@ -9,81 +9,38 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, next_state
-from service.pipeline.control.release.command_transitions import (
-    applied,
-    automatic,
-    cancel,
-    command_effects,
-    confirm,
-    prepare,
-    refused,
-    report,
-)
+from service.pipeline.control.release import command_transitions, events, sign_checks
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition
+from service.pipeline.control.release.command_transitions import command_effects, moved, refused
 from service.pipeline.control.release.events import (
-    AnglesFit,
-    Applied,
     AuditEffect,
-    Automatic,
-    BeginSignCheck,
-    Cancel,
-    Confirm,
-    Engage,
     Event,
-    InputsChanged,
     JournalEffect,
-    Order,
     OrderKind,
-    Prepare,
-    PrepareLeg,
     PublishEffect,
     ReleaseEffect,
     ReleaseState,
-    Report,
-    ResponseJudged,
-    RowSeen,
-    SignJudged,
     Step,
     UplinkEffect,
 )
 from service.pipeline.control.release.interlock import Instant, Interlock, Request, Terms, fire, settle, tripped
-from service.pipeline.control.release.interlock_conditions import ALARMED, Condition, InterlockRow
+from service.pipeline.control.release.interlock_conditions import ALARMED, Condition
 from service.pipeline.control.release.interlock_states import REFUSALS, State, Trigger, rows_of
-from service.pipeline.control.release.release_checks import unreported_of
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
-from service.pipeline.control.release.sign_checks import begin, followed, interrupted, judge, prepare_leg
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, InterlockHold
 
 _HOUR_US = 3600 * US_PER_S
-_TRIGGERS = {
-    OrderKind.ARM: Trigger.ARM,
-    OrderKind.DISENGAGE: Trigger.DISENGAGE,
-    OrderKind.RESET: Trigger.RESET,
-    OrderKind.STOP: Trigger.TRIP,
-}
 
 
 def advance(state: ReleaseState, event: Event, settings: ReleaseSettings) -> Step:
-    """Return what an event leads to.
+    """Return what an event leads to: state, effects, and a refusal with a code where it was illegal.
 
-    Parameters
-    ----------
-    state : ReleaseState
-        Before.
-    event : Event
-        With the instant at which it is handled.
-    settings : ReleaseSettings
-        Limits and times.
-
-    Returns
-    -------
-    Step
-        State, effects, and a refusal with a code where the event was illegal; then state and effects are those of a
-        `Tick` at the same instant.
+    State and effects of a refused event are those of a `Tick` at the same instant.
     """
     settled = settled_at(state, event.at, settings)
-    step = _handled(settled, event, settings)
+    handler = _HANDLERS.get(type(event))
+    step = Step(settled) if handler is None else handler(settled, event, settings)
     # a refused step holds the settled state: time passes all the same, and what it brings to light is kept
     after = settled_at(step.state, event.at, settings)
     return Step(after, (*step.effects, *effects_of(state, after, event.at)), step.refusal)
@@ -91,12 +48,12 @@ def advance(state: ReleaseState, event: Event, settings: ReleaseSettings) -> Ste
 
 def settled_at(state: ReleaseState, at: Instant, settings: ReleaseSettings) -> ReleaseState:
     """Return the state at an instant: the interlock settled, commands expired or rejected, old ones forgotten."""
-    interlock = settle(state.interlock, at, unreported_of(state.commands), settings)
+    interlock = settle(state.interlock, at, state.commands, settings)
     is_tripped = interlock.state is State.TRIPPED
     commands = tuple(_aged(command, at, is_tripped=is_tripped) for command in state.commands)
     kept = tuple(command for command in commands if _is_kept(command, at))
     sent = tuple(each for each in state.sent if at.now_us - each.at_us < _HOUR_US)
-    return followed(replace(state, interlock=interlock, commands=kept, sent=sent), settings)
+    return sign_checks.followed(replace(state, interlock=interlock, commands=kept, sent=sent), settings)
 
 
 def restored(state: ReleaseState) -> ReleaseState:
@@ -111,81 +68,77 @@ def restored(state: ReleaseState) -> ReleaseState:
     trips = {condition.word for condition in interlock.trips}
     since = tuple(each for each in interlock.since if each[0] in trips)
     forgotten = replace(interlock, row=None, good_since_us=None, clock=clock, request=None, since=since)
-    check = interrupted(state.sign_check)
+    check = sign_checks.interrupted(state.sign_check)
     return replace(state, interlock=replace(forgotten, state=inhibited), sign_check=check)
 
 
-def _handled(state: ReleaseState, event: Event, settings: ReleaseSettings) -> Step:
-    """Return the step of an event on a settled state."""
-    handler = _HANDLERS.get(type(event))
-    return handler(state, event, settings) if handler else Step(state)
+def _row_seen(state: ReleaseState, event: events.RowSeen, settings: ReleaseSettings) -> Step:
+    """Return the step of a row; one that is not newer changes nothing."""
+    interlock, row, before = state.interlock, event.row, state.interlock.row
+    if before is not None and row.epoch_us <= before.epoch_us:
+        return Step(state)
+    is_after_gap = before is not None and row.epoch_us - before.epoch_us > settings.stale_us(before.period_s)
+    since_us = event.at.now_us if interlock.innovation_since_us is None else interlock.innovation_since_us
+    updated = replace(
+        interlock,
+        row=replace(row, is_after_gap=is_after_gap),
+        innovation_since_us=None if row.is_innovation_in_band else since_us,
+    )
+    return Step(replace(state, interlock=updated))
 
 
-def _informed(state: ReleaseState, event: RowSeen | InputsChanged | ResponseJudged, settings: ReleaseSettings) -> Step:
-    """Return the state whose interlock is updated by an event."""
-    return Step(replace(state, interlock=_updated(state.interlock, event, settings)))
+def _inputs_changed(state: ReleaseState, event: events.InputsChanged, _settings: ReleaseSettings) -> Step:
+    """Return the step of other inputs; signs are proven for one version of the spacecraft."""
+    interlock = state.interlock
+    is_other_spacecraft = event.inputs.spacecraft_version != interlock.inputs.spacecraft_version
+    proven = () if is_other_spacecraft else interlock.proven_axes
+    return Step(replace(state, interlock=replace(interlock, inputs=event.inputs, proven_axes=proven)))
 
 
-def _given(state: ReleaseState, event: AnglesFit, _settings: ReleaseSettings) -> Step:
+def _response_judged(state: ReleaseState, event: events.ResponseJudged, settings: ReleaseSettings) -> Step:
+    """Return the step of a judged response; a missed one trips."""
+    if event.log_ratio <= settings.missed_log_ratio:
+        return Step(state)
+    return Step(replace(state, interlock=tripped(state.interlock, Condition.RESPONSE_MISSED, event.at, settings)))
+
+
+def _given(state: ReleaseState, event: events.AnglesFit, _settings: ReleaseSettings) -> Step:
     """Return the step that gives angles out; the state stays."""
     return Step(state, (UplinkEffect(event.product),))
 
 
-def _updated(
-    interlock: Interlock, event: RowSeen | InputsChanged | ResponseJudged, settings: ReleaseSettings
-) -> Interlock:
-    """Return the interlock updated by an event."""
-    match event:
-        case RowSeen():
-            return _with_row(interlock, event, settings)
-        case InputsChanged():
-            is_other_spacecraft = event.inputs.spacecraft_version != interlock.inputs.spacecraft_version
-            proven = () if is_other_spacecraft else interlock.proven_axes
-            return replace(interlock, inputs=event.inputs, proven_axes=proven)
-        case ResponseJudged():
-            is_missed = not event.log_ratio <= settings.missed_log_ratio
-            return tripped(interlock, Condition.RESPONSE_MISSED, event.at, settings) if is_missed else interlock
+def _ordered(state: ReleaseState, event: events.Order, settings: ReleaseSettings) -> Step:
+    """Return the step of a person's order to the interlock."""
+    if event.kind is OrderKind.STOP:
+        return Step(replace(state, interlock=tripped(state.interlock, Condition.STOP, event.at, settings)))
+    return _fired(state, Trigger[event.kind.name], event.at, settings)
 
 
-def _with_row(interlock: Interlock, event: RowSeen, settings: ReleaseSettings) -> Interlock:
-    """Return the interlock with a row; one that is not newer changes nothing."""
-    row, before = event.row, interlock.row
-    if before is not None and row.epoch_us <= before.epoch_us:
-        return interlock
-    is_after_gap = before is not None and row.epoch_us - before.epoch_us > _stale_us(before, settings)
-    since_us = _since(interlock.durations.innovation_since_us, event.at.now_us, is_so=not row.is_innovation_in_band)
-    durations = replace(interlock.durations, innovation_since_us=since_us)
-    return replace(interlock, row=replace(row, is_after_gap=is_after_gap), durations=durations)
+def _engaged(state: ReleaseState, event: events.Engage, settings: ReleaseSettings) -> Step:
+    """Return the step of a request for standing authorisation."""
+    asked = Request(event.by, event.at.now_us, Terms(event.until_us, event.envelope))
+    is_legal = rows_of(state.interlock.state, Trigger.ENGAGE)
+    problem = _engage_problem(state.interlock, event, settings) if is_legal else None
+    return refused(state, *problem) if problem else _fired(state, Trigger.ENGAGE, event.at, settings, asked)
 
 
-def _ordered(state: ReleaseState, event: Order | Engage, settings: ReleaseSettings) -> Step:
-    """Return the step of a person's order."""
+def _fired(
+    state: ReleaseState, trigger: Trigger, at: Instant, settings: ReleaseSettings, asked: Request | None = None
+) -> Step:
+    """Return the step of an order's trigger, refused where it means nothing or no guard lets it through."""
     interlock = state.interlock
-    if isinstance(event, Order) and event.kind is OrderKind.STOP:
-        return Step(replace(state, interlock=tripped(interlock, Condition.STOP, event.at, settings)))
-    trigger = Trigger.ENGAGE if isinstance(event, Engage) else _TRIGGERS[event.kind]
+    reasons = ", ".join(interlock.reasons)
     if not rows_of(interlock.state, trigger):
-        return refused(state, *_illegal_order(interlock, trigger))
-    asked = None
-    if isinstance(event, Engage):
-        problem = _engage_problem(interlock, event, settings)
-        if problem is not None:
-            return refused(state, *problem)
-        asked = Request(event.by, event.at.now_us, Terms(event.until_us, event.envelope))
-    moved = fire(interlock, trigger, event.at, settings, asked)
-    if moved is None:
-        return refused(state, REFUSALS[trigger], f"{trigger.value}: {', '.join(interlock.reasons) or 'not as asked'}")
-    return Step(replace(state, interlock=moved))
+        if interlock.state is State.TRIPPED:
+            return refused(state, "interlock.tripped", f"control tripped ({reasons}): reset first")
+        return refused(state, "interlock.state", f"{trigger.value}: not in state {interlock.state.name}")
+    fired = fire(interlock, trigger, at, settings, asked)
+    if fired is None:
+        return refused(state, REFUSALS[trigger], f"{trigger.value}: {reasons or 'not as asked'}")
+    return Step(replace(state, interlock=fired))
 
 
-def _illegal_order(interlock: Interlock, trigger: Trigger) -> tuple[str, str]:
-    """Return code and detail of an order that means nothing in this state."""
-    if interlock.state is State.TRIPPED:
-        return "interlock.tripped", f"control tripped ({', '.join(interlock.reasons)}): reset first"
-    return "interlock.state", f"{trigger.value}: not in state {interlock.state.name}"
-
-
-def _engage_problem(interlock: Interlock, event: Engage, settings: ReleaseSettings) -> tuple[str, str] | None:
+def _engage_problem(interlock: Interlock, event: events.Engage, settings: ReleaseSettings) -> tuple[str, str] | None:
     """Return code and detail of what is wrong with the terms of an authorisation."""
     if not {"roll", "pitch"} <= set(interlock.proven_axes):
         return "interlock.sign_unproven", "the signs of roll and pitch must be proven by a sign check first"
@@ -203,10 +156,11 @@ def _engage_problem(interlock: Interlock, event: Engage, settings: ReleaseSettin
 
 def _aged(command: Command, at: Instant, *, is_tripped: bool) -> Command:
     """Return a command at an instant: an open one ends by a trip or by its time."""
-    if command.state not in OPEN or (not is_tripped and at.now_us < command.expires_us):
-        return command
-    ended = next_state(command.state, CommandTransition.REJECT if is_tripped else CommandTransition.EXPIRE)
-    return command if ended is None else replace(command, state=ended)
+    if command.state in OPEN and is_tripped:
+        return moved(command, CommandTransition.REJECT)
+    if command.state in OPEN and at.now_us >= command.expires_us:
+        return moved(command, CommandTransition.EXPIRE)
+    return command
 
 
 def _is_kept(command: Command, at: Instant) -> bool:
@@ -218,17 +172,6 @@ def _is_kept(command: Command, at: Instant) -> bool:
         # a later command may leave out its end
         newest_us = max(newest_us, command.stop_us)
     return at.now_us - newest_us < _HOUR_US
-
-
-def _stale_us(row: InterlockRow, settings: ReleaseSettings) -> int:
-    return microseconds(settings.stale_periods * row.period_s + settings.stale_margin_s)
-
-
-def _since(before_us: int | None, now_us: int, *, is_so: bool) -> int | None:
-    """Return since when something has been so."""
-    if not is_so:
-        return None
-    return now_us if before_us is None else before_us
 
 
 def effects_of(before: ReleaseState, after: ReleaseState, at: Instant) -> Iterator[ReleaseEffect]:
@@ -257,20 +200,20 @@ def _shown(state: ReleaseState) -> tuple[object, ...]:
 
 
 #: a tick does nothing but let time pass
-_HANDLERS: dict[type, Callable[[ReleaseState, Any, ReleaseSettings], Step]] = {
-    RowSeen: _informed,
-    InputsChanged: _informed,
-    ResponseJudged: _informed,
-    Prepare: prepare,
-    Confirm: confirm,
-    Cancel: cancel,
-    Report: report,
-    Automatic: automatic,
-    Applied: applied,
-    AnglesFit: _given,
-    BeginSignCheck: begin,
-    PrepareLeg: prepare_leg,
-    SignJudged: judge,
-    Order: _ordered,
-    Engage: _ordered,
+_HANDLERS: dict[type[Event], Callable[[ReleaseState, Any, ReleaseSettings], Step]] = {
+    events.RowSeen: _row_seen,
+    events.InputsChanged: _inputs_changed,
+    events.ResponseJudged: _response_judged,
+    events.Prepare: command_transitions.prepare,
+    events.Confirm: command_transitions.confirm,
+    events.Cancel: command_transitions.cancel,
+    events.Report: command_transitions.report,
+    events.Automatic: command_transitions.automatic,
+    events.Applied: command_transitions.applied,
+    events.AnglesFit: _given,
+    events.BeginSignCheck: sign_checks.begin,
+    events.PrepareLeg: sign_checks.prepare_leg,
+    events.SignJudged: sign_checks.judge,
+    events.Order: _ordered,
+    events.Engage: _engaged,
 }

@@ -33,33 +33,20 @@ class CommandTransition(Enum):
     REJECT = "the interlock tripped"
 
 
+_UNRELEASED = {
+    CommandTransition.EXPIRE: CommandState.EXPIRED,
+    CommandTransition.CANCEL: CommandState.CANCELLED,
+    CommandTransition.REJECT: CommandState.REJECTED,
+}
+_REPORTED = {CommandTransition.EXECUTED: CommandState.EXECUTED, CommandTransition.FAILED: CommandState.FAILED}
+#: the other states are ends
 COMMAND_TRANSITIONS: dict[CommandState, dict[CommandTransition, CommandState]] = {
-    CommandState.PREPARED: {
-        CommandTransition.CONFIRM: CommandState.CONFIRMED,
-        CommandTransition.EXPIRE: CommandState.EXPIRED,
-        CommandTransition.CANCEL: CommandState.CANCELLED,
-        CommandTransition.REJECT: CommandState.REJECTED,
-    },
-    CommandState.CONFIRMED: {
-        CommandTransition.RELEASE: CommandState.RELEASED,
-        CommandTransition.EXPIRE: CommandState.EXPIRED,
-        CommandTransition.CANCEL: CommandState.CANCELLED,
-        CommandTransition.REJECT: CommandState.REJECTED,
-    },
-    CommandState.RELEASED: {
-        CommandTransition.SENT: CommandState.SENT,
-        CommandTransition.EXECUTED: CommandState.EXECUTED,
-        CommandTransition.FAILED: CommandState.FAILED,
-    },
-    CommandState.SENT: {
-        CommandTransition.EXECUTED: CommandState.EXECUTED,
-        CommandTransition.FAILED: CommandState.FAILED,
-    },
-    CommandState.EXECUTED: {},
-    CommandState.FAILED: {},
-    CommandState.EXPIRED: {},
-    CommandState.CANCELLED: {},
-    CommandState.REJECTED: {},
+    state: {} for state in CommandState
+} | {
+    CommandState.PREPARED: {CommandTransition.CONFIRM: CommandState.CONFIRMED, **_UNRELEASED},
+    CommandState.CONFIRMED: {CommandTransition.RELEASE: CommandState.RELEASED, **_UNRELEASED},
+    CommandState.RELEASED: {CommandTransition.SENT: CommandState.SENT, **_REPORTED},
+    CommandState.SENT: _REPORTED,
 }
 
 #: transitions that the centre reports

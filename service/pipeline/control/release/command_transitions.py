@@ -9,25 +9,9 @@ from dataclasses import replace
 
 from service.core.control.envelope import envelope_excesses
 from service.core.control.slew_schedule import Triple
+from service.pipeline.control.release import events
 from service.pipeline.control.release.command_states import OPEN, REPORTS, CommandTransition, next_state
-from service.pipeline.control.release.events import (
-    Applied,
-    AuditEffect,
-    Automatic,
-    Cancel,
-    Confirm,
-    JournalEffect,
-    Prepare,
-    PublishEffect,
-    Refusal,
-    ReleaseEffect,
-    ReleaseState,
-    Report,
-    SentImpulse,
-    Step,
-    UplinkEffect,
-    digest_of,
-)
+from service.pipeline.control.release.events import Refusal, ReleaseState, Step, digest_of
 from service.pipeline.control.release.interlock import Instant, tripped
 from service.pipeline.control.release.interlock_conditions import Condition
 from service.pipeline.control.release.interlock_states import State
@@ -41,7 +25,7 @@ from service.records.operations.release import Command, CommandState, ProductFor
 AUTHORISATION = "authorisation"
 
 
-def prepare(state: ReleaseState, event: Prepare, settings: ReleaseSettings) -> Step:
+def prepare(state: ReleaseState, event: events.Prepare, settings: ReleaseSettings) -> Step:
     """Return the state with a prepared command."""
     waiting = [command.counter for command in state.commands if command.state in OPEN]
     if waiting:
@@ -52,7 +36,7 @@ def prepare(state: ReleaseState, event: Prepare, settings: ReleaseSettings) -> S
     return Step(_with_new(state, event.command, event.by, event.at, settings))
 
 
-def confirm(state: ReleaseState, event: Confirm, settings: ReleaseSettings) -> Step:
+def confirm(state: ReleaseState, event: events.Confirm, settings: ReleaseSettings) -> Step:
     """Return the state with a command confirmed and released in one."""
     command = command_of(state, event.counter)
     if command is None:
@@ -63,7 +47,7 @@ def confirm(state: ReleaseState, event: Confirm, settings: ReleaseSettings) -> S
     return Step(_with_released(state, replace(command, comment=event.comment or command.comment), event.by, event.at))
 
 
-def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) -> Step:
+def automatic(state: ReleaseState, event: events.Automatic, settings: ReleaseSettings) -> Step:
     """Return the state with a command of the law released under the standing authorisation.
 
     A request beyond the envelope of the settings trips: the law does not ask for such things. One beyond the authorised
@@ -78,7 +62,7 @@ def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) 
     failure = first_failure(checks)
     if failure is not None and failure.code == "envelope.exceeded":
         stopped = tripped(interlock, Condition.ENVELOPE, event.at, settings)
-        return Step(replace(state, interlock=stopped), (PublishEffect(f"envelope: {failure.detail}"),))
+        return Step(replace(state, interlock=stopped), (events.PublishEffect(f"envelope: {failure.detail}"),))
     allowed = interlock.authorisation.terms.envelope
     checks = release_checks(state, wanted, event.at, settings, envelope=allowed, waiting_s=0.0)
     failure = failure or first_failure(checks)
@@ -88,7 +72,7 @@ def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) 
     return Step(_with_released(numbered, numbered.commands[-1], AUTHORISATION, event.at))
 
 
-def applied(state: ReleaseState, event: Applied, settings: ReleaseSettings) -> Step:
+def applied(state: ReleaseState, event: events.Applied, settings: ReleaseSettings) -> Step:
     """Return the state with a computed command that counts as applied without anybody's confirmation.
 
     It has been published already, so nothing can be refused: one beyond the envelope trips, and the next are withheld.
@@ -99,37 +83,35 @@ def applied(state: ReleaseState, event: Applied, settings: ReleaseSettings) -> S
         return Step(counted)
     stopped = tripped(state.interlock, Condition.ENVELOPE, event.at, settings)
     detail = f"envelope: {'; '.join(map(str, excesses))}"
-    return Step(replace(counted, interlock=stopped), (PublishEffect(detail),))
+    return Step(replace(counted, interlock=stopped), (events.PublishEffect(detail),))
 
 
-def cancel(state: ReleaseState, event: Cancel, _settings: ReleaseSettings) -> Step:
+def cancel(state: ReleaseState, event: events.Cancel, _settings: ReleaseSettings) -> Step:
     """Return the state with a command taken back."""
     command = command_of(state, event.counter)
     if command is None:
         return unknown(state, event.counter)
-    ended = next_state(command.state, CommandTransition.CANCEL)
-    if ended is None:
+    if command.state not in OPEN:
         return _illegal(state, command)
-    return Step(with_command(state, replace(command, state=ended)))
+    return Step(with_command(state, moved(command, CommandTransition.CANCEL)))
 
 
-def report(state: ReleaseState, event: Report, _settings: ReleaseSettings) -> Step:
+def report(state: ReleaseState, event: events.Report, _settings: ReleaseSettings) -> Step:
     """Return the state with what became of a command."""
     command = command_of(state, event.counter)
     if command is None:
         return unknown(state, event.counter)
-    moved = next_state(command.state, event.transition) if event.transition in REPORTS else None
-    if moved is None:
+    if event.transition not in REPORTS or next_state(command.state, event.transition) is None:
         return _illegal(state, command)
+    reported = moved(command, event.transition)
     if event.transition is CommandTransition.SENT:
         sent_us = event.at.now_us if event.reported_at_us is None else event.reported_at_us
-        return Step(with_command(state, replace(command, state=moved, sent_us=sent_us)))
+        return Step(with_command(state, replace(reported, sent_us=sent_us)))
     start_us, stop_us = event.executed_from_us, event.executed_until_us
     if start_us is not None and stop_us is not None and stop_us < start_us:
         return refused(state, "report.interval", "the executed part ends before it begins")
     ended = replace(
-        command,
-        state=moved,
+        reported,
         reported_us=event.at.now_us,
         reported_by=event.by,
         told_executed_us=(start_us, stop_us),
@@ -138,17 +120,17 @@ def report(state: ReleaseState, event: Report, _settings: ReleaseSettings) -> St
     return Step(_with_replaced(with_command(state, ended)))
 
 
-def command_effects(before: Command | None, after: Command) -> Iterator[ReleaseEffect]:
+def command_effects(before: Command | None, after: Command) -> Iterator[events.ReleaseEffect]:
     """Yield the effects of a command's release and report; the filter does not get the torque of a sign check."""
     if after.released_us is not None and (before is None or before.released_us is None):
         if not after.is_sign_check:
-            yield JournalEffect(ReleasedCommand(after.counter, after.released_us, after.schedule))
-        yield UplinkEffect(_torque_product(after, after.released_us))
+            yield events.JournalEffect(ReleasedCommand(after.counter, after.released_us, after.schedule))
+        yield events.UplinkEffect(_torque_product(after, after.released_us))
         if after.is_automatic:
-            yield AuditEffect("release_torque", f"torques/{after.counter}")
+            yield events.AuditEffect("release_torque", f"torques/{after.counter}")
     is_reported = after.reported_us is not None and (before is None or before.reported_us is None)
     if is_reported and not after.is_sign_check:
-        yield JournalEffect(ReportedCommand(after.counter, after.reported_us or 0, after.executed))
+        yield events.JournalEffect(ReportedCommand(after.counter, after.reported_us or 0, after.executed))
 
 
 def pulses_between(pulses: tuple[Pulse, ...], from_us: int, until_us: int) -> tuple[Pulse, ...]:
@@ -161,6 +143,14 @@ def pulses_between(pulses: tuple[Pulse, ...], from_us: int, until_us: int) -> tu
         elif stop_us > start_us:
             kept.append(replace(pulse, start_us=start_us, duration_s=(stop_us - start_us) / US_PER_S))
     return tuple(kept)
+
+
+def moved(command: Command, transition: CommandTransition) -> Command:
+    """Return a command after a transition that its table must have."""
+    state = next_state(command.state, transition)
+    if state is None:
+        raise ValueError(f"the table of commands knows no {transition.name} from {command.state}")
+    return replace(command, state=state)
 
 
 def command_of(state: ReleaseState, counter: int | None) -> Command | None:
@@ -202,7 +192,7 @@ def _no_authorisation(state: State) -> tuple[str, str]:
     return "interlock.not_engaged", "there is no standing authorisation: prepare and confirm the command"
 
 
-def _confirm_refusal(command: Command, event: Confirm) -> Refusal | None:
+def _confirm_refusal(command: Command, event: events.Confirm) -> Refusal | None:
     """Return why a confirmation cannot hold for this command."""
     if command.state is CommandState.EXPIRED:
         return Refusal("command.expired", f"command {command.counter} was not confirmed in time: prepare it again")
@@ -232,24 +222,16 @@ def _with_new(state: ReleaseState, command: Command, by: str, at: Instant, setti
 
 def _with_released(state: ReleaseState, command: Command, by: str, at: Instant) -> ReleaseState:
     """Return the state with a command confirmed and released; its whole impulse counts, whatever becomes of it."""
-    confirmed = _moved(command, CommandTransition.CONFIRM)
-    released = replace(_moved(confirmed, CommandTransition.RELEASE), confirmed_by=by, released_us=at.now_us)
+    released = moved(moved(command, CommandTransition.CONFIRM), CommandTransition.RELEASE)
+    released = replace(released, confirmed_by=by, released_us=at.now_us)
     newest_us = max(state.released_epoch_us, command.attitude_epoch_us)
     sent = _with_sent(with_command(state, released), command.gross_impulse_n_m_s, at)
     return replace(sent, released_epoch_us=newest_us)
 
 
-def _moved(command: Command, transition: CommandTransition) -> Command:
-    """Return a command after a transition that its table must have."""
-    state = next_state(command.state, transition)
-    if state is None:
-        raise ValueError(f"the table of commands knows no {transition.name} from {command.state}")
-    return replace(command, state=state)
-
-
 def _with_sent(state: ReleaseState, impulse_n_m_s: Triple, at: Instant) -> ReleaseState:
     yaw, roll, pitch = impulse_n_m_s
-    return replace(state, sent=(*state.sent, SentImpulse(at.now_us, (yaw, roll, pitch))))
+    return replace(state, sent=(*state.sent, events.SentImpulse(at.now_us, (yaw, roll, pitch))))
 
 
 def _with_replaced(state: ReleaseState) -> ReleaseState:
@@ -268,7 +250,7 @@ def _with_replaced(state: ReleaseState) -> ReleaseState:
     return replace(state, commands=tuple(commands))
 
 
-def _reported_part(command: Command, event: Report) -> tuple[Pulse, ...]:
+def _reported_part(command: Command, event: events.Report) -> tuple[Pulse, ...]:
     """Return what a report says was executed."""
     from_us, until_us = event.executed_from_us, event.executed_until_us
     if from_us is None and until_us is None:

@@ -57,41 +57,42 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True)
-class Tick:
-    """Time passes."""
+class Event:
+    """What happens to a release at an instant."""
 
     at: Instant
 
 
 @dataclass(frozen=True, slots=True)
-class RowSeen:
+class Tick(Event):
+    """Time passes."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowSeen(Event):
     """A row of the method that drives control."""
 
-    at: Instant
     row: InterlockRow
 
 
 @dataclass(frozen=True, slots=True)
-class InputsChanged:
+class InputsChanged(Event):
     """An input of the interlock other than the rows has changed."""
 
-    at: Instant
     inputs: InterlockInputs
 
 
 @dataclass(frozen=True, slots=True)
-class ResponseJudged:
+class ResponseJudged(Event):
     """Log-likelihood ratio of "no effect" or "reversed" to a command's own response, by the powers."""
 
-    at: Instant
     log_ratio: float
 
 
 @dataclass(frozen=True, slots=True)
-class SignJudged:
-    """SignState of a sign check on an axis so far; yaw: of powers and wheel telemetry together."""
+class SignJudged(Event):
+    """Verdict of a sign check on an axis so far; yaw: of powers and wheel telemetry together."""
 
-    at: Instant
     #: yaw, roll or pitch
     axis: str
     verdict: SignState
@@ -99,6 +100,41 @@ class SignJudged:
     log_ratio: SignRatios | None = None
     #: yaw: the verdict by wheel telemetry
     wheels: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PrepareLeg(Event):
+    """The next leg of the running sign check is due; a refusal says why there can be none."""
+
+    leg: Command | Refusal
+
+
+@dataclass(frozen=True, slots=True)
+class Automatic(Event):
+    """The control law requests a command under the standing authorisation."""
+
+    command: Command
+
+
+@dataclass(frozen=True, slots=True)
+class Applied(Event):
+    """A computed command counts as applied (release automatic): it has been published already."""
+
+    effect: Effect
+
+
+@dataclass(frozen=True, slots=True)
+class AnglesFit(Event):
+    """Angles are fit for a spacecraft that computes its torques on board."""
+
+    product: UplinkProduct
+
+
+@dataclass(frozen=True, slots=True)
+class PersonalEvent(Event):
+    """A person's order."""
+
+    by: str
 
 
 class OrderKind(Enum):
@@ -111,59 +147,41 @@ class OrderKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """An operator's order."""
+class Order(PersonalEvent):
+    """An operator's order to the interlock."""
 
-    at: Instant
-    by: str
     kind: OrderKind
 
 
 @dataclass(frozen=True, slots=True)
-class Engage:
+class Engage(PersonalEvent):
     """A person asks for standing authorisation; the second must be an approver and ask for the same."""
 
-    at: Instant
-    by: str
     until_us: int
     envelope: Envelope
     is_approver: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Prepare:
+class Prepare(PersonalEvent):
     """An operator requests a command, given without counter and digest."""
 
-    at: Instant
-    by: str
     command: Command
 
 
 @dataclass(frozen=True, slots=True)
-class BeginSignCheck:
+class BeginSignCheck(PersonalEvent):
     """An operator starts the sign check of an axis with its first leg."""
 
-    at: Instant
-    by: str
     #: yaw, roll or pitch
     axis: str
     command: Command
 
 
 @dataclass(frozen=True, slots=True)
-class PrepareLeg:
-    """The next leg of the running sign check is due; a refusal says why there can be none."""
-
-    at: Instant
-    leg: Command | Refusal
-
-
-@dataclass(frozen=True, slots=True)
-class Confirm:
+class Confirm(PersonalEvent):
     """Another person confirms a prepared command."""
 
-    at: Instant
-    by: str
     counter: int
     digest: str
     is_approver: bool
@@ -171,43 +189,16 @@ class Confirm:
 
 
 @dataclass(frozen=True, slots=True)
-class Cancel:
+class Cancel(PersonalEvent):
     """An operator takes a prepared command back."""
 
-    at: Instant
-    by: str
     counter: int
 
 
 @dataclass(frozen=True, slots=True)
-class Automatic:
-    """The control law requests a command under the standing authorisation."""
-
-    at: Instant
-    command: Command
-
-
-@dataclass(frozen=True, slots=True)
-class Applied:
-    """A computed command counts as applied (release automatic): it has been published already."""
-
-    at: Instant
-    effect: Effect
-
-
-@dataclass(frozen=True, slots=True)
-class AnglesFit:
-    """Angles are fit for a spacecraft that computes its torques on board."""
-
-    at: Instant
-    product: UplinkProduct
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
+class Report(Event):
     """The centre reports the fate of a released command."""
 
-    at: Instant
     counter: int
     #: SENT, EXECUTED or FAILED
     transition: CommandTransition
@@ -217,28 +208,6 @@ class Report:
     by: str | None = None
     #: when it happened, by the centre; None: now
     reported_at_us: int | None = None
-
-
-Event = (
-    Tick
-    | RowSeen
-    | InputsChanged
-    | ResponseJudged
-    | SignJudged
-    | Order
-    | Engage
-    | Prepare
-    | BeginSignCheck
-    | PrepareLeg
-    | Confirm
-    | Cancel
-    | Automatic
-    | Applied
-    | AnglesFit
-    | Report
-)
-#: events that a person causes
-PERSONAL = (Order, Engage, Prepare, BeginSignCheck, Confirm, Cancel, Report)
 
 
 @dataclass(frozen=True, slots=True)

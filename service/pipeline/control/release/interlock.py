@@ -3,22 +3,22 @@
 Law of this file: only `fire` changes the state, by a row of the table; what a state remembers follows from the row.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from service.core.control.envelope import Envelope
+from service.pipeline.control.release.command_states import UNREPORTED
 from service.pipeline.control.release.interlock_conditions import (
     Condition,
     Consequence,
-    Durations,
     InterlockInputs,
     InterlockRow,
-    Unreported,
     input_conditions,
-    lasting_conditions,
     row_conditions,
 )
 from service.pipeline.control.release.interlock_states import Guard, State, Transition, Trigger, rows_of
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.records.operations.release import Command
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,8 @@ class Interlock:
     since_us: int = 0
     row: InterlockRow | None = None
     inputs: InterlockInputs = field(default_factory=InterlockInputs)
-    durations: Durations = field(default_factory=Durations)
+    #: since when innovations have been outside their band; None: they are inside
+    innovation_since_us: int | None = None
     clock: Instant | None = None
     #: since when no condition inhibits
     good_since_us: int | None = None
@@ -84,10 +85,14 @@ class Interlock:
     proven_axes: tuple[str, ...] = ()
 
     @property
+    def tripping(self) -> tuple[Condition, ...]:
+        """Conditions that stand and trip."""
+        return tuple(each for each in self.standing if each.consequence is Consequence.TRIP)
+
+    @property
     def inhibiting(self) -> tuple[Condition, ...]:
         """Conditions for which no torque may go."""
-        severe = (Consequence.INHIBIT, Consequence.TRIP)
-        return tuple(condition for condition in self.standing if condition.consequence in severe)
+        return tuple(each for each in self.standing if each.consequence in (Consequence.INHIBIT, Consequence.TRIP))
 
     @property
     def is_yaw_withheld(self) -> bool:
@@ -117,12 +122,11 @@ class Interlock:
         return inputs.calibration_id, inputs.plan_id, inputs.spacecraft_version, inputs.control_version
 
 
-def settle(interlock: Interlock, at: Instant, unreported: Unreported, settings: ReleaseSettings) -> Interlock:
+def settle(interlock: Interlock, at: Instant, commands: Sequence[Command], settings: ReleaseSettings) -> Interlock:
     """Return the interlock at an instant: conditions judged, and every change of state that follows."""
-    standing = conditions_at(interlock, at, unreported, settings)
-    is_good = not any(c.consequence in (Consequence.INHIBIT, Consequence.TRIP) for c in standing)
-    good_since_us = _good_since(interlock, at) if is_good else None
-    settled = replace(interlock, standing=standing, good_since_us=good_since_us, clock=at)
+    standing = conditions_at(interlock, at, commands, settings)
+    settled = replace(interlock, standing=standing, clock=at)
+    settled = replace(settled, good_since_us=None if settled.inhibiting else _good_since(interlock, at))
     for trigger in (Trigger.TRIP, Trigger.EXPIRE, Trigger.INHIBIT, Trigger.CLEAR, Trigger.BEYOND, Trigger.WITHIN):
         if _is_due(settled, trigger, at, settings):
             settled = fire(settled, trigger, at, settings) or settled
@@ -131,21 +135,22 @@ def settle(interlock: Interlock, at: Instant, unreported: Unreported, settings: 
 
 
 def conditions_at(
-    interlock: Interlock, at: Instant, unreported: Unreported, settings: ReleaseSettings
+    interlock: Interlock, at: Instant, commands: Sequence[Command], settings: ReleaseSettings
 ) -> tuple[Condition, ...]:
     """Return everything that stands, in the order of the table of conditions."""
-    found = (
-        row_conditions(interlock.row, at.now_us, settings)
-        | input_conditions(interlock.inputs, at.now_us, settings)
-        | lasting_conditions(interlock.durations, unreported, at.now_us, settings)
-    )
-    own = {
+    unreported = [command for command in commands if command.state in UNREPORTED]
+    oldest_us = min((max(each.stop_us, each.released_us or 0) for each in unreported), default=None)
+    stands = {
+        **row_conditions(interlock.row, at.now_us, settings),
+        **input_conditions(interlock.inputs, at.now_us, settings),
+        Condition.INNOVATION: _has_lasted(interlock.innovation_since_us, at, settings.innovation_s),
+        Condition.REPORT_LATE: _has_lasted(oldest_us, at, settings.report_s),
+        Condition.UNREPORTED: len(unreported) > settings.max_unreported,
         Condition.CLOCK_JUMP: _has_jumped(interlock.clock, at, settings),
-        Condition.CONFIGURATION: interlock.armed_with is not None and interlock.armed_with != interlock.configuration,
+        Condition.CONFIGURATION: interlock.armed_with not in (None, interlock.configuration),
         Condition.YAW_SIGN: "yaw" not in interlock.proven_axes,
     }
-    found |= {condition for condition, is_standing in own.items() if is_standing}
-    return tuple(condition for condition in Condition if condition in found)
+    return tuple(condition for condition in Condition if stands.get(condition))
 
 
 def fire(
@@ -166,28 +171,26 @@ def tripped(interlock: Interlock, condition: Condition, at: Instant, settings: R
     return replace(moved, trips=latched)
 
 
-def is_beyond(row: InterlockRow | None, settings: ReleaseSettings) -> bool:
+def _is_beyond(row: InterlockRow | None, settings: ReleaseSettings) -> bool:
     """Return whether roll or pitch is known to be beyond the range of automatic release; what is not known inhibits."""
     if row is None:
         return False
-    angles = (row.attitude_deg.roll, row.attitude_deg.pitch)
-    return any(abs(angle) > settings.recovery_deg for angle in angles)
+    return any(abs(angle) > settings.recovery_deg for angle in (row.attitude_deg.roll, row.attitude_deg.pitch))
 
 
 def _is_due(interlock: Interlock, trigger: Trigger, at: Instant, settings: ReleaseSettings) -> bool:
     """Return whether an instant brings a trigger about."""
-    is_good = not interlock.inhibiting
+    is_good, is_beyond = not interlock.inhibiting, _is_beyond(interlock.row, settings)
     authorisation = interlock.authorisation
-    if trigger is Trigger.TRIP:
-        return any(condition.consequence is Consequence.TRIP for condition in interlock.standing)
-    if trigger is Trigger.EXPIRE:
-        return authorisation is not None and at.now_us >= authorisation.terms.until_us
-    if trigger is Trigger.INHIBIT:
-        return not is_good
-    if trigger is Trigger.CLEAR:
-        return is_good and _has_been_good(interlock, at, settings)
-    beyond = is_beyond(interlock.row, settings)
-    return beyond if trigger is Trigger.BEYOND else is_good and not beyond
+    due = {
+        Trigger.TRIP: bool(interlock.tripping),
+        Trigger.EXPIRE: authorisation is not None and at.now_us >= authorisation.terms.until_us,
+        Trigger.INHIBIT: not is_good,
+        Trigger.CLEAR: is_good and _has_lasted(interlock.good_since_us, at, settings.good_s),
+        Trigger.BEYOND: is_beyond,
+        Trigger.WITHIN: is_good and not is_beyond,
+    }
+    return due[trigger]
 
 
 def _good_since(interlock: Interlock, at: Instant) -> int:
@@ -198,64 +201,47 @@ def _good_since(interlock: Interlock, at: Instant) -> int:
     return since_us + (_shift_us(before, at) or 0)
 
 
-def _has_been_good(interlock: Interlock, at: Instant, settings: ReleaseSettings) -> bool:
-    since_us = interlock.good_since_us
-    return since_us is not None and at.now_us - since_us >= microseconds(settings.good_s)
+def _has_lasted(since_us: int | None, at: Instant, seconds: float) -> bool:
+    return since_us is not None and at.now_us - since_us >= microseconds(seconds)
 
 
 def _holds(guard: Guard, interlock: Interlock, at: Instant, settings: ReleaseSettings, asked: Request | None) -> bool:
     """Return whether a guard lets a transition happen."""
-    match guard:
-        case Guard.SECOND_PERSON:
-            return _is_second(interlock.request, asked, settings)
-        case Guard.FIRST_PERSON:
-            return _is_first(interlock.request, asked, settings)
-        case Guard.MAY_ARM | Guard.MAY_ARM_BEYOND:
-            may_arm = not interlock.inhibiting and _has_been_good(interlock, at, settings)
-            return may_arm and (guard is Guard.MAY_ARM or is_beyond(interlock.row, settings))
-        case _:
-            return _stands(guard, interlock, settings)
+    may_arm = not interlock.inhibiting and _has_lasted(interlock.good_since_us, at, settings.good_s)
+    is_beyond = _is_beyond(interlock.row, settings)
+    holds = {
+        Guard.ALWAYS: True,
+        Guard.BEYOND_AND_ARMED: interlock.is_armed and is_beyond,
+        Guard.AUTHORISED: interlock.authorisation is not None,
+        Guard.ARMED: interlock.is_armed,
+        Guard.AFTER_RESET: interlock.is_after_reset,
+        Guard.MAY_ARM_BEYOND: may_arm and is_beyond,
+        Guard.MAY_ARM: may_arm,
+        Guard.SECOND_PERSON: _is_second(interlock.request, asked, settings),
+        Guard.FIRST_PERSON: _is_first(interlock.request, asked, settings),
+        Guard.NO_TRIP_STANDS: not interlock.tripping,
+    }
+    return holds[guard]
 
 
-def _stands(guard: Guard, interlock: Interlock, settings: ReleaseSettings) -> bool:
-    """Return whether a guard holds that asks for no person and no time."""
-    match guard:
-        case Guard.AUTHORISED:
-            return interlock.authorisation is not None
-        case Guard.ARMED:
-            return interlock.is_armed
-        case Guard.BEYOND_AND_ARMED:
-            return interlock.is_armed and is_beyond(interlock.row, settings)
-        case Guard.AFTER_RESET:
-            return interlock.is_after_reset
-        case Guard.NO_TRIP_STANDS:
-            return not any(c.consequence is Consequence.TRIP for c in interlock.standing)
-        case _:
-            return guard is Guard.ALWAYS
-
-
-def _is_second(open_request: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
+def _is_second(former: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
     """Return whether a request is that of another person for the same, in time."""
-    if open_request is None or asked is None or open_request.by == asked.by or open_request.terms != asked.terms:
+    if former is None or asked is None or former.by == asked.by or former.terms != asked.terms:
         return False
-    return 0 <= asked.at_us - open_request.at_us <= microseconds(settings.request_s)
+    return 0 <= asked.at_us - former.at_us <= microseconds(settings.request_s)
 
 
-def _is_first(open_request: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
+def _is_first(former: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
     """Return whether a request is a first one: none is open, it is too old, or the same person asks again."""
-    if asked is None:
-        return False
-    if open_request is None or open_request.by == asked.by:
-        return True
-    return asked.at_us - open_request.at_us > microseconds(settings.request_s)
+    if former is None or asked is None or former.by == asked.by:
+        return asked is not None
+    return asked.at_us - former.at_us > microseconds(settings.request_s)
 
 
 def _remembering(interlock: Interlock, row: Transition, asked: Request | None) -> Interlock:
     """Return the interlock with what a transition makes it remember and forget."""
     if row.trigger is Trigger.TRIP:
-        now = tuple(c for c in interlock.standing if c.consequence is Consequence.TRIP)
-        latched = tuple(dict.fromkeys((*interlock.trips, *now)))
-        return replace(_disarmed(interlock), trips=latched)
+        return replace(_disarmed(interlock), trips=tuple(dict.fromkeys((*interlock.trips, *interlock.tripping))))
     if row.trigger is Trigger.ARM:
         return replace(interlock, is_armed=True, armed_with=interlock.configuration)
     if row.trigger is Trigger.ENGAGE:

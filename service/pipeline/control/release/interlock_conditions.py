@@ -25,10 +25,7 @@ class Consequence(Enum):
 class Condition(Enum):
     """Reasons of the interlock; the name in small letters is the word that programs see."""
 
-    ESTIMATE_OLD = (
-        Consequence.INHIBIT,
-        "no estimate, or older than {stale_periods:g} periods + {stale_margin_s:g} s",
-    )
+    ESTIMATE_OLD = (Consequence.INHIBIT, "no estimate, or older than {stale_periods:g} periods + {stale_margin_s:g} s")
     ESTIMATOR = (Consequence.INHIBIT, "the estimator itself forbids control on the newest row")
     NOT_ALIGNED = (Consequence.INHIBIT, "no alignment holds")
     SIGMA_ROLL = (Consequence.INHIBIT, "sigma of roll above {roll_sigma_limit_deg:.2f} deg, or not known")
@@ -40,10 +37,7 @@ class Condition(Enum):
     EPHEMERIS = (Consequence.INHIBIT, "a burn without a new ephemeris, or it ends within {ephemeris_ahead_h:g} h")
     INNOVATION = (Consequence.INHIBIT, "innovations outside their 99 % band for {innovation_min:g} min")
     ONBOARD_MODE = (Consequence.INHIBIT, "the on-board mode is not on the operator's list")
-    REPORT_LATE = (
-        Consequence.INHIBIT,
-        "a released command ended {report_min:g} min ago without a report (alarm)",
-    )
+    REPORT_LATE = (Consequence.INHIBIT, "a released command ended {report_min:g} min ago without a report (alarm)")
     HAND_OVER = (Consequence.INHIBIT, "roll or pitch beyond {hand_over_deg:g} deg: over to the sensor mode (alarm)")
     CLOCK_JUMP = (Consequence.TRIP, "the clock jumped by more than {clock_jump_s:g} s against the steady one")
     MOMENTUM = (Consequence.TRIP, "a wheel holds more than {momentum_percent:g} % of its greatest momentum")
@@ -153,78 +147,41 @@ class InterlockInputs:
     is_automatic: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Unreported:
-    """Released commands without a report."""
-
-    count: int = 0
-    #: when the oldest of them ended
-    oldest_stop_us: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Durations:
-    """Since when something has been so; None: it is not."""
-
-    innovation_since_us: int | None = None
-
-
-def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
-    """Return the conditions that lie in the newest row."""
+def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSettings) -> dict[Condition, bool]:
+    """Return which of the conditions that lie in the newest row stand."""
     if row is None:
-        return frozenset({Condition.ESTIMATE_OLD})
-    stale_us = microseconds(settings.stale_periods * row.period_s + settings.stale_margin_s)
+        return {Condition.ESTIMATE_OLD: True}
+    stale_us = settings.stale_us(row.period_s)
+    attitude_deg, sigma_deg, hand_over_deg = row.attitude_deg, row.sigma_deg, settings.hand_over_deg
     # negated, so that what is not a number is bad
-    stands = {
+    return {
         # an estimate from the future is as little to be believed as an old one
         Condition.ESTIMATE_OLD: not -stale_us <= now_us - row.epoch_us <= stale_us,
         Condition.ESTIMATOR: not OWN_AFFAIR.issuperset(row.inhibitions),
-        Condition.SIGMA_ROLL: not row.sigma_deg.roll <= settings.roll_sigma_limit_deg,
-        Condition.SIGMA_PITCH: not row.sigma_deg.pitch <= settings.pitch_sigma_limit_deg,
+        Condition.SIGMA_ROLL: not sigma_deg.roll <= settings.roll_sigma_limit_deg,
+        Condition.SIGMA_PITCH: not sigma_deg.pitch <= settings.pitch_sigma_limit_deg,
         Condition.FADE: row.is_fading,
         Condition.REDUNDANCY: row.redundancy < settings.min_redundancy,
         Condition.GAP: row.is_after_gap,
-        Condition.HAND_OVER: not all(
-            abs(angle) <= settings.hand_over_deg for angle in (row.attitude_deg.roll, row.attitude_deg.pitch)
-        ),
-        Condition.SIGMA_YAW: not row.sigma_deg.yaw <= settings.yaw_sigma_limit_deg,
-        Condition.YAW_BEYOND: not abs(row.attitude_deg.yaw) <= settings.recovery_deg,
+        Condition.HAND_OVER: not (abs(attitude_deg.roll) <= hand_over_deg and abs(attitude_deg.pitch) <= hand_over_deg),
+        Condition.SIGMA_YAW: not sigma_deg.yaw <= settings.yaw_sigma_limit_deg,
+        Condition.YAW_BEYOND: not abs(attitude_deg.yaw) <= settings.recovery_deg,
     }
-    return frozenset(condition for condition, is_standing in stands.items() if is_standing)
 
 
-def input_conditions(inputs: InterlockInputs, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
-    """Return the conditions that lie in the other inputs."""
-    modes = settings.allowed_modes
-    has_mode = not modes or inputs.onboard_mode in modes
-    stands = {
+def input_conditions(inputs: InterlockInputs, now_us: int, settings: ReleaseSettings) -> dict[Condition, bool]:
+    """Return which of the conditions that lie in the other inputs stand."""
+    modes, share = settings.allowed_modes, inputs.momentum_share
+    return {
         Condition.NOT_ALIGNED: not inputs.is_aligned,
         Condition.OPERATION: inputs.has_inhibiting_operation,
         Condition.EPHEMERIS: _is_ephemeris_stale(inputs, now_us, settings),
-        Condition.ONBOARD_MODE: not has_mode,
+        Condition.ONBOARD_MODE: bool(modes) and inputs.onboard_mode not in modes,
         # a momentum without telemetry trips nothing; one that is not a number does
-        Condition.MOMENTUM: inputs.momentum_share is not None
-        and not inputs.momentum_share <= settings.momentum_share_limit,
+        Condition.MOMENTUM: share is not None and not share <= settings.momentum_share_limit,
         Condition.LEASE: inputs.lease_holders > 1,
         Condition.DISAGREEMENT: inputs.is_disagreeing,
     }
-    return frozenset(condition for condition, is_standing in stands.items() if is_standing)
-
-
-def lasting_conditions(
-    durations: Durations, unreported: Unreported, now_us: int, settings: ReleaseSettings
-) -> frozenset[Condition]:
-    """Return the conditions that need time to stand."""
-    stands = {
-        Condition.INNOVATION: _has_lasted(durations.innovation_since_us, now_us, settings.innovation_s),
-        Condition.REPORT_LATE: _has_lasted(unreported.oldest_stop_us, now_us, settings.report_s),
-        Condition.UNREPORTED: unreported.count > settings.max_unreported,
-    }
-    return frozenset(condition for condition, is_standing in stands.items() if is_standing)
-
-
-def _has_lasted(since_us: int | None, now_us: int, seconds: float) -> bool:
-    return since_us is not None and now_us - since_us >= microseconds(seconds)
 
 
 def _is_ephemeris_stale(inputs: InterlockInputs, now_us: int, settings: ReleaseSettings) -> bool:

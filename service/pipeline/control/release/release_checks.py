@@ -5,7 +5,7 @@ from service.core.control.slew_schedule import Effect, Triple
 from service.pipeline.control.release.command_states import UNREPORTED
 from service.pipeline.control.release.events import Refusal, ReleaseState
 from service.pipeline.control.release.interlock import Instant, Interlock
-from service.pipeline.control.release.interlock_conditions import Condition, Consequence, Unreported
+from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
@@ -41,7 +41,7 @@ def release_checks(
     excesses = envelope_excesses(effect_of(command), sent, envelope)
     row = interlock.row
     newest_us, period_s = (0, 0.0) if row is None else (row.epoch_us, row.period_s)
-    stale_us = microseconds(settings.stale_periods * period_s + settings.stale_margin_s + waiting_s)
+    stale_us = settings.stale_us(period_s, waiting_s)
     yaw = command.gross_impulse_n_m_s.yaw
     waiting = [each.counter for each in state.commands if each.state in UNREPORTED]
     return (
@@ -124,13 +124,6 @@ def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
     recent = [sent.impulse_n_m_s for sent in state.sent if now_us - sent.at_us < _HOUR_US]
     yaw, roll, pitch = (float(sum(values)) for values in zip(*recent, strict=True)) if recent else (0.0, 0.0, 0.0)
     return yaw, roll, pitch
-
-
-def unreported_of(commands: tuple[Command, ...]) -> Unreported:
-    """Return what nobody has reported among the commands that went out."""
-    waiting = [command for command in commands if command.state in UNREPORTED]
-    stops_us = [max(command.stop_us, command.released_us or 0) for command in waiting]
-    return Unreported(len(waiting), min(stops_us, default=None))
 
 
 def _is_yaw_withheld(interlock: Interlock, command: Command) -> bool:

@@ -64,6 +64,10 @@ class ReleaseSettings:
         modes = tuple(part.strip() for part in self.entry_modes.split(",") if part.strip())
         return () if modes == ("any",) else modes
 
+    def stale_us(self, period_s: float, waiting_s: float = 0.0) -> int:
+        """Return the age at which an estimate is too old; a person may look at it for some more seconds."""
+        return microseconds(self.stale_periods * period_s + self.stale_margin_s + waiting_s)
+
     @property
     def envelope(self) -> Envelope:
         """Return the envelope beyond which no command goes."""

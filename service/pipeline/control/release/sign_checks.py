@@ -8,8 +8,8 @@ from dataclasses import replace
 
 from service.core.control.sign_check import SignState
 from service.core.control.sign_profiles import Profile, pitch_profile, roll_profile, yaw_profile
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, next_state
-from service.pipeline.control.release.command_transitions import command_of, prepare, refused, with_command
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition
+from service.pipeline.control.release.command_transitions import command_of, moved, prepare, refused, with_command
 from service.pipeline.control.release.events import (
     BeginSignCheck,
     Prepare,
@@ -133,12 +133,10 @@ def _with_sign(interlock: Interlock, event: SignJudged, settings: ReleaseSetting
 
 def _ended(state: ReleaseState, check: SignCheck) -> ReleaseState:
     """Return the state with an ended check, whose leg is taken back if it was not released."""
-    command = command_of(state, check.leg)
-    cancelled = None if command is None else next_state(command.state, CommandTransition.CANCEL)
-    ended = replace(state, sign_check=check)
-    if command is None or cancelled is None:
+    command, ended = command_of(state, check.leg), replace(state, sign_check=check)
+    if command is None or command.state not in OPEN:
         return ended
-    return with_command(ended, replace(command, state=cancelled))
+    return with_command(ended, moved(command, CommandTransition.CANCEL))
 
 
 def _until_us(check: SignCheck, settings: ReleaseSettings) -> int:

@@ -15,7 +15,7 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from service.pipeline.control.release.events import ReleaseState
-from service.pipeline.control.release.interlock_conditions import Durations, InterlockInputs
+from service.pipeline.control.release.interlock_conditions import InterlockInputs
 from service.records.operations.release import Command, SignCheck
 
 #: fields that are stored under the name that they had first
@@ -68,7 +68,7 @@ def essence(state: ReleaseState) -> ReleaseState:
         interlock,
         row=None,
         inputs=inputs,
-        durations=Durations(),
+        innovation_since_us=None,
         clock=None,
         good_since_us=None,
         standing=(),
