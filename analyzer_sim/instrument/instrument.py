@@ -39,7 +39,7 @@ def _always() -> bool:
 
 
 class TraceNotReadyError(Exception):
-    """The first sweep with the present settings is not complete; whoever asks must ask again."""
+    """The first sweep with the present settings is not complete; query again later."""
 
 
 class Instrument:
@@ -52,10 +52,10 @@ class Instrument:
     painter : TracePainter
         Draws the traces.
     may_advance : callable
-        Whether the next row may be swept now.
+        True when the next row may be swept now.
     model : AnalyzerModel
-        Figures of the make.
-    life : SweepProgress, optional
+        Limits and errors of the make.
+    progress : SweepProgress, optional
         How long sweeps last; at the virtual pace when left out.
     truth : TruthLog, optional
         Where completed sweeps and delivered traces are written.

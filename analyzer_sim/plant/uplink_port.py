@@ -40,8 +40,8 @@ class UplinkPort:
 
     Parameters
     ----------
-    craft : FlownWorld
-        What is talked to.
+    flown : FlownWorld
+        Spacecraft behind the port.
     """
 
     def __init__(self, flown: FlownWorld) -> None:

@@ -1,10 +1,9 @@
-"""Lease: implements ``service.ports.Lease``, by a lock that its holder's end takes away.
+"""Lease: implements ``service.ports.Lease``, by a lock that ends with its holder.
 
 PostgreSQL: an advisory lock of a connection of its own; where the connection ends, so does the lock. SQLite: a lock of
 the operating system on a file beside the archive; it ends with the process. Neither needs a clock, and a holder that
 was stopped keeps the lease until it ends. A holder that does not know yet that its connection is gone cannot write:
-its transactions ask the server whether the lock is theirs, and whoever takes the lease waits for those that had asked
-before.
+its transactions ask the server whether the lock is theirs, and a new holder waits for those that had asked before.
 """
 
 import fcntl

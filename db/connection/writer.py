@@ -51,8 +51,8 @@ class _Task(Generic[Result]):
         try:
             if self._reported is not None:
                 self._reported(self.result)  # type: ignore[arg-type]  # set by the work
-        except Exception:  # noqa: BLE001 what is stored is stored, whoever listens
-            _log.exception("telling of a write failed")
+        except Exception:  # noqa: BLE001 the rows are stored, also where a subscriber fails
+            _log.exception("publishing stored rows failed; they are in the archive and are published from its journal")
         self.future.set_result(self.result)  # type: ignore[arg-type]
 
 

@@ -1,8 +1,8 @@
-"""Sealed days as the readers of the archive see them: heads, pieces read from blobs, a cache of pieces.
+"""Sealed days as the readers of the archive see them: heads, chunks read from blobs, a cache of chunks.
 
 A segment never changes; one that takes in late rows is replaced by another. Its CRC-32 covers its head and its blobs
-and is looked at whenever it is read: a segment that does not agree with itself is a StorageError ``storage.corrupt``
-for whoever wants a row of it, and for nobody else.
+and is checked whenever it is read: a segment whose checksum differs is a StorageError ``storage.corrupt`` for the
+readers of its rows, and for nobody else.
 """
 
 import struct

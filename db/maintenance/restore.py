@@ -1,7 +1,7 @@
 """Putting a backup back: checked first, migrated aside, swapped in at the end; what was there stays beside it.
 
 On SQLite the old file keeps its content under a name with the time. On PostgreSQL the old tables move into a schema
-with the time in its name, in the very transaction that brings the restored ones: whoever looks sees one or the other.
+with the time in its name, in the very transaction that brings the restored ones: a reader sees one or the other.
 """
 
 import sqlite3

@@ -143,7 +143,7 @@ class SqlArchive:
         """Return the smallest number above the given one."""
         newest = select(head.c.newest_number).where(head.c.spacecraft_key == key)
         if (connection.scalar(newest) or 0) <= after:
-            # nearly always: whoever follows the journal is at its end
+            # nearly always: followers of the journal are at its end
             return None
         slow = select(func.min(journal.c.number)).where(journal.c.spacecraft_key == key, journal.c.number > after)
         found = (connection.scalar(slow), self._pages(connection, key).next_number(after))

@@ -1,6 +1,6 @@
 """Storing single rows of many front ends together: one query, one insert and two updates for all that wait.
 
-Each statement gives up the interpreter's lock and waits for it behind whoever decodes the next requests. Thirty-two
+Each statement gives up the interpreter's lock and waits for it behind the decoders of the next requests. Thirty-two
 front ends that send a row each would pay that a hundred times a commit, together they pay it four times. Only the rows
 that nearly all are go this way: one row a batch, from a known source, behind its newest one and next in its sequence.
 Everything else takes ``store_batch``, in its turn. On PostgreSQL, where a statement costs a way to the server and not

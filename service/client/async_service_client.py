@@ -13,14 +13,14 @@ from service.client.service_client import ServiceClient
 class AsyncServiceClient(AsyncTransport, Endpoints):
     """Client of one service for programs that run an event loop.
 
+    Options are those of `service.client.async_transport.AsyncTransport`.
+
     Parameters
     ----------
     service_url : str
         For example ``http://127.0.0.1:8000``.
     key : str or None
         Bearer key.
-    **options
-        Those of `service.client.async_transport.AsyncTransport`.
 
     Examples
     --------

@@ -16,14 +16,14 @@ __all__ = ["Epoch", "JobFailedError", "ServiceClient", "StreamEvent", "epoch_tex
 class ServiceClient(Transport, Endpoints):
     """Synchronous client of one service.
 
+    Options are those of `service.client.transport.Transport`.
+
     Parameters
     ----------
     service_url : str
         For example ``http://127.0.0.1:8000``.
     key : str or None
         Bearer key.
-    **options
-        Those of `service.client.transport.Transport`.
 
     Examples
     --------

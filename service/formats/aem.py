@@ -4,7 +4,7 @@ Frames: ``LVLH_ROTATING`` (z nadir, y opposite to the orbit's momentum, hence x 
 service's nadir and body axes. Quaternions are scalar last, of unit length, of one sign through a segment. A new segment
 begins at every gap and wherever status, calibration or alignment change, so that nobody interpolates across; rows
 without an attitude end a segment and are not written. AEM has no place for uncertainty: the largest one standard
-deviation of each axis of a segment stands in a comment; whoever needs it row by row takes CSV or Parquet.
+deviation of each axis of a segment stands in a comment; a reader who needs it row by row takes CSV or Parquet.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

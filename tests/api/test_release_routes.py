@@ -196,7 +196,7 @@ async def test_commands_are_listed_page_by_page(soo, service):
         (ConflictError("interlock.simulated", "the data clock runs"), 409),
         (ConflictError("command.digest", "another digest"), 409),
         (ConflictError("envelope.exceeded", "roll: impulse .03 N m s, allowed .02"), 409),
-        (GoneError("command.expired", "prepare anew"), 410),
+        (GoneError("command.expired", "prepare it again"), 410),
         (ForbiddenError("command.second_person", "another person"), 403),
         (NotFoundError("command.unknown", "no command 7"), 404),
         (InvalidInputError("report.interval", "ends before it begins"), 422),

@@ -43,7 +43,7 @@ class _Line(Thread):
             for block in self._blocks:
                 if not self._add(block):
                     break
-        except BaseException as fault:  # noqa: BLE001 belongs to whoever reads the blocks
+        except BaseException as fault:  # noqa: BLE001 raised to the reader of the blocks
             self._fault = fault
         with self._changed:
             self._is_done = True

@@ -21,18 +21,18 @@ _CLIENT_LEFT = 499
 
 
 class RequestLog:
-    """Counts requests and writes a line of each.
+    """ASGI middleware that counts requests and logs one line for each.
 
     Parameters
     ----------
     app : ASGIApp
-        What lies inside.
-    figures : RequestMetrics
-        Where requests are counted.
+        Application inside.
+    statistics : RequestMetrics
+        Counters of requests.
     base_path : str
-        Stands before the templates of routes that lie below it.
+        Prefix of the route templates.
     is_writing : bool
-        Whether lines are written; requests are counted either way.
+        True where lines are logged; requests are counted either way.
     """
 
     def __init__(self, app: ASGIApp, statistics: RequestMetrics, base_path: str, *, is_writing: bool = True) -> None:

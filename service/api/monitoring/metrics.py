@@ -39,13 +39,13 @@ Sample = tuple[str, tuple[str, ...], float]
 
 
 class Metrics:
-    """What one application tells.
+    """Prometheus metrics of one application.
 
     Parameters
     ----------
     context : ApiContext
         Archive, clock and supervisor.
-    figures : RequestMetrics
+    statistics : RequestMetrics
         Counts of requests and rows.
     streams : OpenStreams
         Live streams.

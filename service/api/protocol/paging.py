@@ -149,8 +149,8 @@ def cut_page(
         Up to ``limit + 1`` rows; the one too many tells that there is a next page.
     limit : int
         Rows of a page.
-    place : callable
-        Gives the place of a row.
+    position : callable
+        Gives the position of a row.
     request, response : Request, Response
         The link repeats the request's other parameters.
     """

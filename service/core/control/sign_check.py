@@ -110,8 +110,8 @@ def weigh(
         Power less reference less daily change, NaN = absent. Levels may be off by anything below a few dB.
     profile_deg : ndarray, shape (T, 3), deg
         Turn that the commands should have made: yaw, roll, pitch.
-    circumstances : SignContext
-        Attitude before it, drift, receiving chain.
+    context : SignContext
+        Attitude before the command, drift, receiving chain.
 
     Raises
     ------

@@ -111,11 +111,11 @@ def check_closed_loop(request: SettlingRequest, most_steps: int = MOST_STEPS) ->
 
 
 def fly_closed_loop(request: SettlingRequest, kernel: Fly = fly) -> ClosedLoop:
-    """Return the flight of a wish and its figures.
+    """Return the flight of a settling request and its measures.
 
     Parameters
     ----------
-    wish : SettlingRequest
+    request : SettlingRequest
         Passed by ``check_closed_loop``.
     kernel : callable
         ``fly`` or its compiled form; they agree to rounding.
@@ -123,7 +123,7 @@ def fly_closed_loop(request: SettlingRequest, kernel: Fly = fly) -> ClosedLoop:
     Raises
     ------
     ValueError
-        The roll rate exceeds the orbital rate on the way where the wish does not say what the law does then.
+        The roll rate exceeds the orbital rate on the way where the request does not say what the law does then.
     """
     # where beyond is refused, the guarded law flies on to where the record shows it
     is_guarded = request.beyond is not BeyondOrbitalRate.AS_PRINTED

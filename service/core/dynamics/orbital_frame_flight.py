@@ -51,10 +51,10 @@ def fly_spacecraft(
 
     Parameters
     ----------
-    craft : OrbitalFrameSpacecraft
-        What flies.
+    spacecraft : OrbitalFrameSpacecraft
+        Bodies, wheels, sensors and law.
     start : Start
-        How it begins.
+        Initial angles and rates.
     duration_s : float, s
         Rounded to periods of the computer.
     seed : int

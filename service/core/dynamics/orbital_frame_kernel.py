@@ -207,8 +207,8 @@ def fly(
 
     Parameters
     ----------
-    craft : OrbitalFrameSpacecraft
-        What flies.
+    spacecraft : OrbitalFrameSpacecraft
+        Bodies, wheels, sensors and law.
     state : State
         At the start.
     tones : ndarray, shape (6, 6)

@@ -142,7 +142,7 @@ class ParquetFile:
     """Parquet: timestamps in UTC, float32 levels, null for what is absent; zstd.
 
     Blocks are held until they make a group of rows: how rows came leaves no trace in the file, and each array that
-    pyarrow makes costs a turn at Python's lock, which whoever reads the next blocks wants too.
+    pyarrow makes costs a turn at Python's lock, which the reader of the next blocks wants too.
     """
 
     def __init__(self, columns: MeasurementColumns) -> None:

@@ -292,7 +292,7 @@ class Acquisition:
         logger.warning("fault while in %s: %s", state.name, fault)
 
     def _close(self) -> None:
-        """Close the session, whoever holds it."""
+        """Close the session, also one that the driver or the cycle uses."""
         if self._session is not None:
             self._session.close()
         self._session = self._driver = self._cycle = None

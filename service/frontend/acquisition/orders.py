@@ -1,4 +1,4 @@
-"""What an operator wants of an acquisition, told from another thread: rest, go on, begin again.
+"""Orders of an operator to an acquisition, from another thread: rest, go on, reset.
 
 Law of this file: an order is taken once, between two actions; a wait ends as soon as there is one.
 """
@@ -42,7 +42,7 @@ class AcquisitionOrders:
             self._is_enabled, self._resets_wanted = is_enabled, resets
 
     def reset(self) -> None:
-        """Begin again, whoever wants it."""
+        """Order a reset at this station."""
         with self._lock:
             self._is_reset_here = True
 

@@ -90,9 +90,9 @@ class SendState:
         except FileNotFoundError:
             return False
         except (OSError, ValueError) as error:
-            raise ArchiveError(f"{self.path} cannot be read: {error}; remove it to begin anew") from error
+            raise ArchiveError(f"{self.path} cannot be read: {error}; remove it to begin again") from error
         if said.get("format") != _FORMAT or said.get("destination") != asdict(self._destination):
-            raise ArchiveError(f"{self.path} belongs to another sending; remove it to begin anew")
+            raise ArchiveError(f"{self.path} belongs to another upload; remove it to begin again")
         names = {each.name for each in fields(SendCounters)}
         self.counters = SendCounters(**{name: value for name, value in said["counters"].items() if name in names})
         self.is_complete = bool(said["is_complete"])

@@ -103,7 +103,7 @@ class ScpiDriver:
         self._session.close()
 
     def release(self) -> None:
-        """Give the front panel back to whoever stands before it."""
+        """Return the instrument to local control at its front panel."""
         if self.dialect.local and not self._is_bound:
             self._dialogue.report(self.dialect.local)
             # What it does not understand must not be found after the next sweep.

@@ -30,12 +30,12 @@ def set_aside(path: Path, now_us: int) -> Path:
 
 
 class DamagedSpool:
-    """A spoiled file, read as far as it lets itself be read.
+    """Damaged spool file, read as far as it is readable.
 
     Parameters
     ----------
     connection : sqlite3.Connection
-        Of the file; closed by whoever opened it.
+        Connection to the file; its opener closes it.
     """
 
     def __init__(self, connection: sqlite3.Connection) -> None:

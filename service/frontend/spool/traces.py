@@ -1,7 +1,7 @@
 """The ring of evidence traces in a spool's file: bounded by count and bytes, the oldest go first.
 
 Law of this file: it runs inside the transactions of `service.frontend.spool.file`; its counts are those of the file
-only as long as these are committed, so whoever rolls back recounts.
+only as long as these are committed, so a caller that rolls back recounts.
 """
 
 import sqlite3

@@ -47,7 +47,7 @@ def severity_level(kind: Kind, value: float, limits: ConditionLimits) -> int:
 def poll(
     watch: ValueMemory, kind: Kind, reported: float, epoch_us: int, limits: ConditionLimits
 ) -> ConditionChange | None:
-    """Take in a value and return what it leads to.
+    """Update the memory with a value and return the change of the condition, if any.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def poll(
         Changed in place.
     kind : Kind
         How the value is held against the limits.
-    told : float
-        The value; for what lasts, 1 while it is so and 0 when not. NaN = not known.
+    reported : float
+        The value; of a condition that lasts, 1 while it holds and 0 when not. NaN = not known.
     epoch_us : int
         Instant of the value; one that lies before the newest changes nothing.
     limits : ConditionLimits

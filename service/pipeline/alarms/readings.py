@@ -36,14 +36,14 @@ _SETTLING = "settling"
 
 
 class RowReader:
-    """Reads rows and references of one spacecraft into its book.
+    """Reader of rows and references of one spacecraft into its alarm engine.
 
     Parameters
     ----------
-    book : AlarmEngine
-        Where the readings go.
+    engine : AlarmEngine
+        Receives the readings.
     memory : EngineMemory
-        Where the former run stood.
+        Position of the former run.
     """
 
     def __init__(self, engine: AlarmEngine, memory: EngineMemory) -> None:
@@ -61,7 +61,7 @@ class RowReader:
 
     @property
     def newest_row_us(self) -> int | None:
-        """Epoch of the newest row that was looked at."""
+        """Epoch of the newest row that was read."""
         return self._newest_us
 
     @property

@@ -47,8 +47,8 @@ def report_signs(
         Plan, references and corrections.
     config : CalibrationConfig
         Limits.
-    places : PlanPositions
-        Where the stations stand.
+    positions : PlanPositions
+        Positions of the stations.
     free : FreeResponse or None
         Slopes of each carrier about each axis of the sensors.
     is_used : ndarray of bool, shape (N,)

@@ -1,8 +1,8 @@
 """Expected level of every carrier at zero attitude, from calibration and ephemeris.
 
 With a track the dish law is evaluated at fixed instants ten minutes apart, a day at a time, and read between them by a
-cubic: the same row gets the same level to the last bit, whoever asks and in what order. Without a track two harmonics
-of the node's phase are evaluated at the row itself.
+cubic: the same row gets the same level to the last bit for every caller and in every order. Without a track two
+harmonics of the node's phase are evaluated at the row itself.
 """
 
 from collections.abc import Callable

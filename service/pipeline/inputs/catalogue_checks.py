@@ -59,7 +59,7 @@ def check_positions(positions: Sequence[Position], satellite_longitude_deg: floa
 
     Parameters
     ----------
-    places : sequence of Position
+    positions : sequence of Position
         Earth stations.
     satellite_longitude_deg : float
         Nominal sub-satellite longitude, deg East.

@@ -142,7 +142,7 @@ def hide(secret: str) -> None:
 
 
 def without_secrets(text: str) -> str:
-    """Return a text in which no key stands, for logs: whoever puts one into a path shall not find it there.
+    """Return a text with its keys masked, for logs: a key that a client puts into a path is not logged.
 
     Examples
     --------

@@ -90,12 +90,12 @@ class ChainFinding:
 
 @dataclass
 class AuditContext:
-    """What one request writes into the log beside its change.
+    """Audit entry that one request writes with its change.
 
     Attributes
     ----------
-    deed : AuditEvent or None
-        Set once it is known who asks for what; the first write then takes it along.
+    audit_event : AuditEvent or None
+        Set once caller and action are known; the first write then stores it.
     entry : AuditEntry or None
         The entry, once it is committed.
     """
@@ -105,7 +105,7 @@ class AuditContext:
 
     @property
     def due(self) -> AuditEvent | None:
-        """Return the deed that the next write has to take along."""
+        """Return the event that the next write has to store."""
         return self.audit_event if self.entry is None else None
 
 

@@ -303,8 +303,10 @@ class AlarmService:
             yield
         except StorageError as error:
             if not self._is_failing:
-                _LOG.error("alarms of %s wait to be stored: %s", spacecraft_id or "the service", error)
+                _LOG.error("alarms of %s cannot be stored, will retry: %s", spacecraft_id or "the service", error)
             self._is_failing = True
-        except Exception:  # noqa: BLE001 the desk outlives every fault; what holds is in the archive
-            _LOG.exception("looking at %s failed; its alarms are read anew", spacecraft_id or "the service")
+        except Exception:  # noqa: BLE001 the alarm service outlives every error; the archive holds its state
+            _LOG.exception(
+                "alarm check of %s failed; its alarms are reloaded from the archive", spacecraft_id or "the service"
+            )
             self._persisted_by_id.pop(spacecraft_id, None)

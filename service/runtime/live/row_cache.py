@@ -1,7 +1,7 @@
-"""Rows that were stored just now, kept for whoever follows the journal.
+"""Cache of the rows stored last, for the followers of the journal.
 
 Reading back what this process has written a moment ago was two thirds of what following cost, at 256 rows a step of the
-database each. What is kept here is bounded; whatever is missing stands in the archive. Rows are given only where they
+database each. The cache is bounded; missing rows stand in the archive. Rows are given only where they
 come next in the journal.
 """
 

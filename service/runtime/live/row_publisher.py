@@ -1,8 +1,8 @@
-"""News of rows: each is told to listeners once, in the order of the journal, as soon as it is durable.
+"""Publisher of rows: each goes to subscribers once, in the order of the journal, as soon as it is durable.
 
-The archive's writer tells of rows right after their commit, which saves a listener the way over the journal, 3 ms. It
-tells of a batch only when nothing lies between it and what was told before; otherwise, and for batches of many rows,
-whoever follows the journal comes to them and tells what is left.
+The archive's writer publishes rows right after their commit, which saves a subscriber the way over the journal, 3 ms.
+It publishes a batch only when it follows directly on the rows published before; otherwise, and for batches of many
+rows, the follower of the journal publishes them when it reaches them.
 """
 
 from collections.abc import Iterator, Sequence

@@ -200,7 +200,7 @@ class Supervisor:
             known = self._storage.catalogue.all_spacecraft()
             return tuple(each.id for each in known if self._is_to_be_followed(each.id))
         except StorageError:
-            # whoever uses the archive says so
+            # the users of the archive report the error
             return ()
 
     def _is_to_be_followed(self, spacecraft_id: str) -> bool:
@@ -314,7 +314,7 @@ class Supervisor:
 
     def _publish(self, spacecraft_id: str, events: tuple[FeedEvent, ...]) -> None:
         """Tell the feed what was stored, if anybody listens."""
-        # asked after it was stored: whoever subscribes from here on finds it in the archive
+        # asked after it was stored: a later subscriber finds it in the archive
         if events and self._feed.has_subscribers(spacecraft_id):
             self._feed.publish(spacecraft_id, events)
 

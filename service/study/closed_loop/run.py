@@ -162,7 +162,7 @@ def _config(unit: LoopUnit) -> ChainConfig:
 
 @dataclass
 class GroundJournal:
-    """Hands measurements and slow inputs to whoever reads powers."""
+    """Journal of the simulated ground: measurements and slow inputs for the reader of powers."""
 
     ground: Ground
     documents: JournalDocuments

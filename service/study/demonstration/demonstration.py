@@ -73,7 +73,7 @@ class Story:
 
 @dataclass(frozen=True)
 class Scene:
-    """One moment of the demonstration, for whoever shows it."""
+    """One moment of the demonstration, for its display."""
 
     phase: str
     until: str
@@ -172,7 +172,7 @@ def _sweep_chunk(story: Story, client: ServiceClient, show: Show, link: GroundLi
             _calibrate(story, client, show)
         _align(story, client)
     if is_operation and story.centre is not None and story.centre.log.rows % _ROWS_A_SCENE == 1:
-        # the truth of a row follows it, and so does whoever shows it
+        # the truth of a row follows it, and so does the display
         show(Scene("operation", format_epoch(story.granted_us), story, client))
     is_new_source = story.source not in story.heard
     if story.heard and not is_new_source:

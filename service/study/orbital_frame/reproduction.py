@@ -48,8 +48,8 @@ def reproduce(kernel: Fly, report: Callable[[str], None] = lambda _what: None) -
     ----------
     kernel : callable
         ``fly`` or its compiled form.
-    tell : callable
-        Hears what is flown next.
+    report : callable
+        Receives the name of the next part.
     """
     rows: list[Row] = []
     for what, part in (

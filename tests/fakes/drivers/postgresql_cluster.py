@@ -87,7 +87,7 @@ class PostgresqlCluster:
         return self._shared
 
     def drop(self, url: str) -> None:
-        """Remove a database, whoever is still connected."""
+        """Remove a database, also with clients still connected."""
         name = make_url(url).database
         self._run(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
         self._made.remove(str(name))

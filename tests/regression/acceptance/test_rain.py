@@ -100,7 +100,7 @@ def test_a_long_rain_turns_little_over_seeds(slope_db_min, seed):
 @pytest.mark.xfail(
     strict=True,
     reason="measured 51 min on seed 4 (17 to 54 min on 3 of 9 seeds): the chain drifts by .08 dB during the rain, what "
-    "is left counts as rain, and single rows of it beyond .15 dB begin the eight dry minutes anew",
+    "is left counts as rain, and single rows of it beyond .15 dB begin the eight dry minutes again",
 )
 def test_control_is_back_in_time_also_where_the_chain_drifted_meanwhile():
     back = assert_long_rain(shared_world("nominal", 4), 100.0)

@@ -100,7 +100,7 @@ class GeometryCalibration(NamedTuple):
     downlink_gain : ndarray, shape (N, K, 2 R)
         Change of a carrier's coefficients with the downlink gradients.
     noise : ColouredNoise
-        White part and correlated parts of each carrier's own; what all share is in ``learned``.
+        White part and correlated parts of each carrier's own; the common part is in ``identified``.
     residual_rms_db : ndarray, shape (N,), dB
         Of the stretches, weighted as in the fit.
     residual_db : ndarray, shape (T, N), dB
@@ -111,7 +111,7 @@ class GeometryCalibration(NamedTuple):
         Stretches with a weight above one half.
     is_dish_law : bool
         Whether ``daily`` is the dish law.
-    learned : IdentifiedNoise or None
+    identified : IdentifiedNoise or None
         Noise of the quiet rows with its common part; None when the figures come from an archive.
     solar_db : ndarray, shape (N, 2), dB, or None
         Cosine and sine of the solar day; None when the figures come from an archive.

@@ -40,7 +40,7 @@ def whitened_fit(
         Thinned rows of N carriers in B stretches.
     prior : ndarray, shape (N, K)
         One sigma of each own coefficient before the data.
-    learned : IdentifiedNoise
+    identified : IdentifiedNoise
         Noise of the carriers.
     weight : ndarray, shape (N, B)
         Robust weights.

@@ -40,7 +40,7 @@ def carry_over(
         The N carriers before and the M carriers from now on.
     state : FilterState
         State under the old plan; it is not changed.
-    place : ndarray, shape (M,)
+    position : ndarray, shape (M,)
         Number that each new carrier had in the old plan, -1 = it is new.
     reference_db : ndarray, shape (M,), dB
         What is added to the reference error of each: where a reference level was lowered by 0.2 dB all deviations of

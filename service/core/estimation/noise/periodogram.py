@@ -25,12 +25,12 @@ _MAX_ROWS = 60_000
 
 
 class Grid(NamedTuple):
-    """Places of rows on a regular grid.
+    """Positions of rows on a regular grid.
 
     Parameters
     ----------
-    place : ndarray of int, shape (K,)
-        Grid place of each row that is kept.
+    position : ndarray of int, shape (K,)
+        Grid position of each row that is kept.
     row : ndarray of int, shape (K,)
         Its number among the rows.
     length : int

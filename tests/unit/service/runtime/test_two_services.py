@@ -44,7 +44,7 @@ def rows_of(ground):
     return repr([(row.epoch_us, row.attitude_deg, row.sigma_deg, row.inhibitions) for row in ground.rows()])
 
 
-def test_rows_are_those_of_one_service_whoever_estimates(new_ground, wait):
+def test_rows_are_those_of_one_service_whichever_estimates(new_ground, wait):
     alone, shared = new_ground(), new_ground()
     for ground in (alone, shared):
         ground.align()

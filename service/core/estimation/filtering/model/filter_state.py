@@ -109,14 +109,14 @@ def initial_gaussian(
 
 
 def freed(state: Gaussian, positions: IntArray, variance: float) -> Gaussian:
-    """Return the state in which some places have moved together by an unknown amount.
+    """Return the state in which some elements have moved together by an unknown amount.
 
     Parameters
     ----------
     state : Gaussian
         State before.
-    places : ndarray, shape (n,)
-        States that moved by one and the same amount.
+    positions : ndarray, shape (n,)
+        Elements that moved by one and the same amount.
     variance : float
         Variance of the amount, in the unit of the states squared.
     """

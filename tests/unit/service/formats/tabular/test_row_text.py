@@ -1,4 +1,4 @@
-"""Rows as text: what is written reads back bit for bit, whoever writes it."""
+"""Rows as text: what is written reads back bit for bit, by every writer."""
 
 import csv
 import io

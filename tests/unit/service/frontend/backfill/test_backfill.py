@@ -262,7 +262,7 @@ def test_a_state_that_was_spoiled_is_told(tmp_path: Path) -> None:
     order = write(tmp_path, *lines(2))
     state = Path(send(Archive(), order)["state_file"])
     state.write_text("{")
-    with pytest.raises(ArchiveError, match="remove it to begin anew"):
+    with pytest.raises(ArchiveError, match="remove it to begin again"):
         send(Archive(), order)
 
 

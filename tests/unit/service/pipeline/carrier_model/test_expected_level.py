@@ -1,4 +1,4 @@
-"""Expected levels: the geometry's own to microdecibels, the same bits whoever asks, NaN where nothing is known."""
+"""Expected levels: the geometry's own to microdecibels, the same bits for every caller, NaN where nothing is known."""
 
 import numpy as np
 import pytest

@@ -137,7 +137,7 @@ def test_a_fault_in_one_look_is_logged_and_the_next_one_goes_on(rig, monkeypatch
     with monkeypatch.context() as patch:
         patch.setattr(rig.desk._persisted("craft").reader, "read_row", lambda _: 1 / 0)
         rig.row(4, -40.0, NAN)
-    assert "alarms are read anew" in caplog.text
+    assert "alarms are reloaded from the archive" in caplog.text
     rig.reported()
     rig.rows(range(5, 8), -40.0, -40.0)
     assert rig.reported() == [("returned", True, *ABSENT)]

@@ -1,4 +1,4 @@
-"""Rows kept for whoever follows the journal: what comes next, whole, once, and never more than is bounded."""
+"""Rows kept for the followers of the journal: the next ones, whole, once, within the bound."""
 
 import asyncio
 from contextlib import closing

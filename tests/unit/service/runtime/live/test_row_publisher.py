@@ -1,4 +1,4 @@
-"""News of rows: each once, in the order of the journal, told by whoever comes first."""
+"""Publisher of rows: each once, in the order of the journal, by the writer or the follower."""
 
 import asyncio
 from dataclasses import replace
@@ -161,7 +161,7 @@ def test_a_listener_that_fails_does_not_hold_up_the_writer(ground, caplog):
 
     ground.storage.archive.listen(fail)
     assert ground.append([1]).accepted == 1
-    assert "telling of a write failed" in caplog.text
+    assert "publishing stored rows failed" in caplog.text
 
 
 def test_a_row_is_told_before_anybody_follows_the_journal(ground, monkeypatch):
