@@ -11,7 +11,7 @@ from analyzer_sim.streams import FloatArray
 def first_order(rng: np.random.Generator, count: int, row_period_s: float, sigma: float, tau_s: float) -> FloatArray:
     """Return a stationary first-order series (count,) of this sigma and correlation time."""
     shocks = rng.normal(size=count)
-    if sigma == 0.0:
+    if sigma == 0.0 or count == 0:
         return np.zeros(count)
     keep = float(np.exp(-row_period_s / tau_s))
     scale = sigma * float(np.sqrt(1.0 - keep**2))

@@ -6,6 +6,7 @@ import numpy as np
 
 from analyzer_sim.streams import stream
 from analyzer_sim.world.faults.spells import SPELLS
+from analyzer_sim.world.faults.station_weather import STATION_WEATHER
 from analyzer_sim.world.faults.weather import rain_db
 from analyzer_sim.world.orbit.orbit import EpochArray
 from analyzer_sim.world.payload.carriers import CarrierPlan
@@ -25,7 +26,7 @@ from analyzer_sim.world.scenario.events import (
 #: how long work on the receiving chain is declared, h
 CHAIN_WORK_H = 0.25
 
-for _spell in SPELLS:
+for _spell in (*SPELLS, *STATION_WEATHER):
     apply_fault.register(_spell)
 
 

@@ -118,6 +118,14 @@ class CarrierPlan:
         """Columns of the carriers that come up from stations: all but beacons."""
         return [k for k, carrier in enumerate(self.carriers) if not carrier.is_beacon]
 
+    @property
+    def columns_by_station(self) -> dict[str, list[int]]:
+        """Columns of the users' carriers by name of the station."""
+        columns: dict[str, list[int]] = {}
+        for k in self.users:
+            columns.setdefault(self.carriers[k].station.name, []).append(k)
+        return columns
+
     def column(self, carrier_id: str) -> int:
         """Return the column of a carrier."""
         return [carrier.id for carrier in self.carriers].index(carrier_id)

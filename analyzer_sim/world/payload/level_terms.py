@@ -57,7 +57,12 @@ class LevelTerms:
         self._nominal_db = nominal_gain_db(plan, orbit, np.zeros((1, 3)))
         dish_db = dishes_loss_db(plan, orbit, epochs_us, seed)
         users_db = users_noise_db(plan, scenario, seed, seconds)
-        self._arriving_db = users_db - dish_db + effects.level_db - effects.uplink_fade_db
+        stations_db = users_db - effects.uplink_fade_db
+        if scenario.noise.station is not None:
+            is_before = epochs_us < scenario.operation_start_us
+            stations_db -= np.median(stations_db[is_before], axis=0)
+            stations_db = _on_grid(stations_db, scenario.noise.station.quantum_db)
+        self._arriving_db = stations_db - dish_db + effects.level_db
         self._has_shift = bool(np.any(effects.pattern_shift_deg))
 
     @property

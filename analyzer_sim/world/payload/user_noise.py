@@ -10,7 +10,7 @@ from analyzer_sim.instrument.spectrum import ENBW_PER_RBW
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import daily_wave, first_order
 from analyzer_sim.world.payload.carriers import Carrier, CarrierPlan
-from analyzer_sim.world.scenario.story import Part, Scenario
+from analyzer_sim.world.scenario.story import Part, Scenario, StationNoise
 
 #: the sweep for which the plan's white noise is split: RBW, duration
 SWEEP_RBW_HZ = 30e3
@@ -58,7 +58,23 @@ def users_noise_db(plan: CarrierPlan, scenario: Scenario, seed: int, seconds: Fl
         (_beacon_noise_db if carrier.is_beacon else _user_noise_db)(carrier, sigma_db, scenario, seed, seconds)
         for carrier, sigma_db in zip(plan.carriers, white_db.tolist(), strict=True)
     ]
-    return np.stack(columns, axis=1)
+    noise_db = np.stack(columns, axis=1)
+    if scenario.noise.station is not None:
+        for station, members in plan.columns_by_station.items():
+            noise_db[:, members] += _station_noise_db(station, scenario.noise.station, scenario, seed, seconds)[:, None]
+    return noise_db
+
+
+def _station_noise_db(
+    name: str, figures: StationNoise, scenario: Scenario, seed: int, seconds: FloatArray
+) -> FloatArray:
+    """Return the level (T,) of a station in the dry: first-order parts, white noise, wave of the solar day."""
+    rng = stream(seed, "station", name)
+    scale = float(np.exp(figures.parts_spread * rng.normal()))
+    white_db = figures.white_db * float(np.exp(figures.white_spread * rng.normal()))
+    solar = daily_wave(rng, seconds, 0.5 * float(rng.uniform(*figures.solar_db)))
+    slow = scale * _flicker_db(seed, f"station {name}", figures.parts, scenario, len(seconds))
+    return np.asarray(slow + solar + white_db * stream(seed, "station white", name).normal(size=len(seconds)))
 
 
 def _beacon_noise_db(

@@ -196,6 +196,40 @@ class Storm:
 
 
 @dataclass(frozen=True, slots=True)
+class Weather:
+    """Weather over the users' stations as real links show it: systems of hours with showers and steady rain."""
+
+    name: str
+    #: mean time from the start of one system to the start of the next
+    interval_days: float = 1.7
+    #: share of the stations that one system takes; 0 = each station has systems of its own
+    shared: float = 0.0
+    #: sigma of the time by which a shared system comes to a station earlier or later
+    shift_min: float = 45.0
+
+
+@dataclass(frozen=True, slots=True)
+class WeatherSystem:
+    """One system of the kind that `Weather` draws, at a given time over a share of the stations."""
+
+    name: str
+    start_h: Range
+    duration_h: Range
+    #: share of the stations
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Showers:
+    """One shower of the kind that `Weather` draws over each station of a share."""
+
+    name: str
+    start_h: Range
+    #: share of the stations
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
 class Relevel:
     """All users' levels are set again, each by a Gaussian step of its own."""
 
@@ -261,6 +295,9 @@ Fault = (
     | Interference
     | Gap
     | Storm
+    | Weather
+    | WeatherSystem
+    | Showers
     | Relevel
     | PlanChange
     | Eclipse

@@ -6,6 +6,7 @@ from analyzer_sim.world.scenario.catalogue_closed import CLOSED
 from analyzer_sim.world.scenario.catalogue_hard import HARD
 from analyzer_sim.world.scenario.catalogue_plain import PLAIN, downlink_rain
 from analyzer_sim.world.scenario.catalogue_sources import SOURCES_OF_REALITY
+from analyzer_sim.world.scenario.catalogue_weather import WEATHER
 from analyzer_sim.world.scenario.catalogue_wrong import WRONG
 from analyzer_sim.world.scenario.story import (
     DEFAULT_START_US,
@@ -30,7 +31,9 @@ __all__ = [
 ]
 
 #: every scenario by name
-SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (*PLAIN, *HARD, *WRONG, *SOURCES_OF_REALITY)}
+SCENARIOS: dict[str, Scenario] = {
+    scenario.name: scenario for scenario in (*PLAIN, *HARD, *WRONG, *SOURCES_OF_REALITY, *WEATHER)
+}
 #: those that can be flown in closed loop: a few more
 CLOSED_SCENARIOS: dict[str, Scenario] = {**SCENARIOS, **{scenario.name: scenario for scenario in CLOSED}}
 

@@ -8,7 +8,7 @@ timetable of `turns.py`), perhaps `pause` (nothing is measured), `alignment` (se
 from dataclasses import dataclass, field
 
 from analyzer_sim.epochs import US_PER_H, US_PER_S, epoch_us_from_text
-from analyzer_sim.world.scenario.events import Burn, Fault, Manoeuvre
+from analyzer_sim.world.scenario.events import Burn, Fault, Manoeuvre, Range
 from analyzer_sim.world.scenario.turns import TURNS_H
 from analyzer_sim.world.sensors import STAR_TRACKER, Sensor
 
@@ -16,6 +16,23 @@ DEFAULT_START_US = epoch_us_from_text("2026-11-01T00:00:00Z")
 
 #: sigma and correlation time of one first-order part of a noise, dB and s
 Part = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class StationNoise:
+    """Level of a station in the dry as 284 real links show it; carriers of one station share it; sigmas in dB."""
+
+    #: first-order parts, minutes to days
+    parts: tuple[Part, ...] = ((0.038, 300.0), (0.050, 3600.0), (0.080, 28_800.0), (0.060, 259_200.0))
+    #: sigma of the logarithm of the scale that a station gives its parts
+    parts_spread: float = 0.22
+    white_db: float = 0.060
+    #: sigma of the logarithm of a station's white noise
+    white_spread: float = 0.3
+    #: wave of the solar day, peak to peak
+    solar_db: Range = (0.06, 0.20)
+    #: a station's level with its weather stands on whole multiples of this from its median in dry and wet
+    quantum_db: float = 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +60,8 @@ class NoiseStatistics:
     flicker_scale: tuple[float, float] = (1.0, 1.0)
     #: levels stand on whole multiples of this; 0 = they do not
     quantum_db: float = 0.0
+    #: noise of whole stations; none = every carrier has its own alone
+    station: StationNoise | None = None
 
 
 @dataclass(frozen=True, slots=True)
