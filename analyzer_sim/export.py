@@ -9,6 +9,7 @@ key                         shape      meaning
 scenario, seed              ()         what was asked for
 epoch_us                    (T,)       microseconds UTC
 carrier_id                  (N,)       names of the columns
+station_name                (N,)       station of each carrier, of a beacon the receiving site
 power_dbm                   (T, N)     measured power, NaN = off, outside its plan or in a gap
 yaw_deg roll_deg pitch_deg  (T,)       truth
 uplink_fade_db              (T, N)     truth, rain over the users' stations
@@ -138,6 +139,7 @@ def _truth(world: World) -> dict[str, Any]:
         "seed": world.seed,
         "epoch_us": rows.epochs_us,
         "carrier_id": np.array(world.carrier_ids),
+        "station_name": np.array([carrier.station.name for carrier in world.plan.carriers]),
         **_by_axis("", rows.attitude_deg),
         "uplink_fade_db": rows.uplink_fade_db,
         "downlink_fade_db": rows.downlink_fade_db,

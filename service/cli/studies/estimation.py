@@ -29,7 +29,7 @@ _EXIT_FAILED = 2
 def estimation(
     scenario: Annotated[list[str] | None, typer.Option(help="Scenario to run; may be given many times.")] = None,
     group: Annotated[str | None, typer.Option(help="Scenarios of a group; default `all` where none is named.")] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Seeds 1 to this number for each scenario.")] = 5,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, help="Seeds 1 to this number for each scenario.")] = 10,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes.")] = 2,
     operation_days: Annotated[
         float | None, typer.Option(help="Length of the operation phase; default: that of each scenario.")
@@ -65,7 +65,7 @@ def estimation(
     elif as_markdown:
         typer.echo(markdown(campaign, command), nl=False)
     else:
-        _print(tables(campaign), verdict_lines(campaign), console)
+        _print(tables(campaign), [*verdict_lines(campaign), f"made by: {command}"], console)
     if campaign.missed or campaign.idle or campaign.refusals:
         raise typer.Exit(_EXIT_MISSED)
 

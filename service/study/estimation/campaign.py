@@ -29,6 +29,7 @@ from service.study.estimation.nights import night_statistics
 from service.study.estimation.scenarios import SNAPSHOT
 from service.study.estimation.trials.snapshot_trials import SnapshotTrials, run_trials, trial_statistics
 from service.study.estimation.unit import Course, Unit, UnitResult, run_unit
+from service.study.estimation.yardstick import yardstick_statistics
 
 _Asked = TypeVar("_Asked")
 _Message = TypeVar("_Message")
@@ -147,10 +148,14 @@ def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Statistics]:
     """Return the figures of one scenario by method or baseline."""
     methods = [method for method in METHODS if all(method in seed.methods for seed in seeds)]
     baselines = [baseline for baseline in BASELINES if all(baseline in seed.baselines for seed in seeds)]
-    return {
+    reported = {
         **{method: statistics_of([seed.methods[method] for seed in seeds]) for method in methods},
         **{baseline: accuracy_statistics([seed.baselines[baseline] for seed in seeds]) for baseline in baselines},
     }
+    for answer in dict.fromkeys(answer for seed in seeds for answer in seed.yardsticks):
+        answering = {seed.unit.seed: seed.yardsticks[answer] for seed in seeds if answer in seed.yardsticks}
+        reported[answer] = {**reported.get(answer, {}), **yardstick_statistics(answering)}
+    return reported
 
 
 def _courses(by_scenario: Mapping[str, Sequence[UnitResult]], one: str, other: str) -> list[tuple[Course, Course]]:

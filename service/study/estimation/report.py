@@ -17,6 +17,20 @@ from service.study.estimation.campaign import METHODS, Campaign, versions
 MARKER_BEGIN = "<!-- soo study estimation: begin -->"
 MARKER_END = "<!-- soo study estimation: end -->"
 _DASH = "-"
+_YARDSTICK_COLUMNS = (
+    "scenario",
+    "answer",
+    "wrong torque, min",
+    "rms",
+    "rms, worst of each axis",
+    "rms/sigma roll",
+    "pitch",
+    "control in the dry",
+    "misleading rows",
+    "episodes",
+    "rows without level",
+    "level roll/pitch in the dry",
+)
 #: columns of a page
 _PAGE_WIDTH = 120
 
@@ -31,7 +45,14 @@ class ReportTable(NamedTuple):
 
 def tables(campaign: Campaign) -> tuple[ReportTable, ...]:
     """Return the tables of a campaign; what was not run has no row, a table without rows is left out."""
-    made = (_accuracy(campaign), _baselines(campaign), _control(campaign), _events(campaign), _bounds(campaign))
+    made = (
+        _accuracy(campaign),
+        _baselines(campaign),
+        _control(campaign),
+        _yardstick(campaign),
+        _events(campaign),
+        _bounds(campaign),
+    )
     return tuple(table for table in made if table.rows)
 
 
@@ -200,6 +221,34 @@ def _control(campaign: Campaign) -> ReportTable:
         "alarm after, min",
     )
     return ReportTable("Control", columns, rows)
+
+
+def _yardstick(campaign: Campaign) -> ReportTable:
+    """Return how often an answer is confident and wrong, and what it pays for never being so."""
+    rows = tuple(
+        (
+            scenario,
+            answer,
+            _with_worst(statistics, "wrong_min", 0),
+            _angles(statistics, "yardstick.rms_deg", 3),
+            "/".join(_number(statistics.get(f"yardstick.rms_deg.{axis}.worst"), 3) for axis in AXES),
+            *(_with_worst(statistics, f"rms_over_sigma.{axis}", 2) for axis in AXES[1:]),
+            _with_worst(statistics, "allowed_dry", 3),
+            _with_worst(statistics, "misleading_share", 4),
+            _number(statistics.get("yardstick.episodes"), 0),
+            _with_worst(statistics, "without_share", 3),
+            "/".join(_number(statistics.get(f"yardstick.level_deg.{axis}"), 2) for axis in AXES[1:]),
+        )
+        for (scenario, answer), statistics in campaign.statistics.items()
+        if "yardstick.wrong_min" in statistics
+    )
+    return ReportTable("Confident and wrong: mean; worst seed", _YARDSTICK_COLUMNS, rows)
+
+
+def _with_worst(statistics: Statistics, name: str, digits: int) -> str:
+    """Return a figure of the yardstick: mean, worst and the worst seed."""
+    mean, worst, seed = (statistics.get(f"yardstick.{name}{end}") for end in ("", ".worst", ".worst_seed"))
+    return _DASH if mean is None else f"{_number(mean, digits)}; {_number(worst, digits)} ({_number(seed, 0)})"
 
 
 def _events(campaign: Campaign) -> ReportTable:

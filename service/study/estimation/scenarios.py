@@ -45,6 +45,13 @@ _MISMATCH = (
     "corrections_doubled",
 )
 _SOURCES = ("beacons", "sensors", "prime_backup", "replan", "blackout", "few3", "corrections_late")
+_WEATHER = ("weather_far", "weather_near", "weather_turns", "weather_alignment", "weather_wet_season")
+#: the worlds by which "never confident and wrong" is judged
+_YARDSTICK = (
+    *_WEATHER,
+    "flicker_hard",
+    *("nominal", "mixed", "steps_heavy", "octants", "downlink_rain", "yaw_hold"),
+)
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "quick": ("nominal", "octants", "downlink_rain"),
@@ -54,6 +61,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "hard": _HARD,
     "mismatch": _MISMATCH,
     "sources": _SOURCES,
+    "weather": _WEATHER,
+    "yardstick": _YARDSTICK,
     "snapshot": (SNAPSHOT,),
-    "all": (*_PLAIN, *_FAULTS, *_RAIN, *_HARD, *_MISMATCH, *_SOURCES, SNAPSHOT),
+    "all": (*_PLAIN, *_FAULTS, *_RAIN, *_HARD, *_MISMATCH, *_SOURCES, *_WEATHER, SNAPSHOT),
 }

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.records.catalogue import Method
 from service.records.levels.attitude import BoolArray
 from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import Accuracy, measure_accuracy
@@ -18,6 +19,7 @@ from service.study.estimation.baselines import baseline_answers
 from service.study.estimation.flight.drive import Driven, UndrivenError, drive
 from service.study.estimation.flight.world import World, export_world, read_world
 from service.study.estimation.measures import Measures, judged_rows, measure_method
+from service.study.estimation.yardstick import Yardstick, measure_yardsticks
 
 
 class Unit(NamedTuple):
@@ -62,6 +64,8 @@ class UnitResult:
     methods: dict[str, Measures] = field(default_factory=dict)
     baselines: dict[str, Accuracy] = field(default_factory=dict)
     course: Course | None = None
+    #: by name of the answer
+    yardsticks: dict[str, Yardstick] = field(default_factory=dict)
 
 
 def run_unit(unit: Unit) -> UnitResult:
@@ -82,7 +86,8 @@ def run_unit(unit: Unit) -> UnitResult:
         return UnitResult(unit, time.monotonic() - began_s, driven)
     methods = {name: measure_method(world, driven, series) for name, series in driven.methods.items()}
     baselines, course = _baselines(world, driven), _course(world, driven)
-    return UnitResult(unit, time.monotonic() - began_s, "", methods, baselines, course)
+    yardsticks = measure_yardsticks(world, driven, Method.ROBUST)
+    return UnitResult(unit, time.monotonic() - began_s, "", methods, baselines, course, yardsticks)
 
 
 def _driven(world: World) -> Driven | str:

@@ -54,6 +54,8 @@ class MethodSeries:
     is_excluded: BoolArray
     #: (N,) carriers that the method uses at all
     is_carrier_used: BoolArray
+    #: (T, 3) protection levels, deg, NaN = none stated; None = the method states none at all
+    protection_deg: FloatArray | None = None
 
 
 @dataclass(frozen=True)

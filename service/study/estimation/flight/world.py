@@ -111,6 +111,9 @@ class Truth:
     #: (N, 3) dB/deg at nominal attitude, and (N,) dB, white noise of a row
     sensitivity_db_per_deg: FloatArray
     white_db: FloatArray
+    #: (N,) names of the stations, and (T, N) dB, loss by rain and wet antennas at station and receiving site
+    stations: tuple[str, ...]
+    loss_db: FloatArray
     #: sensors in operation, which the ground does not hear
     witnesses: tuple[ReferenceSeries, ...] = ()
 
@@ -237,6 +240,8 @@ def _truth(arrays: Arrays) -> Truth:
         flag_bits={str(name): int(value) for name, value in names},
         sensitivity_db_per_deg=arrays["sensitivity_db_per_deg"],
         white_db=arrays["white_db"],
+        stations=tuple(str(name) for name in arrays["station_name"]),
+        loss_db=arrays["uplink_fade_db"] + arrays["downlink_fade_db"][:, np.newaxis] * arrays["rain_share"],
         witnesses=_references(arrays, "witness"),
     )
 

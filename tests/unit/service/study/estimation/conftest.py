@@ -55,6 +55,8 @@ def toured_world() -> World:
         BITS,
         np.zeros((CARRIERS, 3)),
         np.full(CARRIERS, 0.15),
+        tuple(f"s{k}" for k in range(CARRIERS)),
+        np.zeros((ROWS, CARRIERS)),
     )
     return World("octants", 1, 60.0, ground, truth)
 

@@ -36,6 +36,8 @@ def truth(level_db=None, flags=None, carriers=2):
         BITS,
         np.zeros((carriers, 3)),
         np.zeros(carriers),
+        tuple(f"s{k}" for k in range(carriers)),
+        np.zeros((ROWS, carriers)),
     )
 
 
