@@ -1,7 +1,7 @@
-"""What reaches the analyzer input at one instant: the only thing the world hands to the instrument.
+"""Emission at the analyzer input at one instant: the only data that the world hands to the instrument.
 
-The world says what power arrives where in frequency; the instrument draws a trace of it. Nothing else crosses this
-line, so a client can learn a carrier's power only by measuring it.
+The world gives the power at each frequency; the instrument draws a trace of it. Nothing else crosses this
+boundary, so a client can learn a carrier's power only by measuring it.
 """
 
 from dataclasses import dataclass

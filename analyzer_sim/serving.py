@@ -94,7 +94,7 @@ async def serve(options: argparse.Namespace, scenario: Scenario, flown: PlantOpt
 
 
 class _Station(NamedTuple):
-    """What is behind the ports."""
+    """World, analyzer and flown spacecraft behind the ports."""
 
     world: World
     gate: Gate

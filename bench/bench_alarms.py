@@ -1,4 +1,4 @@
-"""What alarms cost a row: readings and limits of every condition, against the step of the chain that made the row.
+"""Cost of alarms per row: readings and limits of every condition, against the step of the chain that made the row.
 
 Run ``python -m bench.bench_alarms``. Both are timed on the same rows of the same run, one after the other, so their
 ratio does not depend on the machine's mood. Both methods run on a payload of real places (``tests/fakes``) with white

@@ -107,7 +107,7 @@ def fill(path: Path, rows: Rows) -> None:
 
 
 class Taken(NamedTuple):
-    """What the works took, one figure a repeat, and what the server grew by."""
+    """Times of the tasks, one value a repeat, and the growth of the server's memory."""
 
     #: s, by name
     wall_s: dict[str, list[float]]
@@ -175,7 +175,7 @@ def report(rows: Rows, path: Path, repeats: int) -> bool:
 
 
 class Works:
-    """What is measured, each a callable that returns what its time is scaled by.
+    """Tasks to be timed, each a callable that returns the amount by which its time is scaled.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a row costs on its way to the front end's disk, against the bare SQLite driver doing the same commit."""
+"""Cost of a row on its way to the front end's disk, against the bare SQLite driver doing the same commit."""
 
 import sqlite3
 import statistics

@@ -34,7 +34,7 @@ _MB = 1 << 20
 
 
 class Start(NamedTuple):
-    """What one start came to."""
+    """Time, processor time and memory of one start."""
 
     ready_s: float
     #: processor time until then, which other programs stretch far less than the time

@@ -40,7 +40,7 @@ _WARM_UP = 20
 
 
 class StreamTimes(NamedTuple):
-    """What came of one run."""
+    """Delays and delivery of one run."""
 
     #: from POST to event, s: measurement, attitude
     measurement_s: list[float]

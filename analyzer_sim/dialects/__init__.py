@@ -1,4 +1,4 @@
-"""What each maker's analyzer understands and answers, as tables of commands.
+"""SCPI dialects of the makers' analyzers: tables of commands, queries and answers.
 
 Public: dialect, dialects.
 """

@@ -1,4 +1,4 @@
-"""What makes one maker's analyzer different from another's, as data."""
+"""Dialect of one maker's analyzer, as data: its commands, start-up settings and peculiarities."""
 
 from dataclasses import dataclass, replace
 

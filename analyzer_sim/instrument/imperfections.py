@@ -1,4 +1,4 @@
-"""What the analyzer itself adds to every level: offset, gain wander, ripple, switching errors. All in dB, all seeded.
+"""Level errors of the analyzer: offset, gain wander, ripple, switching errors. All in dB, all seeded.
 
 Law of this file: an error that is common to a whole trace is a number, one that depends on frequency an array; nothing
 here depends on the emission. The defaults add 0.09 dB rms over a day beside the statistics of noise, 0.02 dB of it from

@@ -133,7 +133,7 @@ def _dwell(grid: SweepGrid, settings: Settings) -> Dwell:
 
 
 class Overload(NamedTuple):
-    """What too strong an input does."""
+    """Overload of the mixer or of the reference level by too strong an input."""
 
     #: bits of QUEStionable:POWer
     bits: int

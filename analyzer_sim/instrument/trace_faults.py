@@ -21,7 +21,7 @@ _DBUV_ABOVE_DBM = 106.9897
 
 
 class TraceFault(Enum):
-    """What may be wrong with the numbers of one trace."""
+    """Faults in the numbers of one trace."""
 
     #: every tenth point is not a number
     NAN = "nan"

@@ -25,7 +25,7 @@ async def poll_permission() -> None:
 
 
 class Dispatcher:
-    """What all transports of one instrument share.
+    """Command execution and locks of one instrument, shared by all its transports.
 
     Parameters
     ----------

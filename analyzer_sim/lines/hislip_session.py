@@ -94,7 +94,7 @@ class RefusedMessageError(Exception):
 
 
 class Request(NamedTuple):
-    """What a DataEnd or a Trigger asks for."""
+    """Request of a DataEnd or Trigger message."""
 
     message_id: int
     #: the client's program has the whole of the last answer

@@ -13,7 +13,7 @@ LATE_BY_S = 2.0
 
 
 class LineFault(Enum):
-    """What may happen to one answer."""
+    """Faults in the transmission of one answer."""
 
     #: the connection is reset instead of an answer
     RESET = "reset"

@@ -30,7 +30,7 @@ class LockAnswer(IntEnum):
 
 
 class LockTable:
-    """Who holds which lock; a client is any hashable thing.
+    """Holders of the exclusive lock and of the shared lock; a client is any hashable object.
 
     Examples
     --------

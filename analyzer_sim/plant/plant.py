@@ -30,7 +30,7 @@ from analyzer_sim.world.world import World
 
 @dataclass(frozen=True, slots=True)
 class PlantOptions:
-    """What is flown and how the ground reaches it."""
+    """Options of the simulated spacecraft and of its uplink."""
 
     #: name of the channel in ``UPLINKS``
     uplink: str = "ideal"

@@ -24,7 +24,7 @@ class ScheduleError(ValueError):
 
 
 class Schedule(NamedTuple):
-    """What a line holds."""
+    """Torque schedule of one line of the uplink protocol."""
 
     elements: tuple[TorqueElement, ...]
     #: None = the plant counts

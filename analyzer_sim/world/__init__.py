@@ -1,4 +1,4 @@
-"""What is at the input: spacecraft, orbit, beams, carriers, weather, stories, and the ground that watches.
+"""Simulated world: spacecraft, orbit, beams, carriers, weather, scenarios, and the ground that measures.
 
 Public: scenario_table, sensors, world.
 """

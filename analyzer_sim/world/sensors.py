@@ -19,7 +19,7 @@ _NONE = float("nan")
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """What tells attitude; triples in the order yaw, roll, pitch, NaN = the axis is not told."""
+    """Attitude sensor; triples in the order yaw, roll, pitch, NaN = the axis is not measured."""
 
     #: as the interface names it
     source: str

@@ -1,4 +1,4 @@
-"""What group commit is measured against: each request in a transaction and a commit of its own.
+"""Reference for group commit: each request in a transaction and a commit of its own.
 
 The endpoint and all statements are those of the product. In place of the one writer that takes along what waits, a
 request is stored by a thread of a pool over a connection of its own, as services on a thread pool do.

@@ -21,7 +21,7 @@ _START_S = 1_800_000_000
 
 
 class Shape(NamedTuple):
-    """What is sent."""
+    """Shape of the load: rows a request, carriers a row, connections."""
 
     rows: int
     carriers: int
@@ -29,7 +29,7 @@ class Shape(NamedTuple):
 
 
 class Rate(NamedTuple):
-    """What came of one measurement."""
+    """Requests and times of one measurement."""
 
     requests: int
     seconds: float

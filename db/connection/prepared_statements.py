@@ -14,7 +14,7 @@ from sqlalchemy.exc import OperationalError
 
 
 class StatementResult(Protocol):
-    """What a statement gives back, read at once."""
+    """Result of a prepared statement, to be read at once."""
 
     def fetchone(self) -> Any:
         """Return the next row, None after the last."""

@@ -1,4 +1,4 @@
-"""What front ends state beside powers: one blob a row that states anything, in a table of its own.
+"""Details of measurements beside powers: one blob for each row with any detail, in a table of its own.
 
 A blob is one byte that says which figures of ``DETAIL_NAMES`` follow, and these as float32 little endian, carrier by
 carrier. All rows of a batch carry the same figures, so that SQLite can take them in one step

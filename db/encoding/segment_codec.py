@@ -57,7 +57,7 @@ class Blobs(NamedTuple):
 
 
 class SegmentColumns(NamedTuple):
-    """What a segment tells of each row beside powers, flags and details; all (T,)."""
+    """Columns of a segment other than powers, flags and details; all (T,)."""
 
     epochs_us: IntArray
     numbers: IntArray

@@ -35,7 +35,7 @@ _ROW_BYTES = 48
 
 
 class SegmentHead(NamedTuple):
-    """What the table tells of a segment beside its blobs, in the order of its columns."""
+    """Row of the segment table without its blobs, in the order of its columns."""
 
     segment_id: int
     spacecraft_key: int
@@ -166,14 +166,14 @@ class SegmentCache:
 
 
 class _ScanCache(SegmentCache):
-    """What `SegmentCache.for_scan` returns."""
+    """Cache for one scan, returned by `SegmentCache.for_scan`: it keeps its last chunk only."""
 
     def __init__(self, shared: SegmentCache) -> None:
         super().__init__(size_bytes=0)
         self._shared = shared
 
     def get(self, head: SegmentHead) -> SegmentChunk | None:
-        """Return the piece of a head, if it was the last one, or is held for everybody."""
+        """Return the chunk of a head if it was the last one, or if the shared cache holds it."""
         return super().get(head) or self._shared.get(head)
 
 

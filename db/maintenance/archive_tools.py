@@ -15,7 +15,7 @@ from service.records.storage.diagnosis import Diagnosis
 
 
 class ArchiveTools:
-    """What an operator does with an archive from outside of the service.
+    """Tools of an operator for an archive, from outside of the service.
 
     Parameters
     ----------

@@ -38,10 +38,10 @@ _OTHERS = text(
 
 
 class Restored(NamedTuple):
-    """What a restore did."""
+    """Result of a restore."""
 
     manifest: Manifest
-    #: where what was there before is kept, None when there was nothing
+    #: name under which the former archive is kept, None when there was none
     aside: str | None
     schema_version: str
 

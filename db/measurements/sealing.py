@@ -59,16 +59,16 @@ class _Group(NamedTuple):
 
 
 class _Change(NamedTuple):
-    """What one transaction does."""
+    """Changes of one sealing transaction."""
 
-    #: rows to take away: of this group up to this epoch and this journal number but those that are damaged, so many
+    #: rows to remove: of this group up to this epoch and this journal number except damaged ones, and their count
     group: _Group
     last_epoch_us: int
     newest_number: int
     damaged_us: tuple[int, ...]
     rows: int
     details: int
-    #: segments to take away, and those that take their place
+    #: segments to remove, and those that replace them
     replaced: tuple[int, ...]
     written: tuple[tuple[SegmentHead, Blobs], ...]
 

@@ -59,7 +59,7 @@ def _key_of(result: Result) -> ResultKey:
 
 
 def _are_new(results: list[Result], consumed_number: int) -> bool:
-    """Whether nothing of the results can be stored: results go in together with the consumer's place, each once."""
+    """Return whether no result is stored yet: results go in together with the consumer's position, each once."""
     is_beyond = all(result.number > consumed_number for result in results)
     return is_beyond and len(set(map(_key_of, results))) == len(results)
 

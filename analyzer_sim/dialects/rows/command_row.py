@@ -15,7 +15,7 @@ from analyzer_sim.scpi.parser import Unit, parse_data, short_form
 
 
 class Call(NamedTuple):
-    """What a handler may touch."""
+    """Arguments of a command handler."""
 
     instrument: Instrument
     #: an earlier unit of the same message has answered

@@ -32,7 +32,7 @@ class Marker:
 
 @dataclass(slots=True)
 class FunctionSettings:
-    """What ``*RST`` forgets of the measurement functions."""
+    """Settings of the measurement functions; ``*RST`` restores their defaults."""
 
     #: numeric settings by name
     figures: dict[str, float] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What one make of analyzer can be set to and how it starts, as data; no command, no coupling.
+"""Model of one make of analyzer, as data: ranges of its settings and their start-up values; no command, no coupling.
 
 Law of this file: a figure by which two makes differ is a field here and stands nowhere else. The makes themselves are
 in ``models.py``; the couplings that use the figures are in ``instrument_settings.py``.

@@ -85,7 +85,7 @@ class Settings:
 
     @property
     def step_hz(self) -> float:
-        """What UP and DOWN move the centre by."""
+        """Return the step by which UP and DOWN move the centre."""
         return self.span_hz / 10.0 if self.step_chosen_hz is None else self.step_chosen_hz
 
     @property

@@ -152,7 +152,7 @@ class Orbit:
 
 @dataclass(frozen=True, slots=True)
 class PredictedTrack:
-    """What ballistics tells the ground: the track with a small error."""
+    """Predicted sub-satellite track that ballistics gives the ground: the true track with a small error."""
 
     epochs_us: EpochArray
     latitude_deg: FloatArray

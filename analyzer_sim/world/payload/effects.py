@@ -44,7 +44,7 @@ class FaultFlag(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """What the ground declares; fields as in the body of the interface."""
+    """Operation that the ground declares; fields as in the body of the REST request."""
 
     kind: str
     start_us: int
@@ -61,7 +61,7 @@ class Operation:
 
 @dataclass(frozen=True, slots=True)
 class Effects:
-    """What the faults of a scenario add up to; T rows, N carriers."""
+    """Sum of the effects of a scenario's faults; T rows, N carriers."""
 
     #: (T,) hours from the start of operation
     hours: FloatArray

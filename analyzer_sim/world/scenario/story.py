@@ -105,7 +105,7 @@ class KeepingErrors:
 
 @dataclass(frozen=True, slots=True)
 class RepeaterSettings:
-    """What else stands between a user's transmitter and the receiving site."""
+    """Level controls between a user's transmitter and the receiving site."""
 
     #: transponders whose automatic level control holds their total power
     alc_transponders: tuple[str, ...] = ()

@@ -31,7 +31,7 @@ class Motion(NamedTuple):
 
 
 class Torques(NamedTuple):
-    """What is constant over a step."""
+    """Torques and wheel momentum of one step, constant over it."""
 
     #: from outside, N m about x, y, z
     external_n_m: Vector

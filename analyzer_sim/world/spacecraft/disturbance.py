@@ -23,7 +23,7 @@ AXES = ("yaw", "roll", "pitch")
 
 
 class Disturbance(NamedTuple):
-    """What acts in the step after each row of operation; (T, 3), order yaw, roll, pitch."""
+    """Disturbances in the step after each row of operation; (T, 3), order yaw, roll, pitch."""
 
     drift_deg_s: FloatArray
     #: whole external torque, before any of it is fed forward, and the part that is not

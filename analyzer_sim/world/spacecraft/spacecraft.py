@@ -49,7 +49,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeHistory:
-    """What became of the attitude, and what the ground knows about it."""
+    """True attitude of every row and the corrections that the ground knows."""
 
     #: (T, 3) deg, order yaw, roll, pitch
     attitude_deg: FloatArray

@@ -32,7 +32,7 @@ _REMEMBERED = 16
 
 
 class UplinkSettings(NamedTuple):
-    """What a channel does to commands."""
+    """Latency, loss and repetition of commands on an uplink channel."""
 
     latency_s: tuple[float, float]
     lost_share: float
@@ -47,7 +47,7 @@ UPLINKS: dict[str, UplinkSettings] = {
 
 
 class Fate(StrEnum):
-    """What became of a command that arrived."""
+    """Outcome of a command that arrived."""
 
     EXECUTED = "executed"
     EXECUTING = "executing"
@@ -74,7 +74,7 @@ class Arrival(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What the spacecraft tells of a command."""
+    """Telemetry report of the spacecraft on one command."""
 
     reported_us: int
     counter: int
