@@ -34,7 +34,7 @@ class Refused(TypedDict):
 
 
 class Receipt(TypedDict):
-    """What was committed; received = accepted + duplicates + len(refused), late is a part of accepted."""
+    """Receipt of committed rows; received = accepted + duplicates + len(refused), late is a part of accepted."""
 
     received: int
     accepted: int
@@ -111,13 +111,13 @@ class ControlReasonReply(TypedDict):
 
 
 class Verdict(TypedDict):
-    """Whether a torque may go now; the same object in every answer about the present."""
+    """Permission to apply a torque now; the same object in every answer about the present."""
 
     #: False whenever the interlock or the newest attitude forbids; read this one for a decision.
     allowed: bool
     #: ENGAGED under release automatic: computed commands count as applied.
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
-    #: Every reason that stands; while allowed, those that withhold yaw alone.
+    #: All active reasons; while allowed, those that withhold yaw alone.
     reasons: list[ControlReasonReply]
 
 
@@ -167,12 +167,12 @@ class JobReply(TypedDict):
     created_at: str
     #: Why it failed, and what to do.
     error: str | None
-    #: Path of what it gave, while that is kept; null for jobs whose result stands elsewhere.
+    #: Path of its result while that is kept; null for jobs whose result is another resource.
     result: str | None
 
 
 class StatusReply(TypedDict):
-    """What is newest, what is pending, what is in force."""
+    """Status of a spacecraft: newest rows, pending rows, documents in force."""
 
     newest_measurement: str | None
     #: Of the method that drives control.
@@ -184,7 +184,7 @@ class StatusReply(TypedDict):
     realignment_advised: bool
     #: Of the newest row of the robust method.
     advice: list[Json]
-    #: Whether both methods have told different roll or pitch angles for a quarter of an hour.
+    #: Whether the roll or pitch angles of both methods have differed for a quarter of an hour.
     methods_disagree: bool
     clock: Literal["system", "data"]
     #: Present of the spacecraft; null before its first row under the data clock.
@@ -264,7 +264,7 @@ class CommandReply(TypedDict):
 
 
 class Control(TypedDict):
-    """What the interlock of a spacecraft says."""
+    """State of the control interlock of a spacecraft."""
 
     control: Verdict
     #: That of `control`.

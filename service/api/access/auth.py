@@ -1,7 +1,7 @@
-"""Who may do what: bearer keys, permissions, rates.
+"""Authentication and authorisation: bearer keys, permissions, rates.
 
 Keys are compared as digests in constant time and never logged. Without a valid key 401, without the permission 403,
-above the rate 429. A change that passes gets a deed, which is committed to the audit log together with it.
+above the rate 429. Each permitted change is committed together with its audit event.
 """
 
 import logging

@@ -1,4 +1,4 @@
-"""Who asks: the holder of a key, and what each role may do.
+"""Principals: the holder of a key, and the permissions of each role.
 
 A role is a set of permissions; no code outside this file asks for a role by name.
 """

@@ -26,7 +26,7 @@ class _Group:
 
 
 class Refusals:
-    """What was refused lately.
+    """Counters of the requests refused lately, one audit entry a group.
 
     Parameters
     ----------

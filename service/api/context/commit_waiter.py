@@ -15,7 +15,7 @@ _Waiter = asyncio.Future[None]
 
 
 class CommitWaiter:
-    """What requests wait for; all of one event loop."""
+    """Waiters of one event loop for commits of the writer's thread."""
 
     def __init__(self) -> None:
         self._landed: deque[_Waiter] = deque()
@@ -23,7 +23,7 @@ class CommitWaiter:
         self._is_woken = False
 
     async def of(self, future: Future[Result]) -> Result:
-        """Return what a future of another thread resolves to, or raise its fault; who gives up does not cancel it."""
+        """Return the result of a future of another thread or raise its error; a cancelled waiter does not cancel it."""
         if not future.done():
             loop = asyncio.get_running_loop()
             waiter: _Waiter = loop.create_future()

@@ -1,4 +1,4 @@
-"""What routes get handed: the context that the composition root fills, and names for its parts.
+"""Dependencies of routes: the context that the composition root fills, and names for its parts.
 
 Routes see ports only; they never import an adapter and never look anything up globally.
 """

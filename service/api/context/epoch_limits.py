@@ -16,7 +16,7 @@ from service.records.epoch import US_PER_S
 
 
 class _Known(NamedTuple):
-    """What a clock said."""
+    """Reading of a spacecraft's clock and retention limit."""
 
     read_at_us: int
     is_data: bool

@@ -64,7 +64,7 @@ EVENT_KINDS = (
 
 
 class FileOrder(NamedTuple):
-    """What is asked for."""
+    """Order of one export file: spacecraft, series, format and window."""
 
     spacecraft_id: str
     series: str

@@ -24,7 +24,7 @@ _EXPORT_ENDS = (":export", ":manifest")
 
 
 class RateClass(StrEnum):
-    """What a request costs the service, roughly."""
+    """Rate class of a request by its approximate cost."""
 
     INGEST = "ingest"
     READ = "read"
@@ -55,7 +55,7 @@ class RateLimitConfig:
 
 
 class Allowance(NamedTuple):
-    """What a bucket says about one request."""
+    """Answer of a token bucket to one request."""
 
     is_allowed: bool
     limit: int

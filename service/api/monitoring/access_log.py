@@ -90,7 +90,7 @@ class RequestLog:
 
 
 class _Answer:
-    """What was seen of an answer on its way out."""
+    """Status and size of an answer, updated as its messages are sent."""
 
     def __init__(self) -> None:
         self.status: int | None = None
@@ -98,7 +98,7 @@ class _Answer:
         self.size_bytes = 0
 
     def on_message(self, message: Message) -> None:
-        """Look at one message."""
+        """Update status and size by one message."""
         if message["type"] == "http.response.start":
             self.status = message["status"]
             self.is_stream = any(

@@ -33,7 +33,7 @@ _FREE_PARAMETERS = ("cursor", "limit")
 
 @dataclass(frozen=True, slots=True)
 class PageQuery:
-    """What part of a list is asked for."""
+    """Requested page of a list: window, limit and start position."""
 
     window: Window
     limit: int

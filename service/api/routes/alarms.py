@@ -1,4 +1,4 @@
-"""Alarms: what stands, what happened, and what operators do about it."""
+"""Alarms: the active ones, their history, and the actions of operators."""
 
 from typing import Annotated
 
@@ -35,7 +35,7 @@ def list_alarms(
     response: Response,
     state: Annotated[list[StateWord] | None, Query(description="Default open; may be repeated")] = None,
 ) -> AlarmPage:
-    """List alarms of a spacecraft and of the service raised in the range, those that stand by default."""
+    """List alarms of a spacecraft and of the service raised in the range, by default the active ones."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     states = state or ["open"]
     found = context.storage.alarms.alarms(spacecraft_id, states, page.window, page.limit + 1, page.after)
@@ -54,7 +54,7 @@ def get_alarm(alarm_id: AlarmId, context: Context) -> AlarmHistoryAnswer:
 
 @router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
 def acknowledge_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
-    """Say that the alarm was seen; it is told no more unless it becomes worse or comes back."""
+    """Acknowledge the alarm; no further notice unless it becomes worse or comes back."""
     return _reported(context, context.alarms.acknowledge(alarm_id, principal.name, body.comment))
 
 
@@ -77,15 +77,15 @@ def unshelve_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: C
 
 @router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
 def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
-    """Close the alarm; a condition that still stands alarms again after its time."""
+    """Close the alarm; a condition that still holds alarms again after its delay."""
     return _reported(context, context.alarms.clear(alarm_id, principal.name, body.comment))
 
 
 def _reported(context: Context, alarm: Alarm) -> AlarmAnswer:
-    """Return an alarm as it is told."""
+    """Return an alarm."""
     return AlarmAnswer.of(alarm, context.alarms.present_value(alarm))
 
 
 def _position(alarm: Alarm) -> Position:
-    """Return where an alarm stands in its list."""
+    """Return the position of an alarm in its list."""
     return alarm.raised_at_us, alarm.id

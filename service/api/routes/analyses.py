@@ -69,7 +69,7 @@ async def torque_schedule(
 
 
 async def _computed(workers: Workers, work: Callable[..., Found], given: dict[str, Any]) -> Found:
-    """Return what a worker process computes; what is not physical becomes a 422 that says which parameter and why."""
+    """Return the result of a worker process; an unphysical parameter becomes a 422 that names it and the reason."""
     try:
         return await asyncio.wrap_future(workers.analyse(work, **given))
     except (ValueError, ArithmeticError) as error:

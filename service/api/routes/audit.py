@@ -31,7 +31,7 @@ def list_audit(
     outcome: Annotated[str | None, _exact("done, or a status")] = None,
     target: Annotated[str | None, _exact("Only below this path")] = None,
 ) -> AuditPage:
-    """List entries in order of number; the head tells where the chain ends now."""
+    """List entries in order of number; the head gives the present end of the chain."""
     wanted = AuditFilter(
         start_us=page.window.start_us,
         stop_us=page.window.stop_us,

@@ -32,7 +32,7 @@ def start_calibration(
     principal: CurrentPrincipal,
     response: Response,
 ) -> CalibrationStartedAnswer:
-    """Start a calibration; its job tells when the draft has its figures."""
+    """Start a calibration; its job shows when the draft is complete."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     draft, job = context.calibrator.start(spacecraft_id, body.to_record(), principal.name)
     response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/calibrations/{draft.id}"

@@ -21,7 +21,7 @@ RESULTS = "/api/v1/analyses/closed-loop"
 def start_closed_loop(
     body: Annotated[ClosedLoopDocument, body_of(ClosedLoopDocument)], context: Context, response: Response
 ) -> ClosedLoopStartedAnswer:
-    """Fly a spacecraft in the orbital frame under the gyro-orbitant law; the job tells when its result can be read."""
+    """Fly a spacecraft in the orbital frame under the gyro-orbitant law; the job shows when its result can be read."""
     try:
         job = context.flights.start(body.to_request(), body.points)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""What persons say to what they do: remarks that may be left out, comments that go to the shift log."""
+"""Comments of operators on their actions: optional ones, and required ones that go to the shift log."""
 
 from typing import Annotated, Any
 
@@ -12,7 +12,7 @@ TAG = "control"
 
 
 def accepts_comment() -> dict[str, Any]:
-    """Return what the OpenAPI document says about a remark that may be left out."""
+    """Return the OpenAPI description of an optional comment."""
     return accepts(RemarkDocument, is_required=False)
 
 
@@ -20,7 +20,7 @@ Said = Annotated[RemarkDocument, optional_body(RemarkDocument)]
 
 
 def log_comment(context: ApiContext, spacecraft_id: str, principal: Principal, order: str, comment: str) -> None:
-    """Write what a person says to an order into the shift log; nothing where nothing is said."""
+    """Write the comment of an operator on an order into the shift log; an empty comment writes nothing."""
     if not comment.strip():
         return
     now_us = context.clock.system_us()

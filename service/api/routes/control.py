@@ -26,7 +26,7 @@ _CHECK_ORDER = ("roll", "pitch", "yaw")
 
 @router.get("/control")
 def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
-    """Return what the interlock says, and every reason that stands."""
+    """Return the state of the interlock and all active reasons."""
     return _reported(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
@@ -34,7 +34,7 @@ def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
 def arm_control(
     spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal, request: Request
 ) -> ControlAnswer:
-    """Arm: commands may be prepared and confirmed unless a reason stands; two approvers set release automatic."""
+    """Arm: commands may be prepared and confirmed unless a reason is active; two approvers set release automatic."""
     if body.release is None:
         return _order(context, spacecraft_id, OrderKind.ARM, principal, body)
     if not principal.may(Permission.APPROVE):
@@ -69,7 +69,7 @@ def reset_control(
 def stop_control(
     spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal
 ) -> ControlAnswer:
-    """Trip: no torque goes out until a reset; what has gone out already cannot be stopped."""
+    """Trip: no torque is sent until a reset; commands already sent cannot be stopped."""
     return _order(context, spacecraft_id, OrderKind.STOP, principal, body)
 
 
@@ -77,7 +77,7 @@ def stop_control(
 def engage_control(
     spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal
 ) -> ControlAnswer:
-    """Ask for standing authorisation within an envelope, or join another person who asked for the same."""
+    """Request standing authorisation within an envelope, or second the equal request of another person."""
     if body.until is None:
         detail = "say until when the authorisation holds, at most 12 h ahead"
         raise invalid_request([FieldError("/until", "field.missing", detail)])
@@ -117,7 +117,7 @@ def check_sign(
 def _order(
     context: Context, spacecraft_id: str, kind: OrderKind, principal: Principal, body: OrderDocument
 ) -> ControlAnswer:
-    """Return what the interlock says after an order."""
+    """Return the state of the interlock after an order."""
     view = context.release_service.order(spacecraft_id, kind, principal.name)
     log_comment(context, spacecraft_id, principal, kind.value, body.comment)
     return _reported(context, spacecraft_id, view)

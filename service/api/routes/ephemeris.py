@@ -62,7 +62,7 @@ def _ephemeris_of(body: EphemerisDocument) -> Ephemeris:
 
 
 def _pointer(body: EphemerisDocument) -> str:
-    """Return where the form stands that was given."""
+    """Return the pointer to the form that was given."""
     return "/tle" if body.tle is not None else "/oem" if body.oem is not None else "/ascending_nodes"
 
 

@@ -27,7 +27,7 @@ Series = Annotated[str, Path(max_length=64, description=", ".join(OFFERED))]
 
 
 class _Wanted:
-    """What is asked for beside series and span."""
+    """Query parameters of an export other than series and span."""
 
     def __init__(
         self,
@@ -106,7 +106,7 @@ def manifest(
 
 
 class _Part(NamedTuple):
-    """What is known of the file of one day."""
+    """Rows, size and hash of the file of one day."""
 
     window: Window
     rows: int
@@ -123,7 +123,7 @@ def _behind(page: PageQuery) -> Window | None:
 
 
 def _part_of(file: ArchiveFile, window: Window, chunks: Iterable[Chunk]) -> _Part:
-    """Write the file of one day and keep what is told about it."""
+    """Write the file of one day and keep its rows, size and hash."""
     rows = 0
 
     def counted() -> Iterator[Chunk]:
@@ -140,7 +140,7 @@ def _part_of(file: ArchiveFile, window: Window, chunks: Iterable[Chunk]) -> _Par
 
 
 def _part_answer(part: _Part, request: Request, file_format: str, file: ArchiveFile, now_us: int) -> PartAnswer:
-    """Return what is told about a part."""
+    """Return the manifest entry of a part."""
     span = [("start", format_epoch(part.window.start_us)), ("stop", format_epoch(part.window.stop_us))]
     query = urlencode([("format", file_format), *span, *file.parameters])
     return PartAnswer.model_validate(

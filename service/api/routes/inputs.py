@@ -122,7 +122,7 @@ def list_telemetry(
 def _append(
     spacecraft_id: str, context: ApiContext, rows: Sequence[R], to_record: Callable[[R], SlowInput]
 ) -> InputReceiptAnswer:
-    """Store the rows that can be and say what became of all."""
+    """Store the valid rows and return the receipt of all."""
     faults = [row.fault() for row in rows]
     kept = [index for index, fault in enumerate(faults) if fault is None]
     refused = [(index, *fault) for index, fault in enumerate(faults) if fault is not None]
@@ -148,7 +148,7 @@ def _entries(spacecraft_id: str, kind: str, page: PageQuery, context: ApiContext
 
 
 def _position(entry: JournalEntry) -> Position:
-    """Return where an entry stands in the order of its list."""
+    """Return the position of an entry in its list."""
     content = entry.content
     start_us = content.start_us if isinstance(content, Correction) else getattr(content, "epoch_us", 0)
     return start_us, entry.number

@@ -36,7 +36,7 @@ def create_key(
     ring: Ring,
     response: Response,
 ) -> NewKeyAnswer:
-    """Make a key; this answer is the only place where it ever stands."""
+    """Make a key; only this answer contains its secret."""
     now_us = context.clock.system_us()
     if body.expires_at is not None and body.expires_at <= now_us:
         detail = "the key would have expired already; name a later instant, or null for none"

@@ -29,7 +29,7 @@ report_router = APIRouter(tags=["links"])
 def report_links(
     body: Annotated[LinkReportsDocument, body_of(LinkReportsDocument)], context: Context
 ) -> LinkWishesAnswer:
-    """Take the reports of a front end and tell what is wanted of its links."""
+    """Store the reports of a front end and return the requested state of its links."""
     states = context.storage.links.report([each.to_record() for each in body.links], context.clock.system_us())
     requests = [LinkWishAnswer(id=state.report.id, enabled=state.enabled, reset=state.resets) for state in states]
     return LinkWishesAnswer(links=requests)

@@ -59,5 +59,5 @@ def get_note(note_id: NoteId, context: Context) -> NoteAnswer:
 
 
 def _position(note: Note) -> Position:
-    """Return where a note stands in its list."""
+    """Return the position of a note in its list."""
     return note.epoch_us, note.id

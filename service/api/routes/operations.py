@@ -28,7 +28,7 @@ def declare_operation(
     context: Context,
     response: Response,
 ) -> OperationAnswer:
-    """Declare an operation, past, present or to come."""
+    """Declare an operation, past, present or future."""
     stored = context.storage.archive.add_operation(spacecraft_id, body.to_record(0))
     context.on_accepted(spacecraft_id)
     response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/operations/{stored.id}"
@@ -68,5 +68,5 @@ def change_operation(
 
 
 def _position(entry: JournalEntry) -> Position:
-    """Return where an entry stands in the order of its list."""
+    """Return the position of an entry in its list."""
     return (entry.content.start_us if isinstance(entry.content, Operation) else 0), entry.number

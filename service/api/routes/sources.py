@@ -35,7 +35,7 @@ def select_source(
 
 
 def _answer(state: SourceState) -> SourceAnswer:
-    """Return a source as it is told."""
+    """Return a source."""
     role = "prime" if state.role == "prime" else "backup"
     return SourceAnswer.model_validate(
         {"id": state.id, "role": role, "newest_epoch": state.newest_epoch_us, "rows": state.rows}

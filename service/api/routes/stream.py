@@ -1,4 +1,4 @@
-"""Stream: measurements, attitude, torques, alarms and status as they come, as server-sent events."""
+"""Stream: measurements, attitude, torques, alarms and status as server-sent events."""
 
 import asyncio
 import logging

@@ -1,4 +1,4 @@
-"""Documents that come in and go out, as pydantic models; they turn into records and back, and know nothing of HTTP.
+"""Documents of requests and answers, as pydantic models: converted into records and back, independent of HTTP.
 
 Public: alarms, alignments, analyses, archive, attitude, audit, base, calibrations, carrier_selection, carriers,
 closed_loop, control, ephemeris, handover, inputs, inspection, jobs, keys, links, measurement_rows, measurements,

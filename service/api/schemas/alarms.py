@@ -22,7 +22,7 @@ _CONDITIONS = condition_table(AlarmConfig(), RobustConfig())
 
 
 def _finite(value: Any) -> Any:
-    """Return None for what JSON cannot tell."""
+    """Return None for a number that JSON cannot hold."""
     return value if isinstance(value, float) and abs(value) < float("inf") else None
 
 
@@ -30,7 +30,7 @@ FiniteFigure = Annotated[float | None, BeforeValidator(_finite)]
 
 
 class RemarkDocument(Document):
-    """What an operator says to what he does."""
+    """Optional comment of an operator on an action."""
 
     comment: CommentText = ""
 
@@ -43,7 +43,7 @@ class ShelveDocument(RemarkDocument):
 
 
 class HandlingAnswer(Answer):
-    """What somebody did."""
+    """Action of an operator on an alarm: name, time and comment."""
 
     by: str
     at: EpochAnswer = Field(validation_alias="at_us")
@@ -62,7 +62,7 @@ class AlarmAnswer(Answer):
     state: Literal["normal", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed"]
     """That of the cover where there is one; normal = closed."""
     is_active: bool
-    """Whether the condition stands."""
+    """Whether the condition holds."""
     severity: SeverityWord
     """Worst since it was raised."""
     since: EpochAnswer
@@ -95,14 +95,14 @@ class AlarmAnswer(Answer):
 
 
 class AlarmChangeAnswer(Answer):
-    """One change of an alarm; events `alarm` of the stream tell the same."""
+    """One change of an alarm, as in events `alarm` of the stream."""
 
     sequence: int
     change: str
     """raised, escalated, returned, repeated, acknowledged, shelved, unshelved, suppressed, released or cleared."""
     at: EpochAnswer
     is_told: bool
-    """Whether somebody is told outside: never while it is shelved or suppressed."""
+    """Whether notices are sent outside: never while it is shelved or suppressed."""
     by: str | None
     comment: str | None
     alarm: AlarmAnswer
@@ -137,7 +137,7 @@ class AlarmHistoryAnswer(Answer):
 
 
 class StatementDocument(Document):
-    """What a set states for one condition; what is left out keeps its default, a threshold of null is switched off."""
+    """Limits of one condition in a set; an omitted field keeps its default, a threshold of null is switched off."""
 
     watch: Threshold = None
     warning: Threshold = None
@@ -193,7 +193,7 @@ class LimitsAnswer(Answer):
 
     @classmethod
     def of(cls, limits: AlarmLimits) -> Self:
-        """Return the answer that tells a version."""
+        """Return the answer for a version."""
         return cls.model_validate(
             {
                 "version": limits.version,
@@ -227,7 +227,7 @@ class ConditionLimitsAnswer(Answer):
 
     @classmethod
     def of(cls, name: str, limits: ConditionLimits) -> Self:
-        """Return the answer that tells the limits of a condition."""
+        """Return the answer for the limits of a condition."""
         names = ConditionLimits.__dataclass_fields__
         condition = _CONDITIONS[name]
         reported = {field: getattr(limits, field) for field in names}

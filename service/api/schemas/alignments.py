@@ -140,7 +140,7 @@ class AlignmentAnswer(Answer):
     """Of the paper method's references: `zero_attitude` (mean of the window less harmonic less the calibrated change at
     the sensors' angles), or `window_mean` (mean of the window less harmonic) of alignments of before."""
     warnings: list[str]
-    """What the catalogue left open at the alignment, and what that costs."""
+    """Gaps of the catalogue at the alignment and their cost in accuracy."""
 
     @classmethod
     def of(cls, alignment: Alignment) -> Self:
@@ -149,7 +149,7 @@ class AlignmentAnswer(Answer):
 
 
 class AlignmentMadeAnswer(AlignmentAnswer):
-    """An alignment that was made just now, and what becomes of the rows that are stored already."""
+    """New alignment, with the numbers of stored rows that it changes or leaves."""
 
     rows_recomputed: int
     """Stored rows later than `epoch` that get angles by this alignment: those that had none."""
@@ -159,7 +159,7 @@ class AlignmentMadeAnswer(AlignmentAnswer):
 
     @classmethod
     def made(cls, alignment: Alignment, rows: tuple[int, int]) -> Self:
-        """Return the answer that tells a new alignment; rows recomputed and kept."""
+        """Return the answer for a new alignment; rows recomputed and kept."""
         reported = AlignmentAnswer.of(alignment).model_dump()
         return cls.model_validate({**reported, "rows_recomputed": rows[0], "rows_kept": rows[1]})
 

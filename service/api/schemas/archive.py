@@ -1,4 +1,4 @@
-"""What is told about stretches of the archive: manifests of exports, gaps, samples."""
+"""Reports on intervals of the archive: manifests of exports, gaps, samples."""
 
 from typing import Literal, Self
 
@@ -17,7 +17,7 @@ class PartAnswer(Answer):
     bytes: int
     sha256: str
     closed: bool
-    """Whether the day is over; only rows that come late change the file of a closed day."""
+    """Whether the day is over; only late rows change the file of a closed day."""
     href: str
     """Where the file is, relative to the service; takes Range and If-Range."""
 
@@ -51,7 +51,7 @@ class SampleAnswer(Answer):
 
     @classmethod
     def all_of(cls, samples: Samples) -> list[Self]:
-        """Return the answers that tell the intervals of a column."""
+        """Return the answers for the intervals of a column."""
         columns = (
             samples.starts_us,
             samples.counts,
@@ -96,7 +96,7 @@ class GapAnswer(Answer):
 
 
 class SourceRowsAnswer(Answer):
-    """What is known of a source over all time."""
+    """Rows and missing rows of a source over all time."""
 
     id: str
     role: str

@@ -1,4 +1,4 @@
-"""Attitude rows as they go out: the newest, the history and the live stream tell the same document."""
+"""Documents of attitude rows: the newest, the history and the live stream give the same document."""
 
 from typing import Any, Self
 
@@ -28,7 +28,7 @@ _MEMBERS = RecordMembers(
 
 
 class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):  # type: ignore[misc] # its members follow from the record
-    """What one method says about one measurement."""
+    """Attitude estimate of one method at one measurement."""
 
     version: str
     """`live`, or the replay that made the row."""

@@ -1,4 +1,4 @@
-"""The audit log as it is told."""
+"""Documents of the audit log."""
 
 from typing import Self
 
@@ -26,7 +26,7 @@ class AuditEntryAnswer(Answer):
     body_sha256: str | None
     """Of the body after unpacking, hexadecimal."""
     times: int
-    """How many equal refusals this entry stands for; the last of them is the one told."""
+    """Number of equal refusals in this entry, which shows the last of them."""
     previous_hash: str
     hash: str
 

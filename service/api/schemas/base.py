@@ -1,4 +1,4 @@
-"""What all documents share: strictness, text without control characters, epochs, angles by name.
+"""Base of all documents: strictness, text without control characters, epochs, angles by name.
 
 Documents that come in are strict: no unknown fields, no coercion, finite numbers only. Answers turn NaN into null and
 microseconds into RFC 3339 by themselves, so routes hand over records as they are.
@@ -48,7 +48,7 @@ PlanNumber = Annotated[int, Field(ge=1, le=2**31 - 1)]
 
 
 class Document(BaseModel):
-    """A document that comes in."""
+    """Base of request documents."""
 
     model_config = ConfigDict(
         extra="forbid", strict=True, allow_inf_nan=False, frozen=True, use_attribute_docstrings=True
@@ -67,7 +67,7 @@ def _record_names(name: str) -> AliasChoices:
 
 
 class Answer(BaseModel):
-    """A document that goes out; made from a record whose fields have the same names, or those of `_record_names`."""
+    """Base of answers; made from a record whose fields have the same names, or those of `_record_names`."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -136,7 +136,7 @@ class AnglesAnswer(Answer):
 
     @classmethod
     def of(cls, axes: Axes) -> Self:
-        """Return the answer that tells a value of each axis."""
+        """Return the answer for a value of each axis."""
         return cls(yaw=axes.yaw, roll=axes.roll, pitch=axes.pitch)
 
 
@@ -156,7 +156,7 @@ class WindowAnswer(Answer):
 
     @classmethod
     def of(cls, window: Window) -> Self:
-        """Return the answer that tells a window."""
+        """Return the answer for a window."""
         return cls.model_validate({"start": window.start_us, "stop": window.stop_us})
 
 

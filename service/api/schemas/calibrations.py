@@ -1,4 +1,4 @@
-"""Calibrations: what is asked for, and what came of it with every figure by which carriers were judged."""
+"""Documents of calibrations: requests, and results with all criteria of the choice of carriers."""
 
 from typing import Annotated, Literal, Self
 
@@ -43,7 +43,7 @@ class WindowDocument(Document):
 
 
 class SensorsDocument(Document):
-    """The sensor that tells each angle."""
+    """Sensor of each angle."""
 
     yaw: Sensor
     roll: Sensor
@@ -141,7 +141,7 @@ class LinearityAnswer(Answer):
 
 
 class CarrierCalibrationAnswer(Answer):
-    """All that a calibration says about one carrier."""
+    """Result of a calibration for one carrier."""
 
     id: str
     level_dbm: Figure
@@ -169,7 +169,7 @@ class CarrierCalibrationAnswer(Answer):
 
 
 class ObservabilityAnswer(Answer):
-    """What the selected carriers can see."""
+    """Observability of the attitude by the selected carriers."""
 
     condition: Figure
     dop: AnglesAnswer

@@ -1,4 +1,4 @@
-"""What a choice of carriers tells: the carriers with reasons, what they see, the sets beside them, and turns."""
+"""Selection of carriers: the carriers with reasons, their observability, alternative sets, and turns."""
 
 from enum import StrEnum
 from typing import Self
@@ -27,7 +27,7 @@ class Turns(StrEnum):
 
 
 class RecommendedCarrierAnswer(Answer):
-    """What the rule says about one carrier."""
+    """Result of the selection rule for one carrier."""
 
     carrier: str
     transponder: str
@@ -48,7 +48,7 @@ class RecommendedCarrierAnswer(Answer):
 
     @classmethod
     def of(cls, recommendation: Recommendation, k: int) -> Self:
-        """Return the answer that tells what is recommended of the k-th carrier."""
+        """Return the answer for what is recommended of the k-th carrier."""
         candidates, word = recommendation.candidates, recommendation.words[k]
         return cls.model_validate(
             {
@@ -87,7 +87,7 @@ class AveragedSigmaAnswer(Answer):
 
 
 class CarrierSetAnswer(Answer):
-    """What a set of carriers sees."""
+    """Observability of the attitude by a set of carriers."""
 
     selected: list[str]
     """In the order of choice."""
@@ -115,7 +115,7 @@ class CarrierSetAnswer(Answer):
 
     @classmethod
     def of(cls, found: CarrierSet, candidates: Candidates) -> Self:
-        """Return the answer that tells a set."""
+        """Return the answer for a set."""
         statistics = found.figures
         names = [candidates.carrier_ids[k] for k in found.chosen]
         return cls(
@@ -170,7 +170,7 @@ class TurnStepAnswer(Answer):
 
     @classmethod
     def of(cls, step: TurnStep) -> Self:
-        """Return the answer that tells a level of turns that start at 0."""
+        """Return the answer for a level of turns that start at 0."""
         yaw_deg, roll_deg, pitch_deg = step.attitude_deg
         return cls(
             offset_s=step.start_us / US_PER_S,
@@ -189,7 +189,7 @@ class TurnsAnswer(Answer):
 
     @classmethod
     def of(cls, turns: Turns) -> Self | None:
-        """Return the answer that tells the turns asked for."""
+        """Return the answer for the turns asked for."""
         if turns is Turns.NONE:
             return None
         steps = turn_timetable(0, far_yaw=turns is Turns.FAR_YAW)
@@ -223,7 +223,7 @@ class CarrierSelectionAnswer(Answer):
 
     @classmethod
     def of(cls, found: CarrierRecommendation, turns: Turns) -> Self:
-        """Return the answer that tells a recommendation."""
+        """Return the answer for a recommendation."""
         recommendation = found.recommendation
         candidates = recommendation.candidates
         sets = {name: CarrierSetAnswer.of(one, candidates) for name, one in recommendation.sets.items()}

@@ -1,4 +1,4 @@
-"""Carrier plans as they come and go, and the digest that makes the same content the same plan."""
+"""Documents of carrier plans, and the digest that makes the same content the same plan."""
 
 import json
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ class CarrierDocument(Document):
 
     @model_validator(mode="after")
     def _check_uplink(self) -> Self:
-        """Refuse a carrier that goes up from nowhere."""
+        """Refuse a carrier without an uplink station."""
         if self.kind != "beacon" and self.station is None:
             raise PydanticCustomError("carrier.station_missing", "a carrier that is no beacon needs its station")
         if self.kind != "beacon" and self.uplink_hz is None:
@@ -109,7 +109,7 @@ class CarrierPlanAnswer(Answer):
 
     @classmethod
     def of(cls, plan: CarrierPlan) -> Self:
-        """Return the answer that tells a plan."""
+        """Return the answer for a plan."""
         carriers = [CarrierDocument.model_validate(asdict(carrier), strict=False) for carrier in plan.carriers]
         return cls(plan_id=plan.id, sha256=plan.sha256, carriers=carriers)
 

@@ -156,7 +156,7 @@ class FlownWheelsDocument(Document):
     """One reaction wheel an axis."""
 
     slope: Annotated[float, Field(gt=0, le=10)] = AxisWheels().slope
-    """Torque given over torque asked for, at rest."""
+    """Torque given over torque commanded, at rest."""
     no_load_rad_s: Size = AxisWheels().no_load_rad_s
     inertia_kg_m2: Annotated[float, Field(ge=1e-4, le=1e3)] = AxisWheels().inertia_kg_m2
     momentum_limit_n_m_s: Size = AxisWheels().momentum_limit_n_m_s
@@ -215,7 +215,7 @@ class ClosedLoopDocument(Document):
     rate_sensor: RateSensorDocument | None = RateSensorDocument()
     """Null: shows the truth."""
     wheels: FlownWheelsDocument | None = FlownWheelsDocument()
-    """Null: give what they are told."""
+    """Null: the wheels give the commanded torque."""
     tones: TonesDocument | None = TonesDocument()
     """Null: a rigid spacecraft."""
     has_gravity_torque: bool = True
@@ -318,7 +318,7 @@ class FlightSeriesAnswer(Answer):
 
 
 class ClosedLoopAnswer(Answer):
-    """What a flight gave; axes of the model."""
+    """Result of a simulated flight; axes of the model."""
 
     job: str
     merit: MeritAnswer
@@ -327,7 +327,7 @@ class ClosedLoopAnswer(Answer):
 
     @classmethod
     def of(cls, job_id: str, found: ClosedLoop) -> Self:
-        """Return the answer that tells a flight."""
+        """Return the answer for a flight."""
         flight = found.flight
         named = {name: value for name, value in found.merit._asdict().items() if isinstance(value, tuple)}
         plain = {name: value for name, value in found.merit._asdict().items() if name not in named}

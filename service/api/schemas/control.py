@@ -1,4 +1,4 @@
-"""Control: what the interlock says, and what persons order."""
+"""Documents of control: state of the interlock, and orders of operators."""
 
 from typing import Annotated, Literal, Self
 
@@ -13,7 +13,7 @@ Limit = Annotated[float, Field(gt=0, le=1e3)]
 
 
 class EnvelopeDocument(Document):
-    """What a command may change at most about each axis; null: as wide as the settings allow."""
+    """Largest change of a command about each axis; null: as wide as the settings allow."""
 
     angle_change_deg: Limit | None = None
     rate_change_deg_s: Limit | None = None
@@ -67,14 +67,14 @@ class ControlReasonAnswer(Answer):
 
 
 class VerdictAnswer(Answer):
-    """Whether a torque may go now; the same object in every answer about the present."""
+    """Permission to apply a torque now; the same object in every answer about the present."""
 
     allowed: bool
     """False whenever the interlock or the newest attitude forbids; read this one for a decision."""
     state: ControlState
     """ENGAGED under release automatic: computed commands count as applied."""
     reasons: list[ControlReasonAnswer]
-    """Every reason that stands; while allowed, those that withhold yaw alone."""
+    """All active reasons; while allowed, those that withhold yaw alone."""
 
     @classmethod
     def of(cls, verdict: ControlVerdict) -> Self:
@@ -83,7 +83,7 @@ class VerdictAnswer(Answer):
 
 
 class EnvelopeAnswer(Answer):
-    """What a command may change at most about each axis."""
+    """Largest change of a command about each axis."""
 
     angle_change_deg: float
     rate_change_deg_s: float
@@ -118,7 +118,7 @@ class SignCheckAnswer(Answer):
 
 
 class ControlAnswer(Answer):
-    """What the interlock of a spacecraft says."""
+    """State of the control interlock of a spacecraft."""
 
     control: VerdictAnswer
     state: ControlState

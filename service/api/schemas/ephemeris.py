@@ -1,4 +1,4 @@
-"""Ephemerides as they come, in one of three forms, and as they are told."""
+"""Documents of ephemerides: requests in one of three forms, and answers."""
 
 from typing import Annotated, Self
 
@@ -67,7 +67,7 @@ class TrackAnswer(Answer):
 
 
 class EphemerisReceiptAnswer(Answer):
-    """What a stored ephemeris gives."""
+    """Receipt of a stored ephemeris: ascending nodes, nodal period and validity."""
 
     ephemeris_id: int
     ascending_nodes: list[EpochAnswer]
@@ -77,7 +77,7 @@ class EphemerisReceiptAnswer(Answer):
 
     @classmethod
     def of(cls, ephemeris: Ephemeris) -> Self:
-        """Return the answer that tells a record."""
+        """Return the answer for a record."""
         return cls.model_validate(_content(ephemeris))
 
 
@@ -88,7 +88,7 @@ class EphemerisAnswer(EphemerisReceiptAnswer):
 
     @classmethod
     def of(cls, ephemeris: Ephemeris) -> Self:
-        """Return the answer that tells a record."""
+        """Return the answer for a record."""
         track = ephemeris.track
         content = None
         if track is not None:
@@ -101,7 +101,7 @@ class EphemerisAnswer(EphemerisReceiptAnswer):
 
 
 def _content(ephemeris: Ephemeris) -> dict[str, object]:
-    """Return what both answers tell."""
+    """Return the members that both answers share."""
     return {
         "ephemeris_id": ephemeris.id,
         "ascending_nodes": ephemeris.ascending_nodes_us,

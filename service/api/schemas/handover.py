@@ -10,13 +10,13 @@ from service.api.schemas.status import StatusAnswer
 
 
 class HandoverControlAnswer(VerdictAnswer):
-    """What control does, and the verdict on it."""
+    """Mode of control and the verdict of its interlock."""
 
     mode: str
     release: str
     method: str
     authorised_until: EpochAnswer | None
-    """End of the time for which control was given free; null: it is not bounded in time."""
+    """End of the authorisation of control; null: it is not bounded in time."""
 
 
 class HandoverCalibrationAnswer(Answer):
@@ -58,7 +58,7 @@ class HandoverKeyAnswer(Answer):
 
 
 class HandoverSourceAnswer(Answer):
-    """Rows that did not come."""
+    """Rows missing by their sequence numbers."""
 
     source: str
     role: str
@@ -67,7 +67,7 @@ class HandoverSourceAnswer(Answer):
 
 
 class HandoverNoticesAnswer(Answer):
-    """What became of notices to the outside."""
+    """Counters of the notices sent over one channel."""
 
     channel: str
     waiting: int
@@ -77,13 +77,13 @@ class HandoverNoticesAnswer(Answer):
 
 
 class HandoverAnswer(Answer):
-    """What the next shift must know of a spacecraft."""
+    """Handover of a spacecraft to the next shift: alarms, control, status and notes."""
 
     spacecraft_id: str
     at: EpochAnswer
     """By the spacecraft's clock."""
     alarms: list[AlarmAnswer]
-    """Those that stand, worst first."""
+    """Active alarms, worst first."""
     shelved: list[AlarmAnswer]
     """With the instant at which each one comes back."""
     suppressed: list[AlarmAnswer]

@@ -1,4 +1,4 @@
-"""Slow inputs that come in batches: attitude references, corrections, telemetry.
+"""Documents of slow inputs, sent in batches: attitude references, corrections, telemetry.
 
 A row that says nothing or something impossible is refused by itself; ``fault`` tells why. What does not fit the form
 at all refuses the batch.
@@ -57,7 +57,7 @@ def _angle_fault(angles_deg: Iterable[float | None], sigmas_deg: Iterable[float 
 
 
 class ReferenceDocument(Document):
-    """Attitude told by a sensor at one epoch; any angle may be null."""
+    """Attitude measured by a sensor at one epoch; any angle may be null."""
 
     epoch: AnyEpoch
     yaw_deg: float | None = None
@@ -157,7 +157,7 @@ class InputRefusalAnswer(Answer):
 
 
 class InputReceiptAnswer(Answer):
-    """What was committed; received = accepted + duplicates + len(refused)."""
+    """Receipt of committed inputs; received = accepted + duplicates + len(refused)."""
 
     received: int
     accepted: int
@@ -192,7 +192,7 @@ class CorrectionAnswer(Answer):
 
     @classmethod
     def of(cls, record: Correction) -> Self:
-        """Return the answer that tells a record."""
+        """Return the answer for a record."""
         change = {f"{axis}_deg": value for axis, value in record.change_deg._asdict().items()}
         return cls.model_validate({"start": record.start_us, "stop": record.stop_us, **change})
 

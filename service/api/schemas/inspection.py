@@ -1,4 +1,4 @@
-"""What a fit of a window on demand tells: the daily change of each carrier."""
+"""Result of a fit of a window on demand: the daily change of each carrier."""
 
 from typing import Self
 
@@ -39,7 +39,7 @@ class CarrierHarmonicAnswer(HarmonicAnswer):
 
     @classmethod
     def of_carrier(cls, fit: CarrierHarmonic) -> Self:
-        """Return the answer that tells the fit of a carrier."""
+        """Return the answer for the fit of a carrier."""
         return cls.model_validate(
             {
                 **HarmonicAnswer.of_record(fit.harmonic).model_dump(),
@@ -69,7 +69,7 @@ class WindowHarmonicsAnswer(Answer):
 
     @classmethod
     def of(cls, window: Window, method: Method, harmonics: WindowHarmonics) -> Self:
-        """Return the answer that tells the harmonics of a window."""
+        """Return the answer for the harmonics of a window."""
         return cls(
             range=WindowAnswer.of(window),
             method=method,

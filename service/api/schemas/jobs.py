@@ -1,4 +1,4 @@
-"""Long work as it is told."""
+"""Documents of jobs."""
 
 from typing import Self
 
@@ -18,7 +18,7 @@ class JobAnswer(Answer):
     error: str | None
     """Why it failed, and what to do."""
     result: str | None
-    """Path of what it gave, while that is kept; null for jobs whose result stands elsewhere."""
+    """Path of its result while that is kept; null for jobs whose result is another resource."""
 
     @classmethod
     def of(cls, job: Job, result: str | None = None) -> Self:

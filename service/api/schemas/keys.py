@@ -1,4 +1,4 @@
-"""Access keys as they are asked for and told; the key itself stands in one answer only."""
+"""Documents of access keys; the key itself is in one answer only."""
 
 from enum import StrEnum
 from typing import Annotated, Self
@@ -19,7 +19,7 @@ def _name(text: str) -> str:
 
 
 class KeyState(StrEnum):
-    """Whether a key opens anything."""
+    """Validity of a key."""
 
     VALID = "valid"
     EXPIRED = "expired"
@@ -27,12 +27,12 @@ class KeyState(StrEnum):
 
 
 class KeyDocument(Document):
-    """A key that is wanted."""
+    """Request for a new key."""
 
     name: Annotated[
         str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$"), AfterValidator(_name)
     ]
-    """Who will hold it; it stands in the audit log. Kept trimmed and in Unicode's normal form KC, without characters
+    """Holder of the key, as the audit log names it. Kept trimmed and in Unicode's normal form KC, without characters
     that cannot be seen; keys in force differ in more than case, and none is `bootstrap`, `anonymous` or `service`."""
     role: Annotated[Role, Field(strict=False)]
     expires_at: Epoch | None = None
@@ -62,7 +62,7 @@ class KeyAnswer(Answer):
 
 
 class NewKeyAnswer(Answer):
-    """A key that was just made; nobody can read it again."""
+    """New key with its secret, which cannot be read again."""
 
     id: str
     key: str

@@ -46,7 +46,7 @@ class LinkWarningDocument(Document):
 
 
 class LinkReportDocument(Document):
-    """What one link says of itself."""
+    """Report of one link on its own state."""
 
     id: Name
     kind: Literal["analyzer", "front_end"]
@@ -54,7 +54,7 @@ class LinkReportDocument(Document):
     source: Name | None = None
     """Source of the measurements that come over the link."""
     state: Word
-    """Where its state machine stands."""
+    """State of its state machine."""
     detail: Detail = Field(default_factory=dict)
     """Anything that helps a reader, 8 kB at most."""
     counters: Counters = Field(default_factory=dict)
@@ -97,16 +97,16 @@ class LinkReportsDocument(Document):
 
 
 class LinkWishAnswer(Answer):
-    """What is wanted of a link."""
+    """Requested state of a link: enabled or not, and number of resets."""
 
     id: str
     enabled: bool
     reset: int
-    """How many resets were asked for; a link that has seen fewer begins again."""
+    """Number of resets requested; a link that has carried out fewer begins again."""
 
 
 class LinkWishesAnswer(Answer):
-    """What is wanted of the links that reported."""
+    """Requested states of the links that reported."""
 
     links: list[LinkWishAnswer]
 
@@ -141,7 +141,7 @@ class LinkAnswer(Answer):
     detail: dict[str, Any]
     warnings: list[LinkWarningAnswer]
     reset_pending: bool
-    """A reset was asked for that the link has not carried out yet."""
+    """A reset was requested that the link has not carried out yet."""
     rows_missing: int | None
     """Rows that the source has numbered and the archive does not hold; null where it sends no numbers."""
 

@@ -46,7 +46,7 @@ class MeasurementAnswer(Answer):
 
     @classmethod
     def of(cls, row: Measurement, carrier_ids: Sequence[str], wanted: Collection[str] | None = None) -> Self:
-        """Return the answer that tells a row, of all its carriers or of those wanted."""
+        """Return the answer for a row, of all its carriers or of those wanted."""
         positions = [k for k, name in enumerate(carrier_ids) if wanted is None or name in wanted]
         power_dbm = shortest_float32(row.power_dbm)
         masks = None if row.flags is None else {carrier_ids[k]: int(row.flags[k]) for k in positions}
@@ -78,7 +78,7 @@ class MeasurementPage(Answer):
 
 
 class CarrierStateAnswer(Answer):
-    """What is known about one carrier after the newest row."""
+    """State of one carrier after the newest row."""
 
     carrier: str
     epoch: EpochAnswer
@@ -90,7 +90,7 @@ class CarrierStateAnswer(Answer):
     residual_db: Figure
     """Deviation minus what the attitude explains."""
     sigma_db: Figure
-    """Scatter that the method which tells these figures reckons with."""
+    """Scatter of one row, one sigma, in the model of the method that gives these values."""
     measured_sigma_db: Figure
     """Scatter of the power that the front end predicts from bandwidth, time and noise."""
     c_n0_db_hz: Figure
@@ -106,7 +106,7 @@ class CarrierStateAnswer(Answer):
 
     @classmethod
     def of(cls, row: Measurement, position: int, state: CarrierState) -> Self:
-        """Return the answer that tells the state of the carrier at one place of a row."""
+        """Return the answer for the state of the carrier at one place of a row."""
         return cls.model_validate(
             {
                 "carrier": state.carrier,

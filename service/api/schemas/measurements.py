@@ -79,7 +79,7 @@ class RowRemarkAnswer(Answer):
 
 
 class MeasurementReceiptAnswer(Answer):
-    """What was committed; received = accepted + duplicates + len(refused), late is a part of accepted."""
+    """Receipt of committed rows; received = accepted + duplicates + len(refused), late is a part of accepted."""
 
     received: int
     accepted: int

@@ -1,4 +1,4 @@
-"""Spacecraft as the catalogue takes and tells it, with the checks that physics allows."""
+"""Documents of the spacecraft catalogue, with the checks that physics allows."""
 
 from dataclasses import asdict
 from typing import Annotated, Literal, Self
@@ -140,7 +140,7 @@ class FedForwardDocument(Document):
 
 
 class OnboardDocument(Document):
-    """What the spacecraft's own control offers."""
+    """On-board control of the spacecraft: fast loop, forecast mode, roll-yaw coupling and known torques."""
 
     fast_loop: bool = False
     forecast_mode: bool = False
@@ -151,7 +151,7 @@ class OnboardDocument(Document):
     """Size of the disturbance torque an axis that is not fed forward on board, for the filter to learn; 0 = none.
     `null`: unknown, the filter begins with the prior `SOO_ROBUST__UNKNOWN_TORQUE_N_M`; yaw is known worse for it."""
     fed_forward_torque: FedForwardDocument | None = None
-    """What is fed forward on board, for the filter to learn what is wrong with it; null = nothing is known."""
+    """Torque profile fed forward on board, whose error the filter estimates; null = unknown."""
 
 
 class GyroOrbitantDocument(Document):
@@ -178,7 +178,7 @@ class ControlDocument(Document):
     forecast_horizon_s: Annotated[float, Field(ge=60, le=7200)] = 3600.0
     """How far the pulses against a known torque of a released command reach at most; the envelope may shorten it."""
     law: ControlLaw = ControlLaw.PROPORTIONAL_DERIVATIVE
-    """`gyro_orbitant`: yaw is told by the roll rate; needs `body_rate_deg_s`, against inertial space, in telemetry."""
+    """`gyro_orbitant`: yaw follows from the roll rate; needs inertial `body_rate_deg_s` in telemetry."""
     gyro_orbitant: GyroOrbitantDocument | None = None
 
 
@@ -249,7 +249,7 @@ class SpacecraftDocument(Document):
 
     @property
     def lacks_fast_loop(self) -> bool:
-        """Return whether ground control is asked of a spacecraft that would not stay still between two commands."""
+        """Return whether ground control is requested of a spacecraft that would drift between two commands."""
         can_follow = self.onboard.fast_loop and self.onboard.forecast_mode
         return self.control.mode is ControlMode.GROUND and not can_follow
 

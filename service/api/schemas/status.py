@@ -35,14 +35,14 @@ class InterlockAnswer(Answer):
 
 
 class AdviceAnswer(Answer):
-    """What the operator should do while control goes on."""
+    """Advice to the operator while control continues."""
 
     code: str
     text: str
 
 
 class StatusAnswer(Answer):
-    """What is newest, what is pending, what is in force."""
+    """Status of a spacecraft: newest rows, pending rows, documents in force."""
 
     newest_measurement: EpochAnswer | None
     newest_attitude: EpochAnswer | None
@@ -55,7 +55,7 @@ class StatusAnswer(Answer):
     advice: list[AdviceAnswer]
     """Of the newest row of the robust method."""
     methods_disagree: bool
-    """Whether both methods have told different roll or pitch angles for a quarter of an hour."""
+    """Whether the roll or pitch angles of both methods have differed for a quarter of an hour."""
     clock: Literal["system", "data"]
     now: EpochAnswer | None
     """Present of the spacecraft; null before its first row under the data clock."""

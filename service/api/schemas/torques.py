@@ -22,7 +22,7 @@ class PulseAnswer(Answer):
 
 
 class PredictedAnswer(Answer):
-    """What the schedule will have done when the command period ends."""
+    """Predicted effect of the schedule at the end of the command period."""
 
     angle_change_deg: Annotated[AnglesAnswer, Field(validation_alias="predicted_angle_change_deg")]
     rate_change_deg_s: Annotated[AnglesAnswer, Field(validation_alias="predicted_rate_change_deg_s")]
@@ -31,14 +31,14 @@ class PredictedAnswer(Answer):
 
 
 class ScheduleCheckAnswer(Answer):
-    """What the flexible modes say of a schedule, the worst of the axes."""
+    """Check of a schedule against the flexible modes, the worst of the axes."""
 
     verdict: Literal["accept", "warn", "reject"]
     """A rejected schedule is not released."""
     peak_deg: float
-    """What the panels add to the angle of the hub at their greatest, over +-15 % of each frequency."""
+    """Peak angle that the panels add to the hub, over +-15 % of each frequency."""
     residual_deg: float
-    """What still swings after the last pulse."""
+    """Amplitude of the oscillation after the last pulse."""
     margin: float
     """Share of the allowed peak that is left; negative: exceeded."""
     worst_mode: int

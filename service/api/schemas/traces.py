@@ -57,7 +57,7 @@ class TraceRefusalAnswer(Answer):
 
 
 class TraceReceiptAnswer(Answer):
-    """What was committed; received = accepted + duplicates + len(refused)."""
+    """Receipt of committed traces; received = accepted + duplicates + len(refused)."""
 
     received: int
     accepted: int
@@ -68,7 +68,7 @@ class TraceReceiptAnswer(Answer):
 
     @classmethod
     def of(cls, receipt: TraceReceipt, refused: list[TraceRefusalAnswer]) -> Self:
-        """Return the answer that tells a receipt."""
+        """Return the answer for a receipt."""
         return cls(
             received=receipt.accepted + receipt.duplicates + len(refused),
             accepted=receipt.accepted,
@@ -96,7 +96,7 @@ class TraceHeadAnswer(Answer):
 
     @classmethod
     def of(cls, head: TraceHead) -> Self:
-        """Return the answer that tells a head."""
+        """Return the answer for a head."""
         return cls.model_validate(_head(head))
 
 
@@ -107,7 +107,7 @@ class TraceAnswer(TraceHeadAnswer):
 
     @classmethod
     def of_trace(cls, trace: KeptTrace) -> Self:
-        """Return the answer that tells a trace."""
+        """Return the answer for a trace."""
         return cls.model_validate({**_head(trace.head), "power_dbm": shortest_float32(trace.power_dbm)})
 
 

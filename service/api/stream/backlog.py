@@ -1,4 +1,4 @@
-"""What a stream reads from the archive: pages of events beyond a place, and what retention has taken from between.
+"""Backlog of a stream, read from the archive: pages of events after a position, and the gaps left by retention.
 
 Journal numbers and result sequences have no gaps, so a missing number is one that is no longer kept.
 """

@@ -34,7 +34,7 @@ _STATUS_SHARED_S = 1.0
 
 
 class StreamParts:
-    """What the streams of one application share.
+    """Shared parts of the streams of one application.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class StreamParts:
     names : CarrierNameCache
         Carriers of the plans.
     streams : OpenStreams
-        Says when the service stops, and counts.
+        Open streams, and the stop of the service.
     """
 
     def __init__(self, context: ApiContext, names: CarrierNameCache, streams: OpenStreams) -> None:
@@ -60,11 +60,11 @@ class EventStream:
     Parameters
     ----------
     parts : StreamParts
-        What all streams share.
+        Shared parts of all streams.
     spacecraft_id : str
         An existing spacecraft.
     resume : Cursor or None
-        What the client has; None: it starts with the present.
+        Position of the client; None: it starts with the present.
     """
 
     def __init__(self, parts: StreamParts, spacecraft_id: str, resume: Cursor | None) -> None:
@@ -131,7 +131,7 @@ class EventStream:
             yield await self._changed_status(taken_s)
 
     def _has_hole(self, events: Sequence[FeedEvent]) -> bool:
-        """Whether the next results do not follow what was sent, or the feed says that they are in the archive only."""
+        """Return whether the next results do not follow those sent, or are in the archive only."""
         sequence = self._position.sequence
         for event in events:
             if event.cursor.sequence <= sequence or event.kind in {"measurement", "alarm"}:
