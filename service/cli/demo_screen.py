@@ -1,4 +1,4 @@
-"""What ``soo demo`` shows: progress, newest angles beside the truth, figures of the operation."""
+"""Screen of ``soo demo``: progress, newest angles beside the truth, statistics of the operation."""
 
 import time
 from pathlib import Path

@@ -38,7 +38,7 @@ class DownloadError(ClientError):
 
 @dataclass(frozen=True, slots=True)
 class DownloadOrder:
-    """What is wanted."""
+    """Order of a download: spacecraft, series, format and window."""
 
     spacecraft_id: str
     series: str
@@ -48,7 +48,7 @@ class DownloadOrder:
     stop: str
     method: str | None = None
     version: str | None = None
-    #: how long a service that does not answer is waited for, s
+    #: longest wait for a service that does not answer, s
     patience_s: float = 600.0
 
     @property

@@ -29,14 +29,14 @@ _VERSION = "CCSDS_AEM_VERS"
 
 @dataclass(frozen=True, slots=True)
 class AttitudeMessage:
-    """What stands in the header and in every segment."""
+    """Header and segment metadata of an attitude message."""
 
     object_name: str
     #: international designator YYYY-NNNP, or another agreed name
     object_id: str
     message_id: str
     created_at_us: int
-    #: who computed: method and version
+    #: method and version
     estimator: str
     originator: str = "SOO"
 

@@ -1,6 +1,6 @@
-"""What the messages of CCSDS in keyword = value notation share: lines, epochs, sections.
+"""Lines, epochs and sections of CCSDS messages in keyword = value notation.
 
-Lines are ASCII of at most 254 characters without tabs (503.0-B-2, 4.3); what is longer is cut, other characters become
+Lines are ASCII of at most 254 characters without tabs (503.0-B-2, 4.3); longer lines are cut, other characters become
 question marks. Epochs are calendar dates without zone; the time system stands in the metadata, here always UTC.
 """
 

@@ -58,11 +58,11 @@ _VERSION = "CCSDS_TDM_VERS"
 
 @dataclass(frozen=True, slots=True)
 class TrackingMessage:
-    """What stands in the header and in every segment."""
+    """Header and segment metadata of a tracking message."""
 
-    #: who transmits: the spacecraft
+    #: transmitter: the spacecraft
     spacecraft: str
-    #: who receives: the station of the analyzer
+    #: receiver: the station of the analyzer
     receiving_site: str
     message_id: str
     created_at_us: int

@@ -81,7 +81,7 @@ class Chain:
 
     @property
     def knowledge(self) -> Knowledge:
-        """What the slow inputs have told."""
+        """Return the knowledge from the slow inputs."""
         return self._knowledge
 
     @property

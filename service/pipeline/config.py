@@ -144,7 +144,7 @@ class RobustConfig:
 
 @dataclass(frozen=True, slots=True)
 class OperationConfig:
-    """What declared operations mean to the robust method."""
+    """Effects of declared operations on the robust method."""
 
     station_keeping_deg: float = setting(0.1, "sigma of each angle after a burn that states none, deg", TUNED)
     momentum_unloading_deg: float = setting(0.05, "the same after an unloading of momentum, deg", TUNED)
@@ -160,7 +160,7 @@ class OperationConfig:
 
 @dataclass(frozen=True, slots=True)
 class InterlockConfig:
-    """What inhibits control."""
+    """Limits beyond which control is inhibited."""
 
     validity_limit_deg: float = setting(
         0.4, "roll or pitch beyond this inhibits control, yaw beyond it its own, deg", PUBLISHED
@@ -193,7 +193,7 @@ class TorqueConfig:
 
 @dataclass(frozen=True, slots=True)
 class AlarmConfig:
-    """What alarms by default; the limits of a spacecraft say more."""
+    """Default limits of alarms; the limits of a spacecraft replace them."""
 
     attitude_warning_deg: float = setting(0.3, "an angle beyond this is a warning, deg", PUBLISHED)
     attitude_critical_deg: float = setting(0.4, "an angle beyond this is critical, deg", PUBLISHED)

@@ -25,13 +25,13 @@ LIVE = "live"
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the chain made of one consumed measurement."""
+    """Results of the chain for one consumed measurement."""
 
     rows: tuple[AttitudeRow, ...]
     command: TorqueCommand | None
     #: set when the command counts as applied: it enters the journal with the outcome
     applied: AppliedCommand | None = None
-    #: torque that the method which drives control knows of; a command for a later start is computed with it
+    #: known torque of the method that drives control; a command for a later start is computed with it
     disturbance: Disturbance | None = None
     #: by how much the methods differ in roll or pitch while they disagree, 0 while they agree; NaN: not compared
     disagreement_deg: float = math.nan

@@ -9,7 +9,7 @@ from service.records.operations.link import LinkReport, LinkState
 
 
 class Links(Protocol):
-    """What front ends report of themselves, and what operators want of them."""
+    """Link states reported by front ends, and states requested by operators."""
 
     def report(self, reports: Sequence[LinkReport], at_us: int) -> tuple[LinkState, ...]:
         """Store the newest reports in one transaction and return the state of each link; a new link is enabled.

@@ -81,7 +81,7 @@ class CarrierCalibration:
 
 @dataclass(frozen=True, slots=True)
 class Observability:
-    """What the selected carriers can see."""
+    """Observability of the attitude by the selected carriers."""
 
     condition: float
     #: deg per dB
@@ -92,7 +92,7 @@ class Observability:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationRequest:
-    """What an operator asks to be calibrated."""
+    """Request of an operator for a calibration."""
 
     quiet: Window
     turns: Window
@@ -151,7 +151,7 @@ class Calibration:
 
     @property
     def is_yaw_controllable(self) -> bool:
-        """Whether yaw may be controlled: its sign is proven, or nobody judged it when this calibration was made."""
+        """Return whether yaw may be controlled: its sign is proven, or was not judged by this calibration."""
         return self.result is None or self.result.signs is None or self.result.signs.is_yaw_proven
 
 
@@ -167,7 +167,7 @@ class CarrierReference:
 
 
 class ReferenceRule(StrEnum):
-    """What a reference power of the paper method is the power at."""
+    """Attitude to which a reference power of the paper method belongs."""
 
     #: the angles of the window: its mean with the harmonic removed
     WINDOW_MEAN = "window_mean"

@@ -26,10 +26,10 @@ class ControlMode(StrEnum):
 
 
 class ControlLaw(StrEnum):
-    """What torque follows from angles and rates."""
+    """Control law: torque from angles and rates."""
 
     PROPORTIONAL_DERIVATIVE = "proportional_derivative"
-    #: yaw is told by the roll rate of the rate sensor on board
+    #: yaw follows from the roll rate of the rate sensor on board
     GYRO_ORBITANT = "gyro_orbitant"
 
 
@@ -104,7 +104,7 @@ class FedForwardTorque:
 
 @dataclass(frozen=True, slots=True)
 class Onboard:
-    """What the spacecraft's own control offers."""
+    """On-board control of the spacecraft: fast loop, forecast mode, roll-yaw coupling and known torques."""
 
     #: the fast loop closes on inertial measurements or their model
     fast_loop: bool = False
@@ -115,7 +115,7 @@ class Onboard:
     roll_yaw_coupling: bool | None = True
     #: size of the disturbance torque an axis that is not fed forward on board, N m; 0 = there is none, None = unknown
     residual_torque_n_m: float | None = 0.0
-    #: what is fed forward on board; None = nothing, or nobody knows what
+    #: torque profile fed forward on board; None = none, or unknown
     fed_forward_torque: FedForwardTorque | None = None
 
 

@@ -1,4 +1,4 @@
-"""What the process takes of the machine, read from where the system tells it."""
+"""Memory, processor time and open files of the process, as the operating system reports them."""
 
 import os
 import resource

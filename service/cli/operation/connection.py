@@ -1,4 +1,4 @@
-"""What operators' commands share: the address, the key from the environment, and how a refusal is shown."""
+"""Connection of operators' commands to the service: address, key from the environment, and display of refusals."""
 
 import os
 from collections.abc import Iterator

@@ -19,7 +19,7 @@ _BEAM_FORM = "[TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] in deg"
 
 @dataclass(frozen=True, slots=True)
 class PlanRequest:
-    """What is asked of either source."""
+    """Request for a carrier selection, to an archive or to a service."""
 
     #: None: sixteen, or all when there are fewer
     count: int | None

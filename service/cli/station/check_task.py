@@ -1,4 +1,4 @@
-"""What ``soo acquire`` is going to measure: tasks loaded, planned and shown before an analyzer is touched."""
+"""Tasks of ``soo acquire``, loaded, planned and shown before an analyzer is touched."""
 
 import logging
 from pathlib import Path

@@ -60,7 +60,7 @@ class PlannedPulses(NamedTuple):
 
 
 class _Request(NamedTuple):
-    """What the pulses of the slew shall do; (3,) rad and rad/s."""
+    """Angle and rate that the pulses of the slew shall change; (3,) rad and rad/s."""
 
     change_rad: FloatArray
     rate_rad_s: FloatArray

@@ -39,7 +39,7 @@ class Sign(Enum):
 
 
 class SignState(Enum):
-    """What the powers say of a command so far."""
+    """State of the sign check of a command, from the powers so far."""
 
     PLUS = "plus"
     MINUS = "minus"
@@ -51,7 +51,7 @@ class SignState(Enum):
 
 
 class SignContext(NamedTuple):
-    """What moves the levels beside the command; triples in the order yaw, roll, pitch."""
+    """Causes of level changes other than the command; triples in the order yaw, roll, pitch."""
 
     #: (3,) deg, attitude before the check
     attitude_deg: FloatArray

@@ -22,7 +22,7 @@ _AXES = ("yaw", "roll", "pitch")
 
 
 class Drive(NamedTuple):
-    """What the drives of the wheels can execute, about each body axis."""
+    """Torque limit, quantum and time step of the wheel drives, about each body axis."""
 
     limit_n_m: float
     #: pulse torques are whole multiples of it
@@ -59,7 +59,7 @@ class AxisPulse(NamedTuple):
 
 
 class Effect(NamedTuple):
-    """What a schedule changes against no command; triples in the order yaw, roll, pitch."""
+    """Effect of a schedule against no command; triples in the order yaw, roll, pitch."""
 
     impulse_n_m_s: Triple
     #: sum of the sizes of all pulses: a pair that nulls itself counts twice

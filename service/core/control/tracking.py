@@ -1,4 +1,4 @@
-"""What a slew shall do in tracking: the law's motion over one command period, as an angle to turn and a rate to lose.
+"""Slew request in tracking: the law's motion over one command period, as an angle to turn and a rate to lose.
 
 A pair of pulses cannot follow a torque that changes; it sails at one rate and stops. Over a time T it therefore takes
 the share ``1 - exp(-w T / 2 z)`` of the error, w = 2 pi / period, z damping: the slow motion of the law's oscillator,
@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 
 class SlewRequest(NamedTuple):
-    """What `slew_schedule.plan_slew` is asked for; (3,) in the order yaw, roll, pitch."""
+    """Request to `slew_schedule.plan_slew`; (3,) in the order yaw, roll, pitch."""
 
     angle_change_deg: FloatArray
     rate_deg_s: FloatArray

@@ -38,13 +38,13 @@ class Wheels(NamedTuple):
 
 
 class Allocation(NamedTuple):
-    """What each wheel is asked for."""
+    """Torque command of each wheel."""
 
     #: (W,) N m, null motion included
     wheels_n_m: FloatArray
     #: (W,) N m, the part that turns nothing
     null_n_m: FloatArray
-    #: (3,) N m, torque on the body that comes of it: `share` times the wanted one
+    #: (3,) N m, resulting torque on the body: `share` times the requested one
     torque_n_m: FloatArray
     #: 1 = all of it
     share: float

@@ -30,7 +30,7 @@ MOST_STEPS_PLAIN = 150_000
 
 
 class BeyondOrbitalRate(StrEnum):
-    """What happens where the measured roll rate exceeds the orbital rate, so that it tells no yaw."""
+    """Behaviour where the measured roll rate exceeds the orbital rate, so that yaw does not follow from it."""
 
     #: the analysis is refused, or ends there
     REFUSE = "refuse"

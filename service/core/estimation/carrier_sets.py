@@ -1,9 +1,9 @@
-"""What a set of carriers can see, as one answer: geometry, bounds, and what a fault of each carrier can do unseen.
+"""Observability of the attitude by a set of carriers: geometry, bounds, undetected effect of a fault of each carrier.
 
 Everything is taken at zero attitude with the noise of one row, level common to all carriers free unless a name says
 otherwise. Averages follow from the learned noise: white parts shrink with the number of rows, correlated parts only
-with the span over their correlation time, and links that flicker stop gaining after minutes. The law of this file: what
-a set does not determine is NaN in every figure that needs it, and the condition number is then infinite.
+with the span over their correlation time, and links that flicker stop gaining after minutes. The law of this file: a
+quantity that a set does not determine is NaN wherever it is needed, and the condition number is then infinite.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""What can be said of limit cycles without following them.
+"""Limit cycles in closed form.
 
 With Delta = eps_a tau the gain of speed in a pulse and v the speed at firing, outward, rad/s. The exact forms hold
 without viscous loss (c = 0); `limit_cycle` has the exact figures for any.

@@ -48,7 +48,7 @@ class Regulator(NamedTuple):
 
 
 class FlexibleMotion(NamedTuple):
-    """What a run gave, leg by leg."""
+    """Motion of a run, leg by leg."""
 
     #: (L,) s, start of each leg
     times_s: FloatArray

@@ -18,7 +18,7 @@ from service.core.flexible.spacecraft import require_not_negative, require_posit
 
 
 class Arm(StrEnum):
-    """What the regulator waits for."""
+    """Arming state of the regulator."""
 
     #: no pulse counted, both sides watched
     NEUTRAL = "neutral"

@@ -22,7 +22,7 @@ from service.core.radio.presence import BoolArray, presence_threshold_db
 
 
 class CarrierPower(NamedTuple):
-    """What one trace says about N carriers."""
+    """Powers and noise densities of N carriers from one trace."""
 
     #: (N,) dBm, noise subtracted; NaN where nothing is left above the noise
     power_dbm: FloatArray

@@ -31,10 +31,10 @@ _compiling = Lock()
 
 
 class RowFrame(NamedTuple):
-    """What stands around epoch and values of a row."""
+    """Constant text around epoch and values of a row."""
 
     before: bytes
-    #: what may stand after the epoch
+    #: possible texts after the epoch
     betweens: tuple[bytes, ...]
     #: before each value
     leads: tuple[bytes, ...]

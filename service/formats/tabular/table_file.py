@@ -29,7 +29,7 @@ class Column(NamedTuple):
 
 
 class SeriesTable(NamedTuple, Generic[R]):
-    """What a series looks like as a table."""
+    """Columns of a series as a table, and the values of its records."""
 
     columns: tuple[Column, ...]
     #: one value a column of a record

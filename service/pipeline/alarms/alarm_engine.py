@@ -104,7 +104,7 @@ class AlarmEngine:
 
     @property
     def context(self) -> AlarmContext:
-        """What holds for alarms now."""
+        """Return the context of alarms in force."""
         return self._context
 
     def watches(self) -> tuple[WatchMemory, ...]:

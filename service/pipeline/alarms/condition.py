@@ -18,7 +18,7 @@ class Kind(StrEnum):
 
 
 class Origin(StrEnum):
-    """What tells the value."""
+    """Origin of the value of a condition."""
 
     ROW = "every row that is neither late nor caught up with"
     CLOCK = "the spacecraft's clock, looked at every `SOO_ALARMS__CHECK_PERIOD_S`"

@@ -14,7 +14,7 @@ from service.records.operations.alarm_memory import ValueMemory
 
 
 class ConditionChange(Enum):
-    """What a value leads to."""
+    """Change of a condition by a value."""
 
     RAISE = auto()
     ESCALATE = auto()

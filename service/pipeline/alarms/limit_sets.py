@@ -57,11 +57,11 @@ DEFAULT_SETS: dict[str, dict[str, Statement]] = {
 
 
 class AlarmContext(NamedTuple):
-    """What holds for alarms at an instant."""
+    """Context of alarms at an instant: limit sets in force and suppressed carriers."""
 
     #: sets in force, in the order of ``SETS``
     sets: tuple[str, ...] = (NORMAL,)
-    #: carriers whose alarms are kept quiet
+    #: carriers whose alarms are suppressed
     quiet_carriers: frozenset[str] = frozenset()
     #: the instants between which this is so
     since_us: int = -(1 << 62)

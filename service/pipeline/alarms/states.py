@@ -9,7 +9,7 @@ from service.records.operations.alarm import Cover, Process
 
 
 class AlarmEvent(Enum):
-    """What moves the process state."""
+    """Event of the process state."""
 
     #: the condition has stood for its time
     RAISE = auto()
@@ -17,14 +17,14 @@ class AlarmEvent(Enum):
     ESCALATE = auto()
     #: it has been gone for its time
     RETURN = auto()
-    #: the same under a cover: nobody was told, so nobody has to acknowledge
+    #: the same under a cover: no notice was sent, so nobody has to acknowledge
     RETURN_UNSEEN = auto()
     ACKNOWLEDGE = auto()
     CLEAR = auto()
 
 
 class CoverEvent(Enum):
-    """What covers or uncovers an alarm."""
+    """Event that covers or uncovers an alarm."""
 
     SHELVE = auto()
     #: by an operator or because the time is over

@@ -34,7 +34,7 @@ _MAD_TO_SIGMA = 1.4826
 
 @dataclass(frozen=True)
 class _Window:
-    """What the window says about N carriers."""
+    """Levels of N carriers in the window."""
 
     #: (N,) dBm at zero attitude, daily change removed; NaN = too few samples
     level_dbm: FloatArray

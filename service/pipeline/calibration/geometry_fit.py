@@ -22,7 +22,7 @@ _GOOD_WEIGHT = 0.25
 
 @dataclass(frozen=True)
 class JointFit:
-    """What the joint fit found out."""
+    """Result of the joint fit."""
 
     fit: GeometryCalibration
     response: QuadraticResponse

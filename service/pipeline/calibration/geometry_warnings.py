@@ -1,4 +1,4 @@
-"""What an operator should know before a calibration by geometry becomes the active one.
+"""Warnings of a calibration by geometry, for the operator who activates it.
 
 Each text names the carrier, the axis or the operation that it is about and its figure. The law of this file: a healthy
 calibration has no warning; limits stand in ``CalibrationConfig``.

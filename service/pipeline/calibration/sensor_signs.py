@@ -24,7 +24,7 @@ _SIMILAR = 9.0
 
 
 class SignReport(NamedTuple):
-    """What a calibration reports about the axes of its sensors."""
+    """Report of a calibration on the axes of its sensors."""
 
     signs: SensorSigns
     quality: dict[str, float]

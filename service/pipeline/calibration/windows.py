@@ -24,7 +24,7 @@ class CalibrationError(Exception):
 
 @dataclass(frozen=True)
 class CalibrationInput:
-    """What the archive holds for a request."""
+    """Data of the archive for a calibration request."""
 
     request: CalibrationRequest
     plan: CarrierPlan
@@ -35,7 +35,7 @@ class CalibrationInput:
     references: tuple[ReferenceSeries, ...]
     #: of the quiet window; the paper method does without
     quiet_references: tuple[ReferenceSeries, ...] = ()
-    #: place of satellite and receiving site; the paper method does without
+    #: positions of satellite and receiving site; the paper method does without
     spacecraft: Spacecraft | None = None
     #: declared, overlapping one of the windows
     operations: tuple[Operation, ...] = ()

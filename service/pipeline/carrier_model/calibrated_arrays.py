@@ -28,7 +28,7 @@ _UNKNOWN_NOISE = (NoiseComponent(1200.0, 0.09),)
 
 
 class GeometryModel(NamedTuple):
-    """What a calibration says about N carriers, as arrays."""
+    """Calibration of N carriers by geometry, as arrays."""
 
     calibration: GeometryCalibration
     geometry: CarrierGeometry

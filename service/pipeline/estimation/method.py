@@ -1,4 +1,4 @@
-"""What the chain asks of an estimation method: to be started, told of changes, and stepped row by row."""
+"""Port of an estimation method: start, changes of its inputs, and steps row by row."""
 
 from typing import NamedTuple, Protocol
 
@@ -14,25 +14,25 @@ from service.records.levels.measurement import Measurement
 
 
 class CarrierLevels(NamedTuple):
-    """What a method made of the carriers of its newest row, as arrays (N,)."""
+    """Levels of the carriers in a method's newest row, as arrays (N,)."""
 
     carrier_ids: tuple[str, ...]
     #: dB, measured minus expected; NaN = absent
     deviation_db: FloatArray
-    #: dB, what the attitude does not explain
+    #: dB, part that the attitude does not explain
     residual_db: FloatArray
 
 
 class CommandEvidence(NamedTuple):
-    """What a row says of commands, beside the attitude."""
+    """Evidence of a row on the execution of commands."""
 
     #: geometry and noise of the N carriers
     model: CarrierModel
     #: (N,) dB, measured minus expected; NaN = absent or not used
     deviation_db: FloatArray
-    #: how much likelier the powers make "no effect" or "reversed" than what was told of commands, logarithm
+    #: logarithm of the likelihood of "no effect" or "reversed" over that of the commands as reported
     missed_log_ratio: float
-    #: the same of the command that nobody has reported; None: there is none
+    #: the same of the unreported command; None: there is none
     unreported_log_ratio: float | None
 
 

@@ -36,7 +36,7 @@ INHIBITIONS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class RowContext:
-    """What the interlock must know about a row beside its fix."""
+    """Context of a row for the interlock, beside its fix."""
 
     is_late: bool
     is_catch_up: bool
@@ -48,7 +48,7 @@ class RowContext:
 
 @dataclass(frozen=True)
 class RowPermission:
-    """Whether a torque may follow, axis by axis, and why not."""
+    """Permission of a torque after a row, axis by axis, with the inhibitions."""
 
     inhibitions: tuple[str, ...]
     #: yaw, roll, pitch

@@ -48,7 +48,7 @@ class Position(NamedTuple):
 
 
 class CatalogueFindings(NamedTuple):
-    """What is wrong with places, and what is doubtful."""
+    """Errors and warnings on positions of the catalogue."""
 
     faults: list[FieldError]
     warnings: list[FieldError]

@@ -1,4 +1,4 @@
-"""What the catalogue states about the torque that acts on a spacecraft, as accelerations of the body.
+"""Disturbance torque of a spacecraft by its catalogue, as accelerations of the body.
 
     a = T / J        T N m, J kg m2 about the axis, a deg/h^2
 

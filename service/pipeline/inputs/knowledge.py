@@ -1,4 +1,4 @@
-"""What the chain knows besides carrier powers: learned from the slow inputs of the journal, in their order.
+"""Knowledge of the chain besides carrier powers: read from the slow inputs of the journal, in their order.
 
 Knowledge is immutable; ``learn`` returns the next one. Documents that entries name by number (plans, ephemerides,
 calibrations, alignments) are immutable in the archive, so looking them up keeps a replay deterministic.

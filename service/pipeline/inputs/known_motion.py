@@ -1,8 +1,8 @@
-"""What the ground commanded: corrections through other channels and released torques, as input of the attitude filter.
+"""Motion commanded by the ground: corrections through other channels and released torques, as input of the filter.
 
-A correction is spread evenly over its interval; a pulse changes the rate for good and acts from its middle on. What
-falls into rows that were consumed before it became known is applied to the state at once. From its first pulse on a
-command takes the place of all before it, as it does on board: what they had left is not flown. The law of this file:
+A correction is spread evenly over its interval; a pulse changes the rate for good and acts from its middle on. Motion
+within rows that were consumed before it became known is applied to the state at once. From its first pulse on a
+command replaces all before it, as it does on board: their remaining pulses are not flown. The law of this file:
 the same journal gives the same input, and nothing counts twice.
 """
 

@@ -60,9 +60,9 @@ class CarrierSet:
 
 
 class CarrierWord(NamedTuple):
-    """What a rule says about one carrier."""
+    """Judgement of a rule on one carrier."""
 
-    #: place in the order of choice, None = left out
+    #: rank in the order of choice, None = left out
     rank: int | None
     #: axis it was chosen for or answers to most, and how many times more than to the others
     axis: str | None
@@ -72,7 +72,7 @@ class CarrierWord(NamedTuple):
 
 @dataclass(frozen=True)
 class Recommendation:
-    """What a rule recommends, beside the other sets."""
+    """Recommendation of a rule, with alternative sets."""
 
     rule: Rule
     candidates: Candidates

@@ -146,7 +146,7 @@ def row_without_attitude(
 
 @dataclass(frozen=True, slots=True)
 class CarrierState:
-    """What the chain knows about one carrier after the newest measurement; NaN = not known."""
+    """State of one carrier in the chain after the newest measurement; NaN = not known."""
 
     carrier: str
     power_dbm: float

@@ -23,25 +23,25 @@ class Pulse:
 
 @dataclass(frozen=True, slots=True)
 class ScheduleVerdict:
-    """What the flexible modes say of a schedule, the worst of the axes."""
+    """Verdict of the flexible modes on a schedule, the worst of the axes."""
 
     #: accept, warn or reject
     verdict: str
-    #: what the panels add to the angle of the hub at their greatest, over +-15 % of each frequency
+    #: peak angle that the panels add to the hub, over +-15 % of each frequency
     peak_deg: float
-    #: what still swings after the last pulse
+    #: amplitude of the oscillation after the last pulse
     residual_deg: float
     #: share of the allowed peak that is left; negative: exceeded
     margin: float
     #: place among the modes of the catalogue
     worst_mode: int
-    #: what would be better, in words; None where nothing is wrong or nothing helps
+    #: advice in words; None where nothing is wrong or nothing helps
     suggestion: str | None
 
 
 @dataclass(frozen=True, slots=True)
 class TorqueCommand:
-    """What the chain wants the wheels to do from ``epoch_us`` on, for one command period."""
+    """Torque command of the chain for the wheels from ``epoch_us`` on, for one command period."""
 
     epoch_us: int
     #: journal number of the measurement it was computed from
@@ -102,11 +102,11 @@ class ReleasedCommand:
 
 @dataclass(frozen=True, slots=True)
 class ReportedCommand:
-    """What the centre reported of a released command: known input of the filter from now on."""
+    """Report of the centre on a released command: known input of the filter from now on."""
 
     counter: int
     reported_us: int
-    #: what was carried out; empty = nothing
+    #: executed pulses; empty = none
     executed: tuple[Pulse, ...]
 
     @property

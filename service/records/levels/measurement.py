@@ -13,7 +13,7 @@ Float32Array = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class CarrierDetails:
-    """What a front end states beside the powers, in the shape of the powers; NaN = not stated.
+    """Details of a front end beside the powers, in the shape of the powers; NaN = not stated.
 
     Kept with the row and shown with it; nothing is computed from it. It belongs to the content of the row: a row that
     comes again with other details is a conflict.
@@ -111,7 +111,7 @@ class MeasurementBatch:
 
 @dataclass(frozen=True, slots=True)
 class BatchReceipt:
-    """What was committed of a batch; given only after the commit."""
+    """Receipt of a committed batch; given only after the commit."""
 
     accepted: int
     duplicates: int

@@ -45,7 +45,7 @@ class SourceState:
 
 @dataclass(frozen=True, slots=True)
 class InputReceipt:
-    """What was committed of a batch of slow inputs."""
+    """Receipt of a committed batch of slow inputs."""
 
     accepted: int
     duplicates: int

@@ -68,7 +68,7 @@ class Ring:
 
 @dataclass(frozen=True, slots=True)
 class TraceReceipt:
-    """What became of some traces; given only after the commit."""
+    """Receipt of traces; given only after the commit."""
 
     accepted: int
     #: source, sweep and epoch were known; the first one stays

@@ -28,7 +28,7 @@ _WHOLE_KEY = re.compile(rf"({PREFIX}_[a-z0-9]+_)[\w-]+", re.ASCII)
 
 
 class Role(StrEnum):
-    """What a key was made for."""
+    """Role of a key; it decides the permissions."""
 
     VIEWER = "viewer"
     STATION = "station"
@@ -106,7 +106,7 @@ def name_key(name: str) -> str:
 
 
 def _is_invisible(letter: str) -> bool:
-    """Whether a character leaves no trace: controls, formats, separators but the space, fillers and selectors."""
+    """Return whether a character is invisible: controls, formats, separators but the space, fillers and selectors."""
     category = unicodedata.category(letter)
     return (category[0] in "CZ" and letter != " ") or _BLANK.match(letter) is not None
 

@@ -38,7 +38,7 @@ class Process(StrEnum):
 
 
 class Cover(StrEnum):
-    """What keeps an alarm quiet."""
+    """Reason for which an alarm sends no notices."""
 
     NONE = "none"
     SHELVED = "shelved"
@@ -46,7 +46,7 @@ class Cover(StrEnum):
 
 
 class ChangeKind(StrEnum):
-    """What happened to an alarm."""
+    """Kind of a change of an alarm."""
 
     RAISED = "raised"
     ESCALATED = "escalated"
@@ -62,7 +62,7 @@ class ChangeKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Handling:
-    """What somebody did to an alarm."""
+    """Action of an operator on an alarm: name, time and comment."""
 
     by: str
     at_us: int

@@ -1,4 +1,4 @@
-"""What alarms must remember beside those that are open, so that a restart forgets nothing and repeats nothing."""
+"""Memory of the alarm engine beside open alarms, so that a restart neither forgets nor repeats a notice."""
 
 import math
 from dataclasses import dataclass
@@ -37,9 +37,9 @@ class WatchMemory:
 
 @dataclass(frozen=True, slots=True)
 class EngineMemory:
-    """What the alarms of one spacecraft must remember."""
+    """Memory of the alarm engine of one spacecraft."""
 
     watches: tuple[WatchMemory, ...] = ()
-    #: newest row that was looked at, and how far rows lie apart
+    #: epoch of the newest row that was read, and the period of the rows
     newest_row_us: int | None = None
     row_period_s: float | None = None

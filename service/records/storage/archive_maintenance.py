@@ -1,4 +1,4 @@
-"""What the archive does with its own rows: sealing closed days, checking them, dropping what is older than is kept."""
+"""Maintenance of the archive: sealing closed days, checking them, dropping rows beyond the retention time."""
 
 from dataclasses import dataclass
 

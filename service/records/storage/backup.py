@@ -14,7 +14,7 @@ class BackupError(Exception):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpacecraftCount:
-    """What a backup holds of one spacecraft."""
+    """Row counts and positions of one spacecraft in a backup."""
 
     newest_number: int
     consumed_number: int
@@ -26,7 +26,7 @@ class SpacecraftCount:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """What a backup holds."""
+    """Manifest of a backup: origin, file, hash and row counts."""
 
     made_at_us: int
     #: `sqlite` or `postgresql`
@@ -39,7 +39,7 @@ class Manifest:
     #: rows of each table
     tables: dict[str, int]
     spacecraft: dict[str, SpacecraftCount]
-    #: rows that were damaged when the backup was made, in words, table by table
+    #: damaged rows when the backup was made, in words, table by table
     damaged: list[str] = field(default_factory=list)
     format: int = FORMAT
 

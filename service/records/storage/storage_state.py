@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class StorageState:
-    """What the storage says of itself; the database was asked just now."""
+    """State of the storage, queried just now."""
 
     #: revision of the schema, and the one that this program needs; None = no schema yet
     schema: str | None

@@ -95,7 +95,7 @@ class AlarmService:
 
     @property
     def notices(self) -> NoticeChannels:
-        """Who is told outside."""
+        """Return the channels of notices."""
         return self._notices
 
     def start(self) -> None:

@@ -1,4 +1,4 @@
-"""What alarms look at by the clock: rows that do not come, links, ages of what the estimate rests on, keys, disk.
+"""Checks of alarms by the clock: missing rows, links, ages of the inputs of the estimate, keys, disk.
 
 Everything is asked of the archive; links are judged by the system's time, the rest by the spacecraft's clock.
 """
@@ -33,9 +33,9 @@ _MB = 1e6
 
 @dataclass(slots=True)
 class _Seen:
-    """What the checks of one spacecraft remember; a restart may forget it."""
+    """Memory of the checks of one spacecraft; a restart may forget it."""
 
-    #: when the service began to look, by the spacecraft's clock
+    #: start of the checks, by the spacecraft's clock
     started_us: int
     #: missing rows of each source over the last hour
     missing: dict[str, deque[tuple[int, int]]] = field(default_factory=dict)

@@ -34,7 +34,7 @@ class DeliveryError(Exception):
 
 @dataclass(slots=True)
 class NoticeCounts:
-    """What became of the notices of one channel."""
+    """Counters of the notices of one channel."""
 
     sent: int = 0
     #: attempts that failed

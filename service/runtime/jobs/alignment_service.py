@@ -27,7 +27,7 @@ _UNKNOWN_COUPLING = (
 
 @dataclass(frozen=True, slots=True)
 class AlignmentRequest:
-    """What an operator asks: a window and its sensors, or angles stated by hand."""
+    """Request of an operator for an alignment: a window and its sensors, or angles stated by hand."""
 
     window: Window | None
     #: sensor of yaw, roll, pitch; used with a window

@@ -39,14 +39,14 @@ class WindowHarmonics(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CarrierRecommendation:
-    """What a rule recommends by a calibration."""
+    """Recommendation of a rule by a calibration."""
 
     #: None when carriers were judged by assumptions
     calibration_id: int | None
     calibration_method: str | None
     count: int
     recommendation: Recommendation
-    #: what to know before trusting the figures
+    #: limits of the figures' validity
     notes: tuple[str, ...]
 
 

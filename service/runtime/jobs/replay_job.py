@@ -136,13 +136,13 @@ class Replayer:
 
 @dataclass(frozen=True)
 class _Plan:
-    """What one replay runs on."""
+    """Inputs of one replay."""
 
     spacecraft_id: str
     replay: Replay
     alignment: Alignment
     calibration: Calibration | None
-    #: whether the alignment was asked for, so that later ones of the journal do not replace it
+    #: whether the alignment was requested, so that later ones of the journal do not replace it
     is_fixed_alignment: bool
 
     def heeds(self, entry: JournalEntry) -> bool:

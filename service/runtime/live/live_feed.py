@@ -47,7 +47,7 @@ class FeedEvent:
 
 @dataclass(slots=True)
 class DroppedRows:
-    """What the queue of a slow subscriber had no place for."""
+    """Rows dropped from the full queue of a slow subscriber."""
 
     #: by kind of event
     counts: Counter[str] = field(default_factory=Counter)

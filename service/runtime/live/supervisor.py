@@ -73,7 +73,7 @@ class _Follower:
 
 @dataclass(slots=True)
 class _Step:
-    """What came of some entries."""
+    """Results of some entries of the journal."""
 
     outcomes: list[Outcome] = field(default_factory=list)
     seen: list[Seen] = field(default_factory=list)
@@ -85,7 +85,7 @@ class _Step:
         return bool(self.outcomes) and self.outcomes[-1].applied is not None
 
     def withhold(self, trips: Sequence[Trip]) -> None:
-        """Take the torque from rows that are later than a trip."""
+        """Remove the torque from rows that are later than a trip."""
         self.outcomes = [without_torque_after(trips, outcome) for outcome in self.outcomes]
         self.released = [one._replace(outcome=without_torque_after(trips, one.outcome)) for one in self.released]
 

@@ -65,7 +65,7 @@ class CarrierGeometry(NamedTuple):
 
 
 class OrbitMotion(NamedTuple):
-    """What ballistics says at T epochs; NaN where it says nothing.
+    """Motion of the satellite by ballistics at T epochs; NaN where there is no ephemeris.
 
     Parameters
     ----------

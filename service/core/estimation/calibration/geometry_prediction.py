@@ -1,4 +1,4 @@
-"""What a calibration predicts: levels at zero attitude, and the answer to the attitude with its errors.
+"""Prediction of a calibration: levels at zero attitude, and the response to the attitude with its errors.
 
 ``P_i(t, l) = level_i(t) + f_i(l)``: the level, in dBm, carries the daily change of the dish and what the orbit does to
 the station's place in the antenna frame; f is the quadratic response. The law of this file: both parts come from one

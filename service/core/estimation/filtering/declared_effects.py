@@ -1,4 +1,4 @@
-"""What declared operations do to the detectors of a step; the prediction takes care of the state vector.
+"""Effects of declared operations on the detectors of a step; the prediction handles the state vector.
 
 The law of this file: what the ground declared is no fault. A masked carrier is neither used nor missed, a declared
 step of levels empties the sums it would have filled, a declared change of the chain holds control as a found one does.

@@ -106,7 +106,7 @@ def motion_over(step_us: int, settings: FilterSettings) -> TransitionMatrices:
 
 
 class Weather(NamedTuple):
-    """What the detectors say about the step to be predicted."""
+    """Findings of the detectors for the step to be predicted."""
 
     is_raining: bool
     #: (3,) whether motion that nobody announced is suspected about each axis

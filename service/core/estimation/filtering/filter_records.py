@@ -1,4 +1,4 @@
-"""What one step of the attitude filter hands to the next, and what it tells.
+"""Records of the attitude filter: state handed from one step to the next, and result of a step.
 
 The law of this file: values only; a step never changes the state it was given.
 """

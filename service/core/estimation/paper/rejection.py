@@ -139,7 +139,7 @@ def reject_faded_carriers(
 
 
 class _Gated(NamedTuple):
-    """What passes 1 and 2 leave."""
+    """Carriers and fix after passes 1 and 2."""
 
     is_kept: BoolArray
     #: over the carriers kept

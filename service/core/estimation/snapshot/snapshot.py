@@ -44,7 +44,7 @@ SPREAD_MARGIN = 2.0
 
 
 class CarrierUse(IntEnum):
-    """What became of a carrier in a fix."""
+    """Use of a carrier in a fix, or the reason against it."""
 
     USED = 0
     ABSENT = 1

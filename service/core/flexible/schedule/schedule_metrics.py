@@ -1,4 +1,4 @@
-"""What a torque schedule does to panels, regulator and wheel, and which limits of an uplink that breaks.
+"""Effect of a torque schedule on panels, regulator and wheel, and the uplink limits that it exceeds.
 
 The ground knows the frequency of a panel poorly: every response is tried over +-15 % of it, since a zero at the nominal
 frequency proves nothing. Phases of several modes are unknown: their peaks are added. Measured angles cannot answer the
@@ -45,7 +45,7 @@ class OnboardRegulator(NamedTuple):
 
 
 class ScheduleLimits(NamedTuple):
-    """What a schedule must respect on one axis."""
+    """Limits of a schedule on one axis."""
 
     inertia_kg_m2: float
     modes: tuple[HubMode, ...]
@@ -59,10 +59,10 @@ class ScheduleLimits(NamedTuple):
 
 
 class ScheduleMetrics(NamedTuple):
-    """What a schedule does, worst case over frequencies, sum over modes."""
+    """Metrics of a schedule, worst case over frequencies, sum over modes."""
 
     peak_rad: float
-    #: what swings on after the last edge
+    #: amplitude of the oscillation after the last edge
     residual_rad: float
     #: the greatest swing that the regulator meets, after any edge: a schedule may undo at its end what it did before
     swing_rad: float

@@ -1,4 +1,4 @@
-"""What a torque schedule does to a flexible mode, exactly, edge by edge.
+"""Response of a flexible mode to a torque schedule, exact, edge by edge.
 
 A step of torque moves the mode's centre by ``x = kn dM / (I w^2)`` and leaves the hub where it is: with
 ``thU = u_c + Re Z`` (rad) an edge is ``u_c += x``, ``Z -= x (1 - i xi / nu)``, and between edges
@@ -32,13 +32,13 @@ class TorquePulse(NamedTuple):
 
 
 class ModeResponse(NamedTuple):
-    """What one mode does under a schedule, at one or more frequencies; all hub angles."""
+    """Response of one mode to a schedule, at one or more frequencies; all hub angles."""
 
     #: (F,) rad/s
     omega_rad_s: FloatArray
-    #: (F,) rad, greatest deflection from time zero on, what follows the last edge included
+    #: (F,) rad, greatest deflection from time zero on, also after the last edge
     peak_rad: FloatArray
-    #: (F,) rad, amplitude of what swings on after the last edge
+    #: (F,) rad, amplitude of the oscillation after the last edge
     residual_rad: FloatArray
     #: (F,) rad, greatest amplitude about the mode's centre, carried and after every edge
     swing_rad: FloatArray

@@ -29,7 +29,7 @@ class Span(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """What pulses change when their span ends; (3,) yaw, roll, pitch."""
+    """Change of angle and rate at the end of the pulses; (3,) yaw, roll, pitch."""
 
     angle_change_rad: FloatArray
     rate_change_rad_s: FloatArray

@@ -1,4 +1,4 @@
-"""What of the catalogue the control law needs: gains, drives and wheels, computed once for a spacecraft."""
+"""Control design from the catalogue: gains, drives and wheels, computed once for a spacecraft."""
 
 import math
 from functools import lru_cache

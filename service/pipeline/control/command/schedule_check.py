@@ -41,7 +41,7 @@ _RANK = ("accept", "warn", "reject")
 
 @dataclass(frozen=True, slots=True)
 class PanelSwing:
-    """What the modes of the catalogue still swing, in their order."""
+    """Oscillation of the modes of the catalogue after earlier schedules, in their order."""
 
     at_us: int
     #: hub angle, rad; turns and decays from `at_us` on

@@ -41,7 +41,7 @@ class PaperState(NamedTuple):
 
 @dataclass(frozen=True)
 class PaperModel:
-    """What calibration and alignment give the method; fixed until one of them changes."""
+    """Model of the paper method from calibration and alignment; fixed until one of them changes."""
 
     expected: ExpectedPower
     sensitivity: SensitivityModel

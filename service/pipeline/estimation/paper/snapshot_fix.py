@@ -18,7 +18,7 @@ from service.records.levels.attitude import AttitudeFix, BoolArray, Exclusion, F
 
 @dataclass(frozen=True)
 class SensitivityModel:
-    """What a calibration says about its carriers, as arrays."""
+    """Sensitivities and noise of the carriers of a calibration, as arrays."""
 
     carrier_ids: tuple[str, ...]
     #: (N, 3) dB/deg for positive and negative angles

@@ -1,4 +1,4 @@
-"""What calibration, alignment and ephemeris give the robust method; fixed until one of them changes."""
+"""Model of the robust method from calibration, alignment and ephemeris; fixed until one of them changes."""
 
 import math
 from collections.abc import Sequence

@@ -63,7 +63,7 @@ _FLIPS = 8
 
 
 class AxesVerdict(NamedTuple):
-    """What the powers say of the sensor's axes.
+    """Verdict of the powers on the sensor's axes.
 
     Parameters
     ----------

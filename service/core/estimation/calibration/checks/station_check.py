@@ -1,10 +1,10 @@
-"""Whether the data want a station elsewhere than the catalogue has it.
+"""Check of station positions: offsets from the catalogue that the data suggest.
 
-Yaw has no coefficient of its own: it moves a station by an amount that its place in the antenna frame tells. A wrong
-place therefore leaves a pattern in the residuals of the turns, the derivative of the model with respect to the place,
-and a fit of two more coefficients for each carrier, azimuth and elevation of its station, reads it. The law of this
-file: a carrier is judged by the downlink that the others tell, because with its own it would hide its fault by bending
-it. A flat carrier tells nothing and says so by its covariance.
+Yaw has no coefficient of its own: it moves a station by an amount that follows from its position in the antenna frame.
+A wrong position therefore leaves a pattern in the residuals of the turns, the derivative of the model with respect to
+the position, and a fit of two more coefficients for each carrier, azimuth and elevation of its station, finds it. The
+law of this file: a carrier is judged by the downlink of the others, because with its own it would hide its error by
+bending it. A flat carrier gives no information and has a large covariance.
 """
 
 from typing import NamedTuple

@@ -54,7 +54,7 @@ _ROUNDING = 1e-6
 
 
 class CarrierWatch(NamedTuple):
-    """What is known about the health of N carriers."""
+    """State of the fault detection of N carriers."""
 
     #: (N,) minutes of skips in a row
     skip_minutes: FloatArray

@@ -1,4 +1,4 @@
-"""What moved several carriers in one row, and which unknown is set free for it.
+"""Common cause of changes of several carriers in one row, and the unknown that is set free for it.
 
 The common level is tested before any single carrier. Several suspects at once, or a sudden common value, go to the
 chooser; a cumulative sum beyond its limit is a common change. The law of this file: what is freed is one unknown for

@@ -32,7 +32,7 @@ _MIN_GROUP = 3
 
 
 class Cause(StrEnum):
-    """What moved several carriers at once."""
+    """Cause of a simultaneous change of several carriers."""
 
     INDEPENDENT = "independent"
     COMMON = "common"

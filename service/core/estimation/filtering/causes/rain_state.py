@@ -28,7 +28,7 @@ _RECEDING_DB = 0.3
 
 
 class RainWatch(NamedTuple):
-    """What is known about common changes."""
+    """State of the detection of common level changes."""
 
     is_raining: bool
     #: minutes in rain mode, and of them in a row below the dry limit

@@ -17,7 +17,7 @@ from service.core.estimation.filtering.model.filter_model import FloatArray, Int
 
 
 class Kernels(NamedTuple):
-    """What a set offers; the functions of `array_kernels` say what each one does."""
+    """Functions of a set of kernels; their docstrings are those of `array_kernels`."""
 
     fade: Callable[
         [FloatArray, FloatArray, float, float, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]

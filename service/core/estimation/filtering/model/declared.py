@@ -1,7 +1,7 @@
-"""What the ground declared about a step: operations that explain a change or make carriers useless for a while.
+"""Declared operations of a step: they explain a change or mask carriers for a while.
 
-The law of this file: arrays of what a declaration means for the filter; which operation means what is the pipeline's
-business. One-time values belong to the first row at or after the instant they are declared for.
+The law of this file: arrays in the terms of the filter; the pipeline translates operations into them.
+One-time values belong to the first row at or after the instant they are declared for.
 """
 
 from typing import NamedTuple

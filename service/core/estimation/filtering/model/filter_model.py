@@ -21,7 +21,7 @@ MODEL_ERROR_TAU_S = 3600.0
 
 
 class CarrierModel(NamedTuple):
-    """What N carriers do; K correlation times a carrier, G common parts."""
+    """Model of N carriers: response and noise; K correlation times a carrier, G common parts."""
 
     #: (N, 3) dB/deg at nominal attitude, columns yaw, roll, pitch
     gradient_db_deg: FloatArray
@@ -78,7 +78,7 @@ class FedForward(NamedTuple):
 
 
 class FilterSettings(NamedTuple):
-    """What the spacecraft and the receiving chain do; triples in the order yaw, roll, pitch; rates in deg/h."""
+    """Noise and dynamics of spacecraft and receiving chain; triples in the order yaw, roll, pitch; rates in deg/h."""
 
     #: exchange of roll and yaw at the orbital rate, 1/h; 0 where the on-board mode does not follow it
     coupling_per_h: float = 0.2625162
@@ -109,7 +109,7 @@ class FilterSettings(NamedTuple):
 
 
 class KnownMotion(NamedTuple):
-    """What the ground knows about a step; triples (3,) in the order yaw, roll, pitch."""
+    """Known motion of a step from corrections and torques; triples (3,) in the order yaw, roll, pitch."""
 
     #: commanded through other channels, spread evenly over the step, deg
     correction_deg: FloatArray
@@ -117,7 +117,7 @@ class KnownMotion(NamedTuple):
     late_correction_deg: FloatArray
     #: rates that torques added within the step, deg/h
     rate_change_deg_h: FloatArray
-    #: (n, 2, 3) what n commands that nobody has reported would have turned, deg, and their rates at the end, deg/h
+    #: (n, 2, 3) turns of n unreported commands if executed, deg, and their rates at the end, deg/h
     unreported: FloatArray = np.zeros((0, 2, 3))
 
 

@@ -50,13 +50,13 @@ _PANEL_TURN = 0.25
 
 
 class Response(NamedTuple):
-    """What a constant, a cosine and a sine that begin at phase zero have done after a step, (3,) each."""
+    """Response after a step to a constant, a cosine and a sine that begin at phase zero, (3,) each."""
 
     #: gained rate per acceleration, h
     rate_h: FloatArray
-    #: what yaw and roll have turned, h^2: the real part of yaw + j roll is the axis' own, the imaginary the other's
+    #: turns of yaw and roll, h^2: the real part of yaw + j roll is the axis' own, the imaginary the other's
     turned_h2: tuple[complex, complex, complex]
-    #: what pitch has turned, h^2
+    #: turn of pitch, h^2
     pitch_h2: FloatArray
 
 

@@ -46,16 +46,16 @@ _MOST_DEG = 0.5
 
 
 class CommandWatch(NamedTuple):
-    """What is known about the effect of commands."""
+    """State of the test whether commands act as announced."""
 
     #: (D, 2) derivative of the state by the share and by an unannounced yaw rate, deg/h; empty before the first command
     sensitivity: FloatArray
     #: (2,) and (2, 2)
     score: FloatArray
     information: FloatArray
-    #: share of the commands that is believed to be carried out
+    #: estimated share of the commands that is executed
     share: float
-    #: minutes for which control is told that commands are doubted
+    #: minutes for which control is still warned that commands are doubted
     minutes_left: float
 
     @property

@@ -27,7 +27,7 @@ class IntegrityLimits(NamedTuple):
 
 
 class IntegrityInputs(NamedTuple):
-    """What integrity looks at."""
+    """Inputs of the integrity decision."""
 
     #: (3,) deg
     sigma_deg: FloatArray
