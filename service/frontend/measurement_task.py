@@ -44,7 +44,7 @@ class AnalyzerPart(_Part):
 
 
 class InputPart(_Part):
-    """What lies between the test point and the analyzer's input."""
+    """Signal path between the test point and the analyzer's input."""
 
     #: dB added to every level; or pairs (Hz, dB), interpolated
     level_offset_db: _Number | tuple[tuple[_Number, _Number], ...] = 0.0
@@ -80,7 +80,7 @@ class SweepPart(_Part):
 
 
 class LimitsPart(_Part):
-    """What the carrier should be; used for the prediction of its scatter."""
+    """Nominal level and limits of a carrier; used for the prediction of its scatter."""
 
     nominal_dbm: _Number | None = None
     warn_db: _Positive | None = None
@@ -134,7 +134,7 @@ class TaskHead(_Part):
 
 
 class MeasurementTask(_Part):
-    """What to measure, how often, and through what."""
+    """Measurement task: carriers, sweeps, period and signal path."""
 
     format: Literal[1] = TASK_FORMAT
     task: TaskHead

@@ -30,13 +30,13 @@ class StationError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class StationSummary:
-    """What a run came to."""
+    """Summary of a run."""
 
     acquisition: AcquisitionCounters
     upload: UploadCounters
-    #: rows that the service had not taken when the run ended; they wait in the spool
+    #: rows that the service had not accepted when the run ended; they wait in the spool
     undelivered: int
-    #: those of them that no disk took: lost with the process
+    #: those of them that were not on the disk: lost with the process
     unwritten: int = 0
 
 

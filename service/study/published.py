@@ -8,7 +8,7 @@ COLUMNS = ("figure", "parameters", "paper", "reproduced", "ratio", "verdict")
 
 
 class Agreement(StrEnum):
-    """What a reproduced figure is to the published one."""
+    """Agreement of a reproduced figure with the published one."""
 
     #: equal within the rounding of the print, within a stated bound, or as the print says in words
     REPRODUCED = "reproduced"

@@ -109,7 +109,7 @@ class Acquisition:
 
     @property
     def warnings(self) -> list[dict[str, str]]:
-        """What an operator should know of this analyzer now."""
+        """Return the present warnings of this analyzer."""
         cycle = self._cycle
         found = dict(cycle.findings) if cycle is not None else {}
         if self._epochs.warning:

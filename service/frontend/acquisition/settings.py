@@ -25,7 +25,7 @@ class AcquisitionSettings:
 
 @dataclass(slots=True)
 class AcquisitionCounters:
-    """What happened so far."""
+    """Counters of one acquisition since its start."""
 
     rows: int = 0
     #: rows that were only in memory when they were handed over

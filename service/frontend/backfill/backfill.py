@@ -47,7 +47,7 @@ class SendInterruptedError(ClientError):
 
 @dataclass(frozen=True, slots=True)
 class ArchiveOrder:
-    """What is to be sent where."""
+    """Order to send a file of measurements to one spacecraft and source."""
 
     path: Path
     spacecraft_id: str
@@ -57,7 +57,7 @@ class ArchiveOrder:
     #: refuse a file with columns that are no carrier of the plan, instead of leaving them out
     refuse_unknown_columns: bool = False
     batch_rows: int = 1000
-    #: how long a service that does not answer is waited for, s
+    #: longest wait for a service that does not answer, s
     patience_s: float = 600.0
     #: where state and refused rows are kept; None: beside the file
     folder: Path | None = None

@@ -44,7 +44,7 @@ class CarrierColumn(NamedTuple):
 
 
 class FileColumns(NamedTuple):
-    """What the columns of a file are."""
+    """Columns of a file: epoch, source and carriers."""
 
     header: tuple[str, ...]
     epoch: int

@@ -23,9 +23,9 @@ _FORMAT = 1
 
 @dataclass(slots=True)
 class SendCounters:
-    """What became of the rows of a file, over all runs."""
+    """Counters of the rows of a file, over all runs."""
 
-    #: rows of the file that are settled, whatever became of them
+    #: rows of the file that are settled, with any outcome
     rows: int = 0
     accepted: int = 0
     duplicates: int = 0

@@ -1,4 +1,4 @@
-"""What the acquisition asks of an analyzer, and the words by which dialects differ.
+"""Port of an analyzer driver, and the commands by which dialects differ.
 
 Law of this package: a driver knows SCPI and nothing of carriers, rows or the service. It reads back every setting and
 hands on the values that the analyzer states, and it never gives out a trace that the analyzer's error queue disowns.

@@ -71,7 +71,7 @@ class RefusedRow(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What a spool holds at most; beyond it the oldest rows that wait are given up."""
+    """Limits of a spool; beyond them the oldest waiting rows are given up."""
 
     rows_bytes: int = 1 << 30
     age_s: float = 30 * 86_400.0

@@ -26,7 +26,7 @@ ROW_OVERHEAD = 64
 
 
 class SpooledTask(NamedTuple):
-    """What the arrays of a row stand for."""
+    """Task of a spooled row: hash, and carriers of its arrays."""
 
     sha256: str
     #: carriers of the arrays, in their order

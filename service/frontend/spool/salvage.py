@@ -1,4 +1,4 @@
-"""What can be saved from a spool's file that is spoiled: it is set aside, never deleted, and read from both ends."""
+"""Salvage of a damaged spool file: it is set aside, never deleted, and read from both ends."""
 
 import json
 import sqlite3

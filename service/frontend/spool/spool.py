@@ -34,11 +34,11 @@ _IDLE_BYTES = 16 << 20
 
 
 class SpoolState(NamedTuple):
-    """What a spool holds and what became of the rest, since its file was begun."""
+    """State of a spool: rows that wait, and counters since its file was begun."""
 
-    #: rows that the service has not taken, those in memory included
+    #: rows that the service has not accepted, those in memory included
     waiting: int
-    #: rows in memory, because the disk takes nothing
+    #: rows in memory, because the disk cannot be written
     held: int
     rows_bytes: int
     #: greatest number ever given
@@ -276,13 +276,13 @@ class Spool:
 
     @property
     def warnings(self) -> list[SpoolWarning]:
-        """What is not as it should be, oldest first."""
+        """Return the active warnings, oldest first."""
         with self._changed:
             return self._board.standing()
 
     @property
     def state(self) -> SpoolState:
-        """What it holds and what became of the rest."""
+        """Return rows that wait and counters of the others."""
         with self._changed:
             self._tallies = self._read(lambda file: file.tallies(), self._tallies)
             dropped = {

@@ -1,4 +1,4 @@
-"""What a spool warns of: a code, words, and since when; said in the log once when it begins and once when it ends."""
+"""Warnings of a spool: code, text and start; logged once at the beginning and once at the end."""
 
 import logging
 from typing import NamedTuple

@@ -63,7 +63,7 @@ class TaskFinding:
 
 @dataclass(frozen=True, slots=True)
 class TaskPlan:
-    """What the planner found."""
+    """Findings of the planner and predicted scatter of each carrier."""
 
     findings: tuple[TaskFinding, ...]
     #: carrier -> predicted standard deviation of its level, dB

@@ -1,4 +1,4 @@
-"""What the service's answers to a batch mean: who is accounted for, and what to do about a batch refused as a whole.
+"""Answers of the service to a batch: rows accounted for, and the action after a batch refused as a whole.
 
 ::
 
@@ -22,7 +22,7 @@ DETAIL_DECIMALS = {"sigma_db": 5, "c_n0_db_hz": 3, "occupied_bandwidth_hz": 1, "
 
 
 class BatchAction(Enum):
-    """What to do about a batch that was refused as a whole."""
+    """Action after a batch that was refused as a whole."""
 
     SHORTER = auto()
     WITHOUT_DETAILS = auto()
@@ -32,7 +32,7 @@ class BatchAction(Enum):
 
 
 class BatchReply(NamedTuple):
-    """What became of the rows of a batch."""
+    """Outcome of the rows of a batch."""
 
     accepted: int
     duplicates: int

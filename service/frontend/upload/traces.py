@@ -30,10 +30,10 @@ _UNKNOWN, _TOO_LARGE, _UNREADABLE = 404, 413, 422
 
 @dataclass(slots=True)
 class TraceCounters:
-    """What became of the traces."""
+    """Counters of the traces."""
 
     sent: int = 0
-    #: given up because the service could not read them, or would not have their epochs
+    #: given up because the service rejected their content or their epochs
     refused: int = 0
 
 

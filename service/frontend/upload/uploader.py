@@ -54,7 +54,7 @@ class UploadSettings:
 
 @dataclass(slots=True)
 class UploadCounters:
-    """What became of the rows."""
+    """Counters of the rows and requests."""
 
     accepted: int = 0
     duplicates: int = 0
@@ -124,7 +124,7 @@ class Uploader:
 
     @property
     def traces(self) -> TraceCounters:
-        """What became of the evidence traces."""
+        """Return the counters of the evidence traces."""
         return self._traces.counters
 
     @property

@@ -18,7 +18,7 @@ Show = Callable[[int, int], None]
 
 
 class LoopPlan(NamedTuple):
-    """What to run."""
+    """Plan of a campaign: scenarios, runs and sensings."""
 
     scenarios: tuple[str, ...]
     runs: int
@@ -38,7 +38,7 @@ class LoopPlan(NamedTuple):
 
 @dataclass(frozen=True)
 class LoopCampaign:
-    """What came out of a campaign."""
+    """Results of a campaign of closed loops."""
 
     plan: LoopPlan
     seconds: float
@@ -47,7 +47,7 @@ class LoopCampaign:
 
     @property
     def missed(self) -> tuple[GroupMerit, ...]:
-        """Groups that did not do what was asked: control that fails, and no control that does not."""
+        """Groups that miss their requirement: control that fails, and no control that succeeds."""
         return tuple(group for group in self.groups if group.is_met == (group.sensing is Sensing.OFF))
 
 

@@ -31,7 +31,7 @@ LEAD_S = 150.0
 
 
 class Sensing(StrEnum):
-    """What closes the loop."""
+    """Attitude source that closes the loop."""
 
     AUTOMATIC = "automatic"
     TRUTH = "truth"
@@ -40,12 +40,12 @@ class Sensing(StrEnum):
 
 @dataclass(frozen=True)
 class ControllerOutput:
-    """What a controller wants at one row."""
+    """Output of a controller at one row."""
 
     schedule: tuple[Pulse, ...] = ()
     #: whether control was inhibited
     is_inhibited: bool = False
-    #: what the ground believes; None = it did not look
+    #: estimate of the ground; None = it made none
     attitude_deg: Axes | None = None
 
 

@@ -1,4 +1,4 @@
-"""What the ground knows when operation begins, from the plant's opening, and what it learns later."""
+"""Knowledge of the ground: at the start of operation from the plant's first lines, and later updates."""
 
 from collections.abc import Iterator
 from dataclasses import replace

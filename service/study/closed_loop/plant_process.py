@@ -40,15 +40,15 @@ class SpacecraftTruth(NamedTuple):
 
 
 class CommandReport(NamedTuple):
-    """What the spacecraft tells of a command."""
+    """Telemetry report of the spacecraft on one command."""
 
     counter: int
     #: executed, executing, replaced, repeated, late or refused
     state: str
-    #: N m s, of what was executed
+    #: N m s, of the executed part
     impulse_n_m_s: Axes
     reported_us: int = 0
-    #: end of what was executed; None = nothing was
+    #: end of the executed part; None = nothing was executed
     executed_until_us: int | None = None
     executed_from_us: int | None = None
 

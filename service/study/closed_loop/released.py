@@ -53,7 +53,7 @@ class Released:
 
 @dataclass
 class Releaser:
-    """Who takes commands from the chain to the spacecraft.
+    """Release of the chain's commands to the spacecraft.
 
     Parameters
     ----------

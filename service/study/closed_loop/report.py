@@ -1,4 +1,4 @@
-"""What a campaign of closed loops tells: a table for people, a document for programs."""
+"""Report of a campaign of closed loops: a table for people, a document for programs."""
 
 import math
 from dataclasses import asdict

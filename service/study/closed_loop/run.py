@@ -43,7 +43,7 @@ COMMAND_PERIOD_S = 600.0
 
 
 class LoopUnit(NamedTuple):
-    """What to fly."""
+    """One run of a campaign: scenario, seed, sensing and uplink."""
 
     scenario: str
     seed: int
@@ -64,13 +64,13 @@ class LoopUnit(NamedTuple):
 
 @dataclass(frozen=True)
 class FlownRun:
-    """What was flown; T rows of operation."""
+    """Record of a flight; T rows of operation."""
 
     #: (T,) since its start
     hours: FloatArray
     #: (T, 3) deg, yaw, roll, pitch
     truth_deg: FloatArray
-    #: (T, 3) deg, NaN = the ground did not look
+    #: (T, 3) deg, NaN = the ground made no estimate
     estimate_deg: FloatArray
     #: (T,)
     is_inhibited: BoolArray
@@ -85,7 +85,7 @@ class FlownRun:
 
 @dataclass(frozen=True)
 class LoopResult:
-    """What came out of a unit."""
+    """Result of one run."""
 
     unit: LoopUnit
     seconds: float

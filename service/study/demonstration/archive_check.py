@@ -1,4 +1,4 @@
-"""What the service keeps of a story beside what was measured: no row lost, none invented, live equal to its replay."""
+"""Check of the archive against the simulated measurements: no row lost, none invented, live equal to its replay."""
 
 import time
 from collections.abc import Mapping, Sequence

@@ -38,7 +38,7 @@ class SentCommand:
 
 @dataclass
 class ControlLog:
-    """What a control centre has done."""
+    """Log of a control centre: rows, inhibitions, commands sent and impulses executed."""
 
     rows: int = 0
     inhibited_rows: int = 0

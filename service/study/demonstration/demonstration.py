@@ -51,7 +51,7 @@ class ProcessAddresses:
 
 @dataclass
 class Story:
-    """What the demonstration has been told so far."""
+    """Data that the demonstration has received so far."""
 
     spacecraft_id: str = ""
     phases: dict[str, tuple[str, str]] = field(default_factory=dict)
@@ -60,7 +60,7 @@ class Story:
     catalogue: dict[str, Any] = field(default_factory=dict)
     #: one-row bound of the true beams with a common unknown, deg
     bound_deg: dict[str, float] = field(default_factory=dict)
-    #: the sensor that told each axis first
+    #: first sensor of each axis
     sensors: dict[str, str] = field(default_factory=dict)
     #: the analyzer that measures, and those that have sent rows
     source: str = "sa-1"

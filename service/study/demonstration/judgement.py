@@ -1,4 +1,4 @@
-"""What both methods made of the demonstration's operation, beside the truth and what the archive keeps of it."""
+"""Judgement of both methods in the demonstration's operation, against the truth and the archive."""
 
 import math
 from typing import Any, NamedTuple
@@ -47,7 +47,7 @@ def tracked_angles(story: Story, client: ServiceClient, method: str) -> TrackedA
 
 
 class MethodStatistics(NamedTuple):
-    """What one method made of the operation phase."""
+    """Statistics of one method in the operation phase."""
 
     rows: int
     rows_judged: int

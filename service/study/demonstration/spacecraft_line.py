@@ -15,16 +15,16 @@ class SpacecraftLineError(Exception):
 
 
 class SpacecraftReport(NamedTuple):
-    """What the spacecraft tells of a command."""
+    """Telemetry report of the spacecraft on one command."""
 
     counter: int
     #: executed, executing, replaced, repeated, late or refused
     state: str
     reported: str
-    #: of the elements that were executed; None = nothing was
+    #: of the executed elements; None = none
     executed_from: str | None
     executed_until: str | None
-    #: N m s, of what was executed
+    #: N m s, of the executed elements
     impulse_n_m_s: dict[str, float]
 
 

@@ -17,7 +17,7 @@ _ACCURACY = ("rms_deg", "p95_deg", "max_deg", "skill", "slope")
 
 
 class Mark(StrEnum):
-    """What a figure earned."""
+    """Mark of a figure against its bounds."""
 
     GOAL = "goal"
     MUST = "must"
@@ -61,7 +61,7 @@ def within(centre: float, reach: float) -> Limit:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """What one figure should reach."""
+    """Bound of one figure: must and goal."""
 
     scenario: str
     figure: str

@@ -41,7 +41,7 @@ _THREADS = "OPENBLAS_NUM_THREADS"
 
 
 class CampaignPlan(NamedTuple):
-    """What to run."""
+    """Plan of a campaign: scenarios and seeds."""
 
     scenarios: tuple[str, ...]
     seeds: int
@@ -52,7 +52,7 @@ class CampaignPlan(NamedTuple):
 
 @dataclass(frozen=True)
 class Campaign:
-    """What came out of a campaign."""
+    """Results of a campaign."""
 
     plan: CampaignPlan
     seconds: float

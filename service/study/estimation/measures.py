@@ -42,7 +42,7 @@ _US_PER_S = 1_000_000
 
 
 class ControlOutcome(NamedTuple):
-    """What control would have done with an answer."""
+    """Availability and errors of control that follows an estimate."""
 
     #: minutes in which any allowed torque would be wrong, one of roll and pitch, that of yaw
     wrong_min: float

@@ -1,4 +1,4 @@
-"""What the nights of an eclipse did to an answer: the same spacecraft with and without the shadow.
+"""Effect of eclipse nights on an estimate: the same spacecraft with and without the shadow.
 
 A fault of the simulator never changes its noise, so the world of the same seed without a fault has the same attitude,
 row by row, and what the answers differ by is the doing of the eclipse. What they differed by before the night, other

@@ -1,4 +1,4 @@
-"""What a campaign tells: tables for people, one document for programs.
+"""Report of a campaign: tables for people, one document for programs.
 
 Angles stand as yaw/roll/pitch in one cell. Numbers that are not there, or that a mean cannot hold, are a dash in a
 table and null in the document.

@@ -23,7 +23,7 @@ from service.study.estimation.yardstick import Yardstick, measure_yardsticks
 
 
 class Unit(NamedTuple):
-    """What to run."""
+    """One run of a campaign: scenario and seed."""
 
     scenario: str
     seed: int
@@ -55,11 +55,11 @@ class Course(NamedTuple):
 
 @dataclass(frozen=True)
 class UnitResult:
-    """What came out of a unit."""
+    """Result of one run."""
 
     unit: Unit
     seconds: float
-    #: why nothing could be driven, empty where it could
+    #: reason why the chain could not run, empty where it could
     refusal: str = ""
     methods: dict[str, Measures] = field(default_factory=dict)
     baselines: dict[str, Accuracy] = field(default_factory=dict)

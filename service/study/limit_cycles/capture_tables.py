@@ -106,7 +106,7 @@ def band_table() -> ComparedTable:
 
 
 class Lock(NamedTuple):
-    """What a relay did in the end."""
+    """Steady motion of a relay: firings per period and amplitude."""
 
     firings_per_period: float
     amplitude_rad: float

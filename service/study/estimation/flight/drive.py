@@ -39,7 +39,7 @@ ALARMS = frozenset({"unannounced_motion", "commands_doubted", "innovations"})
 
 @dataclass(frozen=True)
 class MethodSeries:
-    """What one method said of the T rows measured in operation; N carriers as in ``Ground``."""
+    """Estimates of one method for the T rows measured in operation; N carriers as in ``Ground``."""
 
     #: (T, 3) deg, yaw, roll, pitch; NaN = none
     estimate_deg: FloatArray
@@ -60,7 +60,7 @@ class MethodSeries:
 
 @dataclass(frozen=True)
 class Driven:
-    """What the product made of one world."""
+    """Results of the product in one world."""
 
     #: (T,) rows of the world that were measured in operation
     rows: IntArray

@@ -46,7 +46,7 @@ class GroundEvent(NamedTuple):
 
 @dataclass(frozen=True)
 class Ground:
-    """What the ground knows and measures."""
+    """Knowledge and measurements of the ground."""
 
     spacecraft: Spacecraft
     #: plan and ephemeris at the start
@@ -97,7 +97,7 @@ class Ground:
 
 @dataclass(frozen=True)
 class Truth:
-    """What only the judge may see; T rows, N carriers as in ``Ground``."""
+    """Truth of a world, for the judge alone; T rows, N carriers as in ``Ground``."""
 
     #: (T, 3) deg, yaw, roll, pitch
     attitude_deg: FloatArray
