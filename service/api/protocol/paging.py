@@ -11,9 +11,11 @@ import zlib
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from operator import attrgetter
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Query, Request, Response
+from pydantic import BaseModel
 
 from service.api.problems.problems import invalid_request
 from service.errors import FieldError
@@ -21,6 +23,7 @@ from service.records.calibration import Window
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, parse_epoch
 
 T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
 Position = tuple[int, int]
 DEFAULT_LIMIT = 100
 MAX_LIMIT = 10_000
@@ -38,6 +41,41 @@ class PageQuery:
     window: Window
     limit: int
     after: Position | None
+    request: Request
+    response: Response
+
+    @property
+    def most(self) -> int:
+        """Rows to be read: one more than the page has tells that there is a next page."""
+        return self.limit + 1
+
+    def cut(self, found: Sequence[T], position: Callable[[T], Position]) -> tuple[Sequence[T], str | None]:
+        """Return the rows of the page and the cursor of the next, and set the Link header.
+
+        Parameters
+        ----------
+        found : sequence
+            Up to ``most`` rows.
+        position : callable
+            Gives the place of a row.
+        """
+        if len(found) <= self.limit:
+            return found, None
+        cursor = encode_cursor(position(found[self.limit - 1]), mark_of(self.request))
+        url = self.request.url.include_query_params(cursor=cursor)
+        # relative: the host that a client reached us by is for the client to know
+        self.response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
+        return found[: self.limit], cursor
+
+    def answer(
+        self, model: type[M], found: Sequence[T], position: Callable[[T], Position], of: Callable[[T], Any], **more: Any
+    ) -> M:
+        """Return the page as an answer with range, rows, next and ``more``; ``of`` gives the answer for a row."""
+        rows, cursor = self.cut(found, position)
+        return model.model_validate({"range": self.window, "rows": [of(row) for row in rows], "next": cursor, **more})
+
+
+by_epoch: Callable[[Any], Position] = attrgetter("epoch_us", "number")
 
 
 def mark_of(request: Request) -> int:
@@ -125,6 +163,7 @@ CursorParameter = Annotated[str | None, Query(description="next of the page befo
 
 async def page_query(
     request: Request,
+    response: Response,
     start: StartParameter = None,
     stop: StopParameter = None,
     limit: LimitParameter = DEFAULT_LIMIT,
@@ -132,32 +171,8 @@ async def page_query(
 ) -> PageQuery:
     """Return the part of a list that is asked for, everything by default."""
     window = window_of(start, stop, EVERYTHING)
-    return PageQuery(window, limit, None if cursor is None else decode_cursor(cursor, mark_of(request)))
+    after = None if cursor is None else decode_cursor(cursor, mark_of(request))
+    return PageQuery(window, limit, after, request, response)
 
 
 Page = Annotated[PageQuery, Depends(page_query)]
-
-
-def cut_page(
-    rows: Sequence[T], limit: int, position: Callable[[T], Position], request: Request, response: Response
-) -> tuple[Sequence[T], str | None]:
-    """Return the rows of one page and the cursor of the next, and set the Link header.
-
-    Parameters
-    ----------
-    rows : sequence
-        Up to ``limit + 1`` rows; the one too many tells that there is a next page.
-    limit : int
-        Rows of a page.
-    position : callable
-        Gives the position of a row.
-    request, response : Request, Response
-        The link repeats the request's other parameters.
-    """
-    if len(rows) <= limit:
-        return rows, None
-    cursor = encode_cursor(position(rows[limit - 1]), mark_of(request))
-    url = request.url.include_query_params(cursor=cursor)
-    # relative: the host that a client reached us by is for the client to know
-    response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
-    return rows[:limit], cursor

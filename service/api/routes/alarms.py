@@ -1,13 +1,14 @@
 """Alarms: the active ones, their history, and the actions of operators."""
 
+from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
-from service.api.protocol.paging import Page, Position, cut_page
+from service.api.protocol.paging import Page
 from service.api.routes.comments import Said, accepts_comment
 from service.api.schemas.alarms import (
     AlarmAnswer,
@@ -17,7 +18,6 @@ from service.api.schemas.alarms import (
     ShelveDocument,
     StateWord,
 )
-from service.api.schemas.base import WindowAnswer
 from service.records.operations.alarm import Alarm
 
 #: lists stand below a spacecraft, ids are global
@@ -31,17 +31,13 @@ def list_alarms(
     spacecraft_id: SpacecraftId,
     page: Page,
     context: Context,
-    request: Request,
-    response: Response,
     state: Annotated[list[StateWord] | None, Query(description="Default open; may be repeated")] = None,
 ) -> AlarmPage:
     """List alarms of a spacecraft and of the service raised in the range, by default the active ones."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     states = state or ["open"]
-    found = context.storage.alarms.alarms(spacecraft_id, states, page.window, page.limit + 1, page.after)
-    alarms, cursor = cut_page(found, page.limit, _position, request, response)
-    rows = [AlarmAnswer.of(alarm, context.alarms.present_value(alarm)) for alarm in alarms]
-    return AlarmPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+    found = context.storage.alarms.alarms(spacecraft_id, states, page.window, page.most, page.after)
+    return page.answer(AlarmPage, found, lambda alarm: (alarm.raised_at_us, alarm.id), partial(_reported, context))
 
 
 @router.get("/{alarm_id}")
@@ -49,7 +45,7 @@ def get_alarm(alarm_id: AlarmId, context: Context) -> AlarmHistoryAnswer:
     """Return an alarm and what happened to it."""
     alarm = context.storage.alarms.alarm(alarm_id)
     changes = [AlarmChangeAnswer.of(change) for change in context.storage.alarms.changes(alarm_id)]
-    return AlarmHistoryAnswer(alarm=AlarmAnswer.of(alarm, context.alarms.present_value(alarm)), changes=changes)
+    return AlarmHistoryAnswer(alarm=_reported(context, alarm), changes=changes)
 
 
 @router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
@@ -84,8 +80,3 @@ def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: Curr
 def _reported(context: Context, alarm: Alarm) -> AlarmAnswer:
     """Return an alarm."""
     return AlarmAnswer.of(alarm, context.alarms.present_value(alarm))
-
-
-def _position(alarm: Alarm) -> Position:
-    """Return the position of an alarm in its list."""
-    return alarm.raised_at_us, alarm.id

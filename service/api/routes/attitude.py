@@ -1,12 +1,13 @@
 """Attitude: the newest row and the history of a method."""
 
-from fastapi import APIRouter, Request, Response
+from functools import partial
+
+from fastapi import APIRouter
 
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.method_parameters import WantedMethod, WantedVersion
-from service.api.protocol.paging import Page, cut_page
+from service.api.protocol.paging import Page, by_epoch
 from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer
-from service.api.schemas.base import WindowAnswer
 from service.api.schemas.control import VerdictAnswer
 from service.api.views.newest import newest_attitude
 from service.api.views.present import present_of
@@ -35,18 +36,8 @@ def list_attitude(
     version: WantedVersion,
     page: Page,
     context: Context,
-    request: Request,
-    response: Response,
 ) -> AttitudePage:
     """List attitude rows in order of epoch, exactly one a measurement and method."""
-    found = context.storage.results.attitude_rows(
-        spacecraft_id, version, method, page.window, page.limit + 1, page.after
-    )
-    rows, cursor = cut_page(found, page.limit, lambda row: (row.epoch_us, row.number), request, response)
-    return AttitudePage(
-        range=WindowAnswer.of(page.window),
-        method=method,
-        version=version,
-        rows=[AttitudeAnswer.of(row, version) for row in rows],
-        next=cursor,
-    )
+    found = context.storage.results.attitude_rows(spacecraft_id, version, method, page.window, page.most, page.after)
+    of = partial(AttitudeAnswer.of, version=version)
+    return page.answer(AttitudePage, found, by_epoch, of, method=method, version=version)

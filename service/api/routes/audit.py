@@ -1,14 +1,14 @@
 """Audit log: who did what, for administrators and approvers."""
 
+from operator import attrgetter
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query
 
 from service.api.access.auth import MAY_INSPECT
 from service.api.context.dependencies import Context
-from service.api.protocol.paging import Page, cut_page
+from service.api.protocol.paging import Page
 from service.api.schemas.audit import AuditEntryAnswer, AuditHeadAnswer, AuditPage
-from service.api.schemas.base import WindowAnswer
 from service.records.operations.audit import AuditFilter
 
 router = APIRouter(prefix="/audit", tags=["access"], dependencies=[MAY_INSPECT])
@@ -23,8 +23,6 @@ def _exact(description: str) -> object:
 def list_audit(
     page: Page,
     context: Context,
-    request: Request,
-    response: Response,
     who: Annotated[str | None, _exact("Only of keys of this name")] = None,
     role: Annotated[str | None, _exact("Only of keys of this role")] = None,
     action: Annotated[str | None, _exact("Only this operation")] = None,
@@ -42,11 +40,6 @@ def list_audit(
         target_prefix=target,
     )
     audit = context.storage.audit
-    found = audit.entries(wanted, page.limit + 1, None if page.after is None else page.after[1])
-    rows, cursor = cut_page(found, page.limit, lambda entry: (entry.number, entry.number), request, response)
-    return AuditPage(
-        range=WindowAnswer.of(page.window),
-        head=AuditHeadAnswer.of(audit.head()),
-        rows=[AuditEntryAnswer.of(entry) for entry in rows],
-        next=cursor,
-    )
+    found = audit.entries(wanted, page.most, None if page.after is None else page.after[1])
+    position = attrgetter("number", "number")
+    return page.answer(AuditPage, found, position, AuditEntryAnswer.of, head=AuditHeadAnswer.of(audit.head()))

@@ -11,7 +11,7 @@ from service.api.context.dependencies import Context, Names, SpacecraftId
 from service.api.export.export_chunks import DAY_US, Chunk, by_day
 from service.api.export.export_files import MEDIA_TYPES, OFFERED, ArchiveFile, FileFormat, FileOrder, archive_file
 from service.api.export.export_responses import stream_answer, whole_answer
-from service.api.protocol.paging import EVERYTHING, Page, PageQuery, StartParameter, StopParameter, cut_page, window_of
+from service.api.protocol.paging import EVERYTHING, Page, PageQuery, StartParameter, StopParameter, window_of
 from service.api.schemas.archive import ManifestAnswer, PartAnswer
 from service.api.schemas.base import PlanNumber, WindowAnswer
 from service.records.calibration import Window
@@ -79,7 +79,6 @@ def manifest(
     context: Context,
     names: Names,
     request: Request,
-    response: Response,
 ) -> ManifestAnswer:
     """List the files of an export day by day with rows, bytes and SHA-256."""
     # the columns are those of the whole span, whatever page of it is asked for
@@ -91,7 +90,7 @@ def manifest(
             break
         window = Window(max(day_us, page.window.start_us), min(day_us + DAY_US, page.window.stop_us))
         found.append(_part_of(file, window, chunks))
-    parts, cursor = cut_page(found, page.limit, lambda part: (part.window.start_us, 0), request, response)
+    parts, cursor = page.cut(found, lambda part: (part.window.start_us, 0))
     known = dict(file.parameters)
     now_us = context.clock.system_us()
     return ManifestAnswer(

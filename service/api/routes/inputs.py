@@ -1,16 +1,17 @@
 """Slow inputs in batches: attitude references, corrections, telemetry; and the archive of each."""
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Protocol, TypeVar
+from typing import Annotated, Any, Protocol, TypeVar
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter
+from pydantic import BaseModel
 
 from service.api.access.auth import MAY_SEND
 from service.api.context.dependencies import ApiContext, Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
-from service.api.protocol.paging import Page, PageQuery, Position, cut_page
+from service.api.protocol.paging import Page, PageQuery, Position
 from service.api.routes.measurements_ingest import check_batch_size
-from service.api.schemas.base import WindowAnswer
+from service.api.schemas.base import Answer
 from service.api.schemas.inputs import (
     CorrectionAnswer,
     CorrectionBatchDocument,
@@ -25,7 +26,6 @@ from service.api.schemas.inputs import (
     TelemetryBatchDocument,
     TelemetryPage,
 )
-from service.records.inputs import AttitudeReference, Correction, TelemetryRecord
 from service.records.journal import JournalEntry, SlowInput
 from service.records.levels.series import InputReceipt
 
@@ -42,6 +42,7 @@ class _Row(Protocol):
 
 
 R = TypeVar("R", bound=_Row)
+M = TypeVar("M", bound=BaseModel)
 
 
 @router.post("/attitude-references:batch", dependencies=[MAY_SEND], openapi_extra=accepts(ReferenceBatchDocument))
@@ -84,39 +85,21 @@ def send_telemetry(
 
 
 @router.get("/attitude-references")
-def list_references(
-    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
-) -> ReferencePage:
+def list_references(spacecraft_id: SpacecraftId, page: Page, context: Context) -> ReferencePage:
     """List attitude references in order of epoch."""
-    entries, cursor = cut_page(
-        _entries(spacecraft_id, "reference", page, context), page.limit, _position, request, response
-    )
-    rows = [ReferenceAnswer.of(entry.content) for entry in entries if isinstance(entry.content, AttitudeReference)]
-    return ReferencePage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+    return input_page(spacecraft_id, "reference", page, context, ReferencePage, ReferenceAnswer)
 
 
 @router.get("/corrections")
-def list_corrections(
-    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
-) -> CorrectionPage:
+def list_corrections(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CorrectionPage:
     """List corrections that overlap the range, in order of start."""
-    entries, cursor = cut_page(
-        _entries(spacecraft_id, "correction", page, context), page.limit, _position, request, response
-    )
-    rows = [CorrectionAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Correction)]
-    return CorrectionPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+    return input_page(spacecraft_id, "correction", page, context, CorrectionPage, CorrectionAnswer)
 
 
 @router.get("/telemetry")
-def list_telemetry(
-    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
-) -> TelemetryPage:
+def list_telemetry(spacecraft_id: SpacecraftId, page: Page, context: Context) -> TelemetryPage:
     """List telemetry in order of epoch."""
-    entries, cursor = cut_page(
-        _entries(spacecraft_id, "telemetry", page, context), page.limit, _position, request, response
-    )
-    rows = [TelemetryAnswer.of(entry.content) for entry in entries if isinstance(entry.content, TelemetryRecord)]
-    return TelemetryPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+    return input_page(spacecraft_id, "telemetry", page, context, TelemetryPage, TelemetryAnswer)
 
 
 def _append(
@@ -142,13 +125,15 @@ def _append(
     )
 
 
-def _entries(spacecraft_id: str, kind: str, page: PageQuery, context: ApiContext) -> list[JournalEntry]:
-    """Return the entries of a page and one more."""
-    return context.storage.archive.inputs(spacecraft_id, kind, page.window, page.limit + 1, page.after)
+def input_page(
+    spacecraft_id: str, kind: str, page: PageQuery, context: ApiContext, model: type[M], row: type[Answer]
+) -> M:
+    """Return the page of inputs of a kind."""
+    entries = context.storage.archive.inputs(spacecraft_id, kind, page.window, page.most, page.after)
+    return page.answer(model, entries, _position, lambda entry: row.of(entry.content))
 
 
 def _position(entry: JournalEntry) -> Position:
-    """Return the position of an entry in its list."""
-    content = entry.content
-    start_us = content.start_us if isinstance(content, Correction) else getattr(content, "epoch_us", 0)
-    return start_us, entry.number
+    """Return where an entry stands in the order of its list."""
+    content: Any = entry.content
+    return content.start_us if hasattr(content, "start_us") else content.epoch_us, entry.number

@@ -2,11 +2,10 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query
 
 from service.api.context.dependencies import ApiContext, Context, Names, SpacecraftId
-from service.api.protocol.paging import Page, cut_page
-from service.api.schemas.base import WindowAnswer
+from service.api.protocol.paging import Page, by_epoch
 from service.api.schemas.measurement_rows import CarrierStateAnswer, MeasurementAnswer, MeasurementPage
 from service.records.levels.attitude import CarrierState
 from service.records.levels.measurement import Measurement
@@ -30,20 +29,17 @@ def list_measurements(
     page: Page,
     context: Context,
     names: Names,
-    request: Request,
-    response: Response,
     source: Annotated[str | None, Query(max_length=64, description="Only rows of this source")] = None,
     carrier: Annotated[list[str] | None, Query(max_length=1000, description="Only these carriers")] = None,
 ) -> MeasurementPage:
     """List rows of carrier powers of every source in order of epoch."""
-    found = context.storage.archive.measurements(spacecraft_id, page.window, page.limit + 1, page.after, source)
-    rows, cursor = cut_page(found, page.limit, lambda row: (row.epoch_us, row.number), request, response)
+    found = context.storage.archive.measurements(spacecraft_id, page.window, page.most, page.after, source)
     wanted = None if carrier is None else frozenset(carrier)
-    return MeasurementPage(
-        range=WindowAnswer.of(page.window),
-        rows=[MeasurementAnswer.of(row, names.of(spacecraft_id, row.plan_id), wanted) for row in rows],
-        next=cursor,
-    )
+
+    def of(row: Measurement) -> MeasurementAnswer:
+        return MeasurementAnswer.of(row, names.of(spacecraft_id, row.plan_id), wanted)
+
+    return page.answer(MeasurementPage, found, by_epoch, of)
 
 
 def _archived(

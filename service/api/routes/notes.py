@@ -3,13 +3,12 @@
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Response
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN, Context
 from service.api.protocol.bodies import accepts, body_of
-from service.api.protocol.paging import Page, Position, cut_page
-from service.api.schemas.base import WindowAnswer
+from service.api.protocol.paging import Page
 from service.api.schemas.notes import NoteAnswer, NoteDocument, NotePage
 from service.records.operations.note import Note
 
@@ -43,21 +42,13 @@ def write_note(
 
 
 @router.get("")
-def list_notes(
-    page: Page, context: Context, request: Request, response: Response, spacecraft_id: SpacecraftParameter = None
-) -> NotePage:
+def list_notes(page: Page, context: Context, spacecraft_id: SpacecraftParameter = None) -> NotePage:
     """List notes about instants of the range."""
-    found = context.storage.notes.notes(page.window, page.limit + 1, page.after, spacecraft_id)
-    notes, cursor = cut_page(found, page.limit, _position, request, response)
-    return NotePage(range=WindowAnswer.of(page.window), rows=[NoteAnswer.of(note) for note in notes], next=cursor)
+    found = context.storage.notes.notes(page.window, page.most, page.after, spacecraft_id)
+    return page.answer(NotePage, found, lambda note: (note.epoch_us, note.id), NoteAnswer.of)
 
 
 @router.get("/{note_id}")
 def get_note(note_id: NoteId, context: Context) -> NoteAnswer:
     """Return one note."""
     return NoteAnswer.of(context.storage.notes.note(note_id))
-
-
-def _position(note: Note) -> Position:
-    """Return the position of a note in its list."""
-    return note.epoch_us, note.id

@@ -3,18 +3,16 @@
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Path, Response
 from pydantic import TypeAdapter
 
 from service.api.access.auth import MAY_OPERATE
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.merge_patch import MergePatch, patched
-from service.api.protocol.paging import Page, Position, cut_page
-from service.api.schemas.base import WindowAnswer
+from service.api.protocol.paging import Page
+from service.api.routes.inputs import input_page
 from service.api.schemas.operations import OperationAnswer, OperationDocument, OperationPage
-from service.records.inputs import Operation
-from service.records.journal import JournalEntry
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/operations", tags=["inputs"])
 _ADAPTER = TypeAdapter(OperationDocument)
@@ -36,14 +34,9 @@ def declare_operation(
 
 
 @router.get("")
-def list_operations(
-    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
-) -> OperationPage:
+def list_operations(spacecraft_id: SpacecraftId, page: Page, context: Context) -> OperationPage:
     """List the newest revision of operations that overlap the range."""
-    found = context.storage.archive.inputs(spacecraft_id, "operation", page.window, page.limit + 1, page.after)
-    entries, cursor = cut_page(found, page.limit, _position, request, response)
-    rows = [OperationAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Operation)]
-    return OperationPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+    return input_page(spacecraft_id, "operation", page, context, OperationPage, OperationAnswer)
 
 
 @router.get("/{operation_id}")
@@ -65,8 +58,3 @@ def change_operation(
     result = context.storage.archive.replace_operation(spacecraft_id, changed.to_record(operation_id))
     context.on_accepted(spacecraft_id)
     return OperationAnswer.of(result)
-
-
-def _position(entry: JournalEntry) -> Position:
-    """Return the position of an entry in its list."""
-    return (entry.content.start_us if isinstance(entry.content, Operation) else 0), entry.number

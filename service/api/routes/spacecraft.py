@@ -13,7 +13,7 @@ from service.api.context.plan_widths import PlanWidths
 from service.api.problems.problems import invalid_request
 from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.merge_patch import MergePatch, patched
-from service.api.schemas.base import Answer, CatalogueWarning
+from service.api.schemas.base import CatalogueWarning, RowList
 from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftAnswer, SpacecraftDocument
 from service.api.views.catalogue_findings import accepted_findings
 from service.errors import ConflictError, FieldError
@@ -22,11 +22,10 @@ from service.pipeline.inputs.catalogue_checks import Position, check_positions
 router = APIRouter(prefix="/spacecraft", tags=["catalogue"])
 
 
-class SpacecraftList(Answer):
+class SpacecraftList(RowList):
     """All spacecraft in order of id."""
 
     rows: list[SpacecraftDocument]
-    next: str | None = None
 
 
 @router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(SpacecraftDocument))

@@ -1,17 +1,17 @@
 """Commands: prepared by one person, confirmed by another, reported by the centre. A command is never released twice."""
 
 from http import HTTPStatus
+from operator import attrgetter
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Path, Response
 
 from service.api.access.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
 from service.api.access.principals import Permission
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of, optional_body
-from service.api.protocol.paging import Page, Position, cut_page
+from service.api.protocol.paging import Page
 from service.api.routes.comments import Said, accepts_comment, log_comment
-from service.api.schemas.base import WindowAnswer
 from service.api.schemas.torque_commands import (
     CommandAnswer,
     CommandPage,
@@ -53,15 +53,11 @@ def prepare_torques(
 
 
 @router.get("/torques/commands")
-def list_commands(
-    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
-) -> CommandPage:
+def list_commands(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CommandPage:
     """List commands that were prepared in the range, in order of their preparation."""
     context.storage.catalogue.spacecraft(spacecraft_id)
-    found = context.release_service.commands(spacecraft_id, page.window, page.limit + 1, page.after)
-    commands, cursor = cut_page(found, page.limit, _position, request, response)
-    rows = [CommandAnswer.of(command) for command in commands]
-    return CommandPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+    found = context.release_service.commands(spacecraft_id, page.window, page.most, page.after)
+    return page.answer(CommandPage, found, attrgetter("prepared_us", "counter"), CommandAnswer.of)
 
 
 @router.get("/torques/{command_id}")
@@ -143,8 +139,3 @@ def _reported(
         executed_from_us=body.executed_from,
         executed_until_us=body.executed_until,
     )
-
-
-def _position(command: Command) -> Position:
-    """Return where a command stands in its list."""
-    return command.prepared_us, command.counter

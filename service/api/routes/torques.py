@@ -1,11 +1,10 @@
 """Torques: the newest computed command and those before it."""
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter
 
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.method_parameters import WantedVersion
-from service.api.protocol.paging import Page, cut_page
-from service.api.schemas.base import WindowAnswer
+from service.api.protocol.paging import Page, by_epoch
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.torques import NewestTorqueAnswer, TorqueAnswer, TorquePage
 from service.api.views.present import present_of
@@ -26,20 +25,7 @@ def get_torques(spacecraft_id: SpacecraftId, context: Context) -> NewestTorqueAn
 
 
 @router.get("/history")
-def list_torques(
-    spacecraft_id: SpacecraftId,
-    version: WantedVersion,
-    page: Page,
-    context: Context,
-    request: Request,
-    response: Response,
-) -> TorquePage:
+def list_torques(spacecraft_id: SpacecraftId, version: WantedVersion, page: Page, context: Context) -> TorquePage:
     """List computed commands in order of epoch."""
-    found = context.storage.results.commands(spacecraft_id, version, page.window, page.limit + 1, page.after)
-    rows, cursor = cut_page(found, page.limit, lambda row: (row.epoch_us, row.number), request, response)
-    return TorquePage(
-        range=WindowAnswer.of(page.window),
-        version=version,
-        rows=[TorqueAnswer.of(row) for row in rows],
-        next=cursor,
-    )
+    found = context.storage.results.commands(spacecraft_id, version, page.window, page.most, page.after)
+    return page.answer(TorquePage, found, by_epoch, TorqueAnswer.of, version=version)

@@ -10,8 +10,8 @@ from service.api.access.auth import MAY_SEND
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.epoch_limits import EpochLimits
 from service.api.protocol.bodies import accepts, body_of
-from service.api.protocol.paging import Page, cut_page, path_epoch
-from service.api.schemas.base import NAME_PATTERN, WindowAnswer
+from service.api.protocol.paging import Page, by_epoch, path_epoch
+from service.api.schemas.base import NAME_PATTERN
 from service.api.schemas.traces import (
     TraceAnswer,
     TraceBatchDocument,
@@ -61,16 +61,12 @@ def list_traces(
     spacecraft_id: SpacecraftId,
     page: Page,
     context: Context,
-    request: Request,
-    response: Response,
     source: SourceParameter = None,
     sweep: SweepParameter = None,
 ) -> TracePage:
     """List kept traces, without their points, in order of epoch."""
-    found = context.storage.traces.heads(spacecraft_id, page.window, page.limit + 1, page.after, source, sweep)
-    heads, cursor = cut_page(found, page.limit, lambda head: (head.epoch_us, head.number), request, response)
-    rows = [TraceHeadAnswer.of(head) for head in heads]
-    return TracePage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+    found = context.storage.traces.heads(spacecraft_id, page.window, page.most, page.after, source, sweep)
+    return page.answer(TracePage, found, by_epoch, TraceHeadAnswer.of)
 
 
 @router.get("/{epoch}", response_model=TraceAnswer, responses=_CSV_ANSWER)

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field
 
-from service.api.schemas.base import Answer, CommentText, Document, Epoch, EpochAnswer, Figure, Name, Text, WindowAnswer
+from service.api.schemas.base import Answer, CommentText, Document, Epoch, EpochAnswer, Figure, Name, RowPage, Text
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarm import Alarm, AlarmChange
@@ -91,7 +91,7 @@ class AlarmAnswer(Answer):
         """Return the answer for an alarm."""
         condition = _CONDITIONS.get(alarm.condition)
         next_step = "" if condition is None else condition.next_step
-        return cls.of_record(alarm, severity=alarm.severity.word, present_value=present_value, next_step=next_step)
+        return super().of(alarm, severity=alarm.severity.word, present_value=present_value, next_step=next_step)
 
 
 class AlarmChangeAnswer(Answer):
@@ -112,7 +112,7 @@ class AlarmChangeAnswer(Answer):
     def of(cls, change: AlarmChange) -> Self:
         """Return the answer for a change."""
         handling = change.handling
-        return cls.of_record(
+        return super().of(
             change,
             change=change.kind.value,
             by=None if handling is None else handling.by,
@@ -121,12 +121,10 @@ class AlarmChangeAnswer(Answer):
         )
 
 
-class AlarmPage(Answer):
+class AlarmPage(RowPage):
     """One page of alarms."""
 
-    range: WindowAnswer
     rows: list[AlarmAnswer]
-    next: str | None
 
 
 class AlarmHistoryAnswer(Answer):

@@ -13,6 +13,7 @@ from service.api.schemas.base import (
     Epoch,
     EpochAnswer,
     Figure,
+    RowList,
     WindowAnswer,
 )
 from service.api.schemas.calibrations import SensorsDocument
@@ -142,11 +143,6 @@ class AlignmentAnswer(Answer):
     warnings: list[str]
     """Gaps of the catalogue at the alignment and their cost in accuracy."""
 
-    @classmethod
-    def of(cls, alignment: Alignment) -> Self:
-        """Return the answer for an alignment."""
-        return cls.of_record(alignment)
-
 
 class AlignmentMadeAnswer(AlignmentAnswer):
     """New alignment, with the numbers of stored rows that it changes or leaves."""
@@ -164,11 +160,10 @@ class AlignmentMadeAnswer(AlignmentAnswer):
         return cls.model_validate({**reported, "rows_recomputed": rows[0], "rows_kept": rows[1]})
 
 
-class AlignmentList(Answer):
+class AlignmentList(RowList):
     """Alignments, newest first."""
 
     rows: list[AlignmentAnswer]
-    next: str | None = None
 
 
 def _listed(names: set[str] | frozenset[str]) -> str:

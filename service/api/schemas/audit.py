@@ -3,7 +3,7 @@
 from typing import Self
 
 from service.api.schemas.base import Answer, EpochAnswer, WindowAnswer
-from service.records.operations.audit import AuditEntry, AuditHead
+from service.records.operations.audit import AuditEntry
 
 
 class AuditEntryAnswer(Answer):
@@ -34,7 +34,7 @@ class AuditEntryAnswer(Answer):
     def of(cls, entry: AuditEntry) -> Self:
         """Return the answer for an entry."""
         chain = {"number": entry.number, "previous_hash": entry.previous_hash, "hash": entry.hash}
-        return cls.of_record(entry.audit_event, **chain)
+        return super().of(entry.audit_event, **chain)
 
 
 class AuditHeadAnswer(Answer):
@@ -42,11 +42,6 @@ class AuditHeadAnswer(Answer):
 
     number: int
     hash: str
-
-    @classmethod
-    def of(cls, head: AuditHead) -> Self:
-        """Return the answer for a head."""
-        return cls.of_record(head)
 
 
 class AuditPage(Answer):

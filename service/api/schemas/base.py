@@ -21,7 +21,6 @@ from pydantic import (
 )
 
 from service.api.protocol.epochs import epoch_of, plausible_epoch
-from service.records.calibration import Window
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
 from service.records.record_fields import AXIS_NAMES
@@ -77,7 +76,7 @@ class Answer(BaseModel):
     )
 
     @classmethod
-    def of_record(cls, record: object, **others: Any) -> Self:
+    def of(cls, record: Any, *_of_subclasses: Any, **others: Any) -> Self:
         """Return the answer for a record; ``others`` are the members that it does not have by name."""
         return cls.model_validate(_Joined(record, others) if others else record)
 
@@ -134,11 +133,6 @@ class AnglesAnswer(Answer):
     roll: Figure
     pitch: Figure
 
-    @classmethod
-    def of(cls, axes: Axes) -> Self:
-        """Return the answer for a value of each axis."""
-        return cls(yaw=axes.yaw, roll=axes.roll, pitch=axes.pitch)
-
 
 class AllowedAxesAnswer(Answer):
     """Which axes may be controlled."""
@@ -154,10 +148,20 @@ class WindowAnswer(Answer):
     start: EpochAnswer
     stop: EpochAnswer
 
-    @classmethod
-    def of(cls, window: Window) -> Self:
-        """Return the answer for a window."""
-        return cls.model_validate({"start": window.start_us, "stop": window.stop_us})
+
+class RowList(Answer):
+    """All rows of one kind; a subclass states the type of its rows."""
+
+    rows: list[Any]
+    next: str | None = None
+
+
+class RowPage(Answer):
+    """One page of rows that stand in a range; a subclass states the type of its rows."""
+
+    range: WindowAnswer
+    rows: list[Any]
+    next: str | None
 
 
 def axes_of(yaw: float | None, roll: float | None, pitch: float | None) -> Axes:

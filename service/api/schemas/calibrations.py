@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Figure, WindowAnswer
+from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Figure, RowList, WindowAnswer
 from service.records.calibration import (
     Calibration,
     CalibrationMethod,
@@ -165,7 +165,7 @@ class CarrierCalibrationAnswer(Answer):
     @classmethod
     def of(cls, carrier: CarrierCalibration) -> Self:
         """Return the answer for the calibration of a carrier."""
-        return cls.of_record(carrier, stability=carrier, linearity=carrier)
+        return super().of(carrier, stability=carrier, linearity=carrier)
 
 
 class ObservabilityAnswer(Answer):
@@ -203,7 +203,7 @@ class CalibrationAnswer(Answer):
     def of(cls, calibration: Calibration) -> Self:
         """Return the answer for a calibration."""
         request, result = calibration.request, calibration.result
-        return cls.of_record(
+        return super().of(
             calibration,
             method=request.method,
             quiet=request.quiet,
@@ -215,11 +215,10 @@ class CalibrationAnswer(Answer):
         )
 
 
-class CalibrationList(Answer):
+class CalibrationList(RowList):
     """Calibrations, newest first."""
 
     rows: list[CalibrationAnswer]
-    next: str | None = None
 
 
 def _quality(result: CalibrationResult | None) -> dict[str, float | str | list[str]]:

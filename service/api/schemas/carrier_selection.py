@@ -188,10 +188,8 @@ class TurnsAnswer(Answer):
     steps: list[TurnStepAnswer]
 
     @classmethod
-    def of(cls, turns: Turns) -> Self | None:
-        """Return the answer for the turns asked for."""
-        if turns is Turns.NONE:
-            return None
+    def of(cls, turns: Turns) -> Self:
+        """Return the answer that tells the turns asked for."""
         steps = turn_timetable(0, far_yaw=turns is Turns.FAR_YAW)
         return cls(total_s=steps[-1].stop_us / US_PER_S, steps=[TurnStepAnswer.of(step) for step in steps])
 
@@ -242,5 +240,5 @@ class CarrierSelectionAnswer(Answer):
             notes=list(found.notes),
             carriers=[RecommendedCarrierAnswer.of(recommendation, k) for k in range(len(candidates.carrier_ids))],
             sets=CarrierSetsAnswer(**sets),
-            turns=TurnsAnswer.of(turns),
+            turns=None if turns is Turns.NONE else TurnsAnswer.of(turns),
         )

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer
 from service.records.catalogue import ControlMode, Release
-from service.records.operations.release import ControlVerdict, ControlView, EnvelopeLimits, SignCheck
+from service.records.operations.release import ControlVerdict, ControlView, EnvelopeLimits
 
 ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
 Limit = Annotated[float, Field(gt=0, le=1e3)]
@@ -76,11 +76,6 @@ class VerdictAnswer(Answer):
     reasons: list[ControlReasonAnswer]
     """All active reasons; while allowed, those that withhold yaw alone."""
 
-    @classmethod
-    def of(cls, verdict: ControlVerdict) -> Self:
-        """Return the answer for a verdict."""
-        return cls.of_record(verdict)
-
 
 class EnvelopeAnswer(Answer):
     """Largest change of a command about each axis."""
@@ -110,11 +105,6 @@ class SignCheckAnswer(Answer):
     wheels: str | None
     """Yaw: the same word by wheel telemetry."""
     detail: str
-
-    @classmethod
-    def of(cls, check: SignCheck) -> Self:
-        """Return the answer for a sign check."""
-        return cls.of_record(check)
 
 
 class ControlAnswer(Answer):
@@ -152,7 +142,7 @@ class ControlAnswer(Answer):
     @classmethod
     def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:
         """Return the answer for the state of the interlock."""
-        return cls.of_record(
+        return super().of(
             view,
             control=VerdictAnswer.of(verdict),
             state=verdict.state,

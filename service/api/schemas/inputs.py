@@ -18,8 +18,8 @@ from service.api.schemas.base import (
     Document,
     EpochAnswer,
     Figure,
+    RowPage,
     Text,
-    WindowAnswer,
     axes_of,
 )
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch
@@ -175,11 +175,6 @@ class ReferenceAnswer(Answer):
     pitch_deg: Figure
     sigma_deg: AnglesAnswer
 
-    @classmethod
-    def of(cls, record: AttitudeReference) -> Self:
-        """Return the answer for a reference."""
-        return cls.of_record(record)
-
 
 class CorrectionAnswer(Answer):
     """A stored correction."""
@@ -207,31 +202,20 @@ class TelemetryAnswer(Answer):
     thrusters_active: bool | None
     body_rate_deg_s: AnglesAnswer | None
 
-    @classmethod
-    def of(cls, record: TelemetryRecord) -> Self:
-        """Return the answer for a telemetry record."""
-        return cls.of_record(record)
 
-
-class ReferencePage(Answer):
+class ReferencePage(RowPage):
     """References in order of epoch."""
 
-    range: WindowAnswer
     rows: list[ReferenceAnswer]
-    next: str | None
 
 
-class CorrectionPage(Answer):
+class CorrectionPage(RowPage):
     """Corrections in order of start."""
 
-    range: WindowAnswer
     rows: list[CorrectionAnswer]
-    next: str | None
 
 
-class TelemetryPage(Answer):
+class TelemetryPage(RowPage):
     """Telemetry in order of epoch."""
 
-    range: WindowAnswer
     rows: list[TelemetryAnswer]
-    next: str | None

@@ -42,7 +42,7 @@ class CarrierHarmonicAnswer(HarmonicAnswer):
         """Return the answer for the fit of a carrier."""
         return cls.model_validate(
             {
-                **HarmonicAnswer.of_record(fit.harmonic).model_dump(),
+                **HarmonicAnswer.of(fit.harmonic).model_dump(),
                 "carrier": fit.carrier,
                 "law": fit.law,
                 "second_amplitude_db": fit.second_amplitude_db,

@@ -23,4 +23,4 @@ class JobAnswer(Answer):
     @classmethod
     def of(cls, job: Job, result: str | None = None) -> Self:
         """Return the answer for a job."""
-        return cls.of_record(job, result=result)
+        return super().of(job, result=result)

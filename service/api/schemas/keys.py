@@ -6,7 +6,7 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer
+from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, RowList
 from service.records.operations.access_key import AccessKey, Role, plain_name
 
 
@@ -58,7 +58,7 @@ class KeyAnswer(Answer):
         """Return the answer for a key."""
         state = KeyState.VALID if key.is_valid(now_us) else KeyState.EXPIRED
         state = KeyState.REVOKED if key.revoked_at_us is not None else state
-        return cls.of_record(key, state=state, last_used_at=last_used_us)
+        return super().of(key, state=state, last_used_at=last_used_us)
 
 
 class NewKeyAnswer(Answer):
@@ -72,8 +72,7 @@ class NewKeyAnswer(Answer):
     expires_at: EpochAnswer | None
 
 
-class KeyList(Answer):
+class KeyList(RowList):
     """Keys in order of creation."""
 
     rows: list[KeyAnswer]
-    next: str | None = None

@@ -9,7 +9,7 @@ from typing import Self
 
 import numpy as np
 
-from service.api.schemas.base import Answer, EpochAnswer, Figure, WindowAnswer
+from service.api.schemas.base import Answer, EpochAnswer, Figure, RowPage
 from service.formats.numbers import shortest_float32
 from service.records.levels.attitude import CarrierState
 from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Measurement
@@ -69,12 +69,10 @@ class MeasurementAnswer(Answer):
         )
 
 
-class MeasurementPage(Answer):
+class MeasurementPage(RowPage):
     """Rows in order of epoch."""
 
-    range: WindowAnswer
     rows: list[MeasurementAnswer]
-    next: str | None
 
 
 class CarrierStateAnswer(Answer):

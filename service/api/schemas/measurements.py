@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Required
 from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
-from service.api.schemas.base import MAX_ROWS, Answer, Document, EpochAnswer, Name, PlanNumber
+from service.api.schemas.base import MAX_ROWS, Answer, Document, EpochAnswer, Name, PlanNumber, RowList
 from service.records.levels.measurement import DETAIL_NAMES
 
 #: stored as int32
@@ -101,8 +101,7 @@ class SourceAnswer(Answer):
     rows: int
 
 
-class SourceListAnswer(Answer):
+class SourceListAnswer(RowList):
     """All sources of a spacecraft."""
 
     rows: list[SourceAnswer]
-    next: str | None = None

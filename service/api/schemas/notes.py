@@ -1,12 +1,11 @@
 """Notes of the shift log."""
 
-from typing import Annotated, Self
+from typing import Annotated
 
 from pydantic import Field, StringConstraints
 
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN
-from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name, WindowAnswer
-from service.records.operations.note import Note
+from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name, RowPage
 
 MAX_TAGS = 16
 NoteText = Annotated[
@@ -38,15 +37,8 @@ class NoteAnswer(Answer):
     tags: list[str]
     corrects: int | None
 
-    @classmethod
-    def of(cls, note: Note) -> Self:
-        """Return the answer for a note."""
-        return cls.of_record(note)
 
-
-class NotePage(Answer):
+class NotePage(RowPage):
     """One page of notes."""
 
-    range: WindowAnswer
     rows: list[NoteAnswer]
-    next: str | None

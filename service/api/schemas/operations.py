@@ -14,7 +14,7 @@ from service.api.schemas.base import (
     Epoch,
     EpochAnswer,
     Name,
-    WindowAnswer,
+    RowPage,
 )
 from service.records.inputs import Operation
 
@@ -96,15 +96,8 @@ class OperationAnswer(Answer):
     attitude_uncertainty_deg: AnglesAnswer | None
     comment: str
 
-    @classmethod
-    def of(cls, record: Operation) -> Self:
-        """Return the answer for an operation."""
-        return cls.of_record(record)
 
-
-class OperationPage(Answer):
+class OperationPage(RowPage):
     """Operations that overlap the range, in order of start."""
 
-    range: WindowAnswer
     rows: list[OperationAnswer]
-    next: str | None

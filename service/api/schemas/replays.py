@@ -70,4 +70,4 @@ class ReplayAnswer(ReplayStartedAnswer):
     @classmethod
     def of(cls, replay: Replay) -> Self:
         """Return the answer for a replay."""
-        return cls.of_record(replay, job=replay.job_id)
+        return super().of(replay, job=replay.job_id)

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
-from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer, Text, WindowAnswer
+from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer, RowPage, Text
 from service.api.schemas.torques import PulseAnswer, ScheduleCheckAnswer
 from service.records.operations.release import Command, CommandRequest, ProductForm, Purpose, UplinkProduct
 
@@ -120,7 +120,7 @@ class CommandAnswer(Answer):
     @classmethod
     def of(cls, command: Command) -> Self:
         """Return the answer for a command."""
-        return cls.of_record(
+        return super().of(
             command,
             id=command.counter,
             needs_approver=command.state == "PREPARED",
@@ -129,12 +129,10 @@ class CommandAnswer(Answer):
         )
 
 
-class CommandPage(Answer):
+class CommandPage(RowPage):
     """Commands in order of their preparation."""
 
-    range: WindowAnswer
     rows: list[CommandAnswer]
-    next: str | None
 
 
 class UplinkAnswer(Answer):
@@ -159,4 +157,4 @@ class UplinkAnswer(Answer):
     @classmethod
     def of(cls, product: UplinkProduct) -> Self:
         """Return the answer for an uplink product."""
-        return cls.of_record(product, digest=product.digest or None)
+        return super().of(product, digest=product.digest or None)

@@ -76,7 +76,7 @@ class TorqueAnswer(Answer):
     @classmethod
     def of(cls, command: TorqueCommand) -> Self:
         """Return the answer for a command."""
-        return cls.of_record(command, predicted=command)
+        return super().of(command, predicted=command)
 
     @classmethod
     def before_the_first(cls, mode: ControlMode, attitude_epoch_us: int | None) -> Self:

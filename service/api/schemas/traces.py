@@ -5,7 +5,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field
 
-from service.api.schemas.base import Answer, AnyEpoch, Document, EpochAnswer, Name, WindowAnswer
+from service.api.schemas.base import Answer, AnyEpoch, Document, EpochAnswer, Name, RowPage
 from service.formats.numbers import shortest_float32
 from service.records.levels.trace import KeptTrace, Trace, TraceHead, TraceReceipt, TraceSettings
 
@@ -111,12 +111,10 @@ class TraceAnswer(TraceHeadAnswer):
         return cls.model_validate({**_head(trace.head), "power_dbm": shortest_float32(trace.power_dbm)})
 
 
-class TracePage(Answer):
+class TracePage(RowPage):
     """Kept traces in order of epoch."""
 
-    range: WindowAnswer
     rows: list[TraceHeadAnswer]
-    next: str | None
 
 
 def _head(head: TraceHead) -> dict[str, object]:
