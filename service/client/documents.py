@@ -205,9 +205,9 @@ class PulseReply(TypedDict):
 
     start: str
     duration_s: float
+    yaw_n_m: float
     roll_n_m: float
     pitch_n_m: float
-    yaw_n_m: float
 
 
 class Check(TypedDict):

@@ -5,6 +5,7 @@ All arrays are tuples in the order of the plan's carriers or of (yaw, roll, pitc
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import Axes
@@ -43,8 +44,7 @@ class Harmonic:
     phase_rad: float
     offset_dbm: float
     period_s: float
-    #: ascending node from which the phase is counted
-    node_epoch_us: int
+    node_epoch_us: Annotated[int, "Ascending node from which the phase is counted."]
     rms_db: float
     samples_used: int
     samples_rejected: int
@@ -70,9 +70,8 @@ class CarrierCalibration:
     #: greatest departure from the straight line in deg, and the range it was judged in
     nonlinearity_deg: float
     linear_range_deg: float
-    #: roll, pitch, yaw or mixed
-    axis: str
-    axis_ratio: float
+    axis: Annotated[str, "roll, pitch, yaw or mixed."]
+    axis_ratio: Annotated[float, "Third criterion: greatest coefficient over the others."]
     #: of stable, linear, dominant
     criteria_met: tuple[str, ...]
     rejected_because: tuple[str, ...]
@@ -84,10 +83,8 @@ class Observability:
     """Observability of the attitude by the selected carriers."""
 
     condition: float
-    #: deg per dB
-    dop: Axes
-    #: one row, with a common-mode unknown
-    crlb_deg: Axes
+    dop: Annotated[Axes, "deg per dB"]
+    crlb_deg: Annotated[Axes, "One row, with a common-mode unknown."]
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,8 +143,7 @@ class Calibration:
     created_by: str
     #: None while draft work runs or when it failed
     result: CalibrationResult | None
-    #: why it failed
-    error: str | None = None
+    error: Annotated[str | None, "Why it failed."] = None
 
     @property
     def is_yaw_controllable(self) -> bool:
@@ -187,16 +183,19 @@ class Alignment:
     source: str
     created_at_us: int
     created_by: str
-    references: tuple[CarrierReference, ...]
-    window: Window | None = None
+    references: Annotated[tuple[CarrierReference, ...], "Of the calibration named above."]
+    window: Annotated[Window | None, "Where the reference powers were taken from."] = None
     override_reason: str | None = None
     #: references of each method that had a calibration, where they differ from ``references``
     references_by_method: dict[str, tuple[CarrierReference, ...]] = field(default_factory=dict)
     #: calibration that the references of each method were made with
     calibration_by_method: dict[str, int] = field(default_factory=dict)
-    #: carriers that were re-levelled since the calibration and took their reference from the window alone
-    changed_carriers: tuple[str, ...] = ()
-    #: alignments of before the rule was stated have the former one
-    reference_rule: ReferenceRule = ReferenceRule.WINDOW_MEAN
-    #: what the catalogue leaves open that the angles from here on suffer from
-    warnings: tuple[str, ...] = ()
+    changed_carriers: Annotated[
+        tuple[str, ...], "Re-levelled since the calibration; their reference is that of the window alone."
+    ] = ()
+    reference_rule: Annotated[
+        ReferenceRule,
+        "Of the paper method's references: `zero_attitude` (mean of the window less harmonic less the calibrated "
+        "change at\nthe sensors' angles), or `window_mean` (mean of the window less harmonic) of alignments of before.",
+    ] = ReferenceRule.WINDOW_MEAN
+    warnings: Annotated[tuple[str, ...], "What the catalogue left open at the alignment, and what that costs."] = ()

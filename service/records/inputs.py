@@ -5,6 +5,7 @@ conflict.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from service.records.catalogue import Spacecraft
 from service.records.levels.attitude import Axes
@@ -70,8 +71,8 @@ class Operation:
     inhibit_control: bool = False
     attitude_uncertainty_deg: Axes | None = None
     comment: str = ""
-    #: rises with each change; a change is a new journal entry
-    revision: int = 1
+    #: a change is a new journal entry
+    revision: Annotated[int, "Rises with each change."] = 1
 
     @property
     def key(self) -> str:

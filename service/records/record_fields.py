@@ -4,8 +4,8 @@ A field added to a record appears in all of these by its type. `AXIS_NAMES` hold
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from enum import Enum, StrEnum, auto
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from enum import Enum, auto
 from types import NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -22,7 +22,7 @@ class FieldKind(Enum):
     NUMBER = auto()
     TRUTH = auto()
     TEXT = auto()
-    #: StrEnum
+    #: Enum
     CHOICE = auto()
     #: tuple of str
     TEXTS = auto()
@@ -39,6 +39,7 @@ class FieldKind(Enum):
 #: names of the columns of a field with one value an axis, where they are not ``<axis>_<field>``
 AXIS_NAMES = {
     "attitude_deg": "{}_deg",
+    "change_deg": "{}_deg",
     "rates_deg_s": "{}_rate_deg_s",
     "control_allowed_axes": "{}_control_allowed",
     "torque_n_m": "{}_n_m",
@@ -76,7 +77,7 @@ class RecordField:
 
 
 def record_fields(record: type) -> Mapping[str, RecordField]:
-    """Return the fields of a dataclass by name, in their order.
+    """Return the fields of a dataclass or a named tuple by name, in their order.
 
     Raises
     ------
@@ -90,7 +91,11 @@ def record_fields(record: type) -> Mapping[str, RecordField]:
     ('yaw_sigma_deg', 'roll_sigma_deg', 'pitch_sigma_deg')
     """
     hints = get_type_hints(record, include_extras=True)
-    return {each.name: _field(each.name, hints[each.name], each.default) for each in fields(record)}
+    if is_dataclass(record):
+        defaults = {each.name: each.default for each in fields(record)}
+    else:
+        defaults = dict.fromkeys(record._fields, MISSING) | record._field_defaults  # type: ignore[attr-defined]
+    return {name: _field(name, hints[name], default) for name, default in defaults.items()}
 
 
 def _field(name: str, hint: Any, default: Any) -> RecordField:
@@ -114,11 +119,11 @@ def _kind(name: str, hint: Any) -> tuple[FieldKind, Any]:
         return FieldKind.EPOCH, hint
     if hint in _PLAIN:
         return _PLAIN[hint], hint
-    if get_origin(hint) is Mapping:
+    if get_origin(hint) in (Mapping, dict):
         return FieldKind.DOCUMENT, hint
-    if issubclass(hint, StrEnum):
+    if issubclass(hint, Enum):
         return FieldKind.CHOICE, hint
-    if hasattr(hint, "__dataclass_fields__"):
+    if is_dataclass(hint) or hasattr(hint, "_fields"):
         return FieldKind.RECORD, hint
     message = f"field {name} of type {hint} has no form in tables, files and answers"
     raise TypeError(message)

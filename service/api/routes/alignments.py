@@ -30,10 +30,10 @@ def align(
     if body.is_manual:
         _require_approver(principal)
     alignment = context.aligner.align(spacecraft_id, body.to_request(principal.name))
-    rows = context.storage.results.rows_after(spacecraft_id, alignment)
+    recomputed, kept = context.storage.results.rows_after(spacecraft_id, alignment)
     context.supervisor.notify(spacecraft_id)
     response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/alignments/{alignment.id}"
-    return AlignmentMadeAnswer.made(alignment, rows)
+    return AlignmentMadeAnswer.of(alignment, rows_recomputed=recomputed, rows_kept=kept)
 
 
 @router.get("")

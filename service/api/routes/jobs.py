@@ -16,4 +16,4 @@ def get_job(job_id: Annotated[str, Path(max_length=64)], context: Context) -> Jo
     """Return how far a job is."""
     job = context.storage.results.job(job_id)
     has_result = context.flights.result(job_id) is not None
-    return JobAnswer.of(job, f"{RESULTS}/{job_id}" if has_result else None)
+    return JobAnswer.of(job, result=f"{RESULTS}/{job_id}" if has_result else None)

@@ -10,7 +10,6 @@ from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.base import NAME_PATTERN
 from service.api.schemas.measurements import SourceAnswer, SourceListAnswer
 from service.errors import NotFoundError
-from service.records.levels.series import SourceState
 
 _NAME = re.compile(NAME_PATTERN.strip("^$"), re.ASCII)
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/sources", tags=["measurements"])
@@ -19,7 +18,7 @@ router = APIRouter(prefix="/spacecraft/{spacecraft_id}/sources", tags=["measurem
 @router.get("")
 def list_sources(spacecraft_id: SpacecraftId, context: Context) -> SourceListAnswer:
     """List the sources seen so far."""
-    return SourceListAnswer(rows=[_answer(state) for state in context.storage.archive.sources(spacecraft_id)])
+    return SourceListAnswer(rows=[SourceAnswer.of(state) for state in context.storage.archive.sources(spacecraft_id)])
 
 
 @router.post("/{source}:select", dependencies=[MAY_OPERATE])
@@ -31,12 +30,4 @@ def select_source(
         raise NotFoundError("source.unknown", f"no source {source[:64]!r}; GET .../sources lists them")
     state = context.storage.archive.select_source(spacecraft_id, source)
     context.on_accepted(spacecraft_id)
-    return _answer(state)
-
-
-def _answer(state: SourceState) -> SourceAnswer:
-    """Return a source."""
-    role = "prime" if state.role == "prime" else "backup"
-    return SourceAnswer.model_validate(
-        {"id": state.id, "role": role, "newest_epoch": state.newest_epoch_us, "rows": state.rows}
-    )
+    return SourceAnswer.of(state)

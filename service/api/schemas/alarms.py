@@ -4,10 +4,11 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field
 
-from service.api.schemas.base import Answer, CommentText, Document, Epoch, EpochAnswer, Figure, Name, RowPage, Text
+from service.api.schemas.base import Answer, CommentText, Document, Epoch, EpochAnswer, Name, RowPage, Text
+from service.api.schemas.record_answers import members_of
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.operations.alarm import Alarm, AlarmChange
+from service.records.operations.alarm import Alarm, AlarmChange, Handling
 from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits, Statement
 
 StateWord = Literal["open", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed", "closed"]
@@ -42,49 +43,35 @@ class ShelveDocument(RemarkDocument):
     """By the spacecraft's clock, at most 24 h ahead."""
 
 
-class HandlingAnswer(Answer):
-    """Action of an operator on an alarm: name, time and comment."""
-
-    by: str
-    at: EpochAnswer = Field(validation_alias="at_us")
-    comment: str
+class HandlingAnswer(members_of(Handling), Answer):
+    """What somebody did."""
 
 
-class AlarmAnswer(Answer):
+_FINITE = ("value", "limit")
+_HANDLINGS = ("acknowledged", "shelved", "cleared")
+
+
+class AlarmAnswer(
+    members_of(
+        Alarm,
+        without=("process", "cover"),
+        types={
+            "severity": SeverityWord,
+            **dict.fromkeys(_FINITE, FiniteFigure),
+            **dict.fromkeys(_HANDLINGS, HandlingAnswer),
+        },
+    ),
+    Answer,
+):
     """One alarm."""
 
-    id: int
-    spacecraft_id: str | None
-    """Null: it concerns the service as a whole."""
-    condition: str
-    thing: str
-    """Which carrier, axis, link .. it is about."""
     state: Literal["normal", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed"]
     """That of the cover where there is one; normal = closed."""
     is_active: bool
-    """Whether the condition holds."""
-    severity: SeverityWord
-    """Worst since it was raised."""
-    since: EpochAnswer
-    raised_at: EpochAnswer
-    changed_at: EpochAnswer
-    returned_at: EpochAnswer | None
-    value: FiniteFigure
-    """What raised it, or made it worse."""
-    limit: FiniteFigure
-    unit: str
+    """Whether the condition stands."""
     present_value: FiniteFigure
     """Newest value; null where none is known."""
-    detail: str
     next_step: str
-    count: int
-    """How often the condition came back before the alarm was closed."""
-    repeats: int
-    announced_at: EpochAnswer | None
-    acknowledged: HandlingAnswer | None
-    shelved: HandlingAnswer | None
-    shelved_until: EpochAnswer | None
-    cleared: HandlingAnswer | None
 
     @classmethod
     def of(cls, alarm: Alarm, present_value: float = float("nan")) -> Self:
@@ -178,58 +165,31 @@ class LimitsDocument(Document):
         return AlarmLimits(0, created_at_us, created_by, self.comment, sets, dict(self.nominal_dbm))
 
 
-class LimitsAnswer(Answer):
+class LimitsAnswer(
+    members_of(AlarmLimits, number=float, types={"created_at_us": EpochAnswer | None, "created_by": str | None}),
+    Answer,
+):
     """One version of the limits of a spacecraft: what it states beyond the defaults."""
-
-    version: int
-    """0 = the defaults, nothing was stated."""
-    created_at: EpochAnswer | None
-    created_by: str | None
-    comment: str
-    sets: dict[str, dict[str, dict[str, float | bool | None]]]
-    nominal_dbm: dict[str, float]
 
     @classmethod
     def of(cls, limits: AlarmLimits) -> Self:
-        """Return the answer for a version."""
-        return cls.model_validate(
-            {
-                "version": limits.version,
-                "created_at": limits.created_at_us if limits.version else None,
-                "created_by": limits.created_by if limits.version else None,
-                "comment": limits.comment,
-                "sets": limits.sets,
-                "nominal_dbm": limits.nominal_dbm,
-            }
-        )
+        """Return the answer that tells a version."""
+        if limits.version:
+            return super().of(limits)
+        return super().of(limits, created_at=None, created_by=None)
 
 
-class ConditionLimitsAnswer(Answer):
+class ConditionLimitsAnswer(members_of(ConditionLimits, number=float), Answer):
     """Limits of one condition as they are in force."""
 
     kind: str
     """above, below or lasting."""
     unit: str
-    watch: Figure
-    warning: Figure
-    distress: Figure
-    critical: Figure
-    severe: Figure
-    deadband: float
-    on_s: float
-    off_s: float
-    repeat_s: float | None
-    latching: bool
-    suppressed: bool
-    enabled: bool
 
     @classmethod
     def of(cls, name: str, limits: ConditionLimits) -> Self:
-        """Return the answer for the limits of a condition."""
-        names = ConditionLimits.__dataclass_fields__
-        condition = _CONDITIONS[name]
-        reported = {field: getattr(limits, field) for field in names}
-        return cls.model_validate({"kind": condition.kind.value, "unit": condition.unit, **reported})
+        """Return the answer that tells the limits of a condition."""
+        return super().of(limits, kind=_CONDITIONS[name].kind.value, unit=_CONDITIONS[name].unit)
 
 
 class LimitsInForceAnswer(Answer):

@@ -6,18 +6,16 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import (
-    AnglesAnswer,
     Answer,
     CommentText,
     Document,
     Epoch,
-    EpochAnswer,
-    Figure,
     RowList,
     WindowAnswer,
 )
 from service.api.schemas.calibrations import SensorsDocument
-from service.records.calibration import Alignment, ReferenceRule, Window
+from service.api.schemas.record_answers import members_of
+from service.records.calibration import Alignment, CarrierReference, Window
 from service.records.levels.attitude import Axes
 from service.runtime.jobs.alignment_service import AlignmentRequest
 
@@ -105,43 +103,23 @@ class AlignmentDocument(Document):
         return self.epoch, angles, Axes(sigma.yaw, sigma.roll, sigma.pitch)
 
 
-class CarrierReferenceAnswer(Answer):
+class CarrierReferenceAnswer(members_of(CarrierReference), Answer):
     """Reference power of one carrier, harmonic removed."""
 
-    carrier: str
-    reference_dbm: Figure
-    sigma_db: Figure
-    samples: int
-    change_since_calibration_db: Figure
 
-
-class AlignmentAnswer(Answer):
+class AlignmentAnswer(
+    members_of(
+        Alignment,
+        flat=("attitude_deg",),
+        types={
+            "window": WindowAnswer,
+            "references": CarrierReferenceAnswer,
+            "references_by_method": dict[str, list[CarrierReferenceAnswer]],
+        },
+    ),
+    Answer,
+):
     """An alignment; the newest holds for every method."""
-
-    id: int
-    epoch: EpochAnswer
-    yaw_deg: Figure
-    roll_deg: Figure
-    pitch_deg: Figure
-    sigma_deg: AnglesAnswer
-    calibration_id: int
-    source: str
-    window: WindowAnswer | None
-    """Where the reference powers were taken from."""
-    override_reason: str | None
-    created_at: EpochAnswer
-    created_by: str
-    references: list[CarrierReferenceAnswer]
-    """Of the calibration named above."""
-    references_by_method: dict[str, list[CarrierReferenceAnswer]]
-    calibration_by_method: dict[str, int]
-    changed_carriers: list[str]
-    """Re-levelled since the calibration; their reference is that of the window alone."""
-    reference_rule: ReferenceRule
-    """Of the paper method's references: `zero_attitude` (mean of the window less harmonic less the calibrated change at
-    the sensors' angles), or `window_mean` (mean of the window less harmonic) of alignments of before."""
-    warnings: list[str]
-    """Gaps of the catalogue at the alignment and their cost in accuracy."""
 
 
 class AlignmentMadeAnswer(AlignmentAnswer):
@@ -152,12 +130,6 @@ class AlignmentMadeAnswer(AlignmentAnswer):
     rows_kept: int
     """Stored rows later than `epoch` that keep the angles of an earlier alignment, because control may have acted on
     them; a replay with this alignment (order epoch) computes them again beside the stored ones."""
-
-    @classmethod
-    def made(cls, alignment: Alignment, rows: tuple[int, int]) -> Self:
-        """Return the answer for a new alignment; rows recomputed and kept."""
-        reported = AlignmentAnswer.of(alignment).model_dump()
-        return cls.model_validate({**reported, "rows_recomputed": rows[0], "rows_kept": rows[1]})
 
 
 class AlignmentList(RowList):

@@ -5,10 +5,13 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field
 
-from service.api.schemas.base import Answer, Document
+from service.api.schemas.base import OF_ARRAY, Answer, Document
+from service.api.schemas.record_answers import members_of
+from service.core.flexible.capture.capture import StableBand
 from service.core.flexible.capture.capture_analysis import CaptureAnalysis
+from service.core.flexible.closed_forms import SinglePulseForms
 from service.core.flexible.limit_cycle import LimitCycleAnalysis
-from service.core.flexible.schedule.schedule_check import ScheduleCheck
+from service.core.flexible.schedule.schedule_check import ScheduleCheck, Suggestion
 
 #: keeps every sum and product of the analyses inside a double
 _LARGEST = 1e9
@@ -80,17 +83,8 @@ class CycleOverBothLinesAnswer(Answer):
     is_stable: bool
 
 
-class SinglePulseAnswer(Answer):
+class SinglePulseAnswer(members_of(SinglePulseForms, number=Finding), Answer):
     """Closed forms of the cycle of one pulse."""
-
-    speed_rad_s: Finding
-    period_s: Finding
-    inner_depth_rad: Finding
-    overshoot_rad: Finding
-    multiplier_frictionless: Finding
-    multiplier: Finding
-    multiplier_truncated: Finding
-    critical_viscous_loss_n_m: Finding
 
 
 class LimitCycleAnswer(Answer):
@@ -104,30 +98,19 @@ class LimitCycleAnswer(Answer):
     forms: SinglePulseAnswer
     passive_rad_s2: float
     pulse_rad_s2: float
-    speeds_rad_s: list[float]
-    next_speeds_rad_s: list[Finding]
-    ladder_rad_s: list[tuple[float, float]]
+    speeds_rad_s: Annotated[list[float], OF_ARRAY]
+    next_speeds_rad_s: Annotated[list[Finding], OF_ARRAY]
+    ladder_rad_s: Annotated[list[tuple[float, float]], OF_ARRAY]
     """Corners of the Koenigs-Lamerey diagram from the chosen start."""
 
     @classmethod
     def of(cls, found: LimitCycleAnalysis) -> Self:
         """Return what an analysis found."""
-        return cls.model_validate(
-            {
-                "cycles": [cycle._asdict() for cycle in found.cycles],
-                "cycles_over_both_lines": [
-                    {**cycle.motion._asdict(), "multiplier": cycle.multiplier, "is_stable": cycle.is_stable}
-                    for cycle in found.cycles_over_both_lines
-                ],
-                "reason": found.reason,
-                "forms": found.forms._asdict(),
-                "passive_rad_s2": found.passive_rad_s2,
-                "pulse_rad_s2": found.pulse_rad_s2,
-                "speeds_rad_s": found.speeds_rad_s.tolist(),
-                "next_speeds_rad_s": found.next_speeds_rad_s.tolist(),
-                "ladder_rad_s": [tuple(corner) for corner in found.ladder_rad_s.tolist()],
-            }
-        )
+        over_both = [
+            {**cycle.motion._asdict(), "multiplier": cycle.multiplier, "is_stable": cycle.is_stable}
+            for cycle in found.cycles_over_both_lines
+        ]
+        return super().of(found, cycles_over_both_lines=over_both)
 
 
 class CaptureDocument(Document):
@@ -150,34 +133,24 @@ class CaptureDocument(Document):
     is_friction_outward: bool = True
 
 
-class StableBandAnswer(Answer):
+class StableBandAnswer(members_of(StableBand, number=Finding), Answer):
     """Frequencies of the mode without capture; both null: none, upper null: unbounded."""
 
-    low_rad_s: Finding
-    high_rad_s: Finding
 
-
-class CaptureAnswer(Answer):
+class CaptureAnswer(
+    members_of(
+        CaptureAnalysis,
+        number=Finding,
+        types={"band": StableBandAnswer},
+        descriptions={
+            "verdict": "captured, free, or always: any switching is captured.",
+            "p_inf_rad": "Null: unbounded, a relay on a mode without damping.",
+            "perpetual_capture": "none, irregular or possible.",
+        },
+    ),
+    Answer,
+):
     """Where capture begins and what is said of the swing."""
-
-    verdict: str
-    """captured, free, or always: any switching is captured."""
-    p_cr_rad: Finding
-    p_cr_refined_rad: Finding
-    p_min_rad: Finding
-    margin_rad: Finding
-    p_inf_rad: Finding
-    """Null: unbounded, a relay on a mode without damping."""
-    perpetual_capture: str
-    """none, irregular or possible."""
-    band: StableBandAnswer
-    rigid_frequency_rad_s: Finding
-    swing: Finding
-
-    @classmethod
-    def of(cls, found: CaptureAnalysis) -> Self:
-        """Return what an analysis found."""
-        return cls.model_validate({**found._asdict(), "band": found.band._asdict()})
 
 
 class PulseDocument(Document):
@@ -230,15 +203,10 @@ class PhasorAnswer(Answer):
     im: float
 
 
-class SuggestionAnswer(Answer):
+class SuggestionAnswer(
+    members_of(Suggestion, number=float, descriptions={"kind": "split, width, interval or wait."}), Answer
+):
     """One change of the schedule and what it would give."""
-
-    kind: str
-    """split, width, interval or wait."""
-    value_s: float
-    verdict: str
-    peak_rad: float
-    residual_rad: float
 
 
 class ScheduleAnswer(Answer):
@@ -266,7 +234,4 @@ class ScheduleAnswer(Answer):
     @classmethod
     def of(cls, found: ScheduleCheck) -> Self:
         """Return what a check found."""
-        reported = found._asdict()
-        phasors = [{"re": phasor.real, "im": phasor.imag} for phasor in reported.pop("phasor_rad")]
-        suggestions = [each._asdict() for each in found.suggestions]
-        return cls.model_validate({**reported, "suggestions": suggestions, "phasors": phasors})
+        return super().of(found, phasors=[{"re": phasor.real, "im": phasor.imag} for phasor in found.phasor_rad])

@@ -3,8 +3,10 @@
 from typing import Literal, Self
 
 from service.api.schemas.base import Answer, EpochAnswer, WindowAnswer
+from service.api.schemas.record_answers import members_of
 from service.core.rows.sample_bins import Samples
 from service.records.catalogue import Method
+from service.records.levels.series import SourceState
 
 
 class PartAnswer(Answer):
@@ -95,14 +97,8 @@ class GapAnswer(Answer):
     """By the usual distance of rows."""
 
 
-class SourceRowsAnswer(Answer):
-    """Rows and missing rows of a source over all time."""
-
-    id: str
-    role: str
-    rows: int
-    rows_missing: int | None
-    """Rows that its sequence numbers count and the archive does not hold; null = it numbers no rows."""
+class SourceRowsAnswer(members_of(SourceState, without=("newest_epoch_us",)), Answer):
+    """What is known of a source over all time."""
 
 
 class GapsAnswer(Answer):

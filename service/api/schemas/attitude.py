@@ -23,12 +23,12 @@ _MEMBERS = RecordMembers(
     without=("number",),
     flat=("attitude_deg",),
     types={"epoch_us": EpochAnswer | None, "received_at_us": EpochAnswer | None, "excluded": ExclusionAnswer},
-    descriptions={"epoch_us": "Instant measured; null before the first row."},
+    descriptions={"epoch": "Instant measured; null before the first row."},
 )
 
 
-class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):  # type: ignore[misc] # its members follow from the record
-    """Attitude estimate of one method at one measurement."""
+class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):
+    """What one method says about one measurement."""
 
     version: str
     """`live`, or the replay that made the row."""

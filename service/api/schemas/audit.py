@@ -2,31 +2,15 @@
 
 from typing import Self
 
-from service.api.schemas.base import Answer, EpochAnswer, WindowAnswer
-from service.records.operations.audit import AuditEntry
+from service.api.schemas.base import Answer, WindowAnswer
+from service.api.schemas.record_answers import members_of
+from service.records.operations.audit import AuditEntry, AuditEvent, AuditHead
 
 
-class AuditEntryAnswer(Answer):
+class AuditEntryAnswer(members_of(AuditEvent), Answer):
     """One deed or refusal."""
 
     number: int
-    at: EpochAnswer
-    who: str
-    """Name of the key; anonymous without a valid one."""
-    key_id: str
-    role: str
-    address: str
-    action: str
-    """Name of the operation."""
-    target: str
-    """Path below the base, with the id of what was made."""
-    outcome: str
-    """done, or the status of the refusal or failure."""
-    request_id: str
-    body_sha256: str | None
-    """Of the body after unpacking, hexadecimal."""
-    times: int
-    """Number of equal refusals in this entry, which shows the last of them."""
     previous_hash: str
     hash: str
 
@@ -37,11 +21,8 @@ class AuditEntryAnswer(Answer):
         return super().of(entry.audit_event, **chain)
 
 
-class AuditHeadAnswer(Answer):
+class AuditHeadAnswer(members_of(AuditHead), Answer):
     """Newest entry of the log; number 0 = it is empty."""
-
-    number: int
-    hash: str
 
 
 class AuditPage(Answer):

@@ -5,17 +5,20 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Figure, RowList, WindowAnswer
+from service.api.schemas.base import Answer, Document, Epoch, Figure, RowList, WindowAnswer
+from service.api.schemas.record_answers import members_of
 from service.records.calibration import (
     Calibration,
     CalibrationMethod,
     CalibrationRequest,
     CalibrationResult,
-    CalibrationState,
     CarrierCalibration,
+    Harmonic,
+    Observability,
     Window,
 )
 from service.records.epoch import US_PER_S
+from service.records.noise import NoiseComponent
 
 Sensor = Literal["star_tracker", "earth_sensor", "radio_beacon", "other"]
 #: what an operation of the archive is named by; it counts with int32
@@ -102,25 +105,12 @@ class CalibrationStartedAnswer(Answer):
     job: str
 
 
-class HarmonicAnswer(Answer):
+class HarmonicAnswer(members_of(Harmonic, types={"period_s": float}), Answer):
     """Daily harmonic of a carrier and how well it was found."""
 
-    amplitude_db: Figure
-    phase_rad: Figure
-    offset_dbm: Figure
-    period_s: float
-    node_epoch: EpochAnswer
-    """Ascending node from which the phase is counted."""
-    rms_db: Figure
-    samples_used: int
-    samples_rejected: int
 
-
-class NoiseAnswer(Answer):
+class NoiseAnswer(members_of(NoiseComponent), Answer):
     """One coloured part of a carrier's noise."""
-
-    correlation_time_s: Figure
-    sigma_db: Figure
 
 
 class StabilityAnswer(Answer):
@@ -140,27 +130,19 @@ class LinearityAnswer(Answer):
     """Range in which it was judged."""
 
 
-class CarrierCalibrationAnswer(Answer):
-    """Result of a calibration for one carrier."""
+_CRITERIA = (
+    *("stability_residual_rms_db", "drift_db_per_day", "deviation_at_0p5_deg_db"),
+    *("nonlinearity_deg", "linear_range_deg"),
+)
 
-    id: str
-    level_dbm: Figure
-    sigma_white_db: Figure
-    noise: list[NoiseAnswer]
-    harmonic: HarmonicAnswer
-    sensitivity_db_per_deg: AnglesAnswer
-    sensitivity_plus_db_per_deg: AnglesAnswer
-    sensitivity_minus_db_per_deg: AnglesAnswer
-    residual_db: Figure
+
+class CarrierCalibrationAnswer(
+    members_of(CarrierCalibration, without=_CRITERIA, types={"noise": NoiseAnswer, "harmonic": HarmonicAnswer}), Answer
+):
+    """All that a calibration says about one carrier."""
+
     stability: StabilityAnswer
     linearity: LinearityAnswer
-    axis: str
-    """roll, pitch, yaw or mixed."""
-    axis_ratio: Figure
-    """Third criterion: greatest coefficient over the others."""
-    criteria_met: list[str]
-    rejected_because: list[str]
-    selected: bool
 
     @classmethod
     def of(cls, carrier: CarrierCalibration) -> Self:
@@ -168,31 +150,17 @@ class CarrierCalibrationAnswer(Answer):
         return super().of(carrier, stability=carrier, linearity=carrier)
 
 
-class ObservabilityAnswer(Answer):
-    """Observability of the attitude by the selected carriers."""
-
-    condition: Figure
-    dop: AnglesAnswer
-    """deg per dB"""
-    crlb_deg: AnglesAnswer
-    """One row, with a common-mode unknown."""
+class ObservabilityAnswer(members_of(Observability), Answer):
+    """What the selected carriers can see."""
 
 
-class CalibrationAnswer(Answer):
+class CalibrationAnswer(members_of(Calibration, without=("request", "result")), Answer):
     """One calibration; figures are there when its job has ended well."""
 
-    id: int
-    plan_id: int
-    ephemeris_id: int
-    state: CalibrationState
     method: CalibrationMethod
     quiet: WindowAnswer
     turns: WindowAnswer
     sources: SensorsDocument
-    created_at: EpochAnswer
-    created_by: str
-    error: str | None
-    """Why it failed."""
     quality: dict[str, Figure | str | list[str]]
     """Figures of the fit as a whole, `warnings`, and `yaw_sign` and `common_sign`: proven, unproven or not_judged.
     While `yaw_sign` is unproven, yaw is not controlled; `common_sign` is that of all axes of the sensors together."""

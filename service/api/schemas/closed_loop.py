@@ -5,12 +5,13 @@ Defaults are those with which the figures of the paper reproduce. Every componen
 """
 
 import math
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import Answer, Document, Figure
+from service.api.schemas.base import OF_ARRAY, Answer, Document, Figure
 from service.api.schemas.spacecraft import InertiaTensor
 from service.core.dynamics.orbital_frame_analysis import (
     LONGEST_S,
@@ -18,7 +19,7 @@ from service.core.dynamics.orbital_frame_analysis import (
     ClosedLoop,
     SettlingRequest,
 )
-from service.core.dynamics.orbital_frame_flight import FloatArray, Start
+from service.core.dynamics.orbital_frame_flight import Start
 from service.core.dynamics.orbital_frame_model import (
     AS_PRINTED,
     DOWN,
@@ -76,14 +77,7 @@ class GainsDocument(Document):
 
     def to_gains(self) -> OrbitalFrameGains:
         """Return the gains of the law."""
-        return OrbitalFrameGains(
-            self.roll_stiffness_n_m,
-            self.roll_damping_n_m_s,
-            self.pitch_stiffness_n_m,
-            self.pitch_damping_n_m_s,
-            self.yaw_stiffness_n_m,
-            self.yaw_damping_n_m_s,
-        )
+        return OrbitalFrameGains(*self.model_dump().values())
 
 
 class LawDocument(Document):
@@ -260,6 +254,12 @@ class ClosedLoopDocument(Document):
         )
 
 
+def _by_axis(values: Any) -> Any:
+    """Return figures or columns in the order roll, pitch, yaw by name."""
+    named = zip(("roll", "pitch", "yaw"), values.T.tolist() if isinstance(values, np.ndarray) else values, strict=True)
+    return dict(named)
+
+
 class AxisFiguresAnswer(Answer):
     """One figure an axis; null: the flight is too short for it."""
 
@@ -276,22 +276,27 @@ class AxisSeriesAnswer(Answer):
     yaw: list[float]
 
 
+AxisFigures = Annotated[AxisFiguresAnswer, BeforeValidator(_by_axis)]
+AxisSeries = Annotated[AxisSeriesAnswer, BeforeValidator(_by_axis)]
+Column = Annotated[list[float], OF_ARRAY]
+
+
 class MeritAnswer(Answer):
     """Figures of merit, from every period of the computer."""
 
-    peak_deg: AxisFiguresAnswer
-    settled_peak_deg: AxisFiguresAnswer
-    settled_rms_deg: AxisFiguresAnswer
-    time_within_bound_s: AxisFiguresAnswer
+    peak_deg: AxisFigures
+    settled_peak_deg: AxisFigures
+    settled_rms_deg: AxisFigures
+    time_within_bound_s: AxisFigures
     """From when on the angle stays within `bound_deg`; null: not at the end."""
     mean_yaw_deg: Figure
     """Over the last two whole orbits, or the last one."""
-    harmonic_deg: AxisFiguresAnswer
+    harmonic_deg: AxisFigures
     """Amplitude at the orbital frequency over the last orbit."""
-    largest_torque_n_m: AxisFiguresAnswer
-    saturated_share: AxisFiguresAnswer
+    largest_torque_n_m: AxisFigures
+    saturated_share: AxisFigures
     """Of the flight during which the torque is at its limit."""
-    largest_momentum_n_m_s: AxisFiguresAnswer
+    largest_momentum_n_m_s: AxisFigures
     largest_rate_ratio: float
     """Measured roll rate over orbital rate."""
 
@@ -306,15 +311,15 @@ class FlightWarningAnswer(Answer):
 class FlightSeriesAnswer(Answer):
     """Record of the flight, thinned."""
 
-    time_s: list[float]
-    roll_deg: list[float]
-    pitch_deg: list[float]
-    yaw_deg: list[float]
-    torque_n_m: AxisSeriesAnswer
+    time_s: Column
+    roll_deg: Column
+    pitch_deg: Column
+    yaw_deg: Column
+    torque_n_m: AxisSeries
     """Of the wheels on the body."""
-    momentum_n_m_s: AxisSeriesAnswer
+    momentum_n_m_s: AxisSeries
     """Of the wheels."""
-    rate_ratio: list[float]
+    rate_ratio: Column
 
 
 class ClosedLoopAnswer(Answer):
@@ -327,26 +332,9 @@ class ClosedLoopAnswer(Answer):
 
     @classmethod
     def of(cls, job_id: str, found: ClosedLoop) -> Self:
-        """Return the answer for a flight."""
-        flight = found.flight
-        named = {name: value for name, value in found.merit._asdict().items() if isinstance(value, tuple)}
-        plain = {name: value for name, value in found.merit._asdict().items() if name not in named}
-        return cls.model_validate(
-            {
-                "job": job_id,
-                "merit": {**{name: _by_axis(value) for name, value in named.items()}, **plain},
-                "warnings": [{"code": code, "detail": detail} for code, detail in found.warnings],
-                "series": {
-                    "time_s": flight.time_s.tolist(),
-                    "roll_deg": flight.roll_deg.tolist(),
-                    "pitch_deg": flight.pitch_deg.tolist(),
-                    "yaw_deg": flight.yaw_deg.tolist(),
-                    "torque_n_m": _columns(flight.torque_n_m),
-                    "momentum_n_m_s": _columns(flight.momentum_n_m_s),
-                    "rate_ratio": flight.rate_ratio.tolist(),
-                },
-            }
-        )
+        """Return the answer that tells a flight."""
+        warnings = [{"code": code, "detail": detail} for code, detail in found.warnings]
+        return super().of(found, job=job_id, warnings=warnings, series=found.flight)
 
 
 class ClosedLoopStartedAnswer(Answer):
@@ -355,11 +343,3 @@ class ClosedLoopStartedAnswer(Answer):
     job: str
     result: str
     """Path of the result, once the job is done."""
-
-
-def _by_axis(values: Triple) -> dict[str, float]:
-    return dict(zip(("roll", "pitch", "yaw"), values, strict=True))
-
-
-def _columns(values: FloatArray) -> dict[str, list[float]]:
-    return dict(zip(("roll", "pitch", "yaw"), values.T.tolist(), strict=True))

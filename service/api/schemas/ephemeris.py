@@ -6,7 +6,8 @@ from pydantic import ConfigDict, Field, model_validator
 from pydantic.config import JsonDict
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, LatitudeDeg, LongitudeDeg, WindowAnswer
+from service.api.schemas.base import Answer, Document, Epoch, LatitudeDeg, LongitudeDeg, WindowAnswer
+from service.api.schemas.record_answers import members_of
 from service.formats.ephemeris.orbit import MAX_PERIOD_S, MAX_POINTS, MIN_PERIOD_S
 from service.records.calibration import Window
 from service.records.catalogue import Ephemeris, Track
@@ -58,54 +59,27 @@ class EphemerisDocument(Document):
         return self
 
 
-class TrackAnswer(Answer):
+class TrackAnswer(members_of(Track, number=float), Answer):
     """Predicted sub-satellite point."""
 
-    epochs: list[EpochAnswer]
-    latitude_deg: list[float]
-    longitude_deg: list[float]
+
+_WITHOUT = ("id", "valid_start_us", "valid_stop_us", "track")
 
 
-class EphemerisReceiptAnswer(Answer):
-    """Receipt of a stored ephemeris: ascending nodes, nodal period and validity."""
+class EphemerisReceiptAnswer(members_of(Ephemeris, without=_WITHOUT, number=float), Answer):
+    """What a stored ephemeris gives."""
 
     ephemeris_id: int
-    ascending_nodes: list[EpochAnswer]
-    nodal_period_s: float
     valid: WindowAnswer
-    form: str
 
     @classmethod
     def of(cls, ephemeris: Ephemeris) -> Self:
-        """Return the answer for a record."""
-        return cls.model_validate(_content(ephemeris))
+        """Return the answer that tells a record."""
+        valid = Window(ephemeris.valid_start_us, ephemeris.valid_stop_us)
+        return super().of(ephemeris, ephemeris_id=ephemeris.id, valid=valid)
 
 
 class EphemerisAnswer(EphemerisReceiptAnswer):
     """A stored ephemeris with its track."""
 
     track: TrackAnswer | None
-
-    @classmethod
-    def of(cls, ephemeris: Ephemeris) -> Self:
-        """Return the answer for a record."""
-        track = ephemeris.track
-        content = None
-        if track is not None:
-            content = {
-                "epochs": track.epochs_us,
-                "latitude_deg": track.latitude_deg,
-                "longitude_deg": track.longitude_deg,
-            }
-        return cls.model_validate({**_content(ephemeris), "track": content})
-
-
-def _content(ephemeris: Ephemeris) -> dict[str, object]:
-    """Return the members that both answers share."""
-    return {
-        "ephemeris_id": ephemeris.id,
-        "ascending_nodes": ephemeris.ascending_nodes_us,
-        "nodal_period_s": ephemeris.nodal_period_s,
-        "valid": WindowAnswer.of(Window(ephemeris.valid_start_us, ephemeris.valid_stop_us)),
-        "form": ephemeris.form,
-    }

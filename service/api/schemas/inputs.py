@@ -5,23 +5,21 @@ at all refuses the batch.
 """
 
 from collections.abc import Iterable
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from service.api.schemas.base import (
     MAX_ROWS,
-    AnglesAnswer,
     AnglesDocument,
     Answer,
     AnyEpoch,
     Document,
-    EpochAnswer,
-    Figure,
     RowPage,
     Text,
     axes_of,
 )
+from service.api.schemas.record_answers import members_of
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch
 from service.records.inputs import AttitudeReference, Correction, TelemetryRecord
 from service.records.levels.attitude import NO_ANGLES
@@ -165,42 +163,16 @@ class InputReceiptAnswer(Answer):
     refused: list[InputRefusalAnswer]
 
 
-class ReferenceAnswer(Answer):
+class ReferenceAnswer(members_of(AttitudeReference, flat=("attitude_deg",)), Answer):
     """A stored reference."""
 
-    source: str
-    epoch: EpochAnswer
-    yaw_deg: Figure
-    roll_deg: Figure
-    pitch_deg: Figure
-    sigma_deg: AnglesAnswer
 
-
-class CorrectionAnswer(Answer):
+class CorrectionAnswer(members_of(Correction, flat=("change_deg",), number=float), Answer):
     """A stored correction."""
 
-    start: EpochAnswer
-    stop: EpochAnswer
-    yaw_deg: float
-    roll_deg: float
-    pitch_deg: float
 
-    @classmethod
-    def of(cls, record: Correction) -> Self:
-        """Return the answer for a record."""
-        change = {f"{axis}_deg": value for axis, value in record.change_deg._asdict().items()}
-        return cls.model_validate({"start": record.start_us, "stop": record.stop_us, **change})
-
-
-class TelemetryAnswer(Answer):
+class TelemetryAnswer(members_of(TelemetryRecord, number=float), Answer):
     """A stored telemetry record."""
-
-    epoch: EpochAnswer
-    onboard_mode: str | None
-    wheel_momentum_n_m_s: list[float] | None
-    wheel_speed_rpm: list[float] | None
-    thrusters_active: bool | None
-    body_rate_deg_s: AnglesAnswer | None
 
 
 class ReferencePage(RowPage):

@@ -1,24 +1,19 @@
 """Result of a fit of a window on demand: the daily change of each carrier."""
 
+from dataclasses import asdict
 from typing import Self
 
 from service.api.schemas.base import Answer, Figure, WindowAnswer
 from service.api.schemas.calibrations import HarmonicAnswer
-from service.pipeline.calibration.window_harmonics import CarrierHarmonic
+from service.api.schemas.record_answers import members_of
+from service.pipeline.calibration.window_harmonics import CarrierHarmonic, DishLaw
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.runtime.jobs.archive_analysis import WindowHarmonics
 
 
-class DishLawAnswer(Answer):
+class DishLawAnswer(members_of(DishLaw), Answer):
     """`b1 m1 + b2 m2 - k |m|^2` dB: what a fixed dish makes of the satellite's motion m in its sky, deg."""
-
-    b1_db_per_deg: Figure
-    b2_db_per_deg: Figure
-    k_db_per_deg2: Figure
-    b1_sigma_db_per_deg: Figure
-    b2_sigma_db_per_deg: Figure
-    k_sigma_db_per_deg2: Figure
 
 
 class CarrierHarmonicAnswer(HarmonicAnswer):
@@ -38,22 +33,9 @@ class CarrierHarmonicAnswer(HarmonicAnswer):
     """Whether the iteration came to rest."""
 
     @classmethod
-    def of_carrier(cls, fit: CarrierHarmonic) -> Self:
-        """Return the answer for the fit of a carrier."""
-        return cls.model_validate(
-            {
-                **HarmonicAnswer.of(fit.harmonic).model_dump(),
-                "carrier": fit.carrier,
-                "law": fit.law,
-                "second_amplitude_db": fit.second_amplitude_db,
-                "second_phase_rad": fit.second_phase_rad,
-                "dish_law": None if fit.dish is None else fit.dish._asdict(),
-                "amplitude_sigma_db": fit.amplitude_sigma_db,
-                "phase_sigma_rad": fit.phase_sigma_rad,
-                "offset_sigma_db": fit.offset_sigma_db,
-                "converged": fit.is_converged,
-            }
-        )
+    def of(cls, fit: CarrierHarmonic) -> Self:
+        """Return the answer that tells the fit of a carrier."""
+        return super().of(fit, dish_law=fit.dish, **asdict(fit.harmonic))
 
 
 class WindowHarmonicsAnswer(Answer):
@@ -69,12 +51,6 @@ class WindowHarmonicsAnswer(Answer):
 
     @classmethod
     def of(cls, window: Window, method: Method, harmonics: WindowHarmonics) -> Self:
-        """Return the answer for the harmonics of a window."""
-        return cls(
-            range=WindowAnswer.of(window),
-            method=method,
-            plan_id=harmonics.plan_id,
-            ephemeris_id=harmonics.ephemeris_id,
-            rows=harmonics.rows,
-            carriers=[CarrierHarmonicAnswer.of_carrier(fit) for fit in harmonics.carriers],
-        )
+        """Return the answer that tells the harmonics of a window."""
+        carriers = [CarrierHarmonicAnswer.of(fit) for fit in harmonics.carriers]
+        return super().of(harmonics, range=window, method=method, carriers=carriers)

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, RowList
+from service.api.schemas.record_answers import members_of
 from service.records.operations.access_key import AccessKey, Role, plain_name
 
 
@@ -39,19 +40,12 @@ class KeyDocument(Document):
     """Instant from which it is no longer valid; null = never."""
 
 
-class KeyAnswer(Answer):
+class KeyAnswer(members_of(AccessKey, without=("last_used_us",)), Answer):
     """A key without its secret."""
 
-    id: str
-    name: str
-    role: Role
     state: KeyState
-    created_at: EpochAnswer
-    created_by: str
-    expires_at: EpochAnswer | None
     last_used_at: EpochAnswer | None
     """Stored once a minute."""
-    revoked_at: EpochAnswer | None
 
     @classmethod
     def of(cls, key: AccessKey, now_us: int, last_used_us: int | None) -> Self:

@@ -8,6 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name
+from service.api.schemas.record_answers import members_of
 from service.records.operations.link import LinkReport, LinkWarning
 
 MAX_DETAIL_BYTES = 8192
@@ -111,23 +112,21 @@ class LinkWishesAnswer(Answer):
     links: list[LinkWishAnswer]
 
 
-class LinkWarningAnswer(Answer):
+class LinkWarningAnswer(members_of(LinkWarning), Answer):
     """One thing that is not as it should be."""
 
-    code: str
-    detail: str
-    since: EpochAnswer | None
 
-
-class LinkAnswer(Answer):
+class LinkAnswer(
+    members_of(
+        LinkReport,
+        without=("reset_seen", "period_s"),
+        types={"warnings": LinkWarningAnswer},
+        descriptions={"state": "As reported; SILENT when the link has not reported for three of its periods."},
+    ),
+    Answer,
+):
     """A link as operators see it."""
 
-    id: str
-    kind: str
-    spacecraft_id: str | None
-    source: str | None
-    state: str
-    """As reported; SILENT when the link has not reported for three of its periods."""
     reported_state: str
     enabled: bool
     reported_at: EpochAnswer
@@ -135,11 +134,7 @@ class LinkAnswer(Answer):
     """Time since the report."""
     period_s: float
     """Time between reports: stated, learned, or 60 s."""
-    last_good: EpochAnswer | None
     last_good_age_s: float | None
-    counters: dict[str, int]
-    detail: dict[str, Any]
-    warnings: list[LinkWarningAnswer]
     reset_pending: bool
     """A reset was requested that the link has not carried out yet."""
     rows_missing: int | None

@@ -5,8 +5,10 @@ from typing import Annotated, Any, Literal, Required
 from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
-from service.api.schemas.base import MAX_ROWS, Answer, Document, EpochAnswer, Name, PlanNumber, RowList
+from service.api.schemas.base import MAX_ROWS, Answer, Document, Name, PlanNumber, RowList
+from service.api.schemas.record_answers import members_of
 from service.records.levels.measurement import DETAIL_NAMES
+from service.records.levels.series import SourceState
 
 #: stored as int32
 Mask = Annotated[int, Field(ge=0, le=2**31 - 1)]
@@ -28,7 +30,7 @@ class MeasurementDocument(TypedDict, total=False):
     """One row: one power for each carrier of the plan, in its order."""
 
     # a dictionary, not a model: nothing is made for what a row does not state, which is a seventh of the decoding
-    __pydantic_config__ = Document.model_config | ConfigDict(frozen=False)  # type: ignore[misc]  # pydantic's own way
+    __pydantic_config__ = Document.model_config | ConfigDict(frozen=False)  # pydantic's own way
 
     # checked as a whole batch by epochs.parse_epochs: a thousand times a second, one by one would cost more than JSON
     epoch: Required[Annotated[str, Field(max_length=64, json_schema_extra={"format": "date-time"})]]
@@ -92,13 +94,10 @@ class MeasurementReceiptAnswer(Answer):
     """Rows stored with a remark: `time.leap_second` (another epoch than sent), `seq.jump` (no gap is counted)."""
 
 
-class SourceAnswer(Answer):
+class SourceAnswer(
+    members_of(SourceState, without=("rows_missing",), types={"role": Literal["prime", "backup"]}), Answer
+):
     """A front end that sends measurements; only the prime one feeds the estimator."""
-
-    id: str
-    role: Literal["prime", "backup"]
-    newest_epoch: EpochAnswer | None
-    rows: int
 
 
 class SourceListAnswer(RowList):

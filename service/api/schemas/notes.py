@@ -5,7 +5,9 @@ from typing import Annotated
 from pydantic import Field, StringConstraints
 
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN
-from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name, RowPage
+from service.api.schemas.base import Answer, Document, Epoch, Name, RowPage
+from service.api.schemas.record_answers import members_of
+from service.records.operations.note import Note
 
 MAX_TAGS = 16
 NoteText = Annotated[
@@ -25,17 +27,8 @@ class NoteDocument(Document):
     """Id of the note that this one corrects."""
 
 
-class NoteAnswer(Answer):
+class NoteAnswer(members_of(Note), Answer):
     """A note."""
-
-    id: int
-    spacecraft_id: str | None
-    epoch: EpochAnswer
-    written_at: EpochAnswer
-    author: str
-    text: str
-    tags: list[str]
-    corrects: int | None
 
 
 class NotePage(RowPage):

@@ -6,16 +6,15 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import (
-    AnglesAnswer,
     AnglesDocument,
     Answer,
     CommentText,
     Document,
     Epoch,
-    EpochAnswer,
     Name,
     RowPage,
 )
+from service.api.schemas.record_answers import members_of
 from service.records.inputs import Operation
 
 OperationKind = Literal[
@@ -81,20 +80,8 @@ class OperationDocument(Document):
         )
 
 
-class OperationAnswer(Answer):
+class OperationAnswer(members_of(Operation, first=("id", "revision")), Answer):
     """A stored operation."""
-
-    id: int
-    revision: int
-    """Rises with each change."""
-    kind: str
-    start: EpochAnswer
-    stop: EpochAnswer | None
-    carriers: list[str] | None
-    transponders: list[str] | None
-    inhibit_control: bool
-    attitude_uncertainty_deg: AnglesAnswer | None
-    comment: str
 
 
 class OperationPage(RowPage):

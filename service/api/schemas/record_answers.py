@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any
 
 from pydantic import BaseModel, Field, create_model
@@ -12,7 +13,6 @@ from service.records.record_fields import FieldKind, RecordField, record_fields
 
 _TYPES: dict[FieldKind, Any] = {
     FieldKind.EPOCH: EpochAnswer,
-    FieldKind.NUMBER: Figure,
     FieldKind.TEXTS: list[str],
     FieldKind.AXES: AnglesAnswer,
     FieldKind.AXIS_TRUTHS: AllowedAxesAnswer,
@@ -32,10 +32,12 @@ class RecordMembers:
         Fields that are not shown.
     flat : collection of str
         Fields of axes that are shown as one member an axis.
+    number : type
+        Of a figure; `Figure` tells NaN as null.
     types : mapping
         Types of members that do not follow from the type of the field; of a field of records, that of its elements.
     descriptions : mapping
-        In place of those of the fields.
+        Of members, in place of those of the fields.
     """
 
     def __init__(
@@ -45,16 +47,17 @@ class RecordMembers:
         first: Sequence[str] = (),
         without: Collection[str] = (),
         flat: Collection[str] = (),
-        types: Mapping[str, Any],
-        descriptions: Mapping[str, str],
+        number: Any = Figure,
+        types: Mapping[str, Any] = MappingProxyType({}),
+        descriptions: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         known = record_fields(record)
         self._members: dict[str, Any] = {}
         paths: list[str] = []
         for name in dict.fromkeys((*first, *(name for name in known if name not in without))):
             field = known[name]
-            description = descriptions.get(name, field.description) or None
-            for member, path, kind in _members(field, types.get(name), is_flat=name in flat):
+            for member, path, kind in _members(field, types.get(name), number, is_flat=name in flat):
+                description = descriptions.get(member, field.description) or None
                 self._members[member] = (kind, Field(description=description))
                 paths.append(path)
         self._by_axis = [name for name, field in known.items() if field.kind is FieldKind.AXIS_TRUTHS]
@@ -74,13 +77,20 @@ class RecordMembers:
         return members
 
 
-def _members(field: RecordField, kind: Any, *, is_flat: bool) -> list[tuple[str, str, Any]]:
+def members_of(record: type[Any], **choices: Any) -> Any:
+    """Return a base class of answers with the members of a record; ``choices`` are those of `RecordMembers`."""
+    return RecordMembers(record, **choices).model(f"{record.__name__}Members")
+
+
+def _members(field: RecordField, kind: Any, number: Any, *, is_flat: bool) -> list[tuple[str, str, Any]]:
     """Return name, path to the value, and type of each member of a field."""
     if is_flat:
         paths = (f"{field.name}.{axis}" for axis in Axes._fields)
-        return [(name, path, Figure) for name, path in zip(field.axis_names(), paths, strict=True)]
-    name = field.name.removesuffix("_us") if field.kind is FieldKind.EPOCH else field.name
+        return [(name, path, number) for name, path in zip(field.axis_names(), paths, strict=True)]
+    name = field.name.removesuffix("_us")
+    types = _TYPES | {FieldKind.NUMBER: number}
+    made = kind or types.get(field.kind, field.content)
     if field.kind is FieldKind.RECORDS:
-        return [(name, field.name, list[kind])]
-    made = kind or _TYPES.get(field.kind, field.content)
+        element = EpochAnswer if name != field.name else number if field.content is float else field.content
+        made = list[kind or element]
     return [(name, field.name, made | None if field.is_optional else made)]

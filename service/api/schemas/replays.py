@@ -5,8 +5,9 @@ from typing import Literal, Self
 from pydantic import model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer
+from service.api.schemas.base import Answer, Document, Epoch
 from service.api.schemas.calibrations import Identifier
+from service.api.schemas.record_answers import members_of
 from service.records.catalogue import Method
 from service.records.operations.job import Replay
 
@@ -56,16 +57,8 @@ class ReplayStartedAnswer(Answer):
     """Name under which its rows are read on history and export."""
 
 
-class ReplayAnswer(ReplayStartedAnswer):
+class ReplayAnswer(members_of(Replay, without=("id", "job_id")), ReplayStartedAnswer):
     """One replay."""
-
-    start: EpochAnswer
-    stop: EpochAnswer
-    method: Method | None
-    calibration_id: int | None
-    alignment_id: int
-    order: str
-    created_at: EpochAnswer
 
     @classmethod
     def of(cls, replay: Replay) -> Self:

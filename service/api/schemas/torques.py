@@ -6,19 +6,14 @@ from pydantic import Field
 
 from service.api.schemas.base import AnglesAnswer, Answer, EpochAnswer, Figure, WindowAnswer
 from service.api.schemas.control import VerdictAnswer
+from service.api.schemas.record_answers import members_of
 from service.records.catalogue import ControlMode
 from service.records.levels.attitude import NO_ANGLES
-from service.records.levels.command import TorqueCommand
+from service.records.levels.command import Pulse, ScheduleVerdict, TorqueCommand
 
 
-class PulseAnswer(Answer):
+class PulseAnswer(members_of(Pulse, flat=("torque_n_m",), number=float), Answer):
     """One element of a schedule."""
-
-    start: EpochAnswer
-    duration_s: float
-    roll_n_m: float
-    pitch_n_m: float
-    yaw_n_m: float
 
 
 class PredictedAnswer(Answer):
@@ -30,46 +25,35 @@ class PredictedAnswer(Answer):
     """Change of the stored momentum of each wheel."""
 
 
-class ScheduleCheckAnswer(Answer):
-    """Check of a schedule against the flexible modes, the worst of the axes."""
-
-    verdict: Literal["accept", "warn", "reject"]
-    """A rejected schedule is not released."""
-    peak_deg: float
-    """Peak angle that the panels add to the hub, over +-15 % of each frequency."""
-    residual_deg: float
-    """Amplitude of the oscillation after the last pulse."""
-    margin: float
-    """Share of the allowed peak that is left; negative: exceeded."""
-    worst_mode: int
-    """Place among the modes of the catalogue, from 0."""
-    suggestion: str | None
-    """What would be better; null where nothing is wrong or nothing helps."""
+_VERDICTS = {"verdict": Literal["accept", "warn", "reject"]}
 
 
-class TorqueAnswer(Answer):
+class ScheduleCheckAnswer(members_of(ScheduleVerdict, number=float, types=_VERDICTS), Answer):
+    """What the flexible modes say of a schedule, the worst of the axes."""
+
+
+_PREDICTED = tuple(name for name in TorqueCommand.__dataclass_fields__ if name.startswith("predicted_"))
+
+
+class TorqueAnswer(
+    members_of(
+        TorqueCommand,
+        without=("number", "schedule_check", *_PREDICTED),
+        flat=("torque_n_m",),
+        types={
+            **dict.fromkeys(("epoch_us", "attitude_epoch_us", "valid_until_us"), EpochAnswer | None),
+            "mode": ControlMode,
+            "schedule": PulseAnswer,
+        },
+        descriptions={"roll_n_m": "Impulse over command period."},
+    ),
+    Answer,
+):
     """A computed command; null torques before the first."""
 
-    epoch: EpochAnswer | None
-    attitude_epoch: EpochAnswer | None
-    """Epoch of the attitude row that it follows from; advances with every row."""
-    mode: ControlMode
-    roll_n_m: Figure
-    """Impulse over command period."""
-    pitch_n_m: Figure
-    yaw_n_m: Figure
     wheels_n_m: list[Figure] | None
     """Mean command to each wheel."""
-    saturated: bool
-    command_period_s: Figure
-    """Expected time to the next command."""
-    valid_until: EpochAnswer | None
-    schedule: list[PulseAnswer]
-    """Elements inside [epoch, epoch + command_period_s); after the last the torque is zero."""
-    impulse_n_m_s: AnglesAnswer
     predicted: PredictedAnswer | None
-    control_allowed: bool
-    inhibitions: list[str]
     schedule_check: ScheduleCheckAnswer | None = None
     """Verdict of the flexible modes; null where the catalogue knows none, or nothing is commanded."""
 

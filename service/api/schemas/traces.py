@@ -1,11 +1,13 @@
 """Evidence traces on their way in and out."""
 
+from dataclasses import asdict
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field
 
-from service.api.schemas.base import Answer, AnyEpoch, Document, EpochAnswer, Name, RowPage
+from service.api.schemas.base import Answer, AnyEpoch, Document, Name, RowPage
+from service.api.schemas.record_answers import members_of
 from service.formats.numbers import shortest_float32
 from service.records.levels.trace import KeptTrace, Trace, TraceHead, TraceReceipt, TraceSettings
 
@@ -56,48 +58,28 @@ class TraceRefusalAnswer(Answer):
     detail: str
 
 
-class TraceReceiptAnswer(Answer):
-    """Receipt of committed traces; received = accepted + duplicates + len(refused)."""
+class TraceReceiptAnswer(members_of(TraceReceipt), Answer):
+    """What was committed; received = accepted + duplicates + len(refused)."""
 
     received: int
-    accepted: int
-    duplicates: int
-    dropped: int
-    """Traces, new or old, that the ring of the source had no place for."""
     refused: list[TraceRefusalAnswer]
 
     @classmethod
     def of(cls, receipt: TraceReceipt, refused: list[TraceRefusalAnswer]) -> Self:
-        """Return the answer for a receipt."""
-        return cls(
-            received=receipt.accepted + receipt.duplicates + len(refused),
-            accepted=receipt.accepted,
-            duplicates=receipt.duplicates,
-            dropped=receipt.dropped,
-            refused=refused,
-        )
+        """Return the answer that tells a receipt."""
+        received = receipt.accepted + receipt.duplicates + len(refused)
+        return super().of(receipt, received=received, refused=refused)
 
 
-class TraceHeadAnswer(Answer):
+class TraceHeadAnswer(
+    members_of(TraceHead, without=("number", "settings")), members_of(TraceSettings, number=float), Answer
+):
     """A kept trace without its points."""
-
-    epoch: EpochAnswer
-    source: str
-    sweep: str
-    start_hz: float
-    step_hz: float
-    points: int
-    rbw_hz: float
-    enbw_hz: float
-    sweep_time_s: float
-    received_at: EpochAnswer
-    size_bytes: int
-    """What its points take in the archive."""
 
     @classmethod
     def of(cls, head: TraceHead) -> Self:
-        """Return the answer for a head."""
-        return cls.model_validate(_head(head))
+        """Return the answer that tells a head."""
+        return super().of(head, **asdict(head.settings))
 
 
 class TraceAnswer(TraceHeadAnswer):
@@ -107,29 +89,12 @@ class TraceAnswer(TraceHeadAnswer):
 
     @classmethod
     def of_trace(cls, trace: KeptTrace) -> Self:
-        """Return the answer for a trace."""
-        return cls.model_validate({**_head(trace.head), "power_dbm": shortest_float32(trace.power_dbm)})
+        """Return the answer that tells a trace."""
+        head = TraceHeadAnswer.of(trace.head).model_dump()
+        return cls.model_validate({**head, "power_dbm": shortest_float32(trace.power_dbm)})
 
 
 class TracePage(RowPage):
     """Kept traces in order of epoch."""
 
     rows: list[TraceHeadAnswer]
-
-
-def _head(head: TraceHead) -> dict[str, object]:
-    """Return the fields of a head."""
-    settings = head.settings
-    return {
-        "epoch": head.epoch_us,
-        "source": head.source,
-        "sweep": head.sweep,
-        "start_hz": settings.start_hz,
-        "step_hz": settings.step_hz,
-        "points": head.points,
-        "rbw_hz": settings.rbw_hz,
-        "enbw_hz": settings.enbw_hz,
-        "sweep_time_s": settings.sweep_time_s,
-        "received_at": head.received_at_us,
-        "size_bytes": head.size_bytes,
-    }

@@ -1,7 +1,6 @@
 """Links as operators see them: the newest report, its age, and what is missing of the rows that came over it."""
 
 from collections.abc import Iterable
-from typing import Any
 
 from service.api.context.dependencies import ApiContext
 from service.api.schemas.links import LinkAnswer
@@ -47,26 +46,18 @@ def _last_good_age_s(context: ApiContext, report: LinkReport) -> float | None:
 def _reported(context: ApiContext, state: LinkState, rows_missing: int | None) -> LinkAnswer:
     """Return a link as it is told."""
     report, now_us = state.report, context.clock.system_us()
-    reported: dict[str, Any] = {
-        "id": report.id,
-        "kind": report.kind,
-        "spacecraft_id": report.spacecraft_id,
-        "source": report.source,
-        "state": SILENT if state.is_silent(now_us) else report.state,
-        "reported_state": report.state,
-        "enabled": state.enabled,
-        "reported_at": state.reported_at_us,
-        "age_s": _age_s(now_us, state.reported_at_us),
-        "period_s": state.period_s,
-        "last_good": report.last_good_us,
-        "last_good_age_s": _last_good_age_s(context, report),
-        "counters": report.counters,
-        "detail": report.detail,
-        "warnings": [{"code": each.code, "detail": each.detail, "since": each.since_us} for each in report.warnings],
-        "reset_pending": state.resets > report.reset_seen,
-        "rows_missing": rows_missing,
-    }
-    return LinkAnswer.model_validate(reported)
+    return LinkAnswer.of(
+        report,
+        state=SILENT if state.is_silent(now_us) else report.state,
+        reported_state=report.state,
+        enabled=state.enabled,
+        reported_at=state.reported_at_us,
+        age_s=_age_s(now_us, state.reported_at_us),
+        period_s=state.period_s,
+        last_good_age_s=_last_good_age_s(context, report),
+        reset_pending=state.resets > report.reset_seen,
+        rows_missing=rows_missing,
+    )
 
 
 def _age_s(now_us: int, then_us: int) -> float:

@@ -1,6 +1,7 @@
 """Level L5: torque command. Torque is the torque on the body about roll, pitch, yaw; wheel torque is apart."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes
@@ -26,17 +27,14 @@ class ScheduleVerdict:
     """Verdict of the flexible modes on a schedule, the worst of the axes."""
 
     #: accept, warn or reject
-    verdict: str
-    #: peak angle that the panels add to the hub, over +-15 % of each frequency
-    peak_deg: float
-    #: amplitude of the oscillation after the last pulse
-    residual_deg: float
-    #: share of the allowed peak that is left; negative: exceeded
-    margin: float
-    #: place among the modes of the catalogue
-    worst_mode: int
-    #: advice in words; None where nothing is wrong or nothing helps
-    suggestion: str | None
+    verdict: Annotated[str, "A rejected schedule is not released."]
+    peak_deg: Annotated[
+        float, "What the panels add to the angle of the hub at their greatest, over +-15 % of each frequency."
+    ]
+    residual_deg: Annotated[float, "What still swings after the last pulse."]
+    margin: Annotated[float, "Share of the allowed peak that is left; negative: exceeded."]
+    worst_mode: Annotated[int, "Place among the modes of the catalogue, from 0."]
+    suggestion: Annotated[str | None, "What would be better; null where nothing is wrong or nothing helps."]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +44,7 @@ class TorqueCommand:
     epoch_us: int
     #: journal number of the measurement it was computed from
     number: int
-    attitude_epoch_us: int
+    attitude_epoch_us: Annotated[int, "Epoch of the attitude row that it follows from; advances with every row."]
     #: ground, onboard or off
     mode: str
     #: N m, impulse over command period
@@ -54,9 +52,12 @@ class TorqueCommand:
     #: (W,) N m, mean command to each wheel
     wheels_n_m: tuple[float, ...]
     saturated: bool
-    command_period_s: float
+    command_period_s: Annotated[float, "Expected time to the next command."]
     valid_until_us: int
-    schedule: tuple[Pulse, ...]
+    schedule: Annotated[
+        tuple[Pulse, ...],
+        "Elements inside [epoch, epoch + command_period_s); after the last the torque is zero.",
+    ]
     impulse_n_m_s: Axes
     predicted_angle_change_deg: Axes
     predicted_rate_change_deg_s: Axes

@@ -1,6 +1,7 @@
 """Stretches of the archive as arrays, and the small answers of the archive about itself."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from service.records.levels.attitude import FloatArray, IntArray
 from service.records.levels.measurement import RowRefusal
@@ -39,8 +40,9 @@ class SourceState:
     role: str
     newest_epoch_us: int | None
     rows: int
-    #: rows that its sequence numbers count and the archive does not hold; None = it sends no numbers
-    rows_missing: int | None = None
+    rows_missing: Annotated[
+        int | None, "Rows that its sequence numbers count and the archive does not hold; null = it numbers no rows."
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """Evidence traces: sweeps that a front end took, kept for a while so that a level can be looked into."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from service.records.levels.attitude import FloatArray
 
@@ -45,8 +46,7 @@ class TraceHead:
     settings: TraceSettings
     points: int
     received_at_us: int
-    #: bytes that its points take in the archive
-    size_bytes: int
+    size_bytes: Annotated[int, "What its points take in the archive."]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,5 +73,4 @@ class TraceReceipt:
     accepted: int
     #: source, sweep and epoch were known; the first one stays
     duplicates: int
-    #: traces, new or old, that the ring had no place for
-    dropped: int
+    dropped: Annotated[int, "Traces, new or old, that the ring of the source had no place for."]

@@ -7,6 +7,7 @@ told anything.
 
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+from typing import Annotated
 
 
 class Severity(IntEnum):
@@ -75,28 +76,25 @@ class Alarm:
 
     #: global; 0 until it is stored
     id: int
-    #: None: it concerns the service as a whole
-    spacecraft_id: str | None
+    spacecraft_id: Annotated[str | None, "Null: it concerns the service as a whole."]
     #: name of the condition
     condition: str
-    #: which carrier, axis, link .. it is about
-    thing: str
+    thing: Annotated[str, "Which carrier, axis, link .. it is about."]
     process: Process
     cover: Cover
-    #: worst since it was raised
-    severity: Severity
+    severity: Annotated[Severity, "Worst since it was raised."]
     #: when the condition was first seen, microseconds UTC of the spacecraft's clock
     since_us: int
     raised_at_us: int
     changed_at_us: int
-    #: value that raised it or made it worse, and the limit it passed
-    value: float
+    value: Annotated[float, "What raised it, or made it worse."]
+    #: that it passed
     limit: float
     unit: str
     #: what happened, in words
     detail: str
-    #: how often the condition came back before the alarm was closed, 1 = once
-    count: int = 1
+    #: 1 = once
+    count: Annotated[int, "How often the condition came back before the alarm was closed."] = 1
     #: when somebody was last told, and how often it was repeated because nobody acted
     announced_at_us: int | None = None
     repeats: int = 0

@@ -1,6 +1,7 @@
 """Limits of alarms: per spacecraft, in sets of which declared operations and rain choose; versions are kept."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 #: fields that a set states for a condition; a threshold of None is switched off
 Statement = dict[str, float | bool | None]
@@ -39,8 +40,7 @@ class ConditionLimits:
 class AlarmLimits:
     """One version of a spacecraft's limits: what it states beyond the defaults."""
 
-    #: 0 = the defaults, which nobody stated
-    version: int = 0
+    version: Annotated[int, "0 = the defaults, nothing was stated."] = 0
     created_at_us: int = 0
     created_by: str = ""
     comment: str = ""

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import astuple, dataclass, replace
 from hashlib import sha256
+from typing import Annotated
 
 #: hash before the first entry
 GENESIS = "0" * 64
@@ -24,22 +25,18 @@ class AuditEvent:
     """Something that was done, or refused."""
 
     at_us: int
-    #: name of the key, `anonymous` without one
-    who: str
+    who: Annotated[str, "Name of the key; anonymous without a valid one."]
     key_id: str
     role: str
     #: network address that the request came from
     address: str
-    #: name of the operation in the OpenAPI document, without its path
-    action: str
-    #: path below the base, with the id of what was made
-    target: str
-    outcome: str
+    #: in the OpenAPI document, without its path
+    action: Annotated[str, "Name of the operation."]
+    target: Annotated[str, "Path below the base, with the id of what was made."]
+    outcome: Annotated[str, "done, or the status of the refusal or failure."]
     request_id: str
-    #: SHA-256 of the body as it was understood (after unpacking), hexadecimal
-    body_sha256: str | None = None
-    #: how many equal deeds this entry stands for
-    times: int = 1
+    body_sha256: Annotated[str | None, "Of the body after unpacking, hexadecimal."] = None
+    times: Annotated[int, "How many equal refusals this entry stands for; the last of them is the one told."] = 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 from service.records.catalogue import Method
 
@@ -22,10 +23,9 @@ class Job:
     id: str
     kind: str
     state: JobState
-    #: 0..1
-    progress: float
+    progress: Annotated[float, "0..1"]
     created_at_us: int
-    error: str | None = None
+    error: Annotated[str | None, "Why it failed, and what to do."] = None
 
 
 @dataclass(frozen=True, slots=True)
