@@ -60,8 +60,6 @@ class EmissionSource(Protocol):
 
     def advance(self) -> Emission:
         """Move the virtual clock to the next row and return what arrives there."""
-        ...
 
     def current(self) -> Emission:
         """Return what arrives at the present instant without moving the clock."""
-        ...

@@ -80,7 +80,6 @@ class Encoder(Protocol):
 
     def __call__(self, values: FloatArray, *, is_big_endian: bool) -> bytes:
         """Return the block."""
-        ...
 
 
 #: binary format -> how numbers become a block

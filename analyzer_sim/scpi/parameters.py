@@ -53,7 +53,6 @@ class Parameter(Protocol):
 
     def read(self, datum: Datum) -> object:
         """Return the value of one data element or raise :class:`ScpiError`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

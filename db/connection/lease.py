@@ -45,7 +45,6 @@ class _Hold(Protocol):
 
     def demand(self, connection: Connection) -> None:
         """Raise StorageError ``lease.lost`` inside a transaction unless the lock is ours."""
-        ...
 
     def give_back(self) -> None: ...
 

@@ -18,11 +18,9 @@ class StatementResult(Protocol):
 
     def fetchone(self) -> Any:
         """Return the next row, None after the last."""
-        ...
 
     def fetchall(self) -> Any:
         """Return all rows."""
-        ...
 
 
 def run_bare(connection: Connection, text: str, values: tuple[Any, ...]) -> sqlite3.Cursor:

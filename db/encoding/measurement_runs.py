@@ -34,11 +34,9 @@ class Chunk(Protocol):
 
     def power_dbm(self) -> Float32Array:
         """Return the powers as stored, (T, N) dBm."""
-        ...
 
     def record(self, position: int) -> Measurement:
         """Return the row at a place."""
-        ...
 
 
 class ChunkRun(NamedTuple):

@@ -22,57 +22,45 @@ class Archive(Protocol):
         Same key and content: duplicate. Same key, other content: refused ``measurement.conflict``. A row is late when
         it is stale or below the newest epoch that the live chain has consumed.
         """
-        ...
 
     def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
         """Tell a listener of every batch right after its commit, before its future resolves; None: nobody any more.
 
         Batches are told in the order of their commits. The listener holds up all writing, so it must be quick.
         """
-        ...
 
     def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
         """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""
-        ...
 
     def add_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
         """Store and journal an operation (its id is ignored) and return it with its id."""
-        ...
 
     def replace_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
         """Store and journal a changed operation under the next revision."""
-        ...
 
     def operation(self, spacecraft_id: str, operation_id: int) -> Operation:
         """Return the newest revision of one operation."""
-        ...
 
     def sources(self, spacecraft_id: str) -> tuple[SourceState, ...]:
         """Return all measurement sources."""
-        ...
 
     def select_source(self, spacecraft_id: str, source: str) -> SourceState:
         """Make a source the prime one, journaled; rows stored from then on feed the estimator."""
-        ...
 
     def head(self, spacecraft_id: str) -> HeadState:
         """Return where journal and consumer stand."""
-        ...
 
     def journal_heads(self) -> list[JournalHead]:
         """Return number and digest of the newest entry of every journal; one that is empty has none."""
-        ...
 
     def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
         """Return at most ``limit`` entries with a number above ``after``, in order.
 
         Numbers have no gap but where retention has taken rows away; empty only when nothing follows.
         """
-        ...
 
     def slow_inputs_before(self, spacecraft_id: str, number: int, kinds: Sequence[str]) -> list[JournalEntry]:
         """Return all slow inputs of some kinds with a number below the given one, in order."""
-        ...
 
     def inputs(
         self, spacecraft_id: str, kind: str, window: Window, limit: int, after: tuple[int, int] | None
@@ -81,17 +69,14 @@ class Archive(Protocol):
 
         Of operations only the newest revision is returned.
         """
-        ...
 
     def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
         """Return the newest row of the prime source."""
-        ...
 
     def measurements(
         self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
     ) -> list[Measurement]:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
-        ...
 
     def measurement_blocks(
         self, spacecraft_id: str, window: Window, *, source: str | None = None, feeds_estimator_only: bool = False
@@ -101,23 +86,18 @@ class Archive(Protocol):
         A block holds rows of one source under one plan; interleaved sources make short blocks. What is held at once
         does not grow with the window. Rows stored while blocks are read may be missed or told, never told twice.
         """
-        ...
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
-        ...
 
     def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
         """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
-        ...
 
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
         """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
-        ...
 
     def reference_series(self, spacecraft_id: str, window: Window) -> tuple[ReferenceSeries, ...]:
         """Return the attitude references of every sensor in a window."""
-        ...
 
     def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
         """Pack the rows of days that ended by an epoch into segments, a short transaction a step.
@@ -125,27 +105,21 @@ class Archive(Protocol):
         Days of a source with a row received at or after ``received_before_us`` wait: more may be coming. Nothing that
         any method answers changes.
         """
-        ...
 
     def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
         """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
-        ...
 
     def complete_checksums(self) -> Iterator[int]:
         """Give rows of versions before checksums theirs, a short transaction a step, and yield how many."""
-        ...
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a short transaction a step.
 
         Series: ``measurements``, ``attitude``, ``torques``, ``traces``. What the live chain has not consumed stays.
         """
-        ...
 
     def fitting_us(self, spacecraft_id: str, series: str, size_bytes: int) -> int | None:
         """Return the midnight from which on the days of a series fit a size; None when all of them do."""
-        ...
 
     def kept_from_us(self, spacecraft_id: str, series: str) -> int:
         """Return the epoch below which rows of a series were dropped; far below every epoch when none were."""
-        ...

@@ -15,12 +15,9 @@ class Lease(Protocol):
 
         Waits for nobody.
         """
-        ...
 
     def is_held(self) -> bool:
         """Return whether it is ours still, as the archive knows it; False where the archive does not answer."""
-        ...
 
     def give_back(self) -> None:
         """Let another service have it."""
-        ...

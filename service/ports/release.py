@@ -11,11 +11,9 @@ class Releases(Protocol):
 
     def stored(self, spacecraft_id: str) -> StoredRelease:
         """Return the newest state; version 0 and an empty document before the first."""
-        ...
 
     def made_two_step_us(self, spacecraft_id: str) -> int | None:
         """Return when an upgrade took a spacecraft out of release automatic; None when none did."""
-        ...
 
     def save(self, spacecraft_id: str, version: int, change: ReleaseChange) -> int:
         """Store a change and its journal entries in one transaction and return the version that it has.
@@ -23,20 +21,15 @@ class Releases(Protocol):
         ConflictError ``release.changed``: the stored version is another than the one given, or a command or product
         of the same counter says something else; nothing is stored then.
         """
-        ...
 
     def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command; NotFoundError ``command.unknown``."""
-        ...
 
     def commands(self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
-        ...
 
     def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:
         """Return one uplink product; NotFoundError ``uplink.unknown``."""
-        ...
 
     def newest_product(self, spacecraft_id: str, form: ProductForm) -> UplinkProduct | None:
         """Return the product of a form with the greatest counter."""
-        ...

@@ -50,48 +50,38 @@ class Results(Protocol):
         created_by: str,
     ) -> Calibration:
         """Store a draft without a result and return it with its id."""
-        ...
 
     def finish_calibration(
         self, spacecraft_id: str, calibration_id: int, result: CalibrationResult | None, error: str | None
     ) -> Calibration:
         """Store the result of a draft, or why it failed."""
-        ...
 
     def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
         """Make a calibration the active one of its method, journaled; the former becomes superseded."""
-        ...
 
     def delete_calibration(self, spacecraft_id: str, calibration_id: int) -> None:
         """Delete a draft or a failed calibration; its number is not given again.
 
         NotFoundError ``calibration.unknown``; ConflictError ``calibration.not_draft``, ``calibration.unfinished``.
         """
-        ...
 
     def calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
         """Return one calibration."""
-        ...
 
     def calibrations(self, spacecraft_id: str, state: CalibrationState | None = None) -> tuple[Calibration, ...]:
         """Return calibrations, newest first."""
-        ...
 
     def add_alignment(self, spacecraft_id: str, alignment: Alignment) -> Alignment:
         """Store and journal an alignment (its id is ignored) and return it with its id."""
-        ...
 
     def alignment(self, spacecraft_id: str, alignment_id: int) -> Alignment:
         """Return one alignment."""
-        ...
 
     def alignments(self, spacecraft_id: str) -> tuple[Alignment, ...]:
         """Return alignments, newest first."""
-        ...
 
     def alignment_number(self, spacecraft_id: str, alignment_id: int) -> int:
         """Return the journal number of an alignment."""
-        ...
 
     def save_outcomes(
         self,
@@ -106,7 +96,6 @@ class Results(Protocol):
         Attitude rows that exist already under (version, method, measurement) stay as they are. For the live version
         applied commands enter the journal and the consumer's head moves to ``consumed_number``.
         """
-        ...
 
     def attitude_rows(
         self,
@@ -122,59 +111,46 @@ class Results(Protocol):
         Of the live version exactly one row a consumed measurement: where nothing was computed, the row has null angles,
         status INVALID and the inhibition ``no_calibration`` or ``not_aligned`` that held when it was consumed.
         """
-        ...
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
-        ...
 
     def commands(
         self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
     ) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
-        ...
 
     def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
         """Return the newest computed command."""
-        ...
 
     def results_after(
         self, spacecraft_id: str, sequence: int, limit: int
     ) -> list[tuple[int, AttitudeRow | TorqueCommand]]:
         """Return live results with a sequence above the given one, in order: what a resumed stream missed."""
-        ...
 
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
-        ...
 
     def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
         """Return of the rows later than an alignment and stored before it how many it computes, and how many stay.
 
         It computes the rows that had no angles of one of its methods; what an earlier alignment computed stays.
         """
-        ...
 
     def add_job(self, job: Job) -> None:
         """Store a new job."""
-        ...
 
     def update_job(self, job_id: str, state: JobState, progress: float, error: str | None = None) -> None:
         """Store how far a job is."""
-        ...
 
     def job(self, job_id: str) -> Job:
         """Return one job."""
-        ...
 
     def fail_unfinished_jobs(self, error: str) -> int:
         """Mark jobs that a former process left queued or running as failed, and their drafts; return how many jobs."""
-        ...
 
     def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
         """Store a replay (its id is ignored) and return it with its id."""
-        ...
 
     def replay(self, spacecraft_id: str, version: str) -> Replay:
         """Return the replay that wrote a version."""
-        ...

@@ -16,27 +16,21 @@ class Links(Protocol):
 
         ConflictError ``link.too_many``: a thousand links are known already.
         """
-        ...
 
     def links(self, spacecraft_id: str | None = None) -> tuple[LinkState, ...]:
         """Return all links, or those of one spacecraft, in order of id."""
-        ...
 
     def link(self, link_id: str) -> LinkState:
         """Return one link; NotFoundError ``link.unknown``."""
-        ...
 
     def set_enabled(self, link_id: str, *, enabled: bool) -> LinkState:
         """Say whether a link shall work; it stays so until it is said otherwise."""
-        ...
 
     def request_reset(self, link_id: str) -> LinkState:
         """Count one more reset that is wanted of a link."""
-        ...
 
     def remove(self, link_id: str) -> None:
         """Forget a link; it comes back with its next report, enabled."""
-        ...
 
 
 class Traces(Protocol):
@@ -49,7 +43,6 @@ class Traces(Protocol):
 
         Same source, sweep and epoch: duplicate, the first one stays.
         """
-        ...
 
     def heads(
         self,
@@ -61,10 +54,8 @@ class Traces(Protocol):
         sweep: str | None = None,
     ) -> list[TraceHead]:
         """Return kept traces without their points in order of (epoch, number) beyond a cursor."""
-        ...
 
     def trace(
         self, spacecraft_id: str, epoch_us: int, source: str | None = None, sweep: str | None = None
     ) -> KeptTrace:
         """Return the trace of an epoch; NotFoundError ``trace.unknown``, ConflictError ``trace.ambiguous``."""
-        ...

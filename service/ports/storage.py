@@ -30,16 +30,12 @@ class Storage(Protocol):
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""
-        ...
 
     def check(self) -> None:
         """Raise StorageError unless the database answers."""
-        ...
 
     def state(self) -> StorageState:
         """Return what the storage says of itself; StorageError unless the database answers."""
-        ...
 
     def close(self) -> None:
         """Commit what is queued and let go of the database."""
-        ...

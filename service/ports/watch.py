@@ -18,15 +18,12 @@ class Alarms(Protocol):
 
         One process saves; numbers rise in the order of commits.
         """
-        ...
 
     def alarm(self, alarm_id: int) -> Alarm:
         """Return one alarm; NotFoundError ``alarm.unknown``."""
-        ...
 
     def open_alarms(self, spacecraft_id: str | None) -> tuple[Alarm, ...]:
         """Return the alarms of a spacecraft, or of the service (None), that stand, those under a cover too."""
-        ...
 
     def alarms(
         self, spacecraft_id: str, states: Sequence[str], window: Window, limit: int, after: tuple[int, int] | None
@@ -35,42 +32,33 @@ class Alarms(Protocol):
 
         States are told ones; ``open`` stands for all that are not covered, ``closed`` for normal; none = all.
         """
-        ...
 
     def changes(self, alarm_id: int) -> list[AlarmChange]:
         """Return what happened to one alarm, in order."""
-        ...
 
     def changes_after(self, spacecraft_id: str, sequence: int, limit: int) -> list[AlarmChange]:
         """Return what happened to alarms of a spacecraft and of the service after a number: what a stream missed."""
-        ...
 
     def newest_sequence(self) -> int:
         """Return the number of the newest change, 0 before the first."""
-        ...
 
     def memory(self, spacecraft_id: str | None) -> EngineMemory:
         """Return what the alarms of a spacecraft, or of the service, remember."""
-        ...
 
     def save_memory(self, spacecraft_id: str | None, memory: EngineMemory) -> None:
         """Store what they remember in place of what they did."""
-        ...
 
     def limits(self, spacecraft_id: str, version: int | None = None) -> AlarmLimits:
         """Return a version of the limits, or the newest, 0 = the defaults; NotFoundError ``alarm_limits.unknown``."""
-        ...
 
     def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:
         """Drop closed alarms of a spacecraft, or of the service (None), raised before an instant, and their changes.
 
         Yields how many, a transaction a step; open ones stay.
         """
-        ...
 
     def put_limits(self, spacecraft_id: str, limits: AlarmLimits) -> AlarmLimits:
         """Store limits as the next version and return it; the version that they state is ignored."""
-        ...
 
 
 class Notes(Protocol):
@@ -78,25 +66,20 @@ class Notes(Protocol):
 
     def add(self, note: Note) -> Note:
         """Store a note (its id is ignored) and return it with its id; NotFoundError ``note.unknown``."""
-        ...
 
     def note(self, note_id: int) -> Note:
         """Return one note; NotFoundError ``note.unknown``."""
-        ...
 
     def notes(
         self, window: Window, limit: int, after: tuple[int, int] | None, spacecraft_id: str | None = None
     ) -> list[Note]:
         """Return notes about instants of a window in order of (epoch, id), also those about no spacecraft."""
-        ...
 
     def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:
         """Drop notes about a spacecraft, or about none (None), and instants before one.
 
         Yields how many, a transaction a step.
         """
-        ...
 
     def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
         """Return the notes with the greatest epochs, newest first."""
-        ...

@@ -34,11 +34,9 @@ class Flight(Protocol):
 
     def listen(self, listener: Callable[[int, list[dict[str, Any]]], None]) -> None:
         """Let somebody hear the epoch of each row to which the spacecraft has flown."""
-        ...
 
     def reported_after(self, first: int, last: int) -> Iterator[dict[str, Any]]:
         """Yield what the ground is told once the rows first..last have been flown."""
-        ...
 
 
 class Gate:

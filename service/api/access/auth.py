@@ -26,7 +26,6 @@ class KeyRing(Protocol):
 
     async def principal(self, key: str) -> Principal | None:
         """Return the holder of a valid key, None for any other text."""
-        ...
 
 
 async def authenticated(request: Request) -> Principal:

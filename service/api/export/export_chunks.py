@@ -21,7 +21,6 @@ class Dated(Protocol):
     @property
     def epoch_us(self) -> int:
         """Microseconds UTC."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,6 @@ class _Row(Protocol):
 
     def fault(self) -> Fault | None:
         """Return why the row is refused."""
-        ...
 
 
 R = TypeVar("R", bound=_Row)

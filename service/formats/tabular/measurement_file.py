@@ -70,15 +70,12 @@ class MeasurementFile(Protocol):
 
     def begin(self) -> bytes:
         """Return what stands before the first row."""
-        ...
 
     def rows(self, block: MeasurementBlock) -> bytes:
         """Return what a block adds; may be empty when it is held back."""
-        ...
 
     def end(self) -> bytes:
         """Return what stands after the last row."""
-        ...
 
 
 def file_bytes(file: MeasurementFile, blocks: Iterable[MeasurementBlock]) -> Iterator[bytes]:

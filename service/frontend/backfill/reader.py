@@ -36,11 +36,9 @@ class ArchiveFileReader(Protocol):
 
     def rows(self) -> Iterator[FileRow]:
         """Yield the rows in the order of the file."""
-        ...
 
     def close(self) -> None:
         """Close the file."""
-        ...
 
 
 def open_archive(path: Path) -> ArchiveFileReader:

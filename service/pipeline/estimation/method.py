@@ -42,46 +42,36 @@ class MethodRunner(Protocol):
     @property
     def method(self) -> Method:
         """Which method this is."""
-        ...
 
     @property
     def is_running(self) -> bool:
         """Return whether rows lead to angles."""
-        ...
 
     def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:
         """Take in a slow input that concerns the motion of the spacecraft."""
-        ...
 
     def start(self, knowledge: Knowledge) -> None:
         """Begin at the alignment that holds."""
-        ...
 
     def rebuild(self, knowledge: Knowledge) -> None:
         """Take over a change of calibration, ephemeris or spacecraft; the state is kept."""
-        ...
 
     def step(
         self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
     ) -> AttitudeRow:
         """Return the row of a measurement; the state moves on unless the row is late."""
-        ...
 
     def carrier_states(self) -> dict[str, CarrierState]:
         """Return what is known of each carrier of the calibration after the newest row."""
-        ...
 
     def carrier_levels(self) -> CarrierLevels | None:
         """Return the figures of the newest row that was not late, None before it; they are not copied."""
-        ...
 
     def command_evidence(self) -> CommandEvidence | None:
         """Return what the newest row that was not late says of commands; None where the method cannot tell."""
-        ...
 
     def disturbance(self) -> Disturbance | None:
         """Return the torque that acts without being fed forward; None where the method knows of none."""
-        ...
 
 
 class CalibratedColumns:

@@ -30,19 +30,15 @@ class Lookup(Protocol):
 
     def plan(self, plan_id: int) -> CarrierPlan:
         """Return a carrier plan."""
-        ...
 
     def ephemeris(self, ephemeris_id: int) -> Ephemeris:
         """Return an ephemeris."""
-        ...
 
     def calibration(self, calibration_id: int) -> Calibration:
         """Return a calibration."""
-        ...
 
     def alignment(self, alignment_id: int) -> Alignment:
         """Return an alignment."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ class Watcher(Protocol):
 
     def on_rows(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
         """Take over rows that are neither late nor caught up with, and references, in the order of the journal."""
-        ...
 
 
 class ReleaseWatcher(Protocol):
@@ -25,8 +24,6 @@ class ReleaseWatcher(Protocol):
 
     def on_rows(self, spacecraft_id: str, seen: Sequence[StoredRow], *, has_inputs: bool = False) -> None:
         """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""
-        ...
 
     def steady(self, spacecraft_id: str) -> AbstractContextManager[bool]:
         """Let nobody trip control meanwhile; tell whether torques are withheld."""
-        ...

@@ -54,11 +54,9 @@ class Controller(Protocol):
 
     def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:
         """Return what is to be sent under a counter; only a controller with perfect sensing may read the truth."""
-        ...
 
     def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Take what the spacecraft has told of commands."""
-        ...
 
 
 @dataclass
