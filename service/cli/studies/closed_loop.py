@@ -11,10 +11,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.studies.exit_code import ended_by_signals
+from service.cli.studies.screen import (
+    EXIT_FAILED,
+    EXIT_MISSED,
+    AsJson,
+    AsMarkdown,
+    Figures,
+    console_of,
+    counted,
+    draw,
+    failures_told,
+    print_tables,
+)
 
 if TYPE_CHECKING:
-    from service.study.closed_loop.campaign import LoopCampaign, LoopPlan
+    from service.study.closed_loop.campaign import LoopPlan
 
 SCENARIOS = (
     "nominal",
@@ -27,8 +38,6 @@ SCENARIOS = (
 _UPLINKS = ("ideal", "link")
 #: columns of a table that is written to a file
 _FILE_WIDTH = 200
-_EXIT_MISSED = 1
-_EXIT_FAILED = 2
 
 
 def closed_loop(
@@ -61,17 +70,17 @@ def closed_loop(
         Path | None,
         typer.Option(help="Keep each flight in this folder; what it has kept is not flown again.", file_okay=False),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print figures and runs as JSON only.")] = False,
-    as_markdown: Annotated[bool, typer.Option("--markdown", help="Print the table as a section of a page.")] = False,
-    figures: Annotated[Path | None, typer.Option(help="Draw PNG figures into this folder.", file_okay=False)] = None,
+    as_json: AsJson = False,
+    as_markdown: AsMarkdown = False,
+    figures: Figures = None,
 ) -> None:
     """Close the loop with the chain, beside perfect sensing and beside no control, which must fail."""
     from concurrent.futures import BrokenExecutor
 
-    from service.study.closed_loop.campaign import LoopPlan
+    from service.study.closed_loop.campaign import LoopPlan, run_loops
     from service.study.closed_loop.controllers import Sensing
     from service.study.closed_loop.plant_process import PlantFailedError
-    from service.study.closed_loop.report import as_document, markdown
+    from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown
 
     _require("uplink", [uplink], _UPLINKS)
     _require("sensing", sensing or [], [one.value for one in Sensing])
@@ -80,28 +89,22 @@ def closed_loop(
     _require("mode", [mode], ("ground", "onboard"))
     if silence_h[1] and mode != "onboard":
         typer.echo("--silence-h is for --mode onboard; over a link commands are lost as it is", err=True)
-        raise typer.Exit(_EXIT_FAILED)
+        raise typer.Exit(EXIT_FAILED)
     settings = (uplink, operation_days, drift_deg_h, yaw_sigma_deg, mode, silence_h)
     plan = LoopPlan(scenarios, runs, workers, sensings, *settings)
-    try:
-        with ended_by_signals():
-            campaign = _run(plan, flights)
-    except KeyboardInterrupt:
-        typer.echo("stopped", err=True)
-        raise typer.Exit(_EXIT_FAILED) from None
-    except (PlantFailedError, BrokenExecutor, OSError) as error:
-        typer.echo(f"the study failed: {error}", err=True)
-        raise typer.Exit(_EXIT_FAILED) from error
-    if figures is not None:
-        _draw(campaign, figures)
+    with failures_told(PlantFailedError, BrokenExecutor, OSError), counted("loops") as show:
+        campaign = run_loops(plan, show, flights)
+    draw(figures, "closed_loop", lambda study, folder: study.draw_campaign(campaign, folder))
     if as_json:
         typer.echo(json.dumps(as_document(campaign, _command(plan)), allow_nan=False))
     elif as_markdown:
         typer.echo(markdown(campaign), nl=False)
     else:
-        _print(campaign)
+        last = f"{len(campaign.results)} runs in {campaign.seconds:.0f} s: {_command(campaign.plan)}"
+        rows = [cells(group) for group in campaign.groups]
+        print_tables(console_of(_FILE_WIDTH), [("Closed loops", COLUMNS, rows)], [last])
     if campaign.missed:
-        raise typer.Exit(_EXIT_MISSED)
+        raise typer.Exit(EXIT_MISSED)
 
 
 def _require(kind: str, reported: list[str], known: Sequence[str]) -> None:
@@ -109,38 +112,7 @@ def _require(kind: str, reported: list[str], known: Sequence[str]) -> None:
     for word in reported:
         if word not in known:
             typer.echo(f"no {kind} {word!r}; there are {', '.join(known)}", err=True)
-            raise typer.Exit(_EXIT_FAILED)
-
-
-def _run(plan: "LoopPlan", flights: Path | None) -> "LoopCampaign":
-    """Run the campaign behind a progress bar; away from a terminal it would be noise."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    from service.study.closed_loop.campaign import run_loops
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("loops", total=None)
-        return run_loops(plan, lambda done, total: progress.update(task, completed=done, total=total), flights)
-
-
-def _draw(campaign: "LoopCampaign", folder: Path) -> None:
-    """Draw the figures."""
-    # matplotlib costs a second that only figures need
-    from service.study.closed_loop.figures import draw_campaign
-
-    folder.mkdir(parents=True, exist_ok=True)
-    for path in draw_campaign(campaign, folder):
-        typer.echo(f"drawn: {path}", err=True)
+            raise typer.Exit(EXIT_FAILED)
 
 
 def _command(plan: "LoopPlan") -> str:
@@ -153,24 +125,3 @@ def _command(plan: "LoopPlan") -> str:
     words += ["--silence-h", *(f"{hours:g}" for hours in plan.silence_h)] if plan.silence_h[1] else []
     words += [word for sensing in plan.sensings for word in ("--sensing", sensing.value)]
     return shlex.join(words)
-
-
-def _print(campaign: "LoopCampaign") -> None:
-    """Print the table and the command that makes it again."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from service.study.closed_loop.report import COLUMNS, cells
-
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=_FILE_WIDTH)
-    table = Table(title="Closed loops", title_justify="left")
-    for column in COLUMNS:
-        table.add_column(column, overflow="fold")
-    for group in campaign.groups:
-        table.add_row(*cells(group))
-    console.print(table)
-    console.print(
-        f"{len(campaign.results)} runs in {campaign.seconds:.0f} s: {_command(campaign.plan)}", highlight=False
-    )

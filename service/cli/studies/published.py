@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from service.cli.studies.screen import console_of, print_tables
+
 if TYPE_CHECKING:
     from service.study.published import Row
 
 
+#: columns of a table that is written to a file
+_FILE_WIDTH = 160
+
+
 def report(rows: "Sequence[Row]", title: str, *, as_json: bool, as_markdown: bool) -> None:
     """Print the rows of a study."""
-    from rich.console import Console
-    from rich.table import Table
-
     from service.study.published import COLUMNS, markdown
 
     if as_json:
@@ -23,8 +26,4 @@ def report(rows: "Sequence[Row]", title: str, *, as_json: bool, as_markdown: boo
     elif as_markdown:
         typer.echo(markdown(rows), nl=False)
     else:
-        console = Console()
-        table = Table(*COLUMNS, title=title, title_justify="left")
-        for row in rows:
-            table.add_row(*row.cells)
-        (console if console.is_terminal else Console(width=160)).print(table)
+        print_tables(console_of(_FILE_WIDTH), [(title, COLUMNS, [row.cells for row in rows])])

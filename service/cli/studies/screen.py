@@ -1,0 +1,95 @@
+"""What studies show: options of their output, a progress bar, tables, drawn figures."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli.studies.exit_code import ended_by_signals
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+EXIT_MISSED = 1
+EXIT_FAILED = 2
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON only.")]
+AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Print the tables as sections of a page.")]
+Figures = Annotated[Path | None, typer.Option(help="Draw the figures into this folder.", file_okay=False)]
+
+
+def console_of(width: int, *, is_stderr: bool = False) -> "Console":
+    """Return a console; a file or a pipe is as wide as the tables."""
+    from rich.console import Console
+
+    console = Console(stderr=is_stderr)
+    return console if console.is_terminal else Console(stderr=is_stderr, width=width)
+
+
+def print_tables(
+    console: "Console", tables: Iterable[tuple[str, Sequence[str], Iterable[Sequence[str]]]], lines: Iterable[str] = ()
+) -> None:
+    """Print tables of title, columns and rows, then lines."""
+    from rich.table import Table
+
+    for title, columns, rows in tables:
+        table = Table(title=title, title_justify="left")
+        for column in columns:
+            table.add_column(column, overflow="fold")
+        for row in rows:
+            table.add_row(*row)
+        console.print(table)
+    for line in lines:
+        console.print(line, soft_wrap=True, highlight=False)
+
+
+@contextmanager
+def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Give what moves a progress bar: done, total; away from a terminal it would be noise."""
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    text, bar, *_ = Progress.get_default_columns()
+    columns = (text, bar, MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task(what, total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+@contextmanager
+def named_steps() -> Iterator[Callable[[str], None]]:
+    """Give what tells the step that a study is at."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task("", total=None)
+        yield lambda step: progress.update(task, description=step)
+
+
+@contextmanager
+def failures_told(*failures: type[Exception]) -> Iterator[None]:
+    """End with exit code 2 by a signal or by one of the failures."""
+    try:
+        with ended_by_signals():
+            yield
+    except KeyboardInterrupt:
+        typer.echo("stopped", err=True)
+        raise typer.Exit(EXIT_FAILED) from None
+    except failures as error:
+        typer.echo(f"the study failed: {error}", err=True)
+        raise typer.Exit(EXIT_FAILED) from error
+
+
+def draw(folder: Path | None, study: str, drawn: Callable[[Any, Path], Iterable[Path]]) -> None:
+    """Draw figures into a folder, where one is given, by the module ``figures`` of a study, and name them."""
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        # matplotlib costs a second that only figures need
+        for path in drawn(import_module(f"service.study.{study}.figures"), folder):
+            typer.echo(f"drawn: {path}", err=True)
