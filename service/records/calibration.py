@@ -198,4 +198,4 @@ class Alignment:
         "Of the paper method's references: `zero_attitude` (mean of the window less harmonic less the calibrated "
         "change at\nthe sensors' angles), or `window_mean` (mean of the window less harmonic) of alignments of before.",
     ] = ReferenceRule.WINDOW_MEAN
-    warnings: Annotated[tuple[str, ...], "What the catalogue left open at the alignment, and what that costs."] = ()
+    warnings: Annotated[tuple[str, ...], "Gaps of the catalogue at the alignment and their cost in accuracy."] = ()

@@ -44,7 +44,7 @@ class ShelveDocument(RemarkDocument):
 
 
 class HandlingAnswer(members_of(Handling), Answer):
-    """What somebody did."""
+    """Action of an operator on an alarm: name, time and comment."""
 
 
 _FINITE = ("value", "limit")
@@ -68,7 +68,7 @@ class AlarmAnswer(
     state: Literal["normal", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed"]
     """That of the cover where there is one; normal = closed."""
     is_active: bool
-    """Whether the condition stands."""
+    """Whether the condition holds."""
     present_value: FiniteFigure
     """Newest value; null where none is known."""
     next_step: str
@@ -173,7 +173,7 @@ class LimitsAnswer(
 
     @classmethod
     def of(cls, limits: AlarmLimits) -> Self:
-        """Return the answer that tells a version."""
+        """Return the answer for a version."""
         if limits.version:
             return super().of(limits)
         return super().of(limits, created_at=None, created_by=None)
@@ -188,7 +188,7 @@ class ConditionLimitsAnswer(members_of(ConditionLimits, number=float), Answer):
 
     @classmethod
     def of(cls, name: str, limits: ConditionLimits) -> Self:
-        """Return the answer that tells the limits of a condition."""
+        """Return the answer for the limits of a condition."""
         return super().of(limits, kind=_CONDITIONS[name].kind.value, unit=_CONDITIONS[name].unit)
 
 

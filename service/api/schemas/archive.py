@@ -98,7 +98,7 @@ class GapAnswer(Answer):
 
 
 class SourceRowsAnswer(members_of(SourceState, without=("newest_epoch_us",)), Answer):
-    """What is known of a source over all time."""
+    """Rows and missing rows of a source over all time."""
 
 
 class GapsAnswer(Answer):

@@ -28,7 +28,7 @@ _MEMBERS = RecordMembers(
 
 
 class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):
-    """What one method says about one measurement."""
+    """Attitude estimate of one method at one measurement."""
 
     version: str
     """`live`, or the replay that made the row."""

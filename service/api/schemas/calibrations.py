@@ -139,7 +139,7 @@ _CRITERIA = (
 class CarrierCalibrationAnswer(
     members_of(CarrierCalibration, without=_CRITERIA, types={"noise": NoiseAnswer, "harmonic": HarmonicAnswer}), Answer
 ):
-    """All that a calibration says about one carrier."""
+    """Result of a calibration for one carrier."""
 
     stability: StabilityAnswer
     linearity: LinearityAnswer
@@ -151,7 +151,7 @@ class CarrierCalibrationAnswer(
 
 
 class ObservabilityAnswer(members_of(Observability), Answer):
-    """What the selected carriers can see."""
+    """Observability of the attitude by the selected carriers."""
 
 
 class CalibrationAnswer(members_of(Calibration, without=("request", "result")), Answer):

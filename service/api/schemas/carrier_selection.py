@@ -189,7 +189,7 @@ class TurnsAnswer(Answer):
 
     @classmethod
     def of(cls, turns: Turns) -> Self:
-        """Return the answer that tells the turns asked for."""
+        """Return the answer for the turns asked for."""
         steps = turn_timetable(0, far_yaw=turns is Turns.FAR_YAW)
         return cls(total_s=steps[-1].stop_us / US_PER_S, steps=[TurnStepAnswer.of(step) for step in steps])
 

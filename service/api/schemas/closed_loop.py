@@ -332,7 +332,7 @@ class ClosedLoopAnswer(Answer):
 
     @classmethod
     def of(cls, job_id: str, found: ClosedLoop) -> Self:
-        """Return the answer that tells a flight."""
+        """Return the answer for a flight."""
         warnings = [{"code": code, "detail": detail} for code, detail in found.warnings]
         return super().of(found, job=job_id, warnings=warnings, series=found.flight)
 

@@ -67,14 +67,14 @@ _WITHOUT = ("id", "valid_start_us", "valid_stop_us", "track")
 
 
 class EphemerisReceiptAnswer(members_of(Ephemeris, without=_WITHOUT, number=float), Answer):
-    """What a stored ephemeris gives."""
+    """Receipt of a stored ephemeris: ascending nodes, nodal period and validity."""
 
     ephemeris_id: int
     valid: WindowAnswer
 
     @classmethod
     def of(cls, ephemeris: Ephemeris) -> Self:
-        """Return the answer that tells a record."""
+        """Return the answer for a record."""
         valid = Window(ephemeris.valid_start_us, ephemeris.valid_stop_us)
         return super().of(ephemeris, ephemeris_id=ephemeris.id, valid=valid)
 

@@ -51,6 +51,6 @@ class WindowHarmonicsAnswer(Answer):
 
     @classmethod
     def of(cls, window: Window, method: Method, harmonics: WindowHarmonics) -> Self:
-        """Return the answer that tells the harmonics of a window."""
+        """Return the answer for the harmonics of a window."""
         carriers = [CarrierHarmonicAnswer.of(fit) for fit in harmonics.carriers]
         return super().of(harmonics, range=window, method=method, carriers=carriers)

@@ -9,4 +9,4 @@ class JobAnswer(members_of(Job, number=float), Answer):
     """One piece of long work."""
 
     result: str | None
-    """Path of what it gave, while that is kept; null for jobs whose result stands elsewhere."""
+    """Path of its result while that is kept; null for jobs whose result is another resource."""

@@ -29,7 +29,7 @@ _VERDICTS = {"verdict": Literal["accept", "warn", "reject"]}
 
 
 class ScheduleCheckAnswer(members_of(ScheduleVerdict, number=float, types=_VERDICTS), Answer):
-    """What the flexible modes say of a schedule, the worst of the axes."""
+    """Check of a schedule against the flexible modes, the worst of the axes."""
 
 
 _PREDICTED = tuple(name for name in TorqueCommand.__dataclass_fields__ if name.startswith("predicted_"))

@@ -59,14 +59,14 @@ class TraceRefusalAnswer(Answer):
 
 
 class TraceReceiptAnswer(members_of(TraceReceipt), Answer):
-    """What was committed; received = accepted + duplicates + len(refused)."""
+    """Receipt of committed traces; received = accepted + duplicates + len(refused)."""
 
     received: int
     refused: list[TraceRefusalAnswer]
 
     @classmethod
     def of(cls, receipt: TraceReceipt, refused: list[TraceRefusalAnswer]) -> Self:
-        """Return the answer that tells a receipt."""
+        """Return the answer for a receipt."""
         received = receipt.accepted + receipt.duplicates + len(refused)
         return super().of(receipt, received=received, refused=refused)
 
@@ -78,7 +78,7 @@ class TraceHeadAnswer(
 
     @classmethod
     def of(cls, head: TraceHead) -> Self:
-        """Return the answer that tells a head."""
+        """Return the answer for a head."""
         return super().of(head, **asdict(head.settings))
 
 
@@ -89,7 +89,7 @@ class TraceAnswer(TraceHeadAnswer):
 
     @classmethod
     def of_trace(cls, trace: KeptTrace) -> Self:
-        """Return the answer that tells a trace."""
+        """Return the answer for a trace."""
         head = TraceHeadAnswer.of(trace.head).model_dump()
         return cls.model_validate({**head, "power_dbm": shortest_float32(trace.power_dbm)})
 

@@ -28,10 +28,8 @@ class ScheduleVerdict:
 
     #: accept, warn or reject
     verdict: Annotated[str, "A rejected schedule is not released."]
-    peak_deg: Annotated[
-        float, "What the panels add to the angle of the hub at their greatest, over +-15 % of each frequency."
-    ]
-    residual_deg: Annotated[float, "What still swings after the last pulse."]
+    peak_deg: Annotated[float, "Peak angle that the panels add to the hub, over +-15 % of each frequency."]
+    residual_deg: Annotated[float, "Amplitude of the oscillation after the last pulse."]
     margin: Annotated[float, "Share of the allowed peak that is left; negative: exceeded."]
     worst_mode: Annotated[int, "Place among the modes of the catalogue, from 0."]
     suggestion: Annotated[str | None, "What would be better; null where nothing is wrong or nothing helps."]

@@ -36,7 +36,7 @@ class AuditEvent:
     outcome: Annotated[str, "done, or the status of the refusal or failure."]
     request_id: str
     body_sha256: Annotated[str | None, "Of the body after unpacking, hexadecimal."] = None
-    times: Annotated[int, "How many equal refusals this entry stands for; the last of them is the one told."] = 1
+    times: Annotated[int, "Number of equal refusals in this entry, which shows the last of them."] = 1
 
 
 @dataclass(frozen=True, slots=True)
