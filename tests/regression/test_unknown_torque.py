@@ -77,6 +77,7 @@ def stating(residual_n_m):
     return stated
 
 
+@pytest.mark.slow
 def test_where_the_catalogue_says_that_there_is_none_control_is_lost(monkeypatch):
     """The default of before: the spacecraft is left to the torque by the reason that its motion was not announced."""
     monkeypatch.setattr(run, "flown_spacecraft", stating(0.0))
@@ -85,7 +86,8 @@ def test_where_the_catalogue_says_that_there_is_none_control_is_lost(monkeypatch
     assert not merit.is_unknown_torque_survived
 
 
-@pytest.mark.parametrize("name", ONE_AND_OTHERS)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", UNKNOWN_TORQUE_SCENARIOS)
 def test_trivial_answers_miss(name, monkeypatch):
     """Nothing, and corrections that are computed from corrections alone."""
     _, nothing = flown(name, SEED, SHORT_DAYS, Sensing.OFF)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -78,6 +79,17 @@ def service_process() -> type[ServiceProcess]:
 
 #: starts a service on a database, with further arguments
 StartService = Callable[..., ServiceProcess]
+#: exit code and output of ``soo serve`` with each of some lists of arguments and environments
+RefusedStarts = Callable[..., list[tuple[int, str]]]
+#: one process for many starts that end before they serve: it takes a second to load what each of them needs
+_STARTS = """
+import json, sys
+from typer.testing import CliRunner
+from service.cli.app import app
+for arguments, environment in json.load(sys.stdin):
+    done = CliRunner().invoke(app, ["serve", *arguments], env=environment)
+    print(json.dumps([done.exit_code, done.output]))
+"""
 
 
 @pytest.fixture(scope="session")
@@ -122,9 +134,13 @@ def client(service: ServiceProcess) -> Iterator[httpx.Client]:
 
 
 @pytest.fixture
-def start_service(tmp_path: Path, compiled_environment: dict[str, str]) -> Iterator[StartService]:
-    """Give a function that starts services; those still running at the end are killed."""
+def start_service(tmp_path: Path, compiled_environment: dict[str, str], empty_database: Path) -> Iterator[StartService]:
+    """Give a function that starts services; those still running at the end are killed.
+
+    A service that is given no database of its own starts on one that is migrated and empty.
+    """
     started: list[ServiceProcess] = []
+    kept = tmp_path / "soo.db"
 
     def start(
         *arguments: str, database: Path | None = None, environment: dict[str, str] | None = None
@@ -132,7 +148,9 @@ def start_service(tmp_path: Path, compiled_environment: dict[str, str]) -> Itera
         given = arguments or ("--port", "0", "--clock", "data")
         chosen = {"SOO_BOOTSTRAP_KEY": KEY} if environment is None else environment
         whole = {**compiled_environment, **chosen}
-        service = ServiceProcess(tmp_path, database or tmp_path / "soo.db", list(given), whole)
+        if database is None and not kept.exists():
+            shutil.copy(empty_database, kept)
+        service = ServiceProcess(tmp_path, database or kept, list(given), whole)
         started.append(service)
         return service
 
@@ -141,6 +159,29 @@ def start_service(tmp_path: Path, compiled_environment: dict[str, str]) -> Itera
         if service.process.poll() is None:
             service.process.kill()
         service.process.wait()
+
+
+@pytest.fixture
+def refused_starts(compiled_environment: dict[str, str]) -> RefusedStarts:
+    """Give a function that starts services one after another, in one process, none of which can serve."""
+
+    def start(*starts: tuple[list[str], dict[str, str]]) -> list[tuple[int, str]]:
+        done = subprocess.run(
+            [sys.executable, "-c", _STARTS],
+            input=json.dumps(starts),
+            env=compiled_environment,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+        ended = [tuple(json.loads(line)) for line in done.stdout.splitlines()]
+        assert len(ended) == len(starts)
+        assert all("Traceback" not in output for _, output in ended), ended
+        return ended
+
+    return start
 
 
 @pytest.fixture

@@ -75,7 +75,10 @@ def test_two_lines_have_no_cycle_of_two_pulses() -> None:
         assert staggered_forms(one_sided_motion(reference.BASE, law)) is None
 
 
-@pytest.mark.parametrize(("pulses", "first_mrad", "gone_mrad"), [(3, 1.7836, (3.25, 3.30)), (5, 1.2217, (1.75, 1.80))])
+@pytest.mark.parametrize(
+    ("pulses", "first_mrad", "gone_mrad"),
+    [(3, 1.7836, (3.25, 3.30)), pytest.param(5, 1.2217, (1.75, 1.80), marks=pytest.mark.slow)],
+)
 def test_windows_of_stable_steps(pulses: int, first_mrad: float, gone_mrad: tuple[float, float]) -> None:
     def multiplier(step_mrad: float) -> float:
         law = reference.law_of(pulses, 1e-3 * step_mrad)

@@ -81,7 +81,10 @@ def judge(taken: list[MeasuredRow], judged: int) -> None:
 
 # The envelope interpolates the amplitude of a line between points, which loses a quarter of a decibel of its sum at
 # two points an RBW: the beacon is judged by the other method.
-@pytest.mark.parametrize(("detail", "rows", "judged"), [(Detail.FAST, 300, 5), (Detail.ENVELOPE, 120, MODULATED)])
+@pytest.mark.parametrize(
+    ("detail", "rows", "judged"),
+    [(Detail.FAST, 300, 5), pytest.param(Detail.ENVELOPE, 120, MODULATED, marks=pytest.mark.slow)],
+)
 def test_bias_and_scatter(detail: Detail, rows: int, judged: int) -> None:
     with measuring(detail) as (_, driver, made):
         taken = rows_of(driver, made, rows)

@@ -58,6 +58,27 @@ def start(compiled_environment: dict[str, str]) -> Iterator[Start]:
         made.process.communicate()
 
 
+@pytest.fixture(scope="module")
+def every_port(compiled_environment: dict[str, str]) -> Iterator[Process]:
+    """A simulator with all kinds of ports, for tests that leave it as it was."""
+    made = Process(compiled_environment, "--hislip-port", "0", "--alias-port", "0", "--alias-port", "0")
+    try:
+        yield made
+        assert made.end() == (0, "")
+    finally:
+        made.process.kill()
+        made.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def real_pace(compiled_environment: dict[str, str]) -> Iterator[Process]:
+    """A simulator at real pace, for tests that set it up themselves."""
+    made = Process(compiled_environment, "--pace", "real", "--hislip-port", "0")
+    yield made
+    made.process.kill()
+    made.process.communicate()
+
+
 def receive_line(line: socket.socket) -> str:
     answer = b""
     while not answer.endswith(b"\n"):
@@ -83,8 +104,8 @@ def visa(ports: dict[str, Any], timeout_ms: int = 10_000) -> Any:
     )
 
 
-def test_all_ports_are_the_same_instrument(start: Start) -> None:
-    made = start("--hislip-port", "0", "--alias-port", "0", "--alias-port", "0")
+def test_all_ports_are_the_same_instrument(every_port: Process) -> None:
+    made = every_port
     assert (made.ports["dialect"], made.ports["scenario"], made.ports["seed"]) == ("rs", "nominal", 1)
     assert len(made.ports["alias_ports"]) == 2
     with made.connect() as line:
@@ -95,11 +116,6 @@ def test_all_ports_are_the_same_instrument(start: Start) -> None:
     session = visa(made.ports)
     assert session.query("SWE:POIN?") == "501"
     session.close()
-    assert made.end() == (0, "")
-
-
-def test_hislip_is_not_served_unless_asked_for(start: Start) -> None:
-    assert start().ports["hislip_port"] is None
 
 
 def test_truth_log_counts_every_trace_that_left(start: Start, tmp_path: Path) -> None:
@@ -132,6 +148,7 @@ def test_truth_log_counts_every_trace_that_left(start: Start, tmp_path: Path) ->
 def test_half_a_trace_is_not_one_that_left(start: Start, tmp_path: Path) -> None:
     path = tmp_path / "truth.jsonl"
     made = start("--truth-log", str(path), "--fault", "half_block", "--fault", "nan:2")
+    assert made.ports["hislip_port"] is None, "HiSLIP is not served unless asked for"
     with made.connect() as line:
         line.sendall(f"{SETUP} 2;:FORM REAL,32;:INIT\nTRAC? TRACE1\n".encode())
         received = b""
@@ -176,11 +193,10 @@ def test_at_real_pace_a_sweep_lasts_its_time_and_others_are_served(start: Start)
         assert ask(other, "STAT:OPER:COND?;:SIM:EPOCH?").startswith("0;2026-11-01T00:00:00")
 
 
-def test_device_clear_and_abort_in_mid_sweep_at_real_pace(start: Start) -> None:
+def test_device_clear_and_abort_in_mid_sweep_at_real_pace(real_pace: Process) -> None:
     import pyvisa
 
-    made = start("--pace", "real", "--hislip-port", "0")
-    session = visa(made.ports, 200)
+    session = visa(real_pace.ports, 200)
     session.write(f"{SETUP} 1000;:INIT")
     with pytest.raises(pyvisa.VisaIOError):
         session.query("*OPC?")
@@ -194,9 +210,8 @@ def test_device_clear_and_abort_in_mid_sweep_at_real_pace(start: Start) -> None:
     session.close()
 
 
-def test_continuous_sweeping_at_real_pace_gives_fresh_traces(start: Start) -> None:
-    made = start("--pace", "real")
-    with made.connect() as line:
+def test_continuous_sweeping_at_real_pace_gives_fresh_traces(real_pace: Process) -> None:
+    with real_pace.connect() as line:
         line.sendall(f"{SETUP} 0.2;:INIT:CONT ON\n".encode())
         traces = [ask(line, "TRAC? TRACE1")]
         began_s = time.monotonic()
@@ -207,8 +222,8 @@ def test_continuous_sweeping_at_real_pace_gives_fresh_traces(start: Start) -> No
         assert len(traces) > 3, "the same sweep was read more than once"
 
 
-def test_a_dozen_sessions_of_both_kinds_at_once(start: Start) -> None:
-    made = start("--hislip-port", "0")
+def test_a_dozen_sessions_of_both_kinds_at_once(every_port: Process) -> None:
+    made = every_port
 
     def by_socket(number: int) -> int:
         with made.connect() as line:
@@ -228,4 +243,3 @@ def test_a_dozen_sessions_of_both_kinds_at_once(start: Start) -> None:
         assert [job.result() for job in [*sockets, *hislips]] == [20] * 12
     with made.connect() as line:
         assert ask(line, "SYST:ERR:COUN?") == "0"
-    assert made.end() == (0, "")

@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import httpx
 import pytest
 from synthetic_payload import SC, SyntheticPayload
 
@@ -31,6 +32,15 @@ def calibrated(database: Path) -> None:
     storage.close()
 
 
+@pytest.fixture(scope="module")
+def url(serving, tmp_path_factory):
+    """Address of a service with a calibrated spacecraft."""
+    database = tmp_path_factory.mktemp("plan") / "calibrated.db"
+    calibrated(database)
+    with serving(database) as service:
+        yield service.url
+
+
 def soo_plan(url: str, environment: dict[str, str], *options: str) -> subprocess.CompletedProcess[str]:
     """Run the command."""
     command = [sys.executable, "-m", "service", "plan", "--service", url, *options]
@@ -39,10 +49,7 @@ def soo_plan(url: str, environment: dict[str, str], *options: str) -> subprocess
     )
 
 
-def test_a_calibrated_service_chooses(start_service, compiled_environment, tmp_path):
-    database = tmp_path / "calibrated.db"
-    calibrated(database)
-    url = start_service(database=database).url
+def test_a_calibrated_service_chooses(url, compiled_environment, tmp_path):
     figure = tmp_path / "map.png"
     ended = soo_plan(url, compiled_environment, "--spacecraft", SC, "--count", "12", "--figure", str(figure))
     assert ended.returncode == 0, ended.stderr
@@ -55,11 +62,11 @@ def test_a_calibrated_service_chooses(start_service, compiled_environment, tmp_p
     assert document["sufficient"] is True
 
 
-def test_refusals_of_the_service_are_its_words(start_service, compiled_environment, spacecraft):
-    service = start_service()
-    with service.client() as client:
-        assert client.post("/api/v1/spacecraft", json=spacecraft).status_code == 201
-    ended = soo_plan(service.url, compiled_environment, "--spacecraft", "sim-1")
+def test_refusals_of_the_service_are_its_words(url, compiled_environment, spacecraft):
+    headers = {"Authorization": f"Bearer {KEY}"}
+    answer = httpx.post(f"{url}/api/v1/spacecraft", json=spacecraft, headers=headers, trust_env=False, timeout=120)
+    assert answer.status_code == 201
+    ended = soo_plan(url, compiled_environment, "--spacecraft", "sim-1")
     assert ended.returncode == 1
     assert "no calibration of sim-1 has figures to choose carriers by" in ended.stderr
     assert "Traceback" not in ended.stderr
