@@ -49,14 +49,16 @@ demo-check: $(STAMP) ## two virtual days on a tour of slews, half a day in close
 	$(BIN)/soo demo --exit --json --days 0.5
 
 # prints wall time and processor time of all processes
-PARALLEL := bash -c 'time "$$0" "$$@"' $(BIN)/python -m pytest -n 2 --dist worksteal --durations=25
+PYTEST := $(BIN)/python tests/processor_time.py $(BIN)/python -m pytest --durations=25
+PARALLEL := $(PYTEST) -n 2 --dist worksteal
 
 test: $(DEV_STAMP) ## run the tests of every change
 	$(PARALLEL) -m "not nightly and not slow"
 
 test-all: export SOO_TEST_PROFILE := ci
 test-all: $(DEV_STAMP) ## run the slow tests too, as continuous integration does
-	$(PARALLEL) -m "not nightly"
+	$(PARALLEL) -m "not nightly and not alone"
+	$(PYTEST) -m "alone and not nightly"
 
 mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; print how many were killed
 	$(BIN)/python tests/mutation/mutants.py

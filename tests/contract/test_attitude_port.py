@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from example_counts import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -31,7 +32,12 @@ FIGURES = ("attitude_deg", "sigma_deg", "rates_deg_s")
 SINGLES = ("downlink_fade_db", "common_db", "residual_rms_db")
 
 
-@settings(derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
+@settings(
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    max_examples=examples(40),
+)
 @given(
     figures=st.lists(st.floats(), min_size=12, max_size=12),
     has_rates=st.booleans(),

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from example_counts import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -48,7 +49,12 @@ def test_slow_inputs_come_back_equal_in_the_order_of_the_journal(setting):
     assert contents(setting) == sent
 
 
-@settings(derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
+@settings(
+    derandomize=True,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    max_examples=examples(40),
+)
 @given(figures=st.lists(st.floats(), min_size=6, max_size=6), epoch_us=st.integers(0, 1 << 53))
 def test_every_float_survives_bit_for_bit(new_setting, figures, epoch_us):
     setting = new_setting()

@@ -1,6 +1,7 @@
 """Whatever happens in whatever order: acknowledgements hold, covers are quiet, every alarm has a way out."""
 
 import numpy as np
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -94,7 +95,7 @@ class Story:
         return [self.engine.unshelve(key, Handling("anna", self.now_us)) for key in keys[:1]]
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(st.lists(STEP, max_size=40))
 def test_any_story_keeps_the_promises_of_the_states(steps):
     story, before = Story(), {}
@@ -129,7 +130,7 @@ def _leads_out(story):
     assert story.engine.watches() == ()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(st.lists(STEP, max_size=40))
 def test_a_restart_at_any_place_changes_nothing_of_what_is_told(steps):
     plain, restarted = Story(), Story()

@@ -2,6 +2,7 @@
 
 import filter_models
 import numpy as np
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -9,7 +10,7 @@ from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion
 
 SEEDS = st.integers(0, 2**32 - 1)
-steady = settings(derandomize=True, deadline=None, max_examples=12)
+steady = settings(derandomize=True, deadline=None, max_examples=examples(12))
 
 
 def assert_sound(state):

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -39,7 +40,7 @@ def cost(sensitivity, sigma, chosen):
     return float(np.sum(np.square(AXIS_WEIGHTS * bound)))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(payloads())
 def test_constraints_hold_wherever_the_plan_allows(payload):
     sensitivity, sigma, transponder, eligible, count = payload
@@ -62,7 +63,7 @@ def test_constraints_hold_wherever_the_plan_allows(payload):
         assert np.isfinite(design.crlb_deg).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(payloads())
 def test_no_allowed_exchange_lowers_the_bound(payload):
     """Every exchange, tried one by one, against what the search says is best."""
@@ -82,7 +83,7 @@ def test_no_allowed_exchange_lowers_the_bound(payload):
                 assert cost(sensitivity, sigma, chosen) >= design.cost_deg2 * (1.0 - 1e-3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(payloads(), st.randoms(use_true_random=False))
 def test_the_order_of_carriers_does_not_matter(payload, random):
     sensitivity, sigma, transponder, eligible, count = payload
@@ -93,7 +94,7 @@ def test_the_order_of_carriers_does_not_matter(payload, random):
     assert sorted(order[k] for k in again.chosen) == design.chosen.tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(payloads())
 def test_levels_of_their_own_never_help(payload):
     """Every transponder under level control: bounds grow, redundancy falls, constraints hold."""
@@ -111,7 +112,7 @@ def test_levels_of_their_own_never_help(payload):
         assert tied.crlb_deg.tolist() == held.crlb_deg.tolist()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(payloads())
 def test_figures_of_a_set_agree_with_one_another(payload):
     sensitivity, sigma, _, _, _ = payload

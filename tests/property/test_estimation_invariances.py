@@ -1,6 +1,7 @@
 """Invariances of the paper method that must hold for any data."""
 
 import numpy as np
+from example_counts import examples
 from flight_geometry import direction_vector
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,7 @@ from service.core.geometry.node_phase import latest_node_us, node_phase_rad
 
 SEEDS = st.integers(0, 2**32 - 1)
 CARRIERS = st.integers(4, 24)
-steady = settings(derandomize=True, deadline=None, max_examples=60)
+steady = settings(derandomize=True, deadline=None, max_examples=examples(60))
 
 
 def random_row(seed, carriers, noise_db=0.1):
@@ -101,7 +102,7 @@ def test_no_other_attitude_is_cheaper(seed, carriers):
     assert fix.second_best_cost >= fix.cost
 
 
-@settings(parent=steady, max_examples=40)
+@settings(parent=steady, max_examples=examples(40))
 @given(SEEDS, st.integers(4, 16), st.floats(0.3, 3.0), st.floats(0.2, 3.0))
 def test_rejection_ends_is_repeatable_and_ignores_the_order(seed, carriers, gate_db, gate_sigma):
     rng, plus, minus, deviation_db = random_row(seed, carriers, noise_db=0.3)
@@ -152,7 +153,7 @@ def test_counting_the_phase_from_elsewhere_turns_the_fitted_phase_alone(seed, sh
     np.testing.assert_allclose(turn, 0.0, rtol=0.0, atol=1e-9)
 
 
-@settings(parent=steady, max_examples=30)
+@settings(parent=steady, max_examples=examples(30))
 @given(SEEDS)
 def test_slopes_of_turns_are_linear_in_the_powers(seed):
     rng = np.random.default_rng(seed)

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -46,7 +47,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
 @given(STATES, MODES, DRIVES, LAWS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_body_and_rotor_exchange_momentum(start, mode, drive, law):
     motion = follow_motion(start, drive, mode, law, 120.0)
     states = motion.states(np.linspace(0.0, 120.0, 50))
@@ -57,7 +58,7 @@ def test_body_and_rotor_exchange_momentum(start, mode, drive, law):
 
 
 @given(STATES, MODES, DRIVES, LAWS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_the_rotor_stays_within_its_limit(start, mode, drive, law):
     motion = follow_motion(start, drive, mode, law, 400.0)
     momenta = motion.states(np.linspace(0.0, 400.0, 200))[:, 4]
@@ -91,7 +92,7 @@ def test_energy_of_a_mode_is_work_less_damping(start, mode, wheel_n_m, decay_1_s
 
 
 @given(STATES, MODES, DRIVES, LAWS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_a_mirrored_start_gives_the_mirrored_motion(start, mode, drive, law):
     mirrored = BodyState(*(-value for value in start))
     against = drive._replace(external_torque_n_m=-drive.external_torque_n_m)
@@ -114,7 +115,7 @@ def test_a_leg_may_be_cut_anywhere(start, mode, wheel_n_m, decay_1_s, duration_s
 
 
 @given(STATES, MODES, DRIVES, LAWS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_without_a_mode_the_sensor_sees_the_rigid_body_and_with_no_coupling_too(start, mode, drive, law):
     still = start._replace(deflection_rad=0.0, deflection_rate_rad_s=0.0)
     rigid = follow_motion(still, drive, None, law, 90.0)

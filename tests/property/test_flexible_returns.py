@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from example_counts import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,7 @@ from service.core.flexible.switching_law import SwitchingLaw
 
 # round numbers end pulses exactly on lines, where the last digit decides between firing and waiting: seeds do not
 @given(st.integers(0, 10**9))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_an_arrival_of_the_map_is_one_of_the_motion(seed):
     rng = np.random.default_rng(seed)
     frictions = (rng.uniform(5e-4, 3e-3), rng.uniform(0.0, 2e-3))

@@ -1,6 +1,7 @@
 """Whatever is commanded, the spacecraft keeps its momentum, and the mirrored command mirrors what it does."""
 
 import numpy as np
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -29,7 +30,7 @@ def flown(schedule: list[TorqueElement]) -> np.ndarray:
     return np.array(subject.state.attitude_deg)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.lists(pulses, max_size=3))
 def test_mirrored_commands_mirror_the_motion(schedule):
     mirrored = [
@@ -42,7 +43,7 @@ def test_mirrored_commands_mirror_the_motion(schedule):
     np.testing.assert_allclose(there, -back, atol=1e-3 + 0.02 * size**2 + 1e-3 * size)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(st.lists(pulses, max_size=3))
 def test_a_command_is_stored_in_the_wheels(schedule):
     subject = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, STILL))

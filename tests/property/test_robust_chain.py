@@ -4,6 +4,7 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
+from example_counts import examples
 from geometry_flight import Flight, FlightPayload
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
@@ -63,7 +64,7 @@ def test_the_order_of_the_carriers_does_not_matter(order, absent, jump, hit, see
 level = st.one_of(st.floats(-250.0, 50.0), st.just(NAN), st.just(None))
 
 
-@settings(steady, max_examples=30)
+@settings(steady, max_examples=examples(30))
 @given(
     rows=st.lists(
         st.tuples(st.floats(0.01, 4000.0), st.lists(level, min_size=CARRIERS, max_size=CARRIERS)),
@@ -126,7 +127,7 @@ def test_late_rows_leave_the_rows_after_them_bit_for_bit(late):
 moment = st.integers(0, 3600)
 
 
-@settings(steady, max_examples=150)
+@settings(steady, max_examples=examples(150))
 @given(
     begin=moment,
     length=st.integers(0, 3600),

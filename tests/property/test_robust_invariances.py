@@ -2,6 +2,7 @@
 
 import hypothesis.strategies as st
 import numpy as np
+from example_counts import examples
 from hypothesis import given, settings
 
 from service.core.estimation.calibration.quadratic_response import exact_response, predict_deviation
@@ -42,7 +43,7 @@ def solved_in_two_orders(seed):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_the_order_of_the_carriers_does_not_matter(seed):
     """The subsets differ; where the search ends with the same carriers, the estimate is the same."""
     found_deg, counts, shuffled_deg, shuffled_counts = solved_in_two_orders(seed)
@@ -58,7 +59,7 @@ def test_the_search_rarely_ends_with_other_carriers():
 
 
 @given(st.integers(0, 10_000), st.floats(-20.0, 20.0))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_a_level_common_to_all_changes_nothing(seed, common_db):
     """Rain over the receiving site of any depth."""
     _, model, values = world(seed)
@@ -67,7 +68,7 @@ def test_a_level_common_to_all_changes_nothing(seed, common_db):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_mirrored_powers_of_a_mirrored_model_give_the_same_attitude(seed):
     """Slopes, curvatures and powers all change sign."""
     _, model, values = world(seed)

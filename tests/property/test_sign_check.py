@@ -4,6 +4,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from sign_world import (
@@ -97,7 +98,7 @@ def test_rows_and_carriers_that_are_absent_are_left_out():
     np.testing.assert_allclose(found.log_likelihood[kept], without.log_likelihood, rtol=1e-8)
 
 
-@settings(max_examples=15)
+@settings(max_examples=examples(15))
 @given(st.floats(-1.0, 1.0), st.integers(0, 9))
 def test_levels_decide_nothing(level_db, seed):
     """A level of all, or another one for each carrier, moves no ratio: only what changes with the turn counts."""

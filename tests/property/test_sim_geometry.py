@@ -1,6 +1,7 @@
 """Geometry of the simulated world: properties for any attitude."""
 
 import numpy as np
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,7 +12,7 @@ small = st.floats(-0.5, 0.5, allow_nan=False)
 position = st.floats(-8.5, 8.5, allow_nan=False)
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=examples(100), derandomize=True)
 @given(yaw=angle, roll=angle, pitch=angle)
 def test_every_attitude_is_a_rotation(yaw: float, roll: float, pitch: float) -> None:
     turn = body_from_orbital(np.array([[yaw, roll, pitch]]))[0]
@@ -19,7 +20,7 @@ def test_every_attitude_is_a_rotation(yaw: float, roll: float, pitch: float) -> 
     assert abs(np.linalg.det(turn) - 1.0) < 1e-14
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=examples(100), derandomize=True)
 @given(yaw=small, roll=small, pitch=small, az=position, el=position)
 def test_signs_hold_everywhere_on_the_disc(yaw: float, roll: float, pitch: float, az: float, el: float) -> None:
     direction = np.array([np.tan(np.radians(az)), -np.tan(np.radians(el)), 1.0])

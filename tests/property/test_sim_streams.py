@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -57,7 +58,7 @@ def with_extra(name: str, seed: int, fault: Fault) -> World:
     return World(replace(scenario, faults=(fault, *scenario.faults)), seed)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(st.sampled_from(_NAMES), st.integers(0, 3), st.sampled_from(_OF_ONE))
 def test_a_fault_of_one_carrier_leaves_everything_else_bit_identical(name: str, seed: int, fault: Fault) -> None:
     before, after = plain(name, seed).rows, with_extra(name, seed, fault).rows
@@ -69,7 +70,7 @@ def test_a_fault_of_one_carrier_leaves_everything_else_bit_identical(name: str, 
     assert after.flags[:, others].tobytes() == before.flags[:, others].tobytes()
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(st.sampled_from(_NAMES), st.integers(0, 3), st.sampled_from(_OF_ONE + _OF_ALL))
 def test_no_fault_moves_attitude_knowledge_or_orbit(name: str, seed: int, fault: Fault) -> None:
     before, after = plain(name, seed), with_extra(name, seed, fault)
@@ -80,7 +81,7 @@ def test_no_fault_moves_attitude_knowledge_or_orbit(name: str, seed: int, fault:
     assert set(before.operations) <= set(after.operations)
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=examples(30), deadline=None, derandomize=True)
 @given(st.sampled_from(_NAMES), st.integers(0, 3), st.sampled_from(_OF_ALL))
 def test_what_a_fault_of_all_adds_is_what_it_says_and_the_noise_stays(name: str, seed: int, fault: Fault) -> None:
     figures = replace(SCENARIOS[name].noise, quantum_db=0.0)

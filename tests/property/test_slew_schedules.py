@@ -1,6 +1,7 @@
 """What holds for every slew, drive and set of wheels: effects as flown, limits kept, no rate left."""
 
 import numpy as np
+from example_counts import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +17,7 @@ TENSORS = st.lists(st.floats(-60.0, 60.0), min_size=3, max_size=3).map(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(ANGLES, RATES, DRIVES, TENSORS, st.floats(600.0, 3600.0))
 def test_a_slew_leaves_no_rate_and_keeps_to_drive_and_horizon(angles, rates, drive, tensor, horizon_s):
     pulses = plan_slew(angles, rates, tensor, horizon_s, drive)
@@ -34,7 +35,7 @@ def test_a_slew_leaves_no_rate_and_keeps_to_drive_and_horizon(angles, rates, dri
     assert np.abs(left).max() <= drive.quantum_n_m * drive.min_pulse_s + strongest * drive.time_step_s
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(ANGLES, DRIVES, st.floats(600.0, 3600.0))
 def test_from_rest_the_angle_is_met_or_too_small_for_a_pulse(angles, drive, horizon_s):
     tensor = np.diag([2600.0, 2600.0, 1400.0])
@@ -50,7 +51,7 @@ def test_from_rest_the_angle_is_met_or_too_small_for_a_pulse(angles, drive, hori
             assert abs(np.radians(wanted)) <= least * 1.1
 
 
-@settings(max_examples=25)
+@settings(max_examples=examples(25))
 @given(ANGLES, RATES, TENSORS)
 def test_the_predicted_effect_is_what_a_craft_flies(angles, rates, tensor):
     """Flown step by step, a tenth of a second each."""
@@ -84,7 +85,7 @@ AXES = (
 )
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(AXES, st.data(), st.floats(1.0, 300.0), st.sampled_from([0.0, 0.5, 2.0]))
 def test_allocation_keeps_direction_and_every_limit(axes, data, duration_s, least):
     wheels = wheel_set(axes, 0.05, 20.0, least)

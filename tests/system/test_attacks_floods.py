@@ -21,7 +21,7 @@ import chaos_clients as chaos
 import httpx
 import pytest
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(900)]
 
 KEY = "a-key-for-tests-only"
 SC = "/api/v1/spacecraft/sim-1"

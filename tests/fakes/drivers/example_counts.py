@@ -4,5 +4,5 @@ import os
 
 
 def examples(full: int) -> int:
-    """Return how many of so many examples the profile of this run asks for."""
-    return full if os.environ.get("SOO_TEST_PROFILE") == "ci" else full // 4
+    """Return how many of so many examples the profile of this run asks for, ten at least."""
+    return full if os.environ.get("SOO_TEST_PROFILE") == "ci" else min(full, max(10, full // 4))

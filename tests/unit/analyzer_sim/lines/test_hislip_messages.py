@@ -4,6 +4,7 @@ import itertools
 import struct
 
 import pytest
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -40,7 +41,7 @@ def test_header_is_that_of_the_standard() -> None:
     ),
     cuts=st.lists(st.integers(0, 400), max_size=6),
 )
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=examples(200), deadline=None, derandomize=True)
 def test_messages_do_not_depend_on_how_the_bytes_arrive(messages: list, cuts: list[int]) -> None:
     data = b"".join(encode(*message) for message in messages)
     decoder = Decoder()
@@ -51,7 +52,7 @@ def test_messages_do_not_depend_on_how_the_bytes_arrive(messages: list, cuts: li
 
 
 @given(data=st.binary(max_size=200))
-@settings(max_examples=500, deadline=None, derandomize=True)
+@settings(max_examples=examples(500), deadline=None, derandomize=True)
 def test_any_bytes_are_messages_or_end_the_channel(data: bytes) -> None:
     try:
         given_messages, code = list(Decoder().feed(data)), None

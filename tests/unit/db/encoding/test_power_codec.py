@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -40,7 +41,7 @@ def assert_comes_back(power_dbm):
     return stored.width
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(power_dbm=ANY)
 def test_any_bits_come_back(power_dbm):
     assert_comes_back(power_dbm.astype(np.float32))
@@ -58,7 +59,7 @@ def gridded(draw):
     return power_dbm
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(power_dbm=gridded())
 def test_levels_on_a_grid_come_back(power_dbm):
     assert_comes_back(power_dbm)
@@ -110,7 +111,7 @@ def test_plain_rows_of_older_versions_are_read():
     assert unpack_flags(masks.tobytes(), 3).tolist() == masks.tolist()
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(masks=arrays(np.int32, SHAPES, elements=st.one_of(st.just(0), st.integers(-(1 << 31), (1 << 31) - 1))))
 def test_flags_come_back(masks):
     stored = pack_flags(masks)
@@ -126,7 +127,7 @@ def test_flags_take_no_bytes_where_none_is_set_and_few_where_they_are_small():
     assert pack_flags(masks).width <= 6 + 20 + 1
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(power_dbm=gridded())
 def test_a_row_alone_is_packed_as_one_of_many(power_dbm):
     for row in canonical_powers(power_dbm):

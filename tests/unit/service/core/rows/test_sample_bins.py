@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.core.rows.sample_bins import SampleBins
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 40), st.integers(1, 60), st.integers(1, 10**12))
 def test_every_row_is_counted_once_in_its_interval(seed: int, count: int, rows: int, span_us: int) -> None:
     rng = np.random.default_rng(seed)

@@ -7,6 +7,7 @@ import threading
 
 import numpy as np
 import pytest
+from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -34,7 +35,7 @@ def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
     return bool(np.all((one.view(np.uint32) == other.view(np.uint32)) | (np.isnan(one) & np.isnan(other))))
 
 
-@settings(max_examples=200, deadline=None)  # the first example compiles
+@settings(max_examples=examples(200), deadline=None)  # the first example compiles
 @given(
     hnp.arrays(
         np.float32,
