@@ -3,12 +3,11 @@
 import os
 import shutil
 import sqlite3
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from sqlalchemy import text
+from typer.testing import CliRunner
 
 import db.maintenance.doctor
 from db.connection.engines import open_engines
@@ -16,6 +15,7 @@ from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import examine
 from db.migrations.migrate import upgrade
 from db.schema.schema_version import known_versions
+from service.cli.app import app
 from service.ports import Outcome
 from service.records.inputs import Correction
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
@@ -25,7 +25,6 @@ from service.records.storage.diagnosis import worst
 from service.runtime.clock import system_now_us
 
 DAY_US = 86_400_000_000
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def ignore(_name):
@@ -281,9 +280,8 @@ def test_exit_codes_tell_scripts(file, spoil, code):
         connection.execute(spoil)
         connection.commit()
         connection.close()
-    command = [sys.executable, "-m", "service", "doctor", "--database", f"sqlite:///{file}", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT, check=False)
+    done = CliRunner().invoke(app, ["doctor", "--database", f"sqlite:///{file}", "--json"])
     # a nearly full disk of the tests' machine is a warning
-    assert done.returncode in ({code, 3} if code == 0 else {code}), done.stderr
+    assert done.exit_code in ({code, 3} if code == 0 else {code}), done.stderr
     assert ('"state": "fault"' in done.stdout) == (code == 1)
     assert worst([]) == "ok"

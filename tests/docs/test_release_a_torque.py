@@ -32,6 +32,7 @@ def archive(tmp_path: Path) -> None:
 
 
 @pytest.mark.system
+@pytest.mark.slow
 def test_the_blocks_run_as_they_stand(archive: None, service: Any, tmp_path: Path) -> None:
     headers = {"Authorization": f"Bearer {service.environment['SOO_KEY']}"}
     with httpx.Client(base_url=service.url, headers=headers, timeout=120, trust_env=False) as client:
