@@ -123,7 +123,11 @@ class _FileHold:
         try:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError as fault:
-            _log.warning("the lease cannot be taken: %s", fault)
+            _log.warning(
+                "lease file %s cannot be opened, this service does not lead: %s; check the folder's permissions",
+                self._path,
+                fault,
+            )
             return False
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

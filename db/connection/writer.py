@@ -129,7 +129,9 @@ class Writer:
         except Exception as fault:  # noqa: BLE001 - every fault belongs to the callers, the thread must live on
             if is_wait_ended(fault):
                 group += self._taken_away()
-            _log.warning("a group of %d writes was rolled back: %s", len(group), fault)
+            _log.warning(
+                "%d writes were rolled back and are reported as failed to their callers: %s", len(group), fault
+            )
             for task in group:
                 task.fault = task.fault or fault
         for task in group:
@@ -147,7 +149,7 @@ class Writer:
             except SQLAlchemyError as fault:
                 if attempt == ATTEMPTS or not is_passing(fault):
                     raise
-                _log.info("a group of %d writes runs again: %s", len(group), fault)
+                _log.info("%d writes are retried: %s", len(group), fault)
                 time.sleep(0.01 * attempt)
             else:
                 return

@@ -35,8 +35,8 @@ _MOST_DAMAGED = 500
 #: epochs that a line of the log names at most
 _NAMED = 5
 _DAMAGED = (
-    "%d rows of source %s differ from their checksum and are not sealed: they stay as they are, at %s; `soo doctor` "
-    "lists them, a backup has them as they were"
+    "%d rows of source %s differ from their checksum and are not sealed: they stay in the row table, at %s; list them "
+    "with `soo doctor` and restore them from a backup"
 )
 
 
@@ -87,7 +87,10 @@ def seal(database: Database, key: int, before_us: int, received_before_us: int) 
             except StorageError as fault:
                 if fault.code != "storage.corrupt":
                     raise
-                _LOG.warning("late rows wait in the table of rows: %s", fault.detail)
+                _LOG.warning(
+                    "late rows are not merged into a damaged sealed day; they stay readable in the row table: %s",
+                    fault.detail,
+                )
                 break
             if change is None:
                 break

@@ -76,11 +76,11 @@ class LinkReporter:
                 self._apply(str(request["id"]), is_enabled=bool(request["enabled"]), resets=int(request["reset"]))
         except (ClientError, LookupError, TypeError, ValueError) as error:
             if not self._is_away:
-                logger.warning("links cannot be reported: %s", error)
+                logger.warning("link reports cannot be sent, will retry: %s", error)
             self._is_away = True
         else:
             if self._is_away:
-                logger.info("links are reported again")
+                logger.info("link reports are sent again")
             self._is_away = False
 
     def links(self) -> list[dict[str, Any]]:

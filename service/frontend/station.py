@@ -168,4 +168,4 @@ class _Worker(threading.Thread):
             self._work()
         except Exception as error:
             self.error = error
-            logger.exception("thread %s died", self.name)
+            logger.exception("thread %s failed; the front end stops", self.name)

@@ -177,7 +177,11 @@ class Chain:
         try:
             return runner.step(measurement, plan, self._knowledge, is_late=is_late, is_catch_up=is_catch_up)
         except (ArithmeticError, ValueError, LookupError):
-            _LOG.exception("method %s failed on the row at journal number %d", runner.method, measurement.number)
+            _LOG.exception(
+                "method %s failed at journal number %d; the row has no attitude (internal_error)",
+                runner.method,
+                measurement.number,
+            )
             number, epoch_us, received_us = measurement.number, measurement.epoch_us, measurement.received_at_us
             return row_without_attitude(epoch_us, received_us, number, runner.method, ("internal_error",))
 

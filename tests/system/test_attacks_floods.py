@@ -192,7 +192,7 @@ def test_silent_connections(flooded):
     answered = target.by("silence", newcomers_are_served)
     assert answered[429] > 900
     written = target.service.written()
-    assert "connections refused or ended" in written
+    assert "connections refused or closed" in written
     assert written.count("connections refused or ended") < 60
 
 

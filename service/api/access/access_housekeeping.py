@@ -95,7 +95,7 @@ class AccessHousekeeping:
             for announcer in self._announcers:
                 announcer.announce(is_last=is_last)
         except StorageError as error:
-            _LOG.warning("audit log and heads could not be kept: %s", error)
+            _LOG.warning("audit log and its heads could not be written, retried every minute: %s", error)
 
     async def _run(self) -> None:
         while True:
@@ -103,7 +103,7 @@ class AccessHousekeeping:
                 await asyncio.to_thread(self.keep)
             except Exception:  # noqa: BLE001 - the keeper must live on
                 # whatever it was, the next minute shall be tried: an audit log nobody keeps would go unnoticed
-                _LOG.exception("keys and audit log were not kept this time")
+                _LOG.exception("housekeeping of keys and audit log failed; it is retried")
             await asyncio.sleep(PERIOD_S)
 
     def _audit_lines(self) -> Iterator[str]:

@@ -119,7 +119,7 @@ class _Answer:
         try:
             await run_in_threadpool(_context(self._scope).storage.audit.append, _refusal(self._scope, status))
         except StorageError as error:
-            _LOG.warning("an answer %d is not in the audit log: %s", status, error)
+            _LOG.warning("refusal with status %d could not be written to the audit log: %s", status, error)
 
     async def _end_without_key(self) -> None:
         """End an answer that takes long once its key is revoked or has expired."""
@@ -132,7 +132,7 @@ class _Answer:
         except StorageError:
             holds = False
         if not holds:
-            _LOG.info("an answer to %s ended: its key no longer holds", principal.name)
+            _LOG.info("answer to %s was cut off: the key expired or was revoked", principal.name)
             raise _KeyEndedError
 
 

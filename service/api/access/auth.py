@@ -52,7 +52,7 @@ async def _holder(request: Request) -> Principal:
     """Return the holder of the key in the Authorization header; problem 401 without a valid one."""
     principal = await known_or_counted(request)
     if principal is None:
-        _LOG.warning("request %s %s: no valid key", request_id_of(request), without_secrets(request.url.path))
+        _LOG.warning("request %s %s refused: no valid key", request_id_of(request), without_secrets(request.url.path))
         detail = "send a valid key as Authorization: Bearer <key>"
         raise RequestProblemError(
             HTTPStatus.UNAUTHORIZED, "key.invalid", detail, headers={"WWW-Authenticate": "Bearer"}
@@ -96,7 +96,12 @@ class Requires:
         """Raise 401 without a valid key, 403 unless its holder has the permission."""
         principal = await authenticated(request)
         if not principal.may(self.permission):
-            _LOG.warning("request %s: %s lacks %s", request_id_of(request), principal.name, self.permission)
+            _LOG.warning(
+                "request %s refused: key of %s lacks permission %s",
+                request_id_of(request),
+                principal.name,
+                self.permission,
+            )
             detail = f"a key of role {principal.role} may not {self.permission}; ask an administrator for another key"
             raise RequestProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)
         if self.permission in _AUDITED and request.method not in SAFE_METHODS:

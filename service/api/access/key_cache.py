@@ -106,7 +106,7 @@ class StoredKeys:
         except StorageError as error:
             with self._used_lock:
                 self._used_us = used_us | self._used_us
-            _LOG.warning("times of last use were not stored: %s", error)
+            _LOG.warning("times of last use of keys could not be stored, will retry: %s", error)
 
     async def _refresh(self, oldest_s: float) -> None:
         """Read all keys when what was read is older than so many seconds."""
@@ -137,4 +137,4 @@ class StoredKeys:
         """Raise what kept the keys from being read unless those known hold on."""
         if at_s - self._loaded_s > HOLDS_S:
             raise StorageError(error.code, error.detail) from error
-        _LOG.warning("keys could not be read, those known hold on: %s", error)
+        _LOG.warning("keys could not be read; the keys read last stay valid for now: %s", error)

@@ -74,7 +74,12 @@ class Connections:
         self._unlogged += 1
         now_s = self._monotonic_s()
         if now_s - self._logged_s >= _LOG_PERIOD_S:
-            _LOG.warning("connections refused or ended: %d; the newest of %s: %s", self._unlogged, address, reason)
+            _LOG.warning(
+                "connections refused or closed: %d; the newest from %s: %s",
+                self._unlogged,
+                address,
+                reason,
+            )
             self._logged_s, self._unlogged = now_s, 0
 
     def _is_exempt(self, address: str) -> bool:

@@ -95,7 +95,7 @@ class Metrics:
             # a list: what was gathered before the database left is not told half
             yield from list(self._stored())
         except StorageError as error:
-            _LOG.warning("metrics of the archive are left out: %s", error)
+            _LOG.warning("metrics answer lacks those of the archive: %s", error)
 
     def _process(self) -> Iterator[Sample]:
         """Yield what the process takes."""

@@ -47,7 +47,7 @@ class EventStreamResponse(StreamingResponse):
             await super().stream_response(send_in_time)
         except TimeoutError:
             # the connection is cut by leaving the answer unfinished
-            _LOG.warning("a client of a stream took nothing for %g s; its stream ends", self.stall_s)
+            _LOG.warning("stream closed: its client read nothing for %g s", self.stall_s)
         finally:
             close = getattr(self.body_iterator, "aclose", None)
             if close is not None:

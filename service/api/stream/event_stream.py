@@ -88,7 +88,7 @@ class EventStream:
                     yield chunk
         except StorageError as error:
             # the client comes back with the last id it got
-            _LOG.warning("stream of %s ends: %s", self._spacecraft_id, error)
+            _LOG.warning("stream of %s closed, the archive cannot be read: %s", self._spacecraft_id, error)
         finally:
             self._streams.discard(subscription)
             feed.unsubscribe(self._spacecraft_id, subscription)

@@ -135,14 +135,16 @@ def _serve(settings: "Settings", listener: socket.socket) -> None:
             calm_collector()
             gc.enable()
         if key_file is not None:
-            _LOG.warning("the administrator's key was written to %s, for its owner alone: keep it, remove it", key_file)
+            _LOG.warning(
+                "the administrator's key was written to %s: store it in a safe place, then delete the file", key_file
+            )
         replaced = Event()
         if watch is not None:
             Thread(target=_stop_when, args=(watch.is_to_be_reopened, server, replaced), daemon=True).start()
         server.run(sockets=[listener.dup()])
         if not replaced.is_set():
             return
-        _LOG.warning("the files of the archive are not those that were opened; beginning again on what is there")
+        _LOG.warning("the archive's files were replaced; the service restarts on the new files")
         is_announced = True
 
 
@@ -167,7 +169,7 @@ def _opened(settings: "Settings") -> "Storage":
             is_away = isinstance(error, StorageError) and settings.database_url.startswith("postgresql")
             if not is_away or time.monotonic() > until:
                 _refuse(f"cannot use the database: {error}")
-            _LOG.warning("waiting for the database: %s", error)
+            _LOG.warning("the database does not answer, waiting for it: %s", error)
         time.sleep(_POLL_S)
 
 

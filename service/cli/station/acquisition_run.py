@@ -126,7 +126,7 @@ def _open(delivery: Delivery, owner: Owner, task: SpooledTask) -> Spool:
     except SpoolError as error:
         refuse(str(error))
     state = spool.state
-    logger.info("spool %s: %d rows wait, newest number %d", path, state.waiting, state.last_seq)
+    logger.info("spool %s opened: %d rows wait to be sent, newest row number %d", path, state.waiting, state.last_seq)
     return spool
 
 
@@ -139,8 +139,8 @@ def log_summary(entry: StationEntry, summary: StationSummary) -> None:
     """Say what the run came to."""
     upload, measured = summary.upload, summary.acquisition
     logger.info(
-        "%s.%s: %d rows measured, %d accepted, %d known already, %d refused, %d left in the spool; "
-        "%d faults of the analyzer",
+        "%s.%s ended: %d rows measured, %d accepted, %d duplicates, %d refused, %d left in the spool; "
+        "%d analyzer faults",
         entry.spacecraft,
         entry.source,
         measured.rows,

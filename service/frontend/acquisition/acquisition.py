@@ -129,7 +129,11 @@ class Acquisition:
         """Notice, from another thread, an action that hangs, and cut its line; a returning thread opens a new one."""
         if self.is_stuck:
             self.counters.stuck += 1
-            logger.error("%s: %s hangs; its line is cut", self._settings.resource, self.counters.state.name)
+            logger.error(
+                "analyzer %s does not return from %s; its connection is closed and opened again",
+                self._settings.resource,
+                self.counters.state.name,
+            )
             self._allow(self._longest_s())
             if self._session is not None:
                 self._session.abandon()
@@ -166,7 +170,7 @@ class Acquisition:
 
     def _follow(self, event: AcquisitionEvent) -> None:
         """Carry out an order: whatever it is, the session is closed and waiting times begin again."""
-        logger.info("%s: %s by an operator", self._settings.resource, event.name)
+        logger.info("analyzer %s: an operator ordered %s", self._settings.resource, event.name)
         if event is AcquisitionEvent.RESET:
             self.counters.resets += 1
             self._had_fault = True
@@ -260,7 +264,7 @@ class Acquisition:
         """Close what is left of the session and wait."""
         self._close()
         wait_s = self._backoff.next_s()
-        logger.info("next attempt in %.1f s", wait_s)
+        logger.info("analyzer %s: next attempt in %.1f s", self._settings.resource, wait_s)
         self._allow(wait_s + self._longest_s())
         self.orders.wait(wait_s, AcquisitionState.BACKOFF)
 
@@ -289,7 +293,7 @@ class Acquisition:
         self._had_fault = True
         self.counters.faults += 1
         self.counters.last_fault = str(fault)
-        logger.warning("fault while in %s: %s", state.name, fault)
+        logger.warning("analyzer %s failed in %s: %s", self._settings.resource, state.name, fault)
 
     def _close(self) -> None:
         """Close the session, also one that the driver or the cycle uses."""

@@ -79,7 +79,7 @@ class MeasuringCycle:
             if sweep is not None:
                 self._keep_trace(sweep)
         for message in self._driver.analyzer_messages:
-            logger.warning("analyzer says %d %s", message.code, message.text)
+            logger.warning("the analyzer reports error %d %s", message.code, message.text)
         self._driver.analyzer_messages.clear()
         if self._task.task.analyzer.is_shared:
             self._driver.release()
@@ -93,7 +93,7 @@ class MeasuringCycle:
         for finding in recheck(self._task, sweep, actual):
             text = f"{finding.subject}: {finding.detail}"
             if self.findings.get(finding.rule) != text:
-                logger.warning("as the analyzer takes it: %s", finding)
+                logger.warning("the analyzer changed the settings of the task: %s", finding)
             self.findings[finding.rule] = text
 
 

@@ -39,14 +39,14 @@ class WarningBoard:
         return sorted(self._standing.values(), key=lambda each: each.since_us)
 
     def put_up(self, code: str, detail: str, now_us: int) -> None:
-        """Warn, or put new words to a warning that stands."""
+        """Warn, or update the text of an active warning."""
         before = self._standing.get(code)
         if before is None:
-            logger.error("%s: %s", code, detail)
+            logger.error("spool warning %s: %s", code, detail)
         self._standing[code] = SpoolWarning(code, detail, now_us if before is None else before.since_us)
 
     def withdraw(self, *codes: str) -> None:
         """End warnings."""
         for code in codes:
             if self._standing.pop(code, None) is not None:
-                logger.info("%s: over", code)
+                logger.info("spool warning %s has ended", code)

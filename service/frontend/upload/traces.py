@@ -110,12 +110,14 @@ class TraceSender:
         """Act on traces that were refused as a whole."""
         if problem.status == _UNKNOWN:
             self._from_s = self._elapsed_s() + _AGAIN_S
-            logger.info("service does not take traces (%s); asked again in %.0f s", problem, _AGAIN_S)
+            logger.info("the service does not accept traces (%s); next attempt in %.0f s", problem, _AGAIN_S)
         elif problem.status in {_TOO_LARGE, _UNREADABLE} and len(traces) > 1:
             self._batch = 1  # which one it is shows when they go alone
         elif problem.status in {_TOO_LARGE, _UNREADABLE}:
             self.counters.refused += 1
-            logger.error("trace of %s given up: %s", format_epoch(traces[0].epoch_us), problem)
+            logger.error(
+                "trace of %s is dropped, the service rejects it: %s", format_epoch(traces[0].epoch_us), problem
+            )
             self._spool.settle_traces(traces)
         else:
             raise problem

@@ -235,10 +235,16 @@ class Uploader:
         verdict, position = judge(problem, len(rows))
         if verdict is BatchAction.SHORTER:
             self._batch_rows = max(1, len(rows) // 2)
-            logger.warning("service finds %d rows too long, %d from now on", len(rows), self._batch_rows)
+            logger.warning(
+                "the service refuses %d rows in one request as too long; %d rows a request from now on",
+                len(rows),
+                self._batch_rows,
+            )
         elif verdict is BatchAction.WITHOUT_DETAILS and self._sent_at_s >= self._details_from_s:
             self._details_from_s = self._sent_at_s + _DETAILS_AGAIN_S
-            logger.warning("service does not take figures beside the powers (%s): they are left out", problem)
+            logger.warning(
+                "the service does not accept details beside the powers (%s): rows are sent without them", problem
+            )
         elif verdict is BatchAction.PARTED and position > 0:
             self._part = position  # a batch has one first_seq and no holes
         elif verdict is BatchAction.PARTED:
@@ -288,18 +294,18 @@ class Uploader:
     def _recovered(self) -> None:
         """Say that the service answers again."""
         if self._is_down:
-            logger.info("service answers again; %d rows waited", self._spool.waiting)
+            logger.info("the service answers again; %d rows wait to be sent", self._spool.waiting)
         self._is_down = False
         self._backoff.reset()
 
 
 def _log_binding(binding: PlanBinding) -> None:
     """Say which plan is in use and what is missing on either side."""
-    logger.info("plan %d with %d carriers", binding.plan_id, binding.positions.size)
+    logger.info("rows are sent by carrier plan %d with %d carriers", binding.plan_id, binding.positions.size)
     if binding.unknown:
-        logger.warning("not in the plan, not sent: %s", ", ".join(binding.unknown))
+        logger.warning("carriers of the task that the plan lacks are not sent: %s", ", ".join(binding.unknown))
     if binding.unmeasured:
-        logger.warning("in the plan, not in the task, sent as null: %s", ", ".join(binding.unmeasured))
+        logger.warning("carriers of the plan that the task lacks are sent as null: %s", ", ".join(binding.unmeasured))
 
 
 def _at(each: SpooledRow) -> str:

@@ -134,13 +134,15 @@ class NoticeChannel:
                 self.counts.failed_attempts += 1
                 if error.is_final or attempt == ATTEMPTS:
                     self.counts.failed += 1
-                    _LOG.error("%s: notice %s given up: %s", self.name, notice["sequence"], error)
+                    _LOG.error(
+                        "notice %s to channel %s failed, not sent again: %s", notice["sequence"], self.name, error
+                    )
                     return
                 if self._is_stopping.wait(backoff.next_s()):
                     return
             except Exception:  # noqa: BLE001 the next notice must go out whatever this one broke
                 self.counts.failed += 1
-                _LOG.exception("%s: notice %s could not be told", self.name, notice["sequence"])
+                _LOG.exception("notice %s to channel %s failed", notice["sequence"], self.name)
                 return
             else:
                 self.counts.sent += 1

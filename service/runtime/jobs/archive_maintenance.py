@@ -104,7 +104,7 @@ class ArchiveMaintenance:
             yield
         except Exception:  # noqa: BLE001 as the docstring says
             self.failed_polls += 1
-            _LOG.exception("maintenance of the archive of %s failed; it is tried again", whose)
+            _LOG.exception("archive maintenance of %s failed; it is retried", whose)
 
     def _run(self) -> None:
         while not self._stopping.wait(self._sealing.period_s):
@@ -112,7 +112,7 @@ class ArchiveMaintenance:
                 if self._turn():
                     self.poll_once()
             except Exception:  # noqa: BLE001 as above
-                _LOG.exception("maintenance of the archive failed; it is tried again")
+                _LOG.exception("archive maintenance failed; it is retried")
 
     def _drop(self, spacecraft_id: str) -> None:
         """Drop what is no longer kept; before days are packed, since what goes need not be."""

@@ -84,7 +84,7 @@ class JobRunner:
         except (JobAbortedError, SooError) as error:
             self._results.update_job(job_id, JobState.FAILED, 1.0, str(error))
         except Exception as error:  # noqa: BLE001 a job's fault must reach its operator, whatever it is
-            _LOG.exception("job %s failed", job_id)
+            _LOG.exception("job %s failed by an internal error", job_id)
             self._results.update_job(job_id, JobState.FAILED, 1.0, f"internal error, see the log: {error!r}")
         finally:
             with self._lock:

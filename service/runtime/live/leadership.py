@@ -62,7 +62,9 @@ class Leading:
         self._taking_over = tuple(taking_over)
         self._poll()
         if not self._is_leading:
-            _LOG.info("another service leads; this one takes rows and answers, and takes over when the other ends")
+            _LOG.info(
+                "another service leads; this one stores rows and answers requests, and takes over when the other ends"
+            )
         self._thread = threading.Thread(target=self._run, name="soo-leading", daemon=True)
         self._thread.start()
 
@@ -79,14 +81,14 @@ class Leading:
             try:
                 self._poll()
             except Exception:  # noqa: BLE001 the thread outlives every fault; it is asked again
-                _LOG.exception("the lease could not be looked at")
+                _LOG.exception("the lease could not be checked; checked again")
 
     def _poll(self) -> None:
         """Ask whether the lease is ours; begin a turn when it has become so."""
         if self._is_leading:
             if not self._lease.is_held():
                 self._is_leading = False
-                _LOG.warning("the lease is lost; it is asked for again")
+                _LOG.warning("the lease is lost, another service may lead; this one requests it again")
             return
         if not self._lease.acquire():
             return
@@ -97,7 +99,7 @@ class Leading:
             try:
                 each()
             except StorageError as error:
-                _LOG.warning("taking over is not complete: %s", error)
+                _LOG.warning("this service leads, but a step of taking over failed: %s", error)
 
 
 def elsewhere() -> StorageError:

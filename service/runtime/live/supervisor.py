@@ -219,7 +219,10 @@ class Supervisor:
                 # deleted
                 self._followers.pop(spacecraft_id, None)
                 return
-            _LOG.exception("following the journal of %s failed; rebuilding its state and trying again", spacecraft_id)
+            _LOG.exception(
+                "computing new rows of %s failed; its state is rebuilt from the archive and the step retried",
+                spacecraft_id,
+            )
             self._followers.pop(spacecraft_id, None)
             timer = threading.Timer(_RETRY_S, self.notify, (spacecraft_id,))
             timer.daemon = True

@@ -188,7 +188,7 @@ def test_a_fault_of_the_line_costs_its_own_sweep_at_most(fault: LineFault, caplo
         assert_all_counted_once(made, summary, lost_sweeps=2)
         assert summary.acquisition.sessions == 2
         assert any(row["flags"][0] & QualityFlag.RECONNECTED for row in made.recorder.rows.values())
-    assert "fault while in MEASURE" in caplog.text
+    assert "failed in MEASURE" in caplog.text
     assert "next attempt in" in caplog.text
 
 

@@ -149,10 +149,10 @@ def test_a_service_that_is_away_changes_nothing_and_is_told_of_once(
     reporter.report()
     reporter.report()
     assert station.acquisition.orders.next(AcquisitionState.MEASURE) is None
-    assert caplog.text.count("links cannot be reported") == 1
+    assert caplog.text.count("link reports cannot be sent") == 1
     service.answer = service.agree
     reporter.report()
-    assert "links are reported again" in caplog.text
+    assert "link reports are sent again" in caplog.text
 
 
 def test_reports_end_with_a_last_one(made: tuple[Service, MeasuringStation, LinkReporter]) -> None:

@@ -153,7 +153,7 @@ def test_a_method_that_fails_says_so_in_its_row_and_the_other_goes_on(flight, mo
     row = reported[failing]
     assert (row.status, row.inhibitions, row.control_allowed) == (Status.INVALID, ("internal_error",), False)
     assert np.isnan(row.attitude_deg).all()
-    assert f"method {failing} failed on the row at journal number" in caplog.text
+    assert f"method {failing} failed at journal number" in caplog.text
     monkeypatch.undo()
     assert flight.feed(noisy(flight, 21))[failing].status is Status.ACQUIRED
 

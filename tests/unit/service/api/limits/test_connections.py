@@ -48,8 +48,8 @@ def test_refusals_are_logged_every_ten_seconds_with_their_number(clock, caplog):
             connections.admit("192.0.2.1")
     texts = [record.getMessage() for record in caplog.records]
     assert [text.partition(";")[0] for text in texts] == [
-        "connections refused or ended: 1",
-        "connections refused or ended: 10",
-        "connections refused or ended: 10",
+        "connections refused or closed: 1",
+        "connections refused or closed: 10",
+        "connections refused or closed: 10",
     ]
     assert all("192.0.2.1" in text for text in texts)

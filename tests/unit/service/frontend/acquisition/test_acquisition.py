@@ -191,7 +191,7 @@ def test_connecting_is_tried_again_with_growing_waits(
     made, rows, _ = acquisition(monkeypatch, script)
     while not rows:
         made.step()
-    assert caplog.text.count("fault while in CONNECT: refused") == 3
+    assert caplog.text.count("failed in CONNECT: refused") == 3
     assert caplog.text.count("next attempt in") == 3
 
 
@@ -260,7 +260,7 @@ def test_what_the_analyzer_remarks_is_logged(monkeypatch: pytest.MonkeyPatch, ca
     made, rows, _ = acquisition(monkeypatch, script)
     while not rows:
         made.step()
-    assert "analyzer says -222 Data out of range" in caplog.text
+    assert "analyzer reports error -222 Data out of range" in caplog.text
     assert script.analyzer_messages == []
 
 
