@@ -13,8 +13,8 @@ from service.api.routes.comments import log_comment
 from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
 from service.api.views.present import present_of
 from service.errors import FieldError, ForbiddenError
+from service.pipeline.control.release.control_verdict import ControlView
 from service.pipeline.control.release.events import OrderKind
-from service.records.operations.release import ControlView
 from service.runtime.control.automatic_release import AutomaticRelease
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
@@ -83,7 +83,7 @@ def engage_control(
         raise invalid_request([FieldError("/until", "field.missing", detail)])
     limits = None
     if body.envelope is not None:
-        limits = body.envelope.to_limits(context.release_service.control(spacecraft_id).envelope)
+        limits = body.envelope.within(context.release_service.control(spacecraft_id).envelope)
     engaged = context.release_service.engage(
         spacecraft_id,
         principal.name,

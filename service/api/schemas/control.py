@@ -5,8 +5,10 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer
-from service.records.catalogue import ControlMode, Release
-from service.records.operations.release import ControlVerdict, ControlView, EnvelopeLimits
+from service.api.schemas.record_answers import members_of
+from service.core.control.envelope import Envelope
+from service.pipeline.control.release.control_verdict import ControlReason, ControlVerdict, ControlView
+from service.records.operations.release import SignCheck
 
 ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
 Limit = Annotated[float, Field(gt=0, le=1e3)]
@@ -22,18 +24,9 @@ class EnvelopeDocument(Document):
     impulse_an_hour_n_m_s: Limit | None = None
     """The same over everything that was sent within an hour."""
 
-    def to_limits(self, widest: EnvelopeLimits) -> EnvelopeLimits:
-        """Return the limits, those that are not given from the widest allowed."""
-
-        def chosen(given: float | None, otherwise: float) -> float:
-            return otherwise if given is None else given
-
-        return EnvelopeLimits(
-            chosen(self.angle_change_deg, widest.angle_change_deg),
-            chosen(self.rate_change_deg_s, widest.rate_change_deg_s),
-            chosen(self.impulse_n_m_s, widest.impulse_n_m_s),
-            chosen(self.impulse_an_hour_n_m_s, widest.impulse_an_hour_n_m_s),
-        )
+    def within(self, widest: Envelope) -> Envelope:
+        """Return the envelope, limits that are not given from the widest allowed."""
+        return widest._replace(**self.model_dump(exclude_none=True))
 
 
 class OrderDocument(Document):
@@ -56,88 +49,44 @@ class SignCheckDocument(Document):
     comment: CommentText = ""
 
 
-class ControlReasonAnswer(Answer):
+_Axis = Literal["yaw", "roll", "pitch"]
+
+
+class ControlReasonAnswer(members_of(ControlReason), Answer):
     """A reason why no torque may go, or why yaw is withheld."""
 
-    code: str
-    text: str
-    since: EpochAnswer | None
-    """Since when it has stood without a break; null: not known."""
-    next_step: str
 
-
-class VerdictAnswer(Answer):
+class VerdictAnswer(members_of(ControlVerdict, types={"state": ControlState, "reasons": ControlReasonAnswer}), Answer):
     """Permission to apply a torque now; the same object in every answer about the present."""
 
-    allowed: bool
-    """False whenever the interlock or the newest attitude forbids; read this one for a decision."""
-    state: ControlState
-    """ENGAGED under release automatic: computed commands count as applied."""
-    reasons: list[ControlReasonAnswer]
-    """All active reasons; while allowed, those that withhold yaw alone."""
 
-
-class EnvelopeAnswer(Answer):
+class EnvelopeAnswer(members_of(Envelope, number=float), Answer):
     """Largest change of a command about each axis."""
 
-    angle_change_deg: float
-    rate_change_deg_s: float
-    impulse_n_m_s: float
-    """Sum of the sizes of a command's pulses."""
-    impulse_an_hour_n_m_s: float
-    """The same over everything that was sent within an hour."""
 
-
-class SignCheckAnswer(Answer):
+class SignCheckAnswer(
+    members_of(SignCheck, without=("leg", "leg_start_us", "flown"), types={"axis": _Axis, "log_ratio": AnglesAnswer}),
+    Answer,
+):
     """The newest sign check, or the one that is under way."""
 
-    axis: Literal["yaw", "roll", "pitch"]
-    state: str
-    """running, plus (proven), minus, nothing, open, contradicted or interrupted."""
-    started_at: EpochAnswer
-    started_by: str
-    until: EpochAnswer
-    """It ends undecided then."""
-    legs: int
-    legs_done: int
-    """Reported executed."""
-    log_ratio: AnglesAnswer | None
-    wheels: str | None
-    """Yaw: the same word by wheel telemetry."""
-    detail: str
 
-
-class ControlAnswer(Answer):
+class ControlAnswer(
+    members_of(
+        ControlView,
+        types={
+            "state": ControlState,
+            "since_us": EpochAnswer | None,
+            "reasons": str,
+            "envelope": EnvelopeAnswer,
+            "proven_axes": list[_Axis],
+            "sign_check": SignCheckAnswer,
+        },
+        others={"control": ("state", VerdictAnswer, "")},
+    ),
+    Answer,
+):
     """State of the control interlock of a spacecraft."""
-
-    control: VerdictAnswer
-    state: ControlState
-    """That of `control`."""
-    since: EpochAnswer | None
-    reasons: list[str]
-    """Codes of the reasons of `control`."""
-    trips: list[str]
-    """Latched until reset, a part of the reasons."""
-    armed: bool
-    withheld: bool
-    """Computed commands are zeroed: from a trip until ten good minutes after its reset."""
-    release: Release
-    mode: ControlMode
-    envelope: EnvelopeAnswer
-    """That of the standing authorisation, else that of the settings."""
-    authorised_by: list[str]
-    authorised_until: EpochAnswer | None
-    requested_by: str | None
-    """Who waits for a second person to engage."""
-    requested_until: EpochAnswer | None
-    proven_axes: list[Literal["yaw", "roll", "pitch"]]
-    open_commands: list[int]
-    """Wait for a confirmation."""
-    unreported_commands: list[int]
-    """Wait for a report."""
-    sent_impulse_n_m_s: AnglesAnswer
-    """Sum of the sizes of what was sent within the hour."""
-    sign_check: SignCheckAnswer | None
 
     @classmethod
     def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:

@@ -17,6 +17,8 @@ _TYPES: dict[FieldKind, Any] = {
     FieldKind.AXES: AnglesAnswer,
     FieldKind.AXIS_TRUTHS: AllowedAxesAnswer,
 }
+#: an epoch of one of these is shown as <participle>_at
+_PARTICIPLES = frozenset({"created", "expires", "prepared", "released", "reported", "sent", "started"})
 
 
 class RecordMembers:
@@ -28,8 +30,8 @@ class RecordMembers:
         Dataclass.
     first : sequence of str
         Fields that come first; the others follow as they stand.
-    without : collection of str
-        Fields that are not shown.
+    without, only : collection of str
+        Fields that are not shown; if any, those that are.
     flat : collection of str
         Fields of axes that are shown as one member an axis.
     number : type
@@ -38,6 +40,8 @@ class RecordMembers:
         Types of members that do not follow from the type of the field; of a field of records, that of its elements.
     descriptions : mapping
         Of members, in place of those of the fields.
+    others : mapping
+        Members that are no fields: the field that each comes before, its type and its description.
     """
 
     def __init__(
@@ -46,15 +50,20 @@ class RecordMembers:
         *,
         first: Sequence[str] = (),
         without: Collection[str] = (),
+        only: Collection[str] = (),
         flat: Collection[str] = (),
         number: Any = Figure,
         types: Mapping[str, Any] = MappingProxyType({}),
         descriptions: Mapping[str, str] = MappingProxyType({}),
+        others: Mapping[str, tuple[str, Any, str]] = MappingProxyType({}),
     ) -> None:
         known = record_fields(record)
+        shown = [name for name in known if name not in without and (not only or name in only)]
         self._members: dict[str, Any] = {}
         paths: list[str] = []
-        for name in dict.fromkeys((*first, *(name for name in known if name not in without))):
+        for name in dict.fromkeys((*first, *shown)):
+            for member, (_, kind, about) in ((m, other) for m, other in others.items() if other[0] == name):
+                self._members[member] = (kind, Field(description=about or None))
             field = known[name]
             for member, path, kind in _members(field, types.get(name), number, is_flat=name in flat):
                 description = descriptions.get(member, field.description) or None
@@ -87,10 +96,11 @@ def _members(field: RecordField, kind: Any, number: Any, *, is_flat: bool) -> li
     if is_flat:
         paths = (f"{field.name}.{axis}" for axis in Axes._fields)
         return [(name, path, number) for name, path in zip(field.axis_names(), paths, strict=True)]
-    name = field.name.removesuffix("_us")
+    name = field.name.removesuffix("_us").removeprefix("is_")
+    name = f"{name}_at" if name in _PARTICIPLES and field.kind is FieldKind.EPOCH else name
     types = _TYPES | {FieldKind.NUMBER: number}
     made = kind or types.get(field.kind, field.content)
     if field.kind is FieldKind.RECORDS:
-        element = EpochAnswer if name != field.name else number if field.content is float else field.content
+        element = EpochAnswer if field.name.endswith("_us") else number if field.content is float else field.content
         made = list[kind or element]
     return [(name, field.name, made | None if field.is_optional else made)]

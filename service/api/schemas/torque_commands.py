@@ -4,9 +4,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
-from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer, RowPage, Text
+from service.api.schemas.base import Answer, CommentText, Document, Epoch, RowPage, Text
+from service.api.schemas.record_answers import members_of
 from service.api.schemas.torques import PulseAnswer, ScheduleCheckAnswer
-from service.records.operations.release import Command, CommandRequest, ProductForm, Purpose, UplinkProduct
+from service.records.operations.release import Command, CommandCheck, CommandRequest, UplinkProduct
 
 #: a reason is asked for, so one must stand there
 Reason = Annotated[CommentText, Field(min_length=1)]
@@ -55,67 +56,32 @@ class ReportDocument(Document):
     """Null: to the end (executed), or nothing at all (failed, with a null `executed_from`)."""
 
 
-class CheckAnswer(Answer):
+class CheckAnswer(members_of(CommandCheck, without=("code",)), Answer):
     """One check of a command."""
 
-    name: str
-    ok: bool
-    detail: str
-    """What is wrong; empty where nothing is."""
+
+_PREDICTED = ("angle_change_deg", "rate_change_deg_s", "peak_angle_deg", "peak_rate_deg_s", "wheel_momentum_n_m_s")
 
 
-class PredictedCommandAnswer(Answer):
+class PredictedCommandAnswer(members_of(Command, only=_PREDICTED, number=float), Answer):
     """What a command will have done when its last pulse has ended, against no command."""
 
-    angle_change_deg: AnglesAnswer
-    rate_change_deg_s: AnglesAnswer
-    peak_angle_deg: AnglesAnswer
-    """Greatest on the way, with sign."""
-    peak_rate_deg_s: AnglesAnswer
-    wheel_momentum_n_m_s: list[float]
-    """Change of the stored momentum of each wheel."""
 
-
-class CommandAnswer(Answer):
+class CommandAnswer(
+    members_of(
+        Command,
+        without=(*_PREDICTED, "schedule_verdict", "computed", "told_executed_us"),
+        types={"state": CommandState, "schedule": PulseAnswer, "checks": CheckAnswer, "executed": PulseAnswer},
+        others={
+            "id": ("state", int, "Its counter, which stands in paths and in the uplink product."),
+            "needs_approver": ("attitude_epoch_us", bool, "It waits for a second person, an approver."),
+            "predicted": ("checks", PredictedCommandAnswer, ""),
+            "schedule_check": ("prepared_by", ScheduleCheckAnswer | None, ""),
+        },
+    ),
+    Answer,
+):
     """A command that was prepared, as it stands."""
-
-    id: int
-    """Its counter, which stands in paths and in the uplink product."""
-    state: CommandState
-    digest: str
-    """What a second person confirms: SHA-256 of counter, estimate, start and pulses to the last bit."""
-    counter: int
-    expires_at: EpochAnswer
-    """It cannot be confirmed from then on."""
-    purpose: Purpose
-    reason: str
-    dry_run: bool
-    simulated: bool
-    automatic: bool
-    """Released by standing authorisation."""
-    needs_approver: bool
-    """It waits for a second person, an approver."""
-    attitude_epoch: EpochAnswer
-    start: EpochAnswer
-    stop: EpochAnswer
-    schedule: list[PulseAnswer]
-    impulse_n_m_s: AnglesAnswer
-    gross_impulse_n_m_s: AnglesAnswer
-    """Sum of the sizes of the pulses: what the envelope counts."""
-    predicted: PredictedCommandAnswer
-    checks: list[CheckAnswer]
-    """As they were when it was prepared; all are made again when it is confirmed."""
-    schedule_check: ScheduleCheckAnswer | None
-    prepared_by: str
-    prepared_at: EpochAnswer
-    confirmed_by: str | None
-    comment: str
-    released_at: EpochAnswer | None
-    sent_at: EpochAnswer | None
-    reported_at: EpochAnswer | None
-    reported_by: str | None
-    executed: list[PulseAnswer]
-    """What of the schedule was carried out, by report."""
 
     @classmethod
     def of(cls, command: Command) -> Self:
@@ -135,24 +101,8 @@ class CommandPage(RowPage):
     rows: list[CommandAnswer]
 
 
-class UplinkAnswer(Answer):
+class UplinkAnswer(members_of(UplinkProduct, types={"digest": str | None, "schedule": PulseAnswer}), Answer):
     """What goes up through the centre's own channels; it never changes."""
-
-    form: ProductForm
-    counter: int
-    """Torques: that of the command; angles: rises by one with each product. A receiver takes none twice."""
-    created_at: EpochAnswer
-    valid_from: EpochAnswer
-    valid_until: EpochAnswer
-    """Not to be used from then on."""
-    attitude_epoch: EpochAnswer
-    simulated: bool
-    """Of a simulated spacecraft: never to be sent to a real one."""
-    digest: str | None
-    schedule: list[PulseAnswer]
-    """Torque on the body; every element ends by itself."""
-    attitude_deg: AnglesAnswer | None
-    sigma_deg: AnglesAnswer | None
 
     @classmethod
     def of(cls, product: UplinkProduct) -> Self:

@@ -65,25 +65,9 @@ class TorqueAnswer(
     @classmethod
     def before_the_first(cls, mode: ControlMode, attitude_epoch_us: int | None) -> Self:
         """Return the answer while no command was ever computed."""
-        return cls.model_validate(
-            {
-                "epoch": None,
-                "attitude_epoch": attitude_epoch_us,
-                "mode": mode,
-                "roll_n_m": None,
-                "pitch_n_m": None,
-                "yaw_n_m": None,
-                "wheels_n_m": None,
-                "saturated": False,
-                "command_period_s": None,
-                "valid_until": None,
-                "schedule": [],
-                "impulse_n_m_s": NO_ANGLES,
-                "predicted": None,
-                "control_allowed": False,
-                "inhibitions": ["no_attitude"],
-            }
-        )
+        nothing = {"saturated": False, "schedule": [], "impulse_n_m_s": NO_ANGLES, "control_allowed": False}
+        known = {"mode": mode, "attitude_epoch": attitude_epoch_us, "inhibitions": ["no_attitude"]}
+        return cls.model_validate(dict.fromkeys(cls.model_fields) | nothing | known)
 
 
 class NewestTorqueAnswer(TorqueAnswer):

@@ -5,11 +5,10 @@ from typing import NamedTuple
 from service.api.context.dependencies import ApiContext
 from service.api.views.newest import newest_attitude, newest_command
 from service.errors import StorageError
-from service.pipeline.control.release.control_verdict import control_verdict
+from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
 from service.records.catalogue import Spacecraft
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.operations.release import ControlVerdict, ControlView
 
 
 class Present(NamedTuple):

@@ -1,6 +1,6 @@
 """Envelope of a command: how much it may change at most. Beyond it a command is refused, never clipped."""
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -17,10 +17,8 @@ class Envelope(NamedTuple):
     #: greatest change of an angle, on the way or at the end
     angle_change_deg: float = 0.1
     rate_change_deg_s: float = 3e-4
-    #: sum of the sizes of a command's pulses
-    impulse_n_m_s: float = 0.02
-    #: the same over everything that was sent within an hour
-    impulse_an_hour_n_m_s: float = 0.1
+    impulse_n_m_s: Annotated[float, "Sum of the sizes of a command's pulses."] = 0.02
+    impulse_an_hour_n_m_s: Annotated[float, "The same over everything that was sent within an hour."] = 0.1
 
     def is_within(self, other: "Envelope") -> bool:
         """Return whether no limit is wider than another envelope's, and each is a positive number."""

@@ -2,22 +2,10 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
-
-
-@dataclass(frozen=True, slots=True)
-class EnvelopeLimits:
-    """Limits of a command about each axis."""
-
-    angle_change_deg: float = 0.1
-    rate_change_deg_s: float = 3e-4
-    #: sum of the sizes of a command's pulses
-    impulse_n_m_s: float = 0.02
-    #: the same over everything that was sent within an hour
-    impulse_an_hour_n_m_s: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,19 +40,15 @@ class SignCheck:
 
     #: yaw, roll or pitch
     axis: str
-    #: running, plus (proven), minus, nothing, open, contradicted, interrupted
-    state: str
+    state: Annotated[str, "running, plus (proven), minus, nothing, open, contradicted or interrupted."]
     started_us: int
     started_by: str
-    #: when it ends undecided
-    until_us: int
+    until_us: Annotated[int, "It ends undecided then."]
     legs: int
-    #: reported executed
-    legs_done: int
+    legs_done: Annotated[int, "Reported executed."]
     #: by the powers
     log_ratio: SignRatios | None = None
-    #: yaw: the same word by wheel telemetry
-    wheels: str | None = None
+    wheels: Annotated[str | None, "Yaw: the same word by wheel telemetry."] = None
     #: why a leg could not be prepared, or why the check ended
     detail: str = ""
     #: counter of the leg that is prepared or out, and when the newest leg begins
@@ -72,60 +56,6 @@ class SignCheck:
     leg_start_us: int = 0
     #: pulses that were carried out of each leg
     flown: tuple[tuple[Pulse, ...], ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class ControlReason:
-    """A reason why no torque may go, or why yaw is withheld."""
-
-    code: str
-    text: str
-    #: since when it has stood without a break; None: not known
-    since_us: int | None
-    next_step: str
-
-
-@dataclass(frozen=True, slots=True)
-class ControlVerdict:
-    """The one answer to the question whether a torque may go now."""
-
-    is_allowed: bool
-    #: INHIBITED, ARMED, ENGAGED, RECOVERY or TRIPPED
-    state: str
-    reasons: tuple[ControlReason, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class ControlView:
-    """View of the interlock of one spacecraft."""
-
-    #: INHIBITED, ARMED, ENGAGED, RECOVERY or TRIPPED
-    state: str
-    since_us: int
-    reasons: tuple[ControlReason, ...]
-    #: latched until reset, a part of the reasons
-    trips: tuple[str, ...]
-    is_armed: bool
-    #: whether computed commands are zeroed: from a trip until ten good minutes after its reset
-    is_withheld: bool
-    #: two_step or automatic
-    release: str
-    #: ground, onboard or off
-    mode: str
-    #: that of the authorisation, else that of the settings
-    envelope: EnvelopeLimits
-    authorised_by: tuple[str, ...]
-    authorised_until_us: int | None
-    #: who waits for a second person, and for what end of the authorisation
-    requested_by: str | None
-    requested_until_us: int | None
-    proven_axes: tuple[str, ...]
-    #: counters of commands that wait for a confirmation, and of those that wait for a report
-    open_commands: tuple[int, ...]
-    unreported_commands: tuple[int, ...]
-    #: sum of the sizes of what was sent within the hour, N m s
-    sent_impulse_n_m_s: Axes
-    sign_check: SignCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +78,7 @@ class CommandCheck:
 
     name: str
     is_ok: bool
-    #: why it fails
-    detail: str = ""
+    detail: Annotated[str, "What is wrong; empty where nothing is."] = ""
     #: by which it refuses
     code: str = ""
 
@@ -180,20 +109,19 @@ class CommandState(StrEnum):
 class Command:
     """One command: pulses, effect, checks, persons and reports; before it is prepared without counter and digest."""
 
+    state: CommandState = CommandState.PREPARED
+    digest: Annotated[
+        str, "What a second person confirms: SHA-256 of counter, estimate, start and pulses to the last bit."
+    ] = ""
     #: rises by one with each command of a spacecraft: its id in paths and in the uplink product
     counter: int = 0
-    state: CommandState = CommandState.PREPARED
-    #: what a person confirms
-    digest: str = ""
+    expires_us: Annotated[int, "It cannot be confirmed from then on."] = 0
     purpose: Purpose = Purpose.CONTROL
-    #: released by standing authorisation
-    is_automatic: bool = False
-    is_simulated: bool = False
     reason: str = ""
-    prepared_by: str = ""
-    prepared_us: int = 0
-    #: it cannot be confirmed from then on
-    expires_us: int = 0
+    #: only looked at: nothing is stored, the counter is the one that it would get
+    is_dry_run: bool = False
+    is_simulated: bool = False
+    is_automatic: Annotated[bool, "Released by standing authorisation."] = False
     #: of the estimate that it was computed from
     attitude_epoch_us: int
     start_us: int
@@ -202,22 +130,22 @@ class Command:
     schedule: tuple[Pulse, ...]
     #: of the flexible-response check: accept, warn or reject
     schedule_verdict: str = "accept"
-    #: net, N m s
+    #: net
     impulse_n_m_s: Axes
-    #: sum of the sizes of the pulses, N m s: what the envelope counts
-    gross_impulse_n_m_s: Axes
+    gross_impulse_n_m_s: Annotated[Axes, "Sum of the sizes of the pulses: what the envelope counts."]
     #: when the last pulse has ended
     angle_change_deg: Axes
     rate_change_deg_s: Axes
-    #: greatest on the way, with sign
-    peak_angle_deg: Axes
+    peak_angle_deg: Annotated[Axes, "Greatest on the way, with sign."]
     peak_rate_deg_s: Axes
-    #: (W,) N m s, change of stored momentum of each wheel
-    wheel_momentum_n_m_s: tuple[float, ...]
-    #: as they were when it was prepared
-    checks: tuple[CommandCheck, ...] = ()
+    wheel_momentum_n_m_s: Annotated[tuple[float, ...], "Change of the stored momentum of each wheel."]
+    checks: Annotated[
+        tuple[CommandCheck, ...], "As they were when it was prepared; all are made again when it is confirmed."
+    ] = ()
     #: the computed command that it is, with its schedule check
     computed: TorqueCommand | None = None
+    prepared_by: str = ""
+    prepared_us: int = 0
     confirmed_by: str | None = None
     comment: str = ""
     released_us: int | None = None
@@ -226,10 +154,7 @@ class Command:
     reported_by: str | None = None
     #: from when until when the report says it was carried out, as it says it
     told_executed_us: tuple[int | None, int | None] = (None, None)
-    #: what of the schedule was carried out
-    executed: tuple[Pulse, ...] = ()
-    #: only looked at: nothing is stored, the counter is the one that it would get
-    is_dry_run: bool = False
+    executed: Annotated[tuple[Pulse, ...], "What of the schedule was carried out, by report."] = ()
 
     @property
     def is_sign_check(self) -> bool:
@@ -251,17 +176,17 @@ class UplinkProduct:
     """Product for uplink through the centre's own channels; never changed once it is stored."""
 
     form: ProductForm
-    #: torques: that of the command; attitude: rises by one with each product
-    counter: int
+    counter: Annotated[
+        int, "Torques: that of the command; angles: rises by one with each product. A receiver takes none twice."
+    ]
     created_us: int
     valid_from_us: int
-    #: not to be used from then on
-    valid_until_us: int
+    valid_until_us: Annotated[int, "Not to be used from then on."]
     attitude_epoch_us: int
-    is_simulated: bool
+    is_simulated: Annotated[bool, "Of a simulated spacecraft: never to be sent to a real one."]
     #: of the command
     digest: str = ""
-    schedule: tuple[Pulse, ...] = ()
+    schedule: Annotated[tuple[Pulse, ...], "Torque on the body; every element ends by itself."] = ()
     attitude_deg: Axes | None = None
     sigma_deg: Axes | None = None
 

@@ -9,10 +9,12 @@ is judged and how stands in `service.pipeline.control.release`, how a step is ke
 from dataclasses import replace
 from functools import partial
 
+from service.core.control.envelope import Envelope
 from service.errors import ConflictError, GoneError, InvalidInputError, NotFoundError
 from service.pipeline.control.release.advance import settled_at
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.command_transitions import command_of
+from service.pipeline.control.release.control_verdict import ControlView, control_view
 from service.pipeline.control.release.events import (
     Cancel,
     Confirm,
@@ -31,20 +33,12 @@ from service.pipeline.control.release.state_document import state_of
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.operations.release import (
-    Command,
-    CommandRequest,
-    ControlView,
-    EnvelopeLimits,
-    ProductForm,
-    UplinkProduct,
-)
+from service.records.operations.release import Command, CommandRequest, ProductForm, UplinkProduct
 from service.runtime.control.proposals import requested
 from service.runtime.control.refusal_errors import error_of, require_release
 from service.runtime.control.release_context import ReleaseContext
 from service.runtime.control.release_loop import ReleaseLoop
 from service.runtime.control.sign_checks import begin_sign_check, continue_sign_check
-from service.runtime.control.views import control_view, envelope_of, is_repeated
 
 _REPORTS = {each.name.lower(): each for each in CommandTransition}
 #: a report may be this much older than the release, and this much ahead of the clock: clocks of two centres differ
@@ -77,14 +71,14 @@ class ReleaseService(ReleaseLoop):
             return self._view(context, at)
 
     def engage(
-        self, spacecraft_id: str, by: str, *, is_approver: bool, until_us: int, envelope: EnvelopeLimits | None = None
+        self, spacecraft_id: str, by: str, *, is_approver: bool, until_us: int, envelope: Envelope | None = None
     ) -> ControlView:
         """Ask for standing authorisation, or join who asked for the same; without an envelope that of the settings.
 
         Errors of `order`, and ConflictError ``interlock.sign_unproven``; ForbiddenError
         ``interlock.second_person``; InvalidInputError ``interlock.authorisation``, ``envelope.wider``.
         """
-        wanted = self._settings.envelope if envelope is None else envelope_of(envelope)
+        wanted = envelope or self._settings.envelope
         with self._present(spacecraft_id) as (context, at):
             self._require_possible(context.spacecraft)
             self._handle(context, Engage(at, by, until_us, wanted, is_approver))
@@ -148,7 +142,7 @@ class ReleaseService(ReleaseLoop):
         with self._present(spacecraft_id) as (context, at):
             event = Report(at, counter, _REPORTS[turn], executed_from_us, executed_until_us, by, at_us)
             command = context.release.command(counter)
-            if is_repeated(command, event):
+            if _is_repeated(command, event):
                 return command
             if at_us is not None:
                 _require_time(command, at_us, at, is_data=self._clock.is_data(spacecraft_id))
@@ -246,3 +240,11 @@ def _require_time(command: Command, at_us: int, at: Instant, *, is_data: bool) -
     is_early = command.released_us is not None and at_us < command.released_us - _REPORT_SLACK_US
     if is_early or (not is_data and at_us > at.now_us + _REPORT_SLACK_US):
         raise InvalidInputError("report.time", "the report is from before the release, or from the future")
+
+
+def _is_repeated(command: Command, event: Report) -> bool:
+    """Return whether a report repeats the newest one of its kind; then it means nothing."""
+    if event.transition is CommandTransition.SENT:
+        return command.sent_us is not None and event.reported_at_us in (None, command.sent_us)
+    executed_us = (event.executed_from_us, event.executed_until_us)
+    return command.state == event.transition.name and command.told_executed_us == executed_us

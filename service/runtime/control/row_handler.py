@@ -21,11 +21,10 @@ from service.pipeline.control.release.sign_checks import is_running
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.operations.release import ProductForm
+from service.records.operations.release import ProductForm, UplinkProduct
 from service.runtime.control.proposals import computed_command, soonest_start_us
 from service.runtime.control.release_context import ReleaseContext
 from service.runtime.control.sign_checks import continue_sign_check
-from service.runtime.control.views import attitude_product
 
 _LOG = logging.getLogger("soo.release")
 
@@ -80,8 +79,17 @@ def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None
         return
     newest = context.storage.releases.newest_product(spacecraft.id, ProductForm.ATTITUDE)
     counter = 1 if newest is None else newest.counter + 1
-    until_us = row.epoch_us + context.stale_us
-    product = attitude_product(row, counter, at.now_us, until_us, is_simulated=spacecraft.simulated)
+    product = UplinkProduct(
+        form=ProductForm.ATTITUDE,
+        counter=counter,
+        created_us=at.now_us,
+        valid_from_us=row.epoch_us,
+        valid_until_us=row.epoch_us + context.stale_us,
+        attitude_epoch_us=row.epoch_us,
+        is_simulated=spacecraft.simulated,
+        attitude_deg=row.attitude_deg,
+        sigma_deg=row.sigma_deg,
+    )
     context.release.handle(AnglesFit(at, product))
 
 

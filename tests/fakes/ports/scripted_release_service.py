@@ -3,8 +3,9 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from service.core.control.envelope import Envelope
 from service.errors import SooError
-from service.pipeline.control.release.control_verdict import reason_of
+from service.pipeline.control.release.control_verdict import ControlView, reason_of
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
 from service.records.operations.release import (
@@ -12,8 +13,6 @@ from service.records.operations.release import (
     CommandCheck,
     CommandRequest,
     CommandState,
-    ControlView,
-    EnvelopeLimits,
     ProductForm,
     Purpose,
     SignCheck,
@@ -36,7 +35,7 @@ CONTROL = ControlView(
     is_withheld=False,
     release="two_step",
     mode="ground",
-    envelope=EnvelopeLimits(),
+    envelope=Envelope(),
     authorised_by=(),
     authorised_until_us=None,
     requested_by="Anna",

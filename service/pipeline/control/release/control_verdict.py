@@ -3,15 +3,22 @@
 Every answer about the present carries this one object.
 """
 
+from dataclasses import dataclass
+from typing import Annotated
+
+from service.core.control.envelope import Envelope
 from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED
+from service.pipeline.control.release.events import ReleaseState
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.interlock_states import State
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.release_checks import sent_within_an_hour
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
-from service.records.catalogue import Release
-from service.records.levels.attitude import AttitudeRow
+from service.records.catalogue import ControlMode, Release, Spacecraft
+from service.records.levels.attitude import AttitudeRow, Axes
 from service.records.levels.command import TorqueCommand
-from service.records.operations.release import ControlReason, ControlVerdict, ControlView
+from service.records.operations.release import SignCheck
 
 #: states in which torques go, by hand or by themselves
 _GIVING = frozenset({State.ARMED.name, State.ENGAGED.name, State.RECOVERY.name})
@@ -64,6 +71,52 @@ _CONDITIONS = {each.word: each for each in Condition if each.consequence is not 
 CODES = frozenset((*_CONDITIONS, *INHIBITIONS, *CONTROL_INHIBITIONS, *_OTHERS))
 
 
+@dataclass(frozen=True, slots=True)
+class ControlReason:
+    """A reason why no torque may go, or why yaw is withheld."""
+
+    code: str
+    text: str
+    since_us: Annotated[int | None, "Since when it has stood without a break; null: not known."]
+    next_step: str
+
+
+@dataclass(frozen=True, slots=True)
+class ControlVerdict:
+    """The one answer to the question whether a torque may go now."""
+
+    is_allowed: Annotated[
+        bool, "False whenever the interlock or the newest attitude forbids; read this one for a decision."
+    ]
+    state: Annotated[str, "ENGAGED under release automatic: computed commands count as applied."]
+    reasons: Annotated[tuple[ControlReason, ...], "All active reasons; while allowed, those that withhold yaw alone."]
+
+
+@dataclass(frozen=True, slots=True)
+class ControlView:
+    """View of the interlock of one spacecraft; a text beside a type is the description in the interface."""
+
+    state: Annotated[str, "That of `control`."]
+    since_us: int
+    reasons: Annotated[tuple[ControlReason, ...], "Codes of the reasons of `control`."]
+    trips: Annotated[tuple[str, ...], "Latched until reset, a part of the reasons."]
+    is_armed: bool
+    is_withheld: Annotated[bool, "Computed commands are zeroed: from a trip until ten good minutes after its reset."]
+    release: Release
+    mode: ControlMode
+    envelope: Annotated[Envelope, "That of the standing authorisation, else that of the settings."]
+    authorised_by: tuple[str, ...]
+    authorised_until_us: int | None
+    requested_by: Annotated[str | None, "Who waits for a second person to engage."]
+    requested_until_us: int | None
+    proven_axes: tuple[str, ...]
+    #: counters
+    open_commands: Annotated[tuple[int, ...], "Wait for a confirmation."]
+    unreported_commands: Annotated[tuple[int, ...], "Wait for a report."]
+    sent_impulse_n_m_s: Annotated[Axes, "Sum of the sizes of what was sent within the hour."]
+    sign_check: SignCheck | None = None
+
+
 def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings | None = None) -> ControlReason:
     """Return a reason in words; figures are those of the settings, by default those of the reference.
 
@@ -78,6 +131,34 @@ def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings 
     figures = (settings or ReleaseSettings()).figures
     text, next_step = known.get(code, code).format(**figures), _NEXT_STEP.get(code, _NEXT_STEP["estimator"])
     return ControlReason(code, text, since_us, next_step)
+
+
+def control_view(state: ReleaseState, spacecraft: Spacecraft, settings: ReleaseSettings, now_us: int) -> ControlView:
+    """Return what the interlock says."""
+    interlock = state.interlock
+    authorisation, request, since = interlock.authorisation, interlock.request, dict(interlock.since)
+    if request is not None and now_us - request.at_us > microseconds(settings.request_s):
+        request = None
+    return ControlView(
+        state=interlock.state.name,
+        since_us=interlock.since_us,
+        reasons=tuple(reason_of(word, since.get(word) or None, settings) for word in interlock.reasons),
+        trips=tuple(condition.word for condition in interlock.trips),
+        is_armed=interlock.is_armed,
+        is_withheld=interlock.is_withholding,
+        release=spacecraft.control.release,
+        mode=spacecraft.control.mode,
+        envelope=settings.envelope if authorisation is None else authorisation.terms.envelope,
+        authorised_by=() if authorisation is None else authorisation.persons,
+        authorised_until_us=None if authorisation is None else authorisation.terms.until_us,
+        requested_by=None if request is None else request.by,
+        requested_until_us=None if request is None else request.terms.until_us,
+        proven_axes=interlock.proven_axes,
+        open_commands=tuple(each.counter for each in state.commands if each.state in OPEN),
+        unreported_commands=tuple(each.counter for each in state.commands if each.state in UNREPORTED),
+        sent_impulse_n_m_s=Axes(*sent_within_an_hour(state, now_us)),
+        sign_check=state.sign_check,
+    )
 
 
 def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRow | None) -> ControlVerdict:

@@ -6,6 +6,7 @@ import pytest
 from release_service_driver import GOOD, MINUTE_US, START_US, US, ReleaseServiceDriver
 from release_storage import SC
 
+from service.core.control.envelope import Envelope
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.estimation.method import CommandEvidence
@@ -13,7 +14,7 @@ from service.records.catalogue import ControlMode, Onboard, Release
 from service.records.inputs import Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.command import ReportedCommand
-from service.records.operations.release import CommandRequest, EnvelopeLimits, InterlockHold, ProductForm
+from service.records.operations.release import CommandRequest, InterlockHold, ProductForm
 from service.runtime.live.leadership import elsewhere
 
 
@@ -26,7 +27,7 @@ def test_before_anything_nothing_may_go_and_it_says_why(driver):
     view = driver.view
     assert (view.state, view.release, view.mode, view.is_armed) == ("INHIBITED", "two_step", "ground", False)
     assert driver.codes == ("estimate_old", "yaw_sign", "not_armed")
-    assert view.envelope == EnvelopeLimits()
+    assert view.envelope == Envelope()
     with pytest.raises(ConflictError, match=r"interlock\.inhibited"):
         driver.order(OrderKind.ARM)
     with pytest.raises(ConflictError, match=r"command\.no_estimate"):
@@ -152,7 +153,7 @@ def test_engaging_needs_signs_two_persons_and_an_end(driver):
         driver.engage("ann", hours=13.0)
     with pytest.raises(InvalidInputError, match=r"envelope\.wider"):
         driver.service.engage(
-            SC, "ann", is_approver=True, until_us=driver.clock.now + US, envelope=EnvelopeLimits(impulse_n_m_s=0.03)
+            SC, "ann", is_approver=True, until_us=driver.clock.now + US, envelope=Envelope(impulse_n_m_s=0.03)
         )
     assert driver.engage("ann").requested_by == "ann"
     with pytest.raises(ForbiddenError, match=r"interlock\.second_person"):
