@@ -1,5 +1,6 @@
 """Documents of control: state of the interlock, and orders of operators."""
 
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 from pydantic import Field
@@ -91,6 +92,7 @@ class ControlAnswer(
     @classmethod
     def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:
         """Return the answer for the state of the interlock."""
+        check = view.sign_check
         return super().of(
             view,
             control=VerdictAnswer.of(verdict),
@@ -98,4 +100,6 @@ class ControlAnswer(
             # before anything ever happened there is no instant
             since=view.since_us or None,
             reasons=[reason.code for reason in verdict.reasons],
+            # the interface has a member for each axis there, and none for plus, nothing and minus
+            sign_check=None if check is None else replace(check, log_ratio=None),
         )

@@ -16,6 +16,7 @@ from service.records.operations.release import (
     ProductForm,
     Purpose,
     SignCheck,
+    SignRatios,
     UplinkProduct,
 )
 
@@ -44,7 +45,7 @@ CONTROL = ControlView(
     open_commands=(7,),
     unreported_commands=(),
     sent_impulse_n_m_s=Axes(0.0, 0.016, 0.0),
-    sign_check=SignCheck("roll", "plus", AT_US, "Anna", AT_US + 2700 * S, 2, 2, Axes(0.0, -12.0, -40.0)),
+    sign_check=SignCheck("roll", "plus", AT_US, "Anna", AT_US + 2700 * S, 2, 2, SignRatios(0.0, -12.0, -40.0)),
 )
 COMMAND = Command(
     counter=7,
