@@ -62,7 +62,9 @@ class LevelTerms:
             is_before = epochs_us < scenario.operation_start_us
             stations_db -= np.median(stations_db[is_before], axis=0)
             stations_db = _on_grid(stations_db, scenario.noise.station.quantum_db)
-        self._arriving_db = stations_db - dish_db + effects.level_db
+        #: (T, N) levels of the stations with noise and rain, and what is no noise: dishes, steps
+        self._stations_db, self._stated_db = stations_db, effects.level_db - dish_db
+        self._arriving_db = self._stations_db + self._stated_db
         self._has_shift = bool(np.any(effects.pattern_shift_deg))
 
     @property
@@ -93,6 +95,23 @@ class LevelTerms:
         power_db, level_db = self._control_db(attitude_deg, rows)
         sent_dbm = self.levels_dbm + (gain_db - self._nominal_db) + self._arriving_db[rows] + power_db + level_db
         return Levels(_on_grid(sent_dbm + self.common_db[rows], self._scenario.noise.quantum_db), power_db, level_db)
+
+    def row_sensitivity_db_per_deg(self, attitude_deg: FloatArray, step_deg: float = 0.01) -> FloatArray:
+        """Return the true sensitivities (T, N, 3) at the attitudes (T, 3) of all rows by central differences."""
+        shift_deg = self._effects.pattern_shift_deg if self._has_shift else None
+        slopes = []
+        for step in step_deg * np.eye(3):
+            above, below = (
+                flown_gain_db(self._plan, self._orbit, self._epochs_us, attitude_deg + sign * step, shift_deg)
+                for sign in (1.0, -1.0)
+            )
+            slopes.append((above - below) / (2.0 * step_deg))
+        return np.stack(slopes, axis=-1)
+
+    def noise_free_dbm(self, carrier_dbm: FloatArray) -> FloatArray:
+        """Return the levels (T, N) of all rows without noise and rain of stations, chain and receiving site."""
+        noise_db = self._stations_db + self.common_db - self._effects.chain_db[:, None]
+        return np.asarray(carrier_dbm - noise_db)
 
     def measurable_dbm(self, carrier_dbm: FloatArray, first: int = 0) -> FloatArray:
         """Return the power inside each carrier's band, NaN where the carrier is off or nothing is measured."""

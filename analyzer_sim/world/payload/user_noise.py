@@ -4,6 +4,8 @@ Flicker noise is a sum of first-order parts whose correlation times reach from m
 carrier draws from a stream of its own, so that a part more or less moves no other.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from analyzer_sim.instrument.spectrum import ENBW_PER_RBW
@@ -18,6 +20,7 @@ SWEEP_TIME_S = 2.0
 _MIN_WHITE_DB = 0.05
 #: what the temperature of the satellite does to a beacon: a typical change from day to day, dB
 BEACON_DRIFT_DB_DAY = 0.05
+BEACON_TAU_S = 86_400.0
 
 
 def sweep_sigma_db(plan: CarrierPlan) -> FloatArray:
@@ -70,11 +73,54 @@ def _station_noise_db(
 ) -> FloatArray:
     """Return the level (T,) of a station in the dry: first-order parts, white noise, wave of the solar day."""
     rng = stream(seed, "station", name)
+    drawn = _drawn_station(figures, rng)
+    solar = daily_wave(rng, seconds, drawn.daily_db)
+    slow = drawn.scale * _flicker_db(seed, f"station {name}", figures.parts, scenario, len(seconds))
+    return np.asarray(slow + solar + drawn.white_db * stream(seed, "station white", name).normal(size=len(seconds)))
+
+
+class _DrawnStation(NamedTuple):
+    """Scale of the parts, white noise and amplitude of the solar day of one station."""
+
+    scale: float
+    white_db: float
+    daily_db: float
+
+
+def _drawn_station(figures: StationNoise, rng: np.random.Generator) -> _DrawnStation:
+    """Draw the statistics of one station."""
     scale = float(np.exp(figures.parts_spread * rng.normal()))
     white_db = figures.white_db * float(np.exp(figures.white_spread * rng.normal()))
-    solar = daily_wave(rng, seconds, 0.5 * float(rng.uniform(*figures.solar_db)))
-    slow = scale * _flicker_db(seed, f"station {name}", figures.parts, scenario, len(seconds))
-    return np.asarray(slow + solar + white_db * stream(seed, "station white", name).normal(size=len(seconds)))
+    return _DrawnStation(scale, white_db, 0.5 * float(rng.uniform(*figures.solar_db)))
+
+
+class CarrierNoise(NamedTuple):
+    """True statistics of one carrier's noise, dB."""
+
+    #: of a row, without the noise of the sweep
+    white_db: float
+    parts: tuple[Part, ...]
+    #: amplitudes of the waves of the solar day, added in squares
+    daily_db: float
+
+
+def carrier_noise(plan: CarrierPlan, column: int, scenario: Scenario, seed: int) -> CarrierNoise:
+    """Return the statistics from which `users_noise_db` draws the noise of a carrier."""
+    figures, carrier = scenario.noise, plan.carriers[column]
+    white_db = float(world_white_db(plan)[column]) * figures.white_scale
+    if carrier.is_beacon:
+        return CarrierNoise(white_db, ((_beacon_sigma_db(), BEACON_TAU_S),), 0.0)
+    coloured_db = float(stream(seed, "coloured", carrier.id).uniform(*figures.coloured_db))
+    scale = float(stream(seed, "flicker scale", carrier.id).uniform(*figures.flicker_scale))
+    parts = [(coloured_db, figures.coloured_tau_s), (carrier.wander_db * figures.wander_scale, figures.wander_tau_s)]
+    parts += [(scale * sigma_db, tau_s) for sigma_db, tau_s in figures.flicker]
+    white2, daily2 = white_db**2 + figures.quantum_db**2 / 12.0, figures.thermal_db**2
+    if figures.station is not None:
+        drawn = _drawn_station(figures.station, stream(seed, "station", carrier.station.name))
+        parts += [(drawn.scale * sigma_db, tau_s) for sigma_db, tau_s in figures.station.parts]
+        white2 += drawn.white_db**2 + figures.station.quantum_db**2 / 12.0
+        daily2 += drawn.daily_db**2
+    return CarrierNoise(white2**0.5, tuple(part for part in parts if part[0] > 0.0), daily2**0.5)
 
 
 def _beacon_noise_db(
@@ -82,11 +128,13 @@ def _beacon_noise_db(
 ) -> FloatArray:
     """Return the noise (T,) of a beacon: white, and the drift of the satellite's own transmitter."""
     white = white_db * stream(seed, "white", carrier.id).normal(size=len(seconds))
-    day_s = 86_400.0
-    # two values a correlation time apart differ by sigma sqrt(2 - 2 / e)
-    sigma_db = BEACON_DRIFT_DB_DAY / float(np.sqrt(2.0 - 2.0 / np.e))
-    drift = first_order(stream(seed, "beacon", carrier.id), len(seconds), scenario.row_period_s, sigma_db, day_s)
-    return np.asarray(white + drift)
+    rng, step_s = stream(seed, "beacon", carrier.id), scenario.row_period_s
+    return np.asarray(white + first_order(rng, len(seconds), step_s, _beacon_sigma_db(), BEACON_TAU_S))
+
+
+def _beacon_sigma_db() -> float:
+    """Return the sigma of a beacon's drift: two values a correlation time apart differ by sigma sqrt(2 - 2 / e)."""
+    return BEACON_DRIFT_DB_DAY / float(np.sqrt(2.0 - 2.0 / np.e))
 
 
 def _user_noise_db(carrier: Carrier, white_db: float, scenario: Scenario, seed: int, seconds: FloatArray) -> FloatArray:

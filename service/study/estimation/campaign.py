@@ -19,11 +19,12 @@ from importlib.metadata import version
 from types import FrameType
 from typing import NamedTuple, NoReturn, TypeVar
 
-from service.study.estimation.accuracy import Statistics, accuracy_statistics
+from service.study.estimation.accuracy import AXES, Statistics, accuracy_statistics
 from service.study.estimation.baselines import BASELINES
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
 from service.study.estimation.flight.drive import UndrivenError
+from service.study.estimation.flight.oracle import ORACLE
 from service.study.estimation.measures import statistics_of
 from service.study.estimation.nights import night_statistics
 from service.study.estimation.scenarios import SNAPSHOT
@@ -146,7 +147,7 @@ def collect_metrics(results: Sequence[UnitResult]) -> dict[tuple[str, str], Stat
 
 def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Statistics]:
     """Return the figures of one scenario by method or baseline."""
-    methods = [method for method in METHODS if all(method in seed.methods for seed in seeds)]
+    methods = [method for method in (*METHODS, ORACLE) if all(method in seed.methods for seed in seeds)]
     baselines = [baseline for baseline in BASELINES if all(baseline in seed.baselines for seed in seeds)]
     reported = {
         **{method: statistics_of([seed.methods[method] for seed in seeds]) for method in methods},
@@ -155,7 +156,15 @@ def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Statistics]:
     for answer in dict.fromkeys(answer for seed in seeds for answer in seed.yardsticks):
         answering = {seed.unit.seed: seed.yardsticks[answer] for seed in seeds if answer in seed.yardsticks}
         reported[answer] = {**reported.get(answer, {}), **yardstick_statistics(answering)}
+    if ORACLE in methods:
+        for method in methods:
+            reported[method] |= _ratio_to_oracle(reported[method], reported[ORACLE])
     return reported
+
+
+def _ratio_to_oracle(own: Statistics, oracle: Statistics) -> Statistics:
+    """Return rms of an answer over that of the oracle, axis by axis."""
+    return {f"rms_over_oracle.{axis}": own[f"rms_deg.{axis}"] / oracle[f"rms_deg.{axis}"] for axis in AXES}
 
 
 def _courses(by_scenario: Mapping[str, Sequence[UnitResult]], one: str, other: str) -> list[tuple[Course, Course]]:

@@ -13,24 +13,11 @@ from typing import Any, NamedTuple
 from service.study.estimation.accuracy import AXES, Statistics
 from service.study.estimation.bounds import Judged, Limit, Mark
 from service.study.estimation.campaign import METHODS, Campaign, versions
+from service.study.estimation.flight.oracle import ORACLE
 
 MARKER_BEGIN = "<!-- soo study estimation: begin -->"
 MARKER_END = "<!-- soo study estimation: end -->"
 _DASH = "-"
-_YARDSTICK_COLUMNS = (
-    "scenario",
-    "answer",
-    "wrong torque, min",
-    "rms",
-    "rms, worst of each axis",
-    "rms/sigma roll",
-    "pitch",
-    "control in the dry",
-    "misleading rows",
-    "episodes",
-    "rows without level",
-    "level roll/pitch in the dry",
-)
 #: columns of a page
 _PAGE_WIDTH = 120
 
@@ -50,6 +37,7 @@ def tables(campaign: Campaign) -> tuple[ReportTable, ...]:
         _baselines(campaign),
         _control(campaign),
         _yardstick(campaign),
+        _protection(campaign),
         _events(campaign),
         _bounds(campaign),
     )
@@ -159,10 +147,10 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _answers(campaign: Campaign) -> Iterator[tuple[str, str, Statistics]]:
+def _answers(campaign: Campaign, answers: Sequence[str] = METHODS) -> Iterator[tuple[str, str, Statistics]]:
     """Yield scenario, method and figures of everything driven."""
     for (scenario, answer), statistics in campaign.statistics.items():
-        if answer in METHODS and "answered" in statistics:
+        if answer in answers and "answered" in statistics:
             yield scenario, answer, statistics
 
 
@@ -177,10 +165,12 @@ def _accuracy(campaign: Campaign) -> ReportTable:
             _angles(statistics, "skill", 2),
             _angles(statistics, "slope", 2),
             _angles(statistics, "rms_over_sigma", 2),
+            _to_oracle(statistics),
         )
-        for scenario, method, statistics in _answers(campaign)
+        for scenario, method, statistics in _answers(campaign, (*METHODS, ORACLE))
     )
-    return ReportTable("Errors", ("scenario", "method", "rms", "p95", "skill", "slope", "rms/sigma"), rows)
+    columns = ("scenario", "method", "rms", "p95", "skill", "slope", "rms/sigma", "rms/oracle")
+    return ReportTable("Errors", columns, rows)
 
 
 def _baselines(campaign: Campaign) -> ReportTable:
@@ -190,8 +180,9 @@ def _baselines(campaign: Campaign) -> ReportTable:
         if answer == "zero":
             others = [campaign.statistics.get((scenario, name), {}) for name in ("robust", "corrections", "coupling")]
             robust, corrections, coupling = (_angles(other, "rms_deg", 3) for other in others)
-            rows.append((scenario, _angles(statistics, "rms_deg", 3), corrections, coupling, robust))
-    columns = ("scenario", "zero = truth", "corrections only", "coupling only", "robust")
+            ratio = _to_oracle(others[0])
+            rows.append((scenario, _angles(statistics, "rms_deg", 3), corrections, coupling, robust, ratio))
+    columns = ("scenario", "zero = truth", "corrections only", "coupling only", "robust", "robust/oracle")
     return ReportTable("Rms of answers without powers", columns, tuple(rows))
 
 
@@ -232,17 +223,43 @@ def _yardstick(campaign: Campaign) -> ReportTable:
             _with_worst(statistics, "wrong_min", 0),
             _angles(statistics, "yardstick.rms_deg", 3),
             "/".join(_number(statistics.get(f"yardstick.rms_deg.{axis}.worst"), 3) for axis in AXES),
+            _to_oracle(statistics),
             *(_with_worst(statistics, f"rms_over_sigma.{axis}", 2) for axis in AXES[1:]),
             _with_worst(statistics, "allowed_dry", 3),
-            _with_worst(statistics, "misleading_share", 4),
-            _number(statistics.get("yardstick.episodes"), 0),
-            _with_worst(statistics, "without_share", 3),
-            "/".join(_number(statistics.get(f"yardstick.level_deg.{axis}"), 2) for axis in AXES[1:]),
         )
         for (scenario, answer), statistics in campaign.statistics.items()
         if "yardstick.wrong_min" in statistics
     )
-    return ReportTable("Confident and wrong: mean; worst seed", _YARDSTICK_COLUMNS, rows)
+    columns = (
+        "scenario",
+        "answer",
+        "wrong torque, min",
+        "rms",
+        "worst of each axis",
+        "rms/oracle",
+        "rms/sigma roll",
+        "pitch",
+        "control in the dry",
+    )
+    return ReportTable("Confident and wrong: mean; worst (seed)", columns, rows)
+
+
+def _protection(campaign: Campaign) -> ReportTable:
+    """Return what protection levels are worth; an answer that states none has no row."""
+    rows = tuple(
+        (
+            scenario,
+            answer,
+            _with_worst(statistics, "misleading_share", 4),
+            _number(statistics["yardstick.episodes"], 0),
+            _with_worst(statistics, "without_share", 3),
+            "/".join(_number(statistics.get(f"yardstick.level_deg.{axis}"), 2) for axis in AXES[1:]),
+        )
+        for (scenario, answer), statistics in campaign.statistics.items()
+        if "yardstick.episodes" in statistics
+    )
+    columns = ("scenario", "answer", "misleading rows", "episodes", "without level", "median roll/pitch in the dry")
+    return ReportTable("Protection levels: mean; worst (seed)", columns, rows)
 
 
 def _with_worst(statistics: Statistics, name: str, digits: int) -> str:
@@ -326,6 +343,11 @@ def _joined(parts: Sequence[str]) -> str:
 def _angles(statistics: Statistics, name: str, digits: int) -> str:
     """Return a figure of the three axes."""
     return "/".join(_number(statistics.get(f"{name}.{axis}"), digits) for axis in AXES)
+
+
+def _to_oracle(statistics: Statistics) -> str:
+    """Return the ratio of an answer's errors to the oracle's, where there is one."""
+    return _angles(statistics, "rms_over_oracle", 2) if "rms_over_oracle.yaw" in statistics else _DASH
 
 
 def _number(value: float | None, digits: int | None = None) -> str:

@@ -17,9 +17,10 @@ from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import Accuracy, measure_accuracy
 from service.study.estimation.baselines import baseline_answers
 from service.study.estimation.flight.drive import Driven, UndrivenError, drive
+from service.study.estimation.flight.oracle import ORACLE, oracle_series
 from service.study.estimation.flight.world import World, export_world, read_world
 from service.study.estimation.measures import Measures, judged_rows, measure_method
-from service.study.estimation.yardstick import Yardstick, measure_yardsticks
+from service.study.estimation.yardstick import Yardstick, measure_yardstick, measure_yardsticks
 
 
 class Unit(NamedTuple):
@@ -84,9 +85,11 @@ def run_unit(unit: Unit) -> UnitResult:
     driven = _driven(world)
     if isinstance(driven, str):
         return UnitResult(unit, time.monotonic() - began_s, driven)
-    methods = {name: measure_method(world, driven, series) for name, series in driven.methods.items()}
+    oracle = oracle_series(world, driven.rows)
+    everyone = {**driven.methods, ORACLE: oracle}
+    methods = {name: measure_method(world, driven, series) for name, series in everyone.items()}
     baselines, course = _baselines(world, driven), _course(world, driven)
-    yardsticks = measure_yardsticks(world, driven, Method.ROBUST)
+    yardsticks = {**measure_yardsticks(world, driven, Method.ROBUST), ORACLE: measure_yardstick(world, driven, oracle)}
     return UnitResult(unit, time.monotonic() - began_s, "", methods, baselines, course, yardsticks)
 
 

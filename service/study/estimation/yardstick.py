@@ -94,10 +94,10 @@ def measure_yardstick(world: World, driven: Driven, series: MethodSeries) -> Yar
 
 
 def dry_rows(truth: Truth) -> BoolArray:
-    """Return in which rows (T,) fewer than two stations lose more than 0.3 dB by rain and wet antennas."""
-    stations = sorted(set(truth.stations))
-    wet = [truth.loss_db[:, [name == one for name in truth.stations]].max(axis=1) > WET_DB for one in stations]
-    return np.asarray(np.sum(wet, axis=0) < WET_STATIONS)
+    """Return in which rows (T,) fewer than two stations lose more than 0.3 dB; rain over the site takes them all."""
+    names = np.array(truth.stations)
+    wet = [truth.station_loss_db[:, names == name].max(axis=1) > WET_DB for name in np.unique(names)]
+    return np.asarray((np.sum(wet, axis=0) < WET_STATIONS) & (truth.downlink_fade_db <= WET_DB))
 
 
 def _protection(

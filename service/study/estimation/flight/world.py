@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -96,6 +96,32 @@ class Ground:
 
 
 @dataclass(frozen=True)
+class TrueStatistics:
+    """What noise and motion were drawn from; T rows, N carriers, Q parts of a carrier's noise, C of the chain's."""
+
+    #: (T, N) dBm, levels without noise and rain of stations, chain and receiving site
+    noise_free_dbm: FloatArray
+    #: (T, N, 3) dB/deg at the attitude of the row
+    row_sensitivity_db_per_deg: FloatArray
+    #: (N,) dB, white noise of a row and amplitude of the wave of the solar day
+    white_db: FloatArray
+    daily_db: FloatArray
+    #: (N, Q) dB and s, sigma 0 = no further part
+    part_sigma_db: FloatArray
+    part_tau_s: FloatArray
+    #: (C,) likewise of the receiving chain, and its wave
+    chain_part_sigma_db: FloatArray
+    chain_part_tau_s: FloatArray
+    chain_daily_db: float
+    #: (3,) deg/h, drift of the inertial model
+    drift_sigma_deg_h: FloatArray
+    drift_tau_s: float
+    is_coupled: bool
+    #: relative error of the effect of corrections
+    correction_scale_sigma: float
+
+
+@dataclass(frozen=True)
 class Truth:
     """Truth of a world, for the judge alone; T rows, N carriers as in ``Ground``."""
 
@@ -111,11 +137,13 @@ class Truth:
     #: (N, 3) dB/deg at nominal attitude, and (N,) dB, white noise of a row
     sensitivity_db_per_deg: FloatArray
     white_db: FloatArray
-    #: (N,) names of the stations, and (T, N) dB, loss by rain and wet antennas at station and receiving site
+    #: (N,) names of the stations, and (T, N) dB, loss by rain and wet antennas over them
     stations: tuple[str, ...]
-    loss_db: FloatArray
+    station_loss_db: FloatArray
     #: sensors in operation, which the ground does not hear
     witnesses: tuple[ReferenceSeries, ...] = ()
+    #: what noise and motion were drawn from; None = not stated
+    statistics: TrueStatistics | None = None
 
     def has_flag(self, *names: str) -> BoolArray:
         """Return where (T, N) any of the named faults acts."""
@@ -241,9 +269,15 @@ def _truth(arrays: Arrays) -> Truth:
         sensitivity_db_per_deg=arrays["sensitivity_db_per_deg"],
         white_db=arrays["white_db"],
         stations=tuple(str(name) for name in arrays["station_name"]),
-        loss_db=arrays["uplink_fade_db"] + arrays["downlink_fade_db"][:, np.newaxis] * arrays["rain_share"],
+        station_loss_db=arrays["uplink_fade_db"],
         witnesses=_references(arrays, "witness"),
+        statistics=TrueStatistics(**{field.name: _value(arrays[field.name]) for field in fields(TrueStatistics)}),
     )
+
+
+def _value(array: FloatArray) -> Any:
+    """Return an array, widened, or the number of an array without a dimension."""
+    return array.astype(np.float64) if array.ndim else array.item()
 
 
 def _by_axis(arrays: Arrays, prefix: str) -> FloatArray:

@@ -31,9 +31,12 @@ def test_what_was_said_is_measured_and_kept_for_the_figures(monkeypatch, toured_
     monkeypatch.setattr(unit_module, "export_world", lambda *_: None)
     monkeypatch.setattr(unit_module, "read_world", lambda _: toured_world)
     monkeypatch.setattr(unit_module, "drive", lambda _: driven)
+    oracle = said(0.9 * toured_world.truth.attitude_deg)
+    monkeypatch.setattr(unit_module, "oracle_series", lambda _world, _rows: oracle)
     result = run_unit(Unit("octants", 1))
     assert result.refusal == ""
-    assert set(result.methods) == {"robust"}
+    assert set(result.methods) == {"robust", "oracle"}
+    assert set(result.yardsticks) == {"robust", "never allow", "always allow", "three sigma", "oracle"}
     assert set(result.baselines) == {"zero", "corrections", "coupling"}
     assert result.course is not None
     assert result.course.hours[-1] == pytest.approx(2999 / 60, rel=1e-6)  # float32
