@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 
 from service.errors import NotFoundError
@@ -31,14 +31,8 @@ class KnownFacts:
     """Facts of the archive about a spacecraft."""
 
     spacecraft: Spacecraft
-    #: of what a torque's effect depends on, and of the control settings
-    version: int
-    control_version: int
-    is_aligned: bool
-    plan_id: int | None
-    calibration_id: int | None
-    ephemeris_received_us: int | None
-    ephemeris_stop_us: int | None
+    #: of the interlock, but for what depends on the instant
+    inputs: InterlockInputs
     operations: tuple[Operation, ...]
     #: newest
     telemetry: TelemetryRecord | None
@@ -70,19 +64,19 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
     window = Window(now_us - _OPERATIONS_BACK_US, now_us + _AHEAD_US)
     telemetry = read_telemetry(storage, spacecraft_id, now_us - _TELEMETRY_US)
     operations = [entry.content for entry in storage.archive.inputs(spacecraft_id, "operation", window, _AT_ONCE, None)]
-    return KnownFacts(
-        spacecraft=spacecraft,
-        version=version_of(*_mechanics(spacecraft)),
-        control_version=version_of(spacecraft.control),
+    inputs = InterlockInputs(
         is_aligned=bool(storage.results.alignments(spacecraft_id)),
-        plan_id=_plan_id(storage, spacecraft_id),
-        calibration_id=_calibration_id(storage, spacecraft),
         ephemeris_received_us=received_us,
         ephemeris_stop_us=stop_us,
-        operations=tuple(each for each in operations if isinstance(each, Operation)),
-        telemetry=_newest(telemetry),
-        rated=_newest(tuple(each for each in telemetry if has_body_rate(each))),
+        calibration_id=_calibration_id(storage, spacecraft),
+        plan_id=_plan_id(storage, spacecraft_id),
+        spacecraft_version=version_of(*_mechanics(spacecraft)),
+        control_version=version_of(spacecraft.control),
+        is_automatic=spacecraft.control.release is Release.AUTOMATIC,
     )
+    known = tuple(each for each in operations if isinstance(each, Operation))
+    rated = (each for each in reversed(telemetry) if has_body_rate(each))
+    return KnownFacts(spacecraft, inputs, known, next(reversed(telemetry), None), next(rated, None))
 
 
 def read_telemetry(storage: Storage, spacecraft_id: str, from_us: int) -> tuple[TelemetryRecord, ...]:
@@ -103,21 +97,14 @@ def interlock_inputs(facts: KnownFacts, now_us: int, *, lease_holders: int, is_d
     burns_us = [
         each.stop_us for each in facts.operations if each.kind == _BURN and each.stop_us and each.stop_us <= now_us
     ]
-    return InterlockInputs(
-        is_aligned=facts.is_aligned,
+    return replace(
+        facts.inputs,
         onboard_mode=None if telemetry is None else telemetry.onboard_mode,
         has_inhibiting_operation=any(_is_inhibiting(each, now_us) for each in facts.operations),
         burn_stop_us=max(burns_us, default=None),
-        ephemeris_received_us=facts.ephemeris_received_us,
-        ephemeris_stop_us=facts.ephemeris_stop_us,
-        calibration_id=facts.calibration_id,
-        plan_id=facts.plan_id,
-        spacecraft_version=facts.version,
-        control_version=facts.control_version,
         momentum_share=_momentum_share(facts.spacecraft, facts.momentum_n_m_s(now_us)),
         lease_holders=lease_holders,
         is_disagreeing=is_disagreeing,
-        is_automatic=facts.spacecraft.control.release is Release.AUTOMATIC,
     )
 
 
@@ -170,7 +157,3 @@ def _calibration_id(storage: Storage, spacecraft: Spacecraft) -> int | None:
     }
     geometry = active.get(CalibrationMethod.GEOMETRY)
     return geometry if spacecraft.control.method is Method.ROBUST else active.get(CalibrationMethod.PAPER, geometry)
-
-
-def _newest(telemetry: tuple[TelemetryRecord, ...]) -> TelemetryRecord | None:
-    return telemetry[-1] if telemetry else None

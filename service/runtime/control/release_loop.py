@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import KW_ONLY, dataclass
 from uuid import uuid4
 
 from service.errors import SooError
@@ -36,49 +37,29 @@ def _steady_us() -> int:
     return round(time.monotonic() * US_PER_S)
 
 
+@dataclass(eq=False)
 class ReleaseLoop:
-    """Releases of all spacecraft, and the events that rows and time bring about.
+    """Releases of all spacecraft, and the events that rows and time bring about."""
 
-    Parameters
-    ----------
-    storage : Storage
-        Of state, commands and uplink products.
-    clock : Clock
-        The only source of time.
-    settings : ReleaseSettings
-        Conditions that inhibit or trip, limits and times.
-    torque : TorqueConfig
-        Of the control law.
-    publisher : ReleasePublisher
-        Gets the effects of stored steps.
-    is_data_service : bool
-        Whether the service runs under the data clock: then only simulated spacecraft get commands.
-    turn : Term, optional
-        Tells whether this service leads.
-    steady : callable, optional
-        A clock that nobody sets, microseconds.
-    """
+    #: of state, commands and uplink products
+    storage: Storage
+    #: the only source of time
+    clock: Clock
+    #: conditions that inhibit or trip, limits and times
+    settings: ReleaseSettings
+    #: of the control law
+    torque: TorqueConfig
+    #: gets the effects of stored steps
+    publisher: ReleasePublisher
+    _: KW_ONLY
+    #: whether the service runs under the data clock: then only simulated spacecraft get commands
+    is_data_service: bool = False
+    #: tells whether this service leads
+    turn: Term = always
+    #: a clock that nobody sets
+    steady_us: Callable[[], int] = _steady_us
 
-    def __init__(
-        self,
-        storage: Storage,
-        clock: Clock,
-        settings: ReleaseSettings,
-        torque: TorqueConfig,
-        publisher: ReleasePublisher,
-        *,
-        is_data_service: bool = False,
-        turn: Term = always,
-        steady: Callable[[], int] = _steady_us,
-    ) -> None:
-        self._storage = storage
-        self._clock = clock
-        self._settings = settings
-        self._torque = torque
-        self._publisher = publisher
-        self._is_data_service = is_data_service
-        self._turn = turn
-        self._steady = steady
+    def __post_init__(self) -> None:
         self._holder = uuid4().hex
         self._contexts: dict[str, ReleaseContext] = {}
         self._making = threading.Lock()
@@ -126,10 +107,10 @@ class ReleaseLoop:
 
     def tick(self) -> None:
         """Let time pass for every spacecraft whose clock does not wait for rows; nothing while another one leads."""
-        if self._turn() == 0:
+        if self.turn() == 0:
             return
-        for spacecraft in self._storage.catalogue.all_spacecraft():
-            if self._clock.is_data(spacecraft.id):
+        for spacecraft in self.storage.catalogue.all_spacecraft():
+            if self.clock.is_data(spacecraft.id):
                 continue
             with self._present(spacecraft.id) as (context, at):
                 context.release.handle(Tick(at))
@@ -137,7 +118,7 @@ class ReleaseLoop:
 
     def _run(self) -> None:
         """Let time pass until stopped."""
-        while not self._stopping.wait(self._settings.tick_s):
+        while not self._stopping.wait(self.settings.tick_s):
             try:
                 self.tick()
             except Exception:  # noqa: BLE001 time goes on; a state that grows old inhibits
@@ -148,17 +129,16 @@ class ReleaseLoop:
 
         NotFoundError ``spacecraft.unknown``; StorageError ``lease.elsewhere`` while another service leads.
         """
-        turn = self._turn()
+        turn = self.turn()
         if turn == 0:
             raise elsewhere()
         with self._making:
             context = self._contexts.get(spacecraft_id)
             if context is None or context.turn != turn:
                 holder = f"{self._holder}/{turn}"
-                releases, settings = self._storage.releases, self._settings
-                release = SpacecraftRelease(spacecraft_id, releases, self._publisher, settings, holder)
+                release = SpacecraftRelease(spacecraft_id, self.storage.releases, self.publisher, self.settings, holder)
                 newest_us = self._newest_us(spacecraft_id, release)
-                context = ReleaseContext(release, self._storage, settings, self._torque, turn, newest_us=newest_us)
+                context = ReleaseContext(release, self.storage, self.settings, self.torque, turn, newest_us=newest_us)
                 self._contexts[spacecraft_id] = context
             return context
 
@@ -177,22 +157,22 @@ class ReleaseLoop:
         Rows that are stored and not yet computed do not move that clock: they would make the estimate look old to
         any caller before they are.
         """
-        if not self._clock.is_data(spacecraft_id):
-            return Instant(self._clock.system_us(), self._steady())
+        if not self.clock.is_data(spacecraft_id):
+            return Instant(self.clock.system_us(), self.steady_us())
         context.newest_us = max(context.newest_us, epoch_us or 0)
         return Instant(context.newest_us, context.newest_us)
 
     def _newest_us(self, spacecraft_id: str, release: SpacecraftRelease) -> int:
         """Return the newest instant that the interlock, or the estimator before a restart, has looked at."""
         stored = release.state.interlock.clock
-        consumed_us = self._storage.archive.head(spacecraft_id).consumed_epoch_us
-        is_data = self._clock.is_data(spacecraft_id)
+        consumed_us = self.storage.archive.head(spacecraft_id).consumed_epoch_us
+        is_data = self.clock.is_data(spacecraft_id)
         return max(0 if stored is None else stored.now_us, consumed_us or 0 if is_data else 0)
 
     def _update_inputs(self, context: ReleaseContext, spacecraft_id: str, at: Instant) -> None:
         """Read the facts of the archive if they are old, and handle a change of the interlock's inputs."""
         if context.are_facts_old:
-            context.known = read_facts(self._storage, spacecraft_id, at.now_us)
+            context.known = read_facts(self.storage, spacecraft_id, at.now_us)
             context.read_s = time.monotonic()
         release, is_disagreeing = context.release, context.is_disagreeing
         holders = release.lease_holders(at.now_us)
@@ -212,4 +192,4 @@ class ReleaseLoop:
 
     def _may_send(self, spacecraft: Spacecraft) -> bool:
         """Return whether a spacecraft gets commands at all under the clock of this service."""
-        return not self._is_data_service or spacecraft.simulated
+        return not self.is_data_service or spacecraft.simulated

@@ -2,6 +2,8 @@
 
 import logging
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
 
 from service.errors import SooError
 from service.pipeline.control.release.events import AuditEffect, JournalEffect, PublishEffect, ReleaseEffect
@@ -16,53 +18,37 @@ _LOG = logging.getLogger("soo.release")
 _WHO = "interlock"
 
 
+@dataclass
 class ReleasePublisher:
-    """Publishes the effects of a step that is stored.
+    """Publishes the effects of a step that is stored."""
 
-    Parameters
-    ----------
-    audit : Audit
-        Gets what happened by itself; an order has the event of its request.
-    feed : LiveFeed
-        Streams read the state again.
-    on_journal : callable
-        Called with the spacecraft whose journal has grown.
-    """
-
-    def __init__(self, audit: Audit, feed: LiveFeed, on_journal: Callable[[str], None]) -> None:
-        self._audit = audit
-        self._feed = feed
-        self._on_journal = on_journal
+    #: gets what happened by itself; an order has the event of its request
+    audit: Audit
+    #: streams read the state again
+    feed: LiveFeed
+    #: called with the spacecraft whose journal has grown
+    on_journal: Callable[[str], None]
 
     def publish(self, spacecraft_id: str, effects: Iterable[ReleaseEffect], at: Instant) -> None:
         """Apply the effects of a step; products and journal entries have been stored with it."""
         kinds = {type(effect) for effect in effects}
         if JournalEffect in kinds:
-            self._on_journal(spacecraft_id)
+            self.on_journal(spacecraft_id)
         for effect in effects:
             if isinstance(effect, AuditEffect):
                 self._append(effect.action, f"/spacecraft/{spacecraft_id}/{effect.target}", at)
             elif isinstance(effect, PublishEffect) and effect.warning:
                 _LOG.warning("release of %s: %s", spacecraft_id, effect.warning)
-        if PublishEffect in kinds and self._feed.has_subscribers(spacecraft_id):
-            self._feed.publish(spacecraft_id, (FeedEvent("status", Cursor(0, 0), None),))
+        if PublishEffect in kinds and self.feed.has_subscribers(spacecraft_id):
+            self.feed.publish(spacecraft_id, (FeedEvent("status", Cursor(0, 0), None),))
 
     def _append(self, action: str, target: str, at: Instant) -> None:
         """Append an event of the interlock itself; the archive may be away, and control does not wait for it."""
         if CURRENT_NOTE.get() is not None:
             return
-        event = AuditEvent(
-            at_us=at.now_us,
-            who=_WHO,
-            key_id="",
-            role="",
-            address="",
-            action=action,
-            target=target,
-            outcome=DONE,
-            request_id="",
-        )
+        nobody: dict[str, Any] = dict.fromkeys(("key_id", "role", "address", "request_id"), "")
+        event = AuditEvent(at_us=at.now_us, who=_WHO, action=action, target=target, outcome=DONE, **nobody)
         try:
-            self._audit.append(event)
+            self.audit.append(event)
         except SooError as error:
             _LOG.error("%s of %s is not in the audit log: %s", action, target, error)

@@ -11,23 +11,12 @@ from functools import partial
 
 from service.core.control.envelope import Envelope
 from service.errors import ConflictError, GoneError, InvalidInputError, NotFoundError
+from service.pipeline.control.release import events
 from service.pipeline.control.release.advance import settled_at
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.command_transitions import command_of
 from service.pipeline.control.release.control_verdict import ControlView, control_view
-from service.pipeline.control.release.events import (
-    Cancel,
-    Confirm,
-    Engage,
-    Event,
-    Order,
-    OrderKind,
-    Prepare,
-    Report,
-    ResponseJudged,
-    Tick,
-    digest_of,
-)
+from service.pipeline.control.release.events import OrderKind, Report, digest_of
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.state_document import state_of
 from service.records.calibration import Window
@@ -53,46 +42,31 @@ class ReleaseService(ReleaseLoop):
 
     def control(self, spacecraft_id: str) -> ControlView:
         """Return the view of the interlock; NotFoundError ``spacecraft.unknown``."""
-        if self._turn() == 0:
+        if self.turn() == 0:
             return self._stored_view(spacecraft_id)
         with self._present(spacecraft_id) as (context, at):
             return self._view(context, at)
 
     def order(self, spacecraft_id: str, kind: OrderKind, by: str) -> ControlView:
-        """Arm, disengage, reset or stop.
-
-        ConflictError ``interlock.inhibited``, ``interlock.tripped``, ``interlock.trip_stands``,
-        ``interlock.not_armed``, ``interlock.state``, ``interlock.simulated``, ``control.mode``, ``release.automatic``.
-        """
+        """Arm, disengage, reset or stop."""
         with self._present(spacecraft_id) as (context, at):
             if kind is OrderKind.ARM:
                 self._require_possible(context.spacecraft)
-            self._handle(context, Order(at, by, kind))
+            self._handle(context, events.Order(at, by, kind))
             return self._view(context, at)
 
     def engage(
         self, spacecraft_id: str, by: str, *, is_approver: bool, until_us: int, envelope: Envelope | None = None
     ) -> ControlView:
-        """Ask for standing authorisation, or join who asked for the same; without an envelope that of the settings.
-
-        Errors of `order`, and ConflictError ``interlock.sign_unproven``; ForbiddenError
-        ``interlock.second_person``; InvalidInputError ``interlock.authorisation``, ``envelope.wider``.
-        """
-        wanted = envelope or self._settings.envelope
+        """Ask for standing authorisation, or join who asked for the same; without an envelope that of the settings."""
+        wanted = envelope or self.settings.envelope
         with self._present(spacecraft_id) as (context, at):
             self._require_possible(context.spacecraft)
-            self._handle(context, Engage(at, by, until_us, wanted, is_approver))
+            self._handle(context, events.Engage(at, by, until_us, wanted, is_approver))
             return self._view(context, at)
 
     def prepare(self, spacecraft_id: str, by: str, request: CommandRequest, *, dry_run: bool = False) -> Command:
-        """Return a prepared command; a dry run stores nothing and shows failing checks instead of refusing.
-
-        ConflictError ``interlock.inhibited``, ``interlock.tripped``, ``interlock.not_armed``,
-        ``interlock.simulated``, ``interlock.yaw_withheld``, ``control.mode``, ``release.automatic``,
-        ``envelope.exceeded``, ``schedule.rejected``, ``command.open``, ``command.unreported``, ``command.empty``,
-        ``command.estimate_stale``, ``command.no_estimate``, ``command.start_passed``, ``command.too_long``;
-        InvalidInputError ``command.wish``.
-        """
+        """Return a prepared command; a dry run stores nothing and shows failing checks instead of refusing."""
         with self._present(spacecraft_id) as (context, at):
             self._require_possible(context.spacecraft)
             command = requested(context, request, at)
@@ -101,26 +75,22 @@ class ReleaseService(ReleaseLoop):
                 digest, now_us = digest_of(counter, command), at.now_us
                 numbered = replace(command, counter=counter, digest=digest, prepared_by=by, prepared_us=now_us)
                 return replace(numbered, expires_us=now_us, is_dry_run=True)
-            self._handle(context, Prepare(at, by, command))
+            self._handle(context, events.Prepare(at, by, command))
             return context.release.command(counter)
 
     def confirm(
         self, spacecraft_id: str, counter: int, by: str, digest: str, *, is_approver: bool, comment: str = ""
     ) -> Command:
-        """Return a command released.
-
-        NotFoundError ``command.unknown``; GoneError ``command.expired``; ForbiddenError ``command.second_person``;
-        ConflictError ``command.digest``, ``command.state`` and those of `prepare`.
-        """
+        """Return a command released."""
         with self._present(spacecraft_id) as (context, at):
             self._require_possible(context.spacecraft)
-            self._handle(context, Confirm(at, by, counter, digest, is_approver, comment))
+            self._handle(context, events.Confirm(at, by, counter, digest, is_approver, comment))
             return context.release.command(counter)
 
     def cancel(self, spacecraft_id: str, counter: int, by: str) -> Command:
-        """Take a prepared command back; NotFoundError ``command.unknown``, ConflictError ``command.state``."""
+        """Take a prepared command back."""
         with self._present(spacecraft_id) as (context, at):
-            self._handle(context, Cancel(at, by, counter))
+            self._handle(context, events.Cancel(at, by, counter))
             return context.release.command(counter)
 
     def report(
@@ -134,18 +104,14 @@ class ReleaseService(ReleaseLoop):
         executed_from_us: int | None = None,
         executed_until_us: int | None = None,
     ) -> Command:
-        """Report a released command ``sent``, ``executed`` or ``failed``.
-
-        The same report again changes nothing. NotFoundError ``command.unknown``; ConflictError ``command.state``;
-        InvalidInputError ``report.interval``, ``report.time``.
-        """
+        """Report a released command ``sent``, ``executed`` or ``failed``; the same report again changes nothing."""
         with self._present(spacecraft_id) as (context, at):
             event = Report(at, counter, _REPORTS[turn], executed_from_us, executed_until_us, by, at_us)
             command = context.release.command(counter)
             if _is_repeated(command, event):
                 return command
             if at_us is not None:
-                _require_time(command, at_us, at, is_data=self._clock.is_data(spacecraft_id))
+                _require_time(command, at_us, at, is_data=self.clock.is_data(spacecraft_id))
             self._handle(context, event)
             self._hold_against_powers(context, event)
             continue_sign_check(context, at)
@@ -153,54 +119,47 @@ class ReleaseService(ReleaseLoop):
 
     def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command as it is now; NotFoundError ``command.unknown``."""
-        if self._turn() == 0:
-            return self._storage.releases.command(spacecraft_id, counter)
+        if self.turn() == 0:
+            return self.storage.releases.command(spacecraft_id, counter)
         with self._present(spacecraft_id) as (context, at):
-            context.release.handle(Tick(at))
+            context.release.handle(events.Tick(at))
             return context.release.command(counter)
 
     def commands(
         self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None = None
     ) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
-        return self._storage.releases.commands(spacecraft_id, window, limit, after)
+        return self.storage.releases.commands(spacecraft_id, window, limit, after)
 
     def uplink(self, spacecraft_id: str, counter: int) -> UplinkProduct:
         """Return the product of a released command; NotFoundError ``uplink.unknown``."""
-        return self._storage.releases.product(spacecraft_id, ProductForm.TORQUES, counter)
+        return self.storage.releases.product(spacecraft_id, ProductForm.TORQUES, counter)
 
     def attitude_uplink(self, spacecraft_id: str) -> UplinkProduct:
-        """Return the newest angles for a spacecraft in mode onboard.
-
-        ConflictError ``control.mode``; NotFoundError ``uplink.unknown`` before the first, GoneError ``uplink.expired``.
-        """
-        spacecraft = self._storage.catalogue.spacecraft(spacecraft_id)
+        """Return the newest angles for a spacecraft in mode onboard."""
+        spacecraft = self.storage.catalogue.spacecraft(spacecraft_id)
         if spacecraft.control.mode is not ControlMode.ONBOARD:
             raise ConflictError("control.mode", f"{spacecraft_id} takes no angles: its mode is not onboard")
-        product = self._storage.releases.newest_product(spacecraft_id, ProductForm.ATTITUDE)
+        product = self.storage.releases.newest_product(spacecraft_id, ProductForm.ATTITUDE)
         if product is None:
             raise NotFoundError("uplink.unknown", f"no angles of {spacecraft_id} have been fit for use yet")
-        if (self._clock.now_us(spacecraft_id) or 0) >= product.valid_until_us:
+        if (self.clock.now_us(spacecraft_id) or 0) >= product.valid_until_us:
             raise GoneError("uplink.expired", f"the newest angles fit for use, {product.counter}, are too old")
         return product
 
     def sign_check(self, spacecraft_id: str, axis: str, by: str) -> ControlView:
-        """Start the sign check of an axis: its legs are prepared one after the other, each to be confirmed.
-
-        ConflictError ``sign_check.running``, ``sign_check.no_rows``, ``sign_check.flying`` and those of `prepare`;
-        InvalidInputError ``sign_check.axis``.
-        """
+        """Start the sign check of an axis: its legs are prepared one after the other, each to be confirmed."""
         with self._present(spacecraft_id) as (context, at):
             self._require_possible(context.spacecraft)
             begin_sign_check(context, axis, by, at)
             return self._view(context, at)
 
-    def _handle(self, context: ReleaseContext, event: Event) -> None:
+    def _handle(self, context: ReleaseContext, event: events.Event) -> None:
         """Handle an order; refused, it is an error."""
         refusal = context.release.handle(event).refusal
         if refusal is None:
             return
-        if refusal.code == "command.unknown" and isinstance(event, Confirm | Cancel | Report):
+        if refusal.code == "command.unknown" and isinstance(event, events.Confirm | events.Cancel | Report):
             # one that ended long ago is not in the state any more
             ended = context.release.command(event.counter).state
             raise ConflictError("command.state", f"command {event.counter} is {ended}: this is not possible any more")
@@ -208,15 +167,15 @@ class ReleaseService(ReleaseLoop):
 
     def _view(self, context: ReleaseContext, at: Instant) -> ControlView:
         """Return the view of the interlock at an instant; nothing is stored."""
-        state = settled_at(context.state, at, self._settings)
-        return control_view(state, context.spacecraft, self._settings, at.now_us)
+        state = settled_at(context.state, at, self.settings)
+        return control_view(state, context.spacecraft, self.settings, at.now_us)
 
     def _stored_view(self, spacecraft_id: str) -> ControlView:
         """Return the view of what the service that leads has stored last."""
-        releases = self._storage.releases
+        releases = self.storage.releases
         state = state_of(releases.stored(spacecraft_id).document, partial(releases.command, spacecraft_id))
-        spacecraft = self._storage.catalogue.spacecraft(spacecraft_id)
-        return control_view(state, spacecraft, self._settings, self._clock.now_us(spacecraft_id) or 0)
+        spacecraft = self.storage.catalogue.spacecraft(spacecraft_id)
+        return control_view(state, spacecraft, self.settings, self.clock.now_us(spacecraft_id) or 0)
 
     def _require_possible(self, spacecraft: Spacecraft) -> None:
         """Raise ConflictError unless commands of this spacecraft are released here at all."""
@@ -232,7 +191,7 @@ class ReleaseService(ReleaseLoop):
         if command is None or evidence is None or evidence.unreported_log_ratio is None or command.is_sign_check:
             return
         if event.transition is CommandTransition.EXECUTED and command.executed == command.schedule:
-            context.release.handle(ResponseJudged(event.at, evidence.unreported_log_ratio))
+            context.release.handle(events.ResponseJudged(event.at, evidence.unreported_log_ratio))
 
 
 def _require_time(command: Command, at_us: int, at: Instant, *, is_data: bool) -> None:

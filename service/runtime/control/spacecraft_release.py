@@ -8,7 +8,7 @@ trips, for a release that two processes hold is held by none.
 import threading
 import time
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from service.errors import ConflictError, NotFoundError, StorageError
@@ -42,41 +42,21 @@ _HEARTBEAT_S = 60.0
 _ATTEMPTS = 3
 
 
+@dataclass(eq=False)
 class SpacecraftRelease:
-    """Release of one spacecraft.
+    """Release of one spacecraft; StorageError ``release.unreadable`` where what is stored is no state."""
 
-    Parameters
-    ----------
-    spacecraft_id : str
-        An existing spacecraft.
-    releases : Releases
-        Where its state is stored.
-    publisher : ReleasePublisher
-        Gets the effects that are not stored here.
-    settings : ReleaseSettings
-        Limits and times.
-    holder : str
-        This process.
+    #: of an existing one
+    spacecraft_id: str
+    #: where its state is stored
+    releases: Releases
+    #: gets the effects that are not stored here
+    publisher: ReleasePublisher
+    settings: ReleaseSettings
+    #: this process
+    holder: str
 
-    Raises
-    ------
-    StorageError
-        ``release.unreadable``: what is stored is no state of this program.
-    """
-
-    def __init__(
-        self,
-        spacecraft_id: str,
-        releases: Releases,
-        publisher: ReleasePublisher,
-        settings: ReleaseSettings,
-        holder: str,
-    ) -> None:
-        self._spacecraft_id = spacecraft_id
-        self._releases = releases
-        self._publisher = publisher
-        self._settings = settings
-        self._holder = holder
+    def __post_init__(self) -> None:
         self._foreign_us: int | None = None
         #: newest epoch of which results are stored
         self.stored_us = 0
@@ -92,7 +72,7 @@ class SpacecraftRelease:
 
     def command(self, counter: int) -> Command:
         """Return a command as it is stored; NotFoundError ``command.unknown``."""
-        return command_of(self.state, counter) or self._releases.command(self._spacecraft_id, counter)
+        return command_of(self.state, counter) or self.releases.command(self.spacecraft_id, counter)
 
     def handle(self, event: Event) -> Step:
         """Judge an event, store what follows, apply its effects, and return the step.
@@ -111,11 +91,10 @@ class SpacecraftRelease:
                             raise
                         self.state, self._version = self._loaded(event.at)
                         continue
-                    self._publisher.publish(self._spacecraft_id, step.effects, event.at)
+                    self.publisher.publish(self.spacecraft_id, step.effects, event.at)
                     return step
-            raise StorageError(
-                "release.busy", f"another process changes the release of {self._spacecraft_id} too; try again"
-            )
+            detail = f"another process changes the release of {self.spacecraft_id} too; try again"
+            raise StorageError("release.busy", detail)
 
     def _judged(self, event: Event) -> Step:
         """Return the step of an event; a lease that is held twice counts first."""
@@ -123,30 +102,29 @@ class SpacecraftRelease:
         effects: tuple[ReleaseEffect, ...] = ()
         if self.lease_holders(now_us) > before.interlock.inputs.lease_holders:
             shared = InputsChanged(event.at, replace(before.interlock.inputs, lease_holders=2))
-            first = advance(before, shared, self._settings)
+            first = advance(before, shared, self.settings)
             before, effects = first.state, first.effects
             if isinstance(event, InputsChanged):
                 event = InputsChanged(event.at, replace(event.inputs, lease_holders=2))
-        step = advance(before, event, self._settings)
+        step = advance(before, event, self.settings)
         return replace(step, effects=(*effects, *step.effects))
 
     def _store(self, step: Step, at: Instant) -> None:
         """Store what a step must not lose, in one transaction; only then does the state hold."""
         known = {command.counter: command for command in self.state.commands}
         commands = tuple(each for each in step.state.commands if known.get(each.counter) != each)
-        entries = tuple(self._numbered(each.entry, at) for each in step.effects if isinstance(each, JournalEffect))
+        entries = tuple(self._numbered(each, at) for each in step.effects if isinstance(each, JournalEffect))
         products = tuple(each.product for each in step.effects if isinstance(each, UplinkEffect))
         is_same = essence(self.state) == essence(step.state)
         if not is_same or products or entries or self._is_due(step.state):
-            change = ReleaseChange(document_of(step.state), self._holder, commands, products, entries)
-            self._version = self._releases.save(self._spacecraft_id, self._version, change)
+            change = ReleaseChange(document_of(step.state), self.holder, commands, products, entries)
+            self._version = self.releases.save(self.spacecraft_id, self._version, change)
             self._stored_s = time.monotonic()
         self.state = step.state
 
-    def _numbered(
-        self, entry: ReleasedCommand | ReportedCommand | InterlockHold, at: Instant
-    ) -> ReleasedCommand | ReportedCommand | InterlockHold:
+    def _numbered(self, effect: JournalEffect, at: Instant) -> ReleasedCommand | ReportedCommand | InterlockHold:
         """Return a journal entry with the version that it is stored with."""
+        entry = effect.entry
         if not isinstance(entry, InterlockHold):
             return entry
         # no row whose results are stored is later than the trip, also not one from a clock that is ahead
@@ -159,11 +137,11 @@ class SpacecraftRelease:
 
     def _loaded(self, at: Instant | None = None) -> tuple[ReleaseState, int]:
         """Return the stored state and its version, at an instant at which somebody else has changed it."""
-        stored = self._releases.stored(self._spacecraft_id)
-        if at is not None and stored.holder != self._holder:
+        stored = self.releases.stored(self.spacecraft_id)
+        if at is not None and stored.holder != self.holder:
             self._foreign_us = at.now_us
         try:
-            state = state_of(stored.document, partial(self._releases.command, self._spacecraft_id))
+            state = state_of(stored.document, partial(self.releases.command, self.spacecraft_id))
         except (ValueError, NotFoundError) as error:
-            raise StorageError("release.unreadable", f"{self._spacecraft_id}: {error}") from error
+            raise StorageError("release.unreadable", f"{self.spacecraft_id}: {error}") from error
         return restored(state), stored.version

@@ -87,7 +87,7 @@ class ReleaseServiceDriver:
             self.settings,
             TorqueConfig(),
             publisher,
-            steady=lambda: self.clock.steady,
+            steady_us=lambda: self.clock.steady,
             **self._arguments,
         )
 

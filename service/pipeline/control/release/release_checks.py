@@ -27,44 +27,23 @@ def release_checks(
 ) -> tuple[CommandCheck, ...]:
     """Return every check of a command against a settled state, those that fail and those that hold.
 
-    Parameters
-    ----------
-    state : ReleaseState
-        At the instant.
-    envelope : Envelope
-        Of the settings, or the authorised one.
-    waiting_s : float, s
-        How long a person may look at a command before it is too old; 0 for the law.
+    The envelope is that of the settings or the authorised one; a person may look at the command for `waiting_s` before
+    its estimate is too old.
     """
-    interlock = state.interlock
-    sent = sent_within_an_hour(state, at.now_us)
-    excesses = envelope_excesses(effect_of(command), sent, envelope)
-    row = interlock.row
-    newest_us, period_s = (0, 0.0) if row is None else (row.epoch_us, row.period_s)
+    interlock, epoch_us, yaw = state.interlock, command.attitude_epoch_us, command.gross_impulse_n_m_s.yaw
+    excesses = envelope_excesses(effect_of(command), sent_within_an_hour(state, at.now_us), envelope)
+    newest_us, period_s = (0, 0.0) if interlock.row is None else (interlock.row.epoch_us, interlock.row.period_s)
     stale_us = settings.stale_us(period_s, waiting_s)
-    yaw = command.gross_impulse_n_m_s.yaw
     waiting = [each.counter for each in state.commands if each.state in UNREPORTED]
+    unreported = f"what became of command {', '.join(map(str, waiting))} is not reported: report it first"
+    stale = "computed from an estimate that is not the newest any more: prepare it again"
+    withheld = "the yaw torque is withheld: leave it out"
     return (
-        _interlock_check(state),
+        _interlock_check(interlock),
         _check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
-        _check(
-            "yaw",
-            yaw == 0.0 or not _is_yaw_withheld(interlock, command),
-            "interlock.yaw_withheld",
-            "the yaw torque is withheld: leave it out",
-        ),
-        _check(
-            "reports",
-            not waiting,
-            "command.unreported",
-            f"what became of command {', '.join(map(str, waiting))} is not reported: report it first",
-        ),
-        _check(
-            "estimate",
-            0 < command.attitude_epoch_us <= newest_us and newest_us - command.attitude_epoch_us <= stale_us,
-            "command.estimate_stale",
-            "computed from an estimate that is not the newest any more: prepare it again",
-        ),
+        _check("yaw", yaw == 0.0 or not _is_yaw_withheld(interlock, command), "interlock.yaw_withheld", withheld),
+        _check("reports", not waiting, "command.unreported", unreported),
+        _check("estimate", 0 < epoch_us <= newest_us <= epoch_us + stale_us, "command.estimate_stale", stale),
         *_tail_checks(state, command),
         *_schedule_checks(command, at, settings),
     )
@@ -85,26 +64,17 @@ def _tail_checks(state: ReleaseState, command: Command) -> tuple[CommandCheck, .
 
 def _schedule_checks(command: Command, at: Instant, settings: ReleaseSettings) -> tuple[CommandCheck, ...]:
     """Return the checks of the schedule itself."""
+    soonest_us = at.now_us + microseconds(settings.uplink_lead_s)
     latest_us = at.now_us + microseconds(settings.latest_stop_s)
+    stop_us = max(command.start_us, command.stop_us, *(pulse.stop_us for pulse in command.schedule))
+    lead, limit, verdict = settings.uplink_lead_s, settings.latest_stop_s, command.schedule_verdict
+    rejected = f"the flexible-response check says {verdict}"
+    passed = f"the uplink needs {lead:g} s: the schedule begins before it can be there"
+    too_long = f"the schedule must be over within {limit:g} s: what has gone out no trip can stop"
     return (
-        _check(
-            "flexible response",
-            command.schedule_verdict in ("accept", "warn"),
-            "schedule.rejected",
-            f"the flexible-response check says {command.schedule_verdict}",
-        ),
-        _check(
-            "start",
-            command.start_us >= at.now_us + microseconds(settings.uplink_lead_s),
-            "command.start_passed",
-            f"the uplink needs {settings.uplink_lead_s:g} s: the schedule begins before it can be there",
-        ),
-        _check(
-            "end",
-            max(command.start_us, command.stop_us, *(pulse.stop_us for pulse in command.schedule)) <= latest_us,
-            "command.too_long",
-            f"the schedule must be over within {settings.latest_stop_s:g} s: what has gone out no trip can stop",
-        ),
+        _check("flexible response", verdict in ("accept", "warn"), "schedule.rejected", rejected),
+        _check("start", command.start_us >= soonest_us, "command.start_passed", passed),
+        _check("end", stop_us <= latest_us, "command.too_long", too_long),
         _check("pulses", bool(command.schedule), "command.empty", "a command without a pulse does nothing"),
     )
 
@@ -137,15 +107,14 @@ def _check(name: str, is_ok: bool, code: str, detail: str) -> CommandCheck:  # n
     return CommandCheck(name, is_ok) if is_ok else CommandCheck(name, is_ok, detail, code)
 
 
-def _interlock_check(state: ReleaseState) -> CommandCheck:
+def _interlock_check(interlock: Interlock) -> CommandCheck:
     """Return the check that the interlock lets commands go at all."""
-    interlock = state.interlock
-    reasons = ", ".join(interlock.reasons)
+    reasons, is_ok, code = ", ".join(interlock.reasons), False, "interlock.inhibited"
+    detail = f"control is inhibited: {reasons}"
     if interlock.state is State.TRIPPED:
-        return _check(
-            "interlock", False, "interlock.tripped", f"control tripped ({reasons}): find the cause, reset, arm"
-        )
-    if interlock.state is State.INHIBITED and not interlock.inhibiting and not interlock.is_armed:
-        return _check("interlock", False, "interlock.not_armed", "control is not armed")
-    is_ok = interlock.state in _MAY_RELEASE and not interlock.inhibiting
-    return _check("interlock", is_ok, "interlock.inhibited", f"control is inhibited: {reasons}")
+        code, detail = "interlock.tripped", f"control tripped ({reasons}): find the cause, reset, arm"
+    elif interlock.state is State.INHIBITED and not interlock.inhibiting and not interlock.is_armed:
+        code, detail = "interlock.not_armed", "control is not armed"
+    else:
+        is_ok = interlock.state in _MAY_RELEASE and not interlock.inhibiting
+    return _check("interlock", is_ok, code, detail)
