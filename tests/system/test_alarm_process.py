@@ -1,17 +1,18 @@
 """A simulated story through a real service: a carrier is switched off, alarms, is acknowledged, returns and closes."""
 
 import json
-import subprocess
-import sys
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 from signal import SIGKILL
 
 import numpy as np
 import pytest
+from kept_results import kept
 
+from analyzer_sim.export import export_arrays
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.world import World
 from service.records.epoch import format_epoch, parse_epoch
 
 pytestmark = pytest.mark.system
@@ -22,18 +23,20 @@ SC = "/api/v1/spacecraft/sim-1"
 BEFORE, AFTER = 60, 20
 
 
+def silence(scenario, seed):
+    """Return epochs, powers and carriers of a world, cut around the silence of its switched-off carrier."""
+    world = export_arrays(World(scenario_named(scenario), seed))
+    power_dbm, epochs_us = world["power_dbm"], world["epoch_us"]
+    (carrier,) = np.flatnonzero(np.isnan(power_dbm).any(axis=0))
+    off = np.flatnonzero(np.isnan(power_dbm[:, carrier]))
+    cut = slice(int(off[0]) - BEFORE, int(off[-1]) + 1 + AFTER)
+    return epochs_us[cut].tolist(), power_dbm[cut], int(carrier), len(off)
+
+
 @pytest.fixture(scope="module")
-def story(tmp_path_factory):
-    """Epochs, powers and carriers of the demonstration, cut around the silence of its switched-off carrier."""
-    path = tmp_path_factory.mktemp("story") / "demo.npz"
-    command = [sys.executable, "-m", "analyzer_sim", "export", "--scenario", "demo", "--seed", "1", "--out", str(path)]
-    subprocess.run(command, check=True, capture_output=True, cwd=Path(__file__).parents[2])
-    with np.load(path) as world:
-        power_dbm, epochs_us = world["power_dbm"], world["epoch_us"]
-        (carrier,) = np.flatnonzero(np.isnan(power_dbm).any(axis=0))
-        off = np.flatnonzero(np.isnan(power_dbm[:, carrier]))
-        cut = slice(int(off[0]) - BEFORE, int(off[-1]) + 1 + AFTER)
-        return epochs_us[cut].tolist(), power_dbm[cut], int(carrier), len(off)
+def story():
+    """The silence of the demonstration."""
+    return kept(silence, "demo", 1)
 
 
 class Hook:

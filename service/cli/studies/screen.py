@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.extras import require
 from service.cli.studies.exit_code import ended_by_signals
 
 if TYPE_CHECKING:
@@ -17,7 +18,19 @@ EXIT_MISSED = 1
 EXIT_FAILED = 2
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON only.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Print the tables as sections of a page.")]
-Figures = Annotated[Path | None, typer.Option(help="Draw the figures into this folder.", file_okay=False)]
+
+
+def _drawable(folder: Path | None) -> Path | None:
+    """Return the folder of figures, or end before a study that could not draw them begins."""
+    if folder is not None:
+        require("matplotlib")
+    return folder
+
+
+Figures = Annotated[
+    Path | None,
+    typer.Option(help="Draw the figures into this folder.", file_okay=False, callback=_drawable),
+]
 
 
 def console_of(width: int, *, is_stderr: bool = False) -> "Console":

@@ -21,6 +21,7 @@ def flown(sensing: Sensing, uplink: str = "link", scenario: str = "nominal"):
     return result.flight
 
 
+@pytest.mark.slow
 def test_perfect_sensing_holds_the_craft_that_is_lost_without_control():
     held, lost = flown(Sensing.TRUTH), flown(Sensing.OFF)
     largest, free = (np.abs(flight.truth_deg).max(axis=0) for flight in (held, lost))
@@ -50,7 +51,6 @@ def test_the_chain_holds_roll_and_pitch_over_a_link():
     assert flight.sent - 3 <= over["executed"] <= sum(over.values()) <= 2 * flight.sent
 
 
-@pytest.mark.slow
 @pytest.mark.slow
 def test_a_loop_on_board_holds_on_angles_and_stops_without_them():
     """Angles go up in place of torques; an hour and a half without uplink, of which half an hour is bridged."""

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.system
 STUDY = [sys.executable, "-m", "service", "study", "estimation"]
 
 
+@pytest.mark.slow
 def test_a_short_study_prints_figures_bounds_and_marks(compiled_environment, tmp_path):
     arguments = ["--scenario", "white", "--seeds", "1", "--workers", "1", "--operation-days", "0.2", "--json"]
     ran = subprocess.run(

@@ -219,7 +219,9 @@ def test_late_corrections_come_half_an_hour_after_their_end() -> None:
     assert seen == sum(correction.reported_us < end_us for correction in story.corrections)
 
 
-@pytest.mark.parametrize("name", ["nominal", "stale_calibration", "burn"])
+@pytest.mark.parametrize(
+    "name", ["nominal", *(pytest.param(name, marks=pytest.mark.slow) for name in ("stale_calibration", "burn"))]
+)
 def test_telemetry_comes_hourly(name: str) -> None:
     records = [record for body in bodies(name, "telemetry") for record in body["records"]]
     fields = {"epoch", "onboard_mode", "wheel_momentum_n_m_s", "thrusters_active"}
@@ -237,7 +239,7 @@ def test_telemetry_comes_hourly(name: str) -> None:
     assert any(record["thrusters_active"] for record in records)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_the_switch_is_told_with_the_first_row_of_the_other_analyzer(seed: int) -> None:
     # switches fall between rows
     story = World(scenario_named("prime_backup"), seed)

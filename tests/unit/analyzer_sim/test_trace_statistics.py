@@ -26,6 +26,8 @@ from analyzer_sim.instrument.spectrum import ENBW_PER_RBW, MeanTrace, SweepGrid
 SEED = 20261121
 SWEEPS = 200
 RATE_HZ = 1e6
+#: the slower one in continuous integration only
+DETAILS = (Detail.FAST, pytest.param(Detail.ENVELOPE, marks=pytest.mark.slow))
 CENTERS_HZ = 956e6 + 2e6 * np.arange(8)
 CARRIERS = tuple(Signal(f"c{n}", float(f), RATE_HZ, 0.2, -43.0) for n, f in enumerate(CENTERS_HZ))
 
@@ -48,7 +50,7 @@ def carrier_powers_dbm(detail: Detail, settings: Settings, emission: Emission) -
     return 10 * np.log10(10 ** (traces / 10) @ bands.T * scale)
 
 
-@pytest.mark.parametrize("detail", list(Detail))
+@pytest.mark.parametrize("detail", DETAILS)
 @pytest.mark.parametrize(("time_s", "points"), [(0.3, 601), (0.1, 2401), (0.1, 1201)])
 def test_integrated_carrier_scatters_as_predicted_without_bias(detail: Detail, time_s: float, points: int) -> None:
     # spacings of 1, 0.25 and 0.5 RBW; dwells from long (16 noise bandwidths) to short (1.3: neighbours correlated)
@@ -153,7 +155,7 @@ def test_video_filter_smooths_samples_and_keeps_their_mean() -> None:
     assert narrow.mean() == pytest.approx(2.0, rel=0.06)  # about N = 20 a point, 500 points, correlated
 
 
-@pytest.mark.parametrize("detail", list(Detail))
+@pytest.mark.parametrize("detail", DETAILS)
 def test_line_scatters_by_its_ratio_to_the_noise(detail: Detail) -> None:
     line = Signal("line", 963e6, 0.0, 0.0, -60.0)
     settings = settings_of(0.3, 601)

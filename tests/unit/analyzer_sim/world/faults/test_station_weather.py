@@ -142,6 +142,7 @@ def test_a_storm_stands_over_half_the_stations_in_the_turns() -> None:
     assert min(lost) >= 7  # eight have the storm; one of them may come through with less
 
 
+@pytest.mark.slow
 def test_showers_pass_over_a_quarter_of_the_stations_in_the_alignment() -> None:
     # the smallest shower peaks at 0.2 dB, so that only a drizzle is sure
     for seed in SEEDS[:3]:
