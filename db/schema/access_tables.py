@@ -6,20 +6,18 @@ one, on both databases.
 
 from sqlalchemy import BigInteger, Column, Index, Integer, LargeBinary, Table, Text
 
+from db.schema.columns import needed, optional
 from db.schema.tables import metadata
 
 access_key = Table(
     "access_key",
     metadata,
     Column("key_id", Text, primary_key=True),
-    Column("name", Text, nullable=False),
-    Column("role", Text, nullable=False),
+    *needed(Text, "name", "role"),
     Column("digest", LargeBinary, nullable=False),
     Column("created_at_us", BigInteger, nullable=False),
     Column("created_by", Text, nullable=False),
-    Column("expires_at_us", BigInteger),
-    Column("last_used_us", BigInteger),
-    Column("revoked_at_us", BigInteger),
+    *optional(BigInteger, "expires_at_us", "last_used_us", "revoked_at_us"),
 )
 
 audit_entry = Table(
@@ -27,18 +25,10 @@ audit_entry = Table(
     metadata,
     Column("number", BigInteger().with_variant(Integer(), "sqlite"), primary_key=True, autoincrement=False),
     Column("at_us", BigInteger, nullable=False),
-    Column("who", Text, nullable=False),
-    Column("key_id", Text, nullable=False),
-    Column("role", Text, nullable=False),
-    Column("address", Text, nullable=False),
-    Column("action", Text, nullable=False),
-    Column("target", Text, nullable=False),
-    Column("outcome", Text, nullable=False),
-    Column("request_id", Text, nullable=False),
+    *needed(Text, "who", "key_id", "role", "address", "action", "target", "outcome", "request_id"),
     Column("body_sha256", Text),
     Column("times", Integer, nullable=False),
-    Column("previous_hash", Text, nullable=False),
-    Column("hash", Text, nullable=False),
+    *needed(Text, "previous_hash", "hash"),
     Index("audit_entry_time", "at_us"),
 )
 

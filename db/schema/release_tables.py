@@ -1,7 +1,8 @@
 """Tables of the release of torques: its state, its commands, its uplink products."""
 
-from sqlalchemy import BigInteger, Column, Index, Integer, Table, Text
+from sqlalchemy import BigInteger, Column, Index, Table, Text
 
+from db.schema.columns import needed, spacecraft_key
 from db.schema.row_checksum import checksum_column
 from db.schema.tables import metadata
 
@@ -9,21 +10,18 @@ from db.schema.tables import metadata
 release_state = Table(
     "release_state",
     metadata,
-    Column("spacecraft_key", Integer, primary_key=True, autoincrement=False),
+    spacecraft_key(is_referencing=False),
     Column("version", BigInteger, nullable=False),
-    Column("holder", Text, nullable=False),
-    Column("document", Text, nullable=False),
+    *needed(Text, "holder", "document"),
 )
 
 release_command = Table(
     "release_command",
     metadata,
-    Column("spacecraft_key", Integer, primary_key=True, autoincrement=False),
+    spacecraft_key(is_referencing=False),
     Column("counter", BigInteger, primary_key=True, autoincrement=False),
     Column("prepared_us", BigInteger, nullable=False),
-    Column("state", Text, nullable=False),
-    Column("digest", Text, nullable=False),
-    Column("document", Text, nullable=False),
+    *needed(Text, "state", "digest", "document"),
     Index("release_command_prepared", "spacecraft_key", "prepared_us", "counter"),
 )
 
@@ -31,7 +29,7 @@ release_command = Table(
 uplink_product = Table(
     "uplink_product",
     metadata,
-    Column("spacecraft_key", Integer, primary_key=True, autoincrement=False),
+    spacecraft_key(is_referencing=False),
     Column("form", Text, primary_key=True),
     Column("counter", BigInteger, primary_key=True, autoincrement=False),
     Column("created_us", BigInteger, nullable=False),
@@ -43,6 +41,6 @@ uplink_product = Table(
 release_made_two_step = Table(
     "release_made_two_step",
     metadata,
-    Column("spacecraft_key", Integer, primary_key=True, autoincrement=False),
+    spacecraft_key(is_referencing=False),
     Column("at_us", BigInteger, nullable=False),
 )

@@ -21,17 +21,13 @@ from sqlalchemy import (
 )
 
 from db.schema.column_types import Figure
+from db.schema.columns import keys, needed, optional, spacecraft_key
 from db.schema.record_columns import record_columns
 from db.schema.row_checksum import checksum_column
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 
 metadata = MetaData()
-
-
-def _spacecraft_key(*, is_referencing: bool = True) -> Column[int]:
-    reference = [ForeignKey("spacecraft.spacecraft_key")] if is_referencing else []
-    return Column("spacecraft_key", Integer, *reference, primary_key=True, autoincrement=False)
 
 
 spacecraft = Table(
@@ -46,27 +42,24 @@ spacecraft = Table(
 head = Table(
     "head",
     metadata,
-    _spacecraft_key(),
-    Column("newest_number", BigInteger, nullable=False),
-    Column("consumed_number", BigInteger, nullable=False),
-    Column("newest_epoch_us", BigInteger),
-    Column("consumed_epoch_us", BigInteger),
+    spacecraft_key(),
+    *needed(BigInteger, "newest_number", "consumed_number"),
+    *optional(BigInteger, "newest_epoch_us", "consumed_epoch_us"),
     Column("result_sequence", BigInteger, nullable=False),
 )
 
 carrier_plan = Table(
     "carrier_plan",
     metadata,
-    _spacecraft_key(),
+    spacecraft_key(),
     Column("plan_id", Integer, primary_key=True, autoincrement=False),
-    Column("sha256", Text, nullable=False),
-    Column("document", Text, nullable=False),
+    *needed(Text, "sha256", "document"),
 )
 
 ephemeris = Table(
     "ephemeris",
     metadata,
-    _spacecraft_key(),
+    spacecraft_key(),
     Column("ephemeris_id", Integer, primary_key=True, autoincrement=False),
     Column("document", Text, nullable=False),
 )
@@ -74,7 +67,7 @@ ephemeris = Table(
 source = Table(
     "source",
     metadata,
-    _spacecraft_key(),
+    spacecraft_key(),
     Column("source_key", Integer, primary_key=True, autoincrement=False),
     Column("name", Text, nullable=False),
     Column("is_prime", Boolean, nullable=False),
@@ -82,11 +75,7 @@ source = Table(
     Column("row_count", BigInteger, nullable=False),
     UniqueConstraint("spacecraft_key", "name", name="source_name"),
     # sequence numbers, see db.measurements.sequence_numbers; null until the source numbers its rows
-    Column("seq_run", BigInteger),
-    Column("seq_after_us", BigInteger),
-    Column("seq_start", BigInteger),
-    Column("seq_last", BigInteger),
-    Column("rows_missing", BigInteger),
+    *optional(BigInteger, "seq_run", "seq_after_us", "seq_start", "seq_last", "rows_missing"),
     #: id of the key that its first row came with; null where that was not asked
     Column("created_by", Text),
 )
@@ -95,19 +84,17 @@ source = Table(
 sequence_interval = Table(
     "sequence_interval",
     metadata,
-    _spacecraft_key(is_referencing=False),
+    spacecraft_key(is_referencing=False),
     Column("source_key", Integer, primary_key=True, autoincrement=False),
-    Column("run", BigInteger, primary_key=True, autoincrement=False),
-    Column("first_seq", BigInteger, primary_key=True, autoincrement=False),
-    Column("last_seq", BigInteger, nullable=False),
-    Column("after_us", BigInteger, nullable=False),
+    *keys(BigInteger, "run", "first_seq"),
+    *needed(BigInteger, "last_seq", "after_us"),
     sqlite_with_rowid=False,
 )
 
 measurement = Table(
     "measurement",
     metadata,
-    _spacecraft_key(is_referencing=False),
+    spacecraft_key(is_referencing=False),
     Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
     Column("source_key", Integer, primary_key=True, autoincrement=False),
     Column("number", BigInteger, nullable=False),
@@ -115,8 +102,7 @@ measurement = Table(
     Column("seq", BigInteger),
     # from the epoch to the receipt, microseconds
     Column("delay_us", BigInteger, nullable=False),
-    Column("is_late", Boolean, nullable=False),
-    Column("feeds", Boolean, nullable=False),
+    *needed(Boolean, "is_late", "feeds"),
     # both as db.encoding.power_codec lays them out
     Column("powers", LargeBinary, nullable=False),
     Column("flags", LargeBinary),
@@ -130,7 +116,7 @@ measurement = Table(
 measurement_detail = Table(
     "measurement_detail",
     metadata,
-    _spacecraft_key(is_referencing=False),
+    spacecraft_key(is_referencing=False),
     Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
     Column("source_key", Integer, primary_key=True, autoincrement=False),
     Column("figures", LargeBinary, nullable=False),
@@ -143,21 +129,14 @@ measurement_segment = Table(
     metadata,
     Column("segment_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("spacecraft_key", Integer, ForeignKey("spacecraft.spacecraft_key"), nullable=False),
-    Column("source_key", Integer, nullable=False),
-    Column("plan_id", Integer, nullable=False),
+    *needed(Integer, "source_key", "plan_id"),
     # whole days since 1970
-    Column("day", Integer, nullable=False),
-    Column("row_count", Integer, nullable=False),
-    Column("feeding_count", Integer, nullable=False),
-    Column("first_epoch_us", BigInteger, nullable=False),
-    Column("last_epoch_us", BigInteger, nullable=False),
-    Column("first_number", BigInteger, nullable=False),
-    Column("last_number", BigInteger, nullable=False),
+    *needed(Integer, "day", "row_count", "feeding_count"),
+    *needed(BigInteger, "first_epoch_us", "last_epoch_us", "first_number", "last_number"),
     Column("codec", Integer, nullable=False),
     # of everything else in the row but its id
     Column("crc32", BigInteger, nullable=False),
-    Column("columns", LargeBinary, nullable=False),
-    Column("powers", LargeBinary, nullable=False),
+    *needed(LargeBinary, "columns", "powers"),
     Column("extras", LargeBinary),
     # a source has one row an epoch, so no two of its segments begin together
     UniqueConstraint("spacecraft_key", "first_epoch_us", "source_key", name="measurement_segment_start"),
@@ -169,19 +148,17 @@ measurement_segment = Table(
 retention_mark = Table(
     "retention_mark",
     metadata,
-    _spacecraft_key(),
+    spacecraft_key(),
     Column("series", Text, primary_key=True),
-    Column("kept_from_us", BigInteger, nullable=False),
-    Column("rows_dropped", BigInteger, nullable=False),
+    *needed(BigInteger, "kept_from_us", "rows_dropped"),
 )
 
 journal = Table(
     "journal",
     metadata,
-    _spacecraft_key(is_referencing=False),
+    spacecraft_key(is_referencing=False),
     Column("number", BigInteger, primary_key=True, autoincrement=False),
-    Column("kind", Text, nullable=False),
-    Column("key", Text, nullable=False),
+    *needed(Text, "kind", "key"),
     Column("start_us", BigInteger, nullable=False),
     Column("stop_us", BigInteger),
     Column("document", Text, nullable=False),
@@ -195,7 +172,7 @@ journal = Table(
 operation = Table(
     "operation",
     metadata,
-    _spacecraft_key(),
+    spacecraft_key(),
     Column("operation_id", Integer, primary_key=True, autoincrement=False),
     Column("revision", Integer, nullable=False),
     Column("number", BigInteger, nullable=False),
@@ -204,37 +181,31 @@ operation = Table(
 calibration = Table(
     "calibration",
     metadata,
-    _spacecraft_key(),
+    spacecraft_key(),
     Column("calibration_id", Integer, primary_key=True, autoincrement=False),
-    Column("method", Text, nullable=False),
-    Column("state", Text, nullable=False),
-    Column("plan_id", Integer, nullable=False),
-    Column("ephemeris_id", Integer, nullable=False),
+    *needed(Text, "method", "state"),
+    *needed(Integer, "plan_id", "ephemeris_id"),
     Column("created_at_us", BigInteger, nullable=False),
-    Column("created_by", Text, nullable=False),
-    Column("request", Text, nullable=False),
-    Column("result", Text),
-    Column("error", Text),
+    *needed(Text, "created_by", "request"),
+    *optional(Text, "result", "error"),
 )
 
 alignment = Table(
     "alignment",
     metadata,
-    _spacecraft_key(),
+    spacecraft_key(),
     Column("alignment_id", Integer, primary_key=True, autoincrement=False),
-    Column("epoch_us", BigInteger, nullable=False),
-    Column("number", BigInteger, nullable=False),
+    *needed(BigInteger, "epoch_us", "number"),
     Column("document", Text, nullable=False),
 )
 
 attitude = Table(
     "attitude",
     metadata,
-    _spacecraft_key(is_referencing=False),
+    spacecraft_key(is_referencing=False),
     Column("version", Text, primary_key=True),
     Column("method", Text, primary_key=True),
-    Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
-    Column("number", BigInteger, primary_key=True, autoincrement=False),
+    *keys(BigInteger, "epoch_us", "number"),
     Column("sequence", BigInteger),
     *record_columns(AttitudeRow, without=("method", "epoch_us", "number")),
     checksum_column(),
@@ -245,10 +216,9 @@ attitude = Table(
 torque = Table(
     "torque",
     metadata,
-    _spacecraft_key(is_referencing=False),
+    spacecraft_key(is_referencing=False),
     Column("version", Text, primary_key=True),
-    Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
-    Column("number", BigInteger, primary_key=True, autoincrement=False),
+    *keys(BigInteger, "epoch_us", "number"),
     Column("sequence", BigInteger),
     *record_columns(TorqueCommand, without=("epoch_us", "number")),
     checksum_column(),
@@ -263,8 +233,7 @@ job = Table(
     "job",
     metadata,
     Column("job_id", Text, primary_key=True),
-    Column("kind", Text, nullable=False),
-    Column("state", Text, nullable=False),
+    *needed(Text, "kind", "state"),
     Column("progress", Figure),
     Column("created_at_us", BigInteger, nullable=False),
     Column("error", Text),
@@ -273,7 +242,7 @@ job = Table(
 replay = Table(
     "replay",
     metadata,
-    _spacecraft_key(),
+    spacecraft_key(),
     Column("replay_id", Integer, primary_key=True, autoincrement=False),
     Column("document", Text, nullable=False),
 )
@@ -303,11 +272,7 @@ trace = Table(
     Column("size_bytes", Integer, nullable=False),
     Column("received_at_us", BigInteger, nullable=False),
     Column("points", Integer, nullable=False),
-    Column("start_hz", Figure),
-    Column("step_hz", Figure),
-    Column("rbw_hz", Figure),
-    Column("enbw_hz", Figure),
-    Column("sweep_time_s", Figure),
+    *optional(Figure, "start_hz", "step_hz", "rbw_hz", "enbw_hz", "sweep_time_s"),
     Column("powers", LargeBinary, nullable=False),
     checksum_column(),
     UniqueConstraint("spacecraft_key", "source", "epoch_us", "sweep", name="trace_key"),

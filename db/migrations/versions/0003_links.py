@@ -1,9 +1,10 @@
 """Details beside powers, sequence numbers of sources, links, evidence traces."""
 
-from typing import Any
-
 import sqlalchemy as sa
 from alembic import op
+
+from db.schema.column_types import Figure
+from db.schema.columns import keys, needed, optional, spacecraft_key
 
 revision = "0003"
 down_revision = "0002"
@@ -26,23 +27,11 @@ WHERE EXISTS (SELECT 1 FROM measurement AS m WHERE m.spacecraft_key = source.spa
 """
 
 
-class _UntypedDouble(sa.types.UserDefinedType[float]):
-    """A double in a SQLite column without affinity; a REAL column would lose the sign of -0.0."""
-
-    cache_ok = True
-
-    def get_col_spec(self, **_: Any) -> str:
-        return "DOUBLE_BLOB"
-
-
-_FIGURE: sa.types.TypeEngine[float] = sa.DOUBLE_PRECISION().with_variant(_UntypedDouble(), "sqlite")
-
-
 def upgrade() -> None:
     _sequences()
     op.create_table(
         "measurement_detail",
-        sa.Column("spacecraft_key", sa.Integer(), primary_key=True, autoincrement=False),
+        spacecraft_key(is_referencing=False),
         sa.Column("epoch_us", sa.BigInteger(), primary_key=True, autoincrement=False),
         sa.Column("source_key", sa.Integer(), primary_key=True, autoincrement=False),
         sa.Column("figures", sa.LargeBinary(), nullable=False),
@@ -53,7 +42,7 @@ def upgrade() -> None:
         sa.Column("link_id", sa.Text(), primary_key=True),
         sa.Column("spacecraft_id", sa.Text()),
         sa.Column("reported_at_us", sa.BigInteger(), nullable=False),
-        sa.Column("learned_period_s", _FIGURE),
+        sa.Column("learned_period_s", Figure),
         sa.Column("enabled", sa.Boolean(), nullable=False),
         sa.Column("resets", sa.Integer(), nullable=False),
         sa.Column("document", sa.Text(), nullable=False),
@@ -74,12 +63,9 @@ def _sequences() -> None:
     op.execute(_CLOSE_RUNS)
     op.create_table(
         "sequence_interval",
-        sa.Column("spacecraft_key", sa.Integer(), primary_key=True, autoincrement=False),
-        sa.Column("source_key", sa.Integer(), primary_key=True, autoincrement=False),
-        sa.Column("run", sa.BigInteger(), primary_key=True, autoincrement=False),
-        sa.Column("first_seq", sa.BigInteger(), primary_key=True, autoincrement=False),
-        sa.Column("last_seq", sa.BigInteger(), nullable=False),
-        sa.Column("after_us", sa.BigInteger(), nullable=False),
+        *keys(sa.Integer(), "spacecraft_key", "source_key"),
+        *keys(sa.BigInteger(), "run", "first_seq"),
+        *needed(sa.BigInteger(), "last_seq", "after_us"),
         sqlite_with_rowid=False,
     )
 
@@ -95,11 +81,7 @@ def _traces() -> None:
         sa.Column("size_bytes", sa.Integer(), nullable=False),
         sa.Column("received_at_us", sa.BigInteger(), nullable=False),
         sa.Column("points", sa.Integer(), nullable=False),
-        sa.Column("start_hz", _FIGURE),
-        sa.Column("step_hz", _FIGURE),
-        sa.Column("rbw_hz", _FIGURE),
-        sa.Column("enbw_hz", _FIGURE),
-        sa.Column("sweep_time_s", _FIGURE),
+        *optional(Figure, "start_hz", "step_hz", "rbw_hz", "enbw_hz", "sweep_time_s"),
         sa.Column("powers", sa.LargeBinary(), nullable=False),
         sa.UniqueConstraint("spacecraft_key", "source", "epoch_us", "sweep", name="trace_key"),
     )

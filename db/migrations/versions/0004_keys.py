@@ -3,6 +3,8 @@
 import sqlalchemy as sa
 from alembic import op
 
+from db.schema.columns import needed, optional
+
 revision = "0004"
 down_revision = "0003"
 branch_labels = None
@@ -27,14 +29,11 @@ def upgrade() -> None:
     op.create_table(
         "access_key",
         sa.Column("key_id", sa.Text(), primary_key=True),
-        sa.Column("name", sa.Text(), nullable=False),
-        sa.Column("role", sa.Text(), nullable=False),
+        *needed(sa.Text(), "name", "role"),
         sa.Column("digest", sa.LargeBinary(), nullable=False),
         sa.Column("created_at_us", sa.BigInteger(), nullable=False),
         sa.Column("created_by", sa.Text(), nullable=False),
-        sa.Column("expires_at_us", sa.BigInteger()),
-        sa.Column("last_used_us", sa.BigInteger()),
-        sa.Column("revoked_at_us", sa.BigInteger()),
+        *optional(sa.BigInteger(), "expires_at_us", "last_used_us", "revoked_at_us"),
     )
     _entries()
     op.create_table(
@@ -60,18 +59,10 @@ def _entries() -> None:
             "number", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), primary_key=True, autoincrement=False
         ),
         sa.Column("at_us", sa.BigInteger(), nullable=False),
-        sa.Column("who", sa.Text(), nullable=False),
-        sa.Column("key_id", sa.Text(), nullable=False),
-        sa.Column("role", sa.Text(), nullable=False),
-        sa.Column("address", sa.Text(), nullable=False),
-        sa.Column("action", sa.Text(), nullable=False),
-        sa.Column("target", sa.Text(), nullable=False),
-        sa.Column("outcome", sa.Text(), nullable=False),
-        sa.Column("request_id", sa.Text(), nullable=False),
+        *needed(sa.Text(), "who", "key_id", "role", "address", "action", "target", "outcome", "request_id"),
         sa.Column("body_sha256", sa.Text()),
         sa.Column("times", sa.Integer(), nullable=False),
-        sa.Column("previous_hash", sa.Text(), nullable=False),
-        sa.Column("hash", sa.Text(), nullable=False),
+        *needed(sa.Text(), "previous_hash", "hash"),
     )
     op.create_index("audit_entry_time", "audit_entry", ["at_us"], unique=False)
 

@@ -3,6 +3,8 @@
 import sqlalchemy as sa
 from alembic import op
 
+from db.schema.columns import needed
+
 revision = "0005"
 down_revision = "0004"
 branch_labels = None
@@ -14,19 +16,11 @@ def upgrade() -> None:
         "measurement_segment",
         sa.Column("segment_id", sa.BigInteger().with_variant(sa.Integer(), "sqlite"), primary_key=True),
         sa.Column("spacecraft_key", sa.Integer(), sa.ForeignKey("spacecraft.spacecraft_key"), nullable=False),
-        sa.Column("source_key", sa.Integer(), nullable=False),
-        sa.Column("plan_id", sa.Integer(), nullable=False),
-        sa.Column("day", sa.Integer(), nullable=False),
-        sa.Column("row_count", sa.Integer(), nullable=False),
-        sa.Column("feeding_count", sa.Integer(), nullable=False),
-        sa.Column("first_epoch_us", sa.BigInteger(), nullable=False),
-        sa.Column("last_epoch_us", sa.BigInteger(), nullable=False),
-        sa.Column("first_number", sa.BigInteger(), nullable=False),
-        sa.Column("last_number", sa.BigInteger(), nullable=False),
+        *needed(sa.Integer(), "source_key", "plan_id", "day", "row_count", "feeding_count"),
+        *needed(sa.BigInteger(), "first_epoch_us", "last_epoch_us", "first_number", "last_number"),
         sa.Column("codec", sa.Integer(), nullable=False),
         sa.Column("crc32", sa.BigInteger(), nullable=False),
-        sa.Column("columns", sa.LargeBinary(), nullable=False),
-        sa.Column("powers", sa.LargeBinary(), nullable=False),
+        *needed(sa.LargeBinary(), "columns", "powers"),
         sa.Column("extras", sa.LargeBinary()),
         sa.UniqueConstraint("spacecraft_key", "first_epoch_us", "source_key", name="measurement_segment_start"),
     )
@@ -40,8 +34,7 @@ def upgrade() -> None:
         "retention_mark",
         sa.Column("spacecraft_key", sa.Integer(), sa.ForeignKey("spacecraft.spacecraft_key"), primary_key=True),
         sa.Column("series", sa.Text(), primary_key=True),
-        sa.Column("kept_from_us", sa.BigInteger(), nullable=False),
-        sa.Column("rows_dropped", sa.BigInteger(), nullable=False),
+        *needed(sa.BigInteger(), "kept_from_us", "rows_dropped"),
     )
 
 

@@ -5,6 +5,8 @@ import json
 import sqlalchemy as sa
 from alembic import op
 
+from db.schema.columns import spacecraft_key
+
 revision = "0011"
 down_revision = "0010"
 branch_labels = None
@@ -16,7 +18,7 @@ _SPACECRAFT = sa.table("spacecraft", sa.column("spacecraft_key"), sa.column("doc
 def upgrade() -> None:
     made = op.create_table(
         "release_made_two_step",
-        sa.Column("spacecraft_key", sa.Integer(), primary_key=True, autoincrement=False),
+        spacecraft_key(is_referencing=False),
         sa.Column("at_us", sa.BigInteger(), nullable=False),
     )
     connection = op.get_bind()
