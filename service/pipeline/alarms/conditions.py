@@ -10,6 +10,13 @@ from service.records.operations.alarm_limits import ConditionLimits
 _HOUR_S = 3600.0
 
 
+def _condition(
+    subject: tuple[str, Kind, str, str, Origin], says: str, next_step: str, limits: ConditionLimits
+) -> AlarmCondition:
+    """Return a condition; its subject is name, kind, unit, thing and origin."""
+    return AlarmCondition(*subject, says, next_step, limits)
+
+
 def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, AlarmCondition]:
     """Return every condition by name."""
     estimate = (*_of_attitude(alarms), *_of_agreement(robust))
@@ -20,43 +27,27 @@ def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, Alar
 def _of_carriers() -> tuple[AlarmCondition, ...]:
     """Return what is looked at carrier by carrier."""
     return (
-        AlarmCondition(
-            "carrier_level",
-            Kind.ABOVE,
-            "dB",
-            "carrier",
-            Origin.ROW,
+        _condition(
+            ("carrier_level", Kind.ABOVE, "dB", "carrier", Origin.ROW),
             "level of carrier {thing} differs from the expected level by {value}",
             "look at the carrier's trace; ask its user whether power or traffic was changed and declare carrier_work "
             "if so; the estimate leaves a carrier that moved alone out by itself",
             ConditionLimits(warning=3.0, distress=6.0, deadband=0.5, on_s=300.0, off_s=300.0),
         ),
-        AlarmCondition(
-            "carrier_absent",
-            Kind.LASTING,
-            "s",
-            "carrier",
-            Origin.ROW,
+        _condition(
+            ("carrier_absent", Kind.LASTING, "s", "carrier", Origin.ROW),
             "carrier {thing} has been absent for {value}",
             "look at the trace; ask the user whether the carrier was switched off; declare carrier_work while it is",
             ConditionLimits(warning=120.0, distress=_HOUR_S, off_s=120.0),
         ),
-        AlarmCondition(
-            "carrier_c_n0",
-            Kind.BELOW,
-            "dB",
-            "carrier",
-            Origin.ROW,
+        _condition(
+            ("carrier_c_n0", Kind.BELOW, "dB", "carrier", Origin.ROW),
             "carrier to noise ratio of carrier {thing} is {value}",
             "compare with the other carriers: all low means rain or the receiving chain, one low its uplink",
             ConditionLimits(warning=6.0, distress=3.0, deadband=0.5, on_s=300.0, off_s=300.0),
         ),
-        AlarmCondition(
-            "carrier_residual",
-            Kind.ABOVE,
-            "dB",
-            "carrier",
-            Origin.ROW,
+        _condition(
+            ("carrier_residual", Kind.ABOVE, "dB", "carrier", Origin.ROW),
             "residual of carrier {thing} is {value}",
             "see whether its uplink fades or its traffic changed; a carrier that stays so wants a new calibration",
             ConditionLimits(watch=1.5, warning=3.0, deadband=0.3, on_s=600.0, off_s=600.0, repeat_s=None),
@@ -67,12 +58,8 @@ def _of_carriers() -> tuple[AlarmCondition, ...]:
 def _of_attitude(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
     """Return what is looked at in the attitude rows of the method that drives control."""
     return (
-        AlarmCondition(
-            "attitude_angle",
-            Kind.ABOVE,
-            "deg",
-            "axis",
-            Origin.ROW,
+        _condition(
+            ("attitude_angle", Kind.ABOVE, "deg", "axis", Origin.ROW),
             "{thing} angle is {value}",
             "check with another sensor; see GET .../control and the newest torque; beyond 0.4 deg the model of the "
             "carriers no longer holds and control is withheld",
@@ -85,12 +72,8 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
                 repeat_s=600.0,
             ),
         ),
-        AlarmCondition(
-            "attitude_lost",
-            Kind.LASTING,
-            "s",
-            "method",
-            Origin.ROW,
+        _condition(
+            ("attitude_lost", Kind.LASTING, "s", "method", Origin.ROW),
             "method {thing} has given no attitude for {value}",
             "see the inhibitions and the excluded carriers of GET .../attitude",
             ConditionLimits(warning=300.0, critical=1800.0, off_s=120.0),
@@ -101,12 +84,8 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
 def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
     """Return what is looked at between methods, sensors and carriers."""
     return (
-        AlarmCondition(
-            "methods_disagree",
-            Kind.ABOVE,
-            "deg",
-            "methods",
-            Origin.ROW,
+        _condition(
+            ("methods_disagree", Kind.ABOVE, "deg", "methods", Origin.ROW),
             "methods {thing} disagree in roll or pitch by {value}",
             "compare both with another sensor; the method that is right shows in the residuals; align again if none is",
             ConditionLimits(
@@ -116,22 +95,14 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
                 latching=True,
             ),
         ),
-        AlarmCondition(
-            "downlink_fade",
-            Kind.ABOVE,
-            "dB",
-            "receiving site",
-            Origin.ROW,
+        _condition(
+            ("downlink_fade", Kind.ABOVE, "dB", "receiving site", Origin.ROW),
             "downlink fade at the {thing} is {value}",
             "wait for the rain to end; control returns by itself; a fade without rain means the receiving chain",
             ConditionLimits(watch=0.0, warning=6.0, deadband=0.0, on_s=300.0, off_s=600.0, repeat_s=None),
         ),
-        AlarmCondition(
-            "sensor_disagreement",
-            Kind.ABOVE,
-            "deg",
-            "sensor",
-            Origin.REFERENCE,
+        _condition(
+            ("sensor_disagreement", Kind.ABOVE, "deg", "sensor", Origin.REFERENCE),
             "sensor {thing} differs from the estimate, beyond three sigma of both, by {value}",
             "find out which one is wrong by a third sensor; align again if it is the estimate",
             ConditionLimits(warning=0.15, distress=0.3, deadband=0.03, on_s=600.0, off_s=600.0, latching=True),
@@ -142,45 +113,29 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
 def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
     """Return what is looked at in what comes in, or does not."""
     return (
-        AlarmCondition(
-            "data_stale",
-            Kind.ABOVE,
-            "row periods",
-            "source",
-            Origin.CLOCK,
+        _condition(
+            ("data_stale", Kind.ABOVE, "row periods", "source", Origin.CLOCK),
             "newest row of source {thing} is {value} old",
             "see GET /links and the front end; select the other source if there is one",
             ConditionLimits(
                 warning=alarms.stale_periods, distress=10.0 * alarms.stale_periods, off_s=0.0, repeat_s=600.0
             ),
         ),
-        AlarmCondition(
-            "link_down",
-            Kind.ABOVE,
-            "s",
-            "link",
-            Origin.CLOCK,
+        _condition(
+            ("link_down", Kind.ABOVE, "s", "link", Origin.CLOCK),
             "link {thing} has been down for {value}",
             "see its detail in GET /links; look at front end, analyzer and line; :reset begins a new session",
             # only 0 s lies a deadband inside 30 s: a link is back when it works, not when it has just failed again
             ConditionLimits(distress=30.0, critical=_HOUR_S, deadband=30.0, off_s=10.0, repeat_s=600.0),
         ),
-        AlarmCondition(
-            "link_warning",
-            Kind.ABOVE,
-            "s",
-            "link/warning",
-            Origin.CLOCK,
+        _condition(
+            ("link_warning", Kind.ABOVE, "s", "link/warning", Origin.CLOCK),
             "warning {thing} of the front end has stood for {value}",
             "see the warning in GET /links; a full spool wants the line to the service or more disk",
             ConditionLimits(warning=0.0, distress=_HOUR_S),
         ),
-        AlarmCondition(
-            "rows_missing",
-            Kind.ABOVE,
-            "rows",
-            "source",
-            Origin.CLOCK,
+        _condition(
+            ("rows_missing", Kind.ABOVE, "rows", "source", Origin.CLOCK),
             "source {thing} has numbered {value} of the last hour that did not arrive",
             "see GET .../archive/gaps; `soo send` brings what the front end's spool still holds",
             ConditionLimits(warning=0.0, distress=100.0, on_s=120.0, off_s=60.0, repeat_s=None),
@@ -191,32 +146,20 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
 def _of_release() -> tuple[AlarmCondition, ...]:
     """Return what is looked at in the release of torques."""
     return (
-        AlarmCondition(
-            "control_tripped",
-            Kind.ABOVE,
-            "s",
-            "reason",
-            Origin.CLOCK,
+        _condition(
+            ("control_tripped", Kind.ABOVE, "s", "reason", Origin.CLOCK),
             "control has tripped: {thing}",
             "find the cause in GET .../control, then POST .../control:reset; ten good minutes later an operator arms",
             ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
         ),
-        AlarmCondition(
-            "release_changed",
-            Kind.ABOVE,
-            "s",
-            "release",
-            Origin.CLOCK,
+        _condition(
+            ("release_changed", Kind.ABOVE, "s", "release", Origin.CLOCK),
             "an upgrade made the release {thing} in place of automatic {value} ago",
             "where torques shall go without a person, two approvers send control:arm with release automatic",
             ConditionLimits(warning=0.0),
         ),
-        AlarmCondition(
-            "report_late",
-            Kind.ABOVE,
-            "s",
-            "command",
-            Origin.CLOCK,
+        _condition(
+            ("report_late", Kind.ABOVE, "s", "command", Origin.CLOCK),
             "{thing} has had no report for {value} since its end",
             "ask the centre what was carried out and POST .../torques/{id}:executed or :failed; no torque goes before",
             ConditionLimits(distress=600.0, repeat_s=600.0),
@@ -227,42 +170,26 @@ def _of_release() -> tuple[AlarmCondition, ...]:
 def _of_service(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
     """Return what is looked at in what the service lives on."""
     return (
-        AlarmCondition(
-            "calibration_old",
-            Kind.ABOVE,
-            "d",
-            "calibration",
-            Origin.CLOCK,
+        _condition(
+            ("calibration_old", Kind.ABOVE, "d", "calibration", Origin.CLOCK),
             "data of calibration {thing} ended {value} ago",
             "plan a quiet day and turns, calibrate, activate",
             ConditionLimits(watch=90.0, warning=180.0, repeat_s=None),
         ),
-        AlarmCondition(
-            "ephemeris_ending",
-            Kind.BELOW,
-            "h",
-            "ephemeris",
-            Origin.CLOCK,
+        _condition(
+            ("ephemeris_ending", Kind.BELOW, "h", "ephemeris", Origin.CLOCK),
             "remaining validity of the {thing} ephemeris is {value}",
             "PUT .../ephemeris with the newest orbit of the ballistics centre",
             ConditionLimits(watch=48.0, warning=12.0, distress=0.0, repeat_s=6 * _HOUR_S),
         ),
-        AlarmCondition(
-            "key_ending",
-            Kind.BELOW,
-            "d",
-            "key",
-            Origin.CLOCK,
+        _condition(
+            ("key_ending", Kind.BELOW, "d", "key", Origin.CLOCK),
             "remaining validity of key {thing} is {value}",
             "make a new key (`soo keys create`), hand it to its user, remove the old one",
             ConditionLimits(watch=14.0, warning=3.0, repeat_s=24 * _HOUR_S),
         ),
-        AlarmCondition(
-            "disk_full",
-            Kind.BELOW,
-            "MB",
-            "disk",
-            Origin.CLOCK,
+        _condition(
+            ("disk_full", Kind.BELOW, "MB", "disk", Origin.CLOCK),
             "free space of the {thing} is {value}",
             "make room or shorten the retention; rows are refused, and kept by front ends, when nothing is left",
             ConditionLimits(
