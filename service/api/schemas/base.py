@@ -5,7 +5,7 @@ microseconds into RFC 3339 by themselves, so routes hand over records as they ar
 """
 
 import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -26,6 +26,8 @@ from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
 from service.records.record_fields import AXIS_NAMES
 
+#: any dataclass
+Record = TypeVar("Record", bound=Any)
 _EPOCH_SCHEMA = {"type": "string", "format": "date-time", "examples": ["2026-11-21T03:02:32.011250Z"]}
 
 #: rows of a batch beyond which decoding stops, whatever the settings say
@@ -120,6 +122,18 @@ class CatalogueWarning(Answer):
     """JSON pointer into the document."""
     code: str
     detail: str
+
+
+def record_of(record: type[Record], document: Document, **others: Any) -> Record:
+    """Return the record of a document whose members have the names of its fields, epochs without their ending.
+
+    ``others`` are the fields that differ; a field that the document does not have keeps its default.
+    """
+    names = {name: name.removesuffix("_us") for name in record.__dataclass_fields__ if name not in others}
+    stated = {name: getattr(document, member) for name, member in names.items() if hasattr(document, member)}
+    values = {name: value.to_record() if hasattr(value, "to_record") else value for name, value in stated.items()}
+    made: Record = record(**values, **others)
+    return made
 
 
 class AnglesDocument(Document):

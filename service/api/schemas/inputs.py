@@ -18,6 +18,7 @@ from service.api.schemas.base import (
     RowPage,
     Text,
     axes_of,
+    record_of,
 )
 from service.api.schemas.record_answers import members_of
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch
@@ -130,14 +131,7 @@ class TelemetryDocument(Document):
 
     def to_record(self) -> TelemetryRecord:
         """Return the record that this row states."""
-        return TelemetryRecord(
-            epoch_us=self.epoch,
-            onboard_mode=self.onboard_mode,
-            wheel_momentum_n_m_s=self.wheel_momentum_n_m_s,
-            wheel_speed_rpm=self.wheel_speed_rpm,
-            thrusters_active=self.thrusters_active,
-            body_rate_deg_s=None if self.body_rate_deg_s is None else self.body_rate_deg_s.to_record(),
-        )
+        return record_of(TelemetryRecord, self)
 
 
 class TelemetryBatchDocument(Document):

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN
-from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name
+from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name, record_of
 from service.api.schemas.record_answers import members_of
 from service.records.operations.link import LinkReport, LinkWarning
 
@@ -69,19 +69,8 @@ class LinkReportDocument(Document):
 
     def to_record(self) -> LinkReport:
         """Return the record that this document states."""
-        return LinkReport(
-            id=self.id,
-            kind=self.kind,
-            spacecraft_id=self.spacecraft_id,
-            source=self.source,
-            state=self.state,
-            detail=self.detail,
-            counters=self.counters,
-            last_good_us=self.last_good,
-            warnings=tuple(LinkWarning(each.code, each.detail, each.since) for each in self.warnings),
-            reset_seen=self.reset_seen,
-            period_s=self.period_s,
-        )
+        warnings = tuple(record_of(LinkWarning, each) for each in self.warnings)
+        return record_of(LinkReport, self, warnings=warnings)
 
 
 class LinkReportsDocument(Document):

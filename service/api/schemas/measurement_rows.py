@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 
 from service.api.schemas.base import Answer, EpochAnswer, Figure, RowPage
+from service.api.schemas.record_answers import members_of
 from service.formats.numbers import shortest_float32
 from service.records.levels.attitude import CarrierState
 from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Measurement
@@ -75,20 +76,10 @@ class MeasurementPage(RowPage):
     rows: list[MeasurementAnswer]
 
 
-class CarrierStateAnswer(Answer):
+class CarrierStateAnswer(members_of(CarrierState), Answer):
     """State of one carrier after the newest row."""
 
-    carrier: str
     epoch: EpochAnswer
-    power_dbm: Figure
-    expected_dbm: Figure
-    """Reference power and daily harmonic."""
-    deviation_db: Figure
-    """Measured minus expected."""
-    residual_db: Figure
-    """Deviation minus what the attitude explains."""
-    sigma_db: Figure
-    """Scatter of one row, one sigma, in the model of the method that gives these values."""
     measured_sigma_db: Figure
     """Scatter of the power that the front end predicts from bandwidth, time and noise."""
     c_n0_db_hz: Figure
@@ -97,29 +88,14 @@ class CarrierStateAnswer(Answer):
     """Bandwidth that holds 99 per cent of the power, from the front end."""
     centroid_offset_hz: Figure
     """Centre of the power above the nominal frequency, from the front end."""
-    flags: int
     flag_names: list[str]
-    state: str
-    """used, absent, excluded, unselected or uncalibrated."""
 
     @classmethod
     def of(cls, row: Measurement, position: int, state: CarrierState) -> Self:
         """Return the answer for the state of the carrier at one place of a row."""
-        return cls.model_validate(
-            {
-                "carrier": state.carrier,
-                "epoch": row.epoch_us,
-                "power_dbm": shortest_float32(np.array([state.power_dbm]))[0],
-                "expected_dbm": state.expected_dbm,
-                "deviation_db": state.deviation_db,
-                "residual_db": state.residual_db,
-                "sigma_db": state.sigma_db,
-                **{name: None if by is None else by[position] for name, by in _statistics(row.details).items()},
-                "flags": state.flags,
-                "flag_names": flag_names(state.flags),
-                "state": state.state,
-            }
-        )
+        measured = {name: None if by is None else by[position] for name, by in _statistics(row.details).items()}
+        power_dbm, names = shortest_float32(np.array([state.power_dbm]))[0], flag_names(state.flags)
+        return super().of(state, epoch=row.epoch_us, power_dbm=power_dbm, flag_names=names, **measured)
 
 
 def _statistics(details: CarrierDetails | None) -> dict[str, list[float | None] | None]:

@@ -5,15 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import (
-    AnglesDocument,
-    Answer,
-    CommentText,
-    Document,
-    Epoch,
-    Name,
-    RowPage,
-)
+from service.api.schemas.base import AnglesDocument, Answer, CommentText, Document, Epoch, Name, RowPage, record_of
 from service.api.schemas.record_answers import members_of
 from service.records.inputs import Operation
 
@@ -66,18 +58,7 @@ class OperationDocument(Document):
     def to_record(self, operation_id: int) -> Operation:
         """Return the record that this document states."""
         does_inhibit = self.kind in INHIBITING_KINDS if self.inhibit_control is None else self.inhibit_control
-        angles = self.attitude_uncertainty_deg
-        return Operation(
-            id=operation_id,
-            kind=self.kind,
-            start_us=self.start,
-            stop_us=self.stop,
-            carriers=self.carriers,
-            transponders=self.transponders,
-            inhibit_control=does_inhibit,
-            attitude_uncertainty_deg=None if angles is None else angles.to_record(),
-            comment=self.comment,
-        )
+        return record_of(Operation, self, id=operation_id, inhibit_control=does_inhibit)
 
 
 class OperationAnswer(members_of(Operation, first=("id", "revision")), Answer):

@@ -5,7 +5,7 @@ from typing import Literal, Self
 from pydantic import model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import Answer, Document, Epoch
+from service.api.schemas.base import Answer, Document, Epoch, record_of
 from service.api.schemas.calibrations import Identifier
 from service.api.schemas.record_answers import members_of
 from service.records.catalogue import Method
@@ -35,17 +35,7 @@ class ReplayDocument(Document):
 
     def to_record(self) -> Replay:
         """Return the replay that this document asks for; number, job and time are given later."""
-        return Replay(
-            id=0,
-            start_us=self.start,
-            stop_us=self.stop,
-            method=self.method,
-            calibration_id=self.calibration_id,
-            alignment_id=self.alignment_id or 0,
-            order=self.order,
-            job_id="",
-            created_at_us=0,
-        )
+        return record_of(Replay, self, id=0, alignment_id=self.alignment_id or 0, job_id="", created_at_us=0)
 
 
 class ReplayStartedAnswer(Answer):

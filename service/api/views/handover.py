@@ -4,7 +4,13 @@ from typing import Any
 
 from service.api.context.dependencies import ApiContext
 from service.api.schemas.alarms import AlarmAnswer
-from service.api.schemas.handover import HandoverAnswer
+from service.api.schemas.handover import (
+    HandoverAnswer,
+    HandoverCalibrationAnswer,
+    HandoverKeyAnswer,
+    HandoverNoticesAnswer,
+    HandoverSourceAnswer,
+)
 from service.api.schemas.notes import NoteAnswer
 from service.api.schemas.operations import OperationAnswer
 from service.api.views.links import link_answers
@@ -68,9 +74,8 @@ def _foundations(context: ApiContext, spacecraft_id: str, now_us: int) -> dict[s
     results, catalogue = context.storage.results, context.storage.catalogue
     calibrations = []
     for one in results.calibrations(spacecraft_id, CalibrationState.ACTIVE):
-        reported = {"id": one.id, "method": one.request.method, "created_at": one.created_at_us}
-        until_us = one.request.data_until_us
-        calibrations.append({**reported, "data_until": until_us, "age_days": (now_us - until_us) / _DAY_US})
+        age = {"created_at": one.created_at_us, "age_days": (now_us - one.request.data_until_us) / _DAY_US}
+        calibrations.append(HandoverCalibrationAnswer.of(one.request, id=one.id, **age))
     alignments = results.alignments(spacecraft_id)
     alignment = None
     if alignments:
@@ -86,7 +91,7 @@ def _foundations(context: ApiContext, spacecraft_id: str, now_us: int) -> dict[s
     return {"calibrations": calibrations, "alignment": alignment, "ephemeris": ephemeris}
 
 
-def _ending_keys(context: ApiContext) -> list[dict[str, Any]]:
+def _ending_keys(context: ApiContext) -> list[HandoverKeyAnswer]:
     """Return the keys in force that end soon, the first to end first."""
     now_us = context.clock.system_us()
     ending = []
@@ -94,9 +99,8 @@ def _ending_keys(context: ApiContext) -> list[dict[str, Any]]:
         key = stored.key
         if key.expires_at_us is not None and key.is_valid(now_us) and key.expires_at_us - now_us <= _KEYS_US:
             days_left = (key.expires_at_us - now_us) / _DAY_US
-            reported = {"id": key.id, "name": key.name, "role": key.role.value}
-            ending.append({**reported, "expires_at": key.expires_at_us, "days_left": days_left})
-    return sorted(ending, key=lambda one: one["days_left"])
+            ending.append(HandoverKeyAnswer.of(key, role=key.role.value, days_left=days_left))
+    return sorted(ending, key=lambda one: one.days_left)
 
 
 def _links(context: ApiContext, spacecraft_id: str) -> list[Any]:
@@ -107,12 +111,9 @@ def _links(context: ApiContext, spacecraft_id: str) -> list[Any]:
     return list(link_answers(context, chosen))
 
 
-def _sources(context: ApiContext, spacecraft_id: str) -> list[dict[str, Any]]:
+def _sources(context: ApiContext, spacecraft_id: str) -> list[HandoverSourceAnswer]:
     """Return the sources with what they miss."""
-    return [
-        {"source": one.id, "role": one.role, "newest_epoch": one.newest_epoch_us, "rows_missing": one.rows_missing}
-        for one in context.storage.archive.sources(spacecraft_id)
-    ]
+    return [HandoverSourceAnswer.of(one, source=one.id) for one in context.storage.archive.sources(spacecraft_id)]
 
 
 def _operations(context: ApiContext, spacecraft_id: str, now_us: int) -> list[OperationAnswer]:
@@ -122,15 +123,9 @@ def _operations(context: ApiContext, spacecraft_id: str, now_us: int) -> list[Op
     return [OperationAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Operation)]
 
 
-def _notices(context: ApiContext) -> list[dict[str, Any]]:
-    """Return what became of notices."""
+def _notices(context: ApiContext) -> list[HandoverNoticesAnswer]:
+    """Return the counts of notices by channel."""
     return [
-        {
-            "channel": channel.name,
-            "waiting": channel.waiting,
-            "sent": channel.counts.sent,
-            "failed": channel.counts.failed,
-            "dropped": channel.counts.dropped,
-        }
+        HandoverNoticesAnswer.of(channel.counts, channel=channel.name, waiting=channel.waiting)
         for channel in context.alarms.notices.channels
     ]

@@ -150,10 +150,9 @@ class CarrierState:
 
     carrier: str
     power_dbm: float
-    expected_dbm: float
-    deviation_db: float
-    residual_db: float
-    sigma_db: float
+    expected_dbm: Annotated[float, "Reference power and daily harmonic."]
+    deviation_db: Annotated[float, "Measured minus expected."]
+    residual_db: Annotated[float, "Deviation minus what the attitude explains."]
+    sigma_db: Annotated[float, "Scatter of one row, one sigma, in the model of the method that gives these values."]
     flags: int
-    #: used, absent, excluded, unselected or uncalibrated
-    state: str
+    state: Annotated[str, "used, absent, excluded, unselected or uncalibrated."]
