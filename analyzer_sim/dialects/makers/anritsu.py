@@ -7,27 +7,27 @@ it was taken; blocks are little-endian, integers in milli-dBm; filter steps 1-3-
 
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.makers.anritsu_functions import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.analyzer_rows import (
+    LOCAL_ROWS,
+    bandwidth_rows,
+    frequency_rows,
+    level_rows,
+    sweep_time_rows,
+)
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialects.rows.settings_rows import (
-    boolean,
     constant,
-    ignored,
     inert,
     inert_number,
     number_text,
     numeric,
 )
-from analyzer_sim.dialects.rows.span_rows import full_span_row, previous_span_row
+from analyzer_sim.dialects.rows.span_rows import previous_span_row
 from analyzer_sim.dialects.rows.sweep_rows import (
-    CLOCK_ROWS,
     application_row,
     continuous_row,
     detector_rows,
-    freeze_attenuation,
-    freeze_rbw,
-    freeze_time,
-    freeze_vbw,
     initiate_row,
     trace_mode_row,
     unit_row,
@@ -38,7 +38,7 @@ from analyzer_sim.instrument.levels import definite_block
 from analyzer_sim.instrument.settings.instrument_settings import Settings
 from analyzer_sim.instrument.settings.models import MS2090A
 from analyzer_sim.instrument.settings.quantities import load
-from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Choice, Level, TraceName
+from analyzer_sim.scpi.parameters import DECIBELS, Choice, TraceName
 
 IDENTITY = "Anritsu,MS2090A,2014005,V2023.3.1"
 _DETECTORS = {"POSitive": "POS", "RMS": "RMS", "NEGative": "NEG", "SAMPle": "SAMP", "QUASi": "QPE"}
@@ -126,30 +126,19 @@ def _preamble(call: Call, number: int = 1) -> bytes:  # noqa: ARG001 - the trace
 
 
 _FREQUENCY_ROWS = (
-    numeric(f"{_SENSE}:FREQuency:CENTer", "center_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STEP[:INCRement]", "step_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:SPAN", "span_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STARt", "start_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
-    full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
+    *frequency_rows(f"{_SENSE}:FREQuency", "STEP[:INCRement]"),
     previous_span_row(f"{_SENSE}:FREQuency:SPAN:LAST|PREVious"),
 )
 
 _BANDWIDTH_ROWS = (
-    numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
-    boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
-    numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
+    *bandwidth_rows(_BANDWIDTH),
     numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
-    numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
-    boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
     inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
 )
 
 _SWEEP_ROWS = (
     numeric("DISPlay:POINtcount", "points"),
-    numeric(f"{_SENSE}:SWEep:TIME", "time_s", SECONDS),
-    boolean(f"{_SENSE}:SWEep:TIME:AUTO", "is_time_auto", freeze_time),
+    *sweep_time_rows(f"{_SENSE}:SWEep"),
     *detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector[:FUNCtion]:AUTO", _DETECTORS),
     numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
     Command(f"{_SENSE}:AVERage:TYPE", _put_average_type, _average_type, (Choice(_AVERAGE_WORDS),)),
@@ -162,12 +151,8 @@ _SWEEP_ROWS = (
 )
 
 _LEVEL_ROWS = (
-    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", parameter=Level()),
-    numeric(f"{_TRACE_Y}:RLEVel:OFFSet", "level_offset_db", DECIBELS),
+    *level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
     inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 15.0, DECIBELS),
-    numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),
-    boolean(f"{_POWER}:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
-    boolean(f"{_POWER}:GAIN[:STATe]", "is_preamplifier_on"),
     constant(f"{_SENSE}:CORRection:IMPedance[:INPut][:MAGNitude]", "50"),
     unit_row("UNIT:POWer", _UNITS),
 )
@@ -188,9 +173,7 @@ _MISCELLANEOUS_ROWS = (
     constant("FETCh:GPS:FULL", _NO_FIX),
     constant("FETCh:GPS:ALL", _NO_FIX),
     constant("FETCh:GPS:LAST", _NO_FIX),
-    ignored("SYSTem:LOCal"),
-    ignored("SYSTem:REMote"),
-    *CLOCK_ROWS,
+    *LOCAL_ROWS,
 )
 
 ANRITSU = Dialect(

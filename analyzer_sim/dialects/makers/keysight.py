@@ -7,11 +7,17 @@ an empty error queue answers ``+0``; ``FETCh:SANalyzer?`` answers pairs of frequ
 
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.makers.keysight_functions import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.analyzer_rows import (
+    LOCAL_ROWS,
+    bandwidth_rows,
+    frequency_rows,
+    level_rows,
+    sweep_time_rows,
+)
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS, register_rows
-from analyzer_sim.dialects.rows.settings_rows import boolean, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.dialects.rows.settings_rows import constant, inert, inert_number, numeric
 from analyzer_sim.dialects.rows.span_rows import (
-    full_span_row,
     previous_span_row,
     step_auto_row,
     tune_row,
@@ -19,7 +25,6 @@ from analyzer_sim.dialects.rows.span_rows import (
 )
 from analyzer_sim.dialects.rows.sweep_rows import (
     BY_TYPE,
-    CLOCK_ROWS,
     DB6_RATIO,
     IMPULSE_RATIO,
     NOISE_RATIO,
@@ -29,10 +34,6 @@ from analyzer_sim.dialects.rows.sweep_rows import (
     continuous_row,
     detector_rows,
     filter_type_row,
-    freeze_attenuation,
-    freeze_rbw,
-    freeze_time,
-    freeze_vbw,
     initiate_row,
     trace_mode_row,
     unit_row,
@@ -48,7 +49,7 @@ from analyzer_sim.dialects.rows.trace_rows import (
 )
 from analyzer_sim.instrument.settings.instrument_settings import reset_state
 from analyzer_sim.instrument.settings.models import N9020B
-from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Boolean, Choice, Level, TraceName
+from analyzer_sim.scpi.parameters import DECIBELS, Boolean, Choice, TraceName
 
 IDENTITY = "Keysight Technologies,N9020B,MY57430101,A.30.05"
 _OPTIONS = '"526,B25,EA3,P26"'
@@ -150,14 +151,8 @@ def _restart(call: Call) -> None:
 
 
 _FREQUENCY_ROWS = (
-    numeric(f"{_SENSE}:FREQuency:CENTer", "center_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:CENTer:STEP[:INCRement]", "step_hz", HERTZ),
+    *frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
     step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
-    numeric(f"{_SENSE}:FREQuency:SPAN", "span_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STARt", "start_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
-    full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
     previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
     numeric(f"{_SENSE}:FREQuency:SPAN:BANDwidth[:RESolution]:RATio", "span_per_rbw"),
     zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
@@ -165,19 +160,14 @@ _FREQUENCY_ROWS = (
 )
 
 _BANDWIDTH_ROWS = (
-    numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
-    boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
+    *bandwidth_rows(_BANDWIDTH),
     filter_type_row(f"{_BANDWIDTH}[:RESolution]:TYPE", _FILTER_TYPES),
     inert(f"{_BANDWIDTH}:SHAPe", "GAUS", ("GAUSsian",)),
-    numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
-    numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
-    boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
 )
 
 _SWEEP_ROWS = (
     numeric(f"{_SENSE}:SWEep:POINts", "points"),
-    numeric(f"{_SENSE}:SWEep:TIME", "time_s", SECONDS),
-    boolean(f"{_SENSE}:SWEep:TIME:AUTO", "is_time_auto", freeze_time),
+    *sweep_time_rows(f"{_SENSE}:SWEep"),
     inert(f"{_SENSE}:SWEep:TIME:AUTO:RULes", "NORM", ("NORMal", "ACCuracy", "SRESponse")),
     Command(f"{_SENSE}:SWEep:TYPE", _put_sweep_type, _sweep_type, (Choice(("SWEep", "FFT", "AUTO")),)),
     Command(f"{_SENSE}:SWEep:TYPE:AUTO", _put_sweep_type_auto, _sweep_type_auto, (Boolean(),)),
@@ -197,12 +187,8 @@ _SWEEP_ROWS = (
 )
 
 _LEVEL_ROWS = (
-    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", parameter=Level()),
-    numeric(f"{_TRACE_Y}:RLEVel:OFFSet", "level_offset_db", DECIBELS),
+    *level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
     inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
-    numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),
-    boolean(f"{_POWER}:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
-    boolean(f"{_POWER}:GAIN[:STATe]", "is_preamplifier_on"),
     inert(f"{_POWER}:GAIN:BAND", "LOW", ("LOW", "FULL")),
     inert(f"{_POWER}:MW:PATH", "STD", ("STD", "LNPath", "MPBypass", "FULL")),
     inert("INPut<1>:COUPling", "AC", ("AC", "DC")),
@@ -245,9 +231,7 @@ _MISCELLANEOUS_ROWS = (
     inert("CALibration:AUTO", "ON", ("ON", "PARTial", "OFF", "ALERt")),
     inert("DISPlay:ENABle", "1"),
     *register_rows("STATus:QUEStionable:INTegrity", lambda status: status.questionable_integrity),
-    ignored("SYSTem:LOCal"),
-    ignored("SYSTem:REMote"),
-    *CLOCK_ROWS,
+    *LOCAL_ROWS,
 )
 
 KEYSIGHT = Dialect(

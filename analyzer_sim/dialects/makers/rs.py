@@ -2,27 +2,28 @@
 
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.makers.rs_functions import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.analyzer_rows import (
+    LOCAL_ROWS,
+    bandwidth_rows,
+    frequency_rows,
+    level_rows,
+    sweep_time_rows,
+)
 from analyzer_sim.dialects.rows.command_row import Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.rows.settings_rows import boolean, choice, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.dialects.rows.settings_rows import choice, constant, inert, inert_number, numeric
 from analyzer_sim.dialects.rows.span_rows import (
     adjust_all_row,
     adjust_level_row,
-    full_span_row,
     step_auto_row,
     tune_row,
 )
 from analyzer_sim.dialects.rows.sweep_rows import (
-    CLOCK_ROWS,
     application_row,
     average_state_row,
     average_type_row,
     continuous_row,
     detector_rows,
-    freeze_attenuation,
-    freeze_rbw,
-    freeze_time,
-    freeze_vbw,
     initiate_row,
     trace_mode_row,
     unit_row,
@@ -37,7 +38,7 @@ from analyzer_sim.dialects.rows.trace_rows import (
 )
 from analyzer_sim.instrument.settings.models import FSW_26
 from analyzer_sim.instrument.settings.quantities import QUANTITIES
-from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Level, TraceName
+from analyzer_sim.scpi.parameters import DECIBELS, TraceName
 
 IDENTITY = "Rohde&Schwarz,FSW-26,1312.8000K26/100001,5.30"
 _DETECTORS = {
@@ -66,35 +67,24 @@ _TRACE = "TRACe<16>[:DATA]"
 
 
 _FREQUENCY_ROWS = (
-    numeric(f"{_FREQUENCY}:CENTer", "center_hz", HERTZ),
-    numeric(f"{_FREQUENCY}:CENTer:STEP", "step_hz", HERTZ),
+    *frequency_rows(_FREQUENCY, "CENTer:STEP"),
     step_auto_row(f"{_FREQUENCY}:CENTer:STEP:AUTO"),
     inert(f"{_FREQUENCY}:MODE", "SWE", ("SWEep",)),
-    numeric(f"{_FREQUENCY}:SPAN", "span_hz", HERTZ),
-    numeric(f"{_FREQUENCY}:STARt", "start_hz", HERTZ),
-    numeric(f"{_FREQUENCY}:STOP", "stop_hz", HERTZ),
-    numeric(f"{_FREQUENCY}:OFFSet", "offset_hz", HERTZ),
-    full_span_row(f"{_FREQUENCY}:SPAN:FULL"),
     tune_row(f"{_SENSE}:ADJust:FREQuency"),
     adjust_level_row(f"{_SENSE}:ADJust:LEVel"),
     adjust_all_row(f"{_SENSE}:ADJust:ALL"),
 )
 
 _BANDWIDTH_ROWS = (
-    numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
-    boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
+    *bandwidth_rows(_BANDWIDTH),
     inert(f"{_BANDWIDTH}[:RESolution]:TYPE", "NORM", ("NORMal",)),
-    numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
     numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
-    numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
     inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
-    boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
 )
 
 _SWEEP_ROWS = (
     numeric(f"{_SWEEP}:POINts", "points"),
-    numeric(f"{_SWEEP}:TIME", "time_s", SECONDS),
-    boolean(f"{_SWEEP}:TIME:AUTO", "is_time_auto", freeze_time),
+    *sweep_time_rows(_SWEEP),
     Command(f"{_SWEEP}:DURation", query=lambda call: f"{QUANTITIES['time_s'].load(call.instrument.settings):.12g}"),
     numeric(f"{_SWEEP}:COUNt", "count"),
     choice(f"{_SWEEP}:TYPE", "sweep_type", ("SWEep", "AUTO", "FFT")),
@@ -111,15 +101,11 @@ _SWEEP_ROWS = (
 )
 
 _LEVEL_ROWS = (
-    numeric(f"{_DISPLAY_TRACE}:Y[:SCALe]:RLEVel", "reference_dbm", parameter=Level()),
-    numeric(f"{_DISPLAY_TRACE}:Y[:SCALe]:RLEVel:OFFSet", "level_offset_db", DECIBELS),
+    *level_rows(f"{_DISPLAY_TRACE}:Y[:SCALe]", "INPut<2>:ATTenuation", "INPut<2>:GAIN:STATe"),
     inert_number(f"{_DISPLAY_TRACE}:Y[:SCALe]", 100.0, 1.0, 200.0, DECIBELS),
     inert_number(f"{_DISPLAY_TRACE}:Y[:SCALe]:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
     inert(f"{_DISPLAY_TRACE}:Y[:SCALe]:MODE", "ABS", ("ABSolute", "RELative")),
     inert(f"{_DISPLAY_TRACE}:Y:SPACing", "LOG", ("LOGarithmic", "LINear", "LDB", "PERCent")),
-    numeric("INPut<2>:ATTenuation", "attenuation_db", DECIBELS),
-    boolean("INPut<2>:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
-    boolean("INPut<2>:GAIN:STATe", "is_preamplifier_on"),
     inert("INPut<2>:COUPling", "AC", ("AC", "DC")),
     constant("INPut<2>:IMPedance", "50"),
     unit_row("UNIT<16>:POWer", _UNITS, synonyms=_SYNONYMS),
@@ -147,9 +133,7 @@ _MISCELLANEOUS_ROWS = (
     constant("TRIGger<16>[:SEQuence]:LEVel", "0"),
     inert("SYSTem:DISPlay:UPDate", "0"),
     inert("DISPlay:FORMat", "SING", ("SINGle", "SPLit")),
-    ignored("SYSTem:LOCal"),
-    ignored("SYSTem:REMote"),
-    *CLOCK_ROWS,
+    *LOCAL_ROWS,
 )
 
 RS = Dialect(

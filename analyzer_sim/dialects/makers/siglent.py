@@ -7,11 +7,17 @@ a sweep is polled with ``TRACe:SWEep:STATe?``.
 
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.makers.siglent_functions import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.analyzer_rows import (
+    LOCAL_ROWS,
+    bandwidth_rows,
+    frequency_rows,
+    level_rows,
+    sweep_time_rows,
+)
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.rows.settings_rows import boolean, choice, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.dialects.rows.settings_rows import choice, constant, inert, inert_number, numeric
 from analyzer_sim.dialects.rows.span_rows import (
-    full_span_row,
     previous_span_row,
     scaled_span_row,
     step_auto_row,
@@ -20,24 +26,19 @@ from analyzer_sim.dialects.rows.span_rows import (
 )
 from analyzer_sim.dialects.rows.sweep_rows import (
     BY_TYPE,
-    CLOCK_ROWS,
     DB6_RATIO,
     application_row,
     average_type_row,
     continuous_row,
     detector_rows,
     filter_type_row,
-    freeze_attenuation,
-    freeze_rbw,
-    freeze_time,
-    freeze_vbw,
     initiate_row,
     trace_mode_row,
     unit_row,
 )
 from analyzer_sim.dialects.rows.trace_rows import TraceFormat, TraceStyle, format_row, trace_row
 from analyzer_sim.instrument.settings.models import SSA3032X
-from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Level, Numeric, TraceName
+from analyzer_sim.scpi.parameters import DECIBELS, PURE, Numeric, TraceName
 
 IDENTITY = "Siglent Technologies,SSA3032X,SSA3XLBD2R0101,1.2.9.3"
 _DETECTORS = {
@@ -73,14 +74,8 @@ def _clear_average(call: Call) -> None:
 
 
 _FREQUENCY_ROWS = (
-    numeric(f"{_SENSE}:FREQuency:CENTer", "center_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:CENTer:STEP[:INCRement]", "step_hz", HERTZ),
+    *frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
     step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
-    numeric(f"{_SENSE}:FREQuency:SPAN", "span_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STARt", "start_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
-    full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
     previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
     scaled_span_row(f"{_SENSE}:FREQuency:SPAN:HALF", 0.5),
     scaled_span_row(f"{_SENSE}:FREQuency:SPAN:DOUBle", 2.0),
@@ -89,18 +84,13 @@ _FREQUENCY_ROWS = (
 )
 
 _BANDWIDTH_ROWS = (
-    numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
-    boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
-    numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
-    numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
-    boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
+    *bandwidth_rows(_BANDWIDTH),
     filter_type_row(f"{_SENSE}:FILTer:TYPE", _FILTER_TYPES),
 )
 
 _SWEEP_ROWS = (
     numeric(f"{_SENSE}:SWEep:POINts", "points"),
-    numeric(f"{_SENSE}:SWEep:TIME", "time_s", SECONDS),
-    boolean(f"{_SENSE}:SWEep:TIME:AUTO", "is_time_auto", freeze_time),
+    *sweep_time_rows(f"{_SENSE}:SWEep"),
     choice(f"{_SENSE}:SWEep:MODE", "sweep_type", ("AUTO", "FFT", "SWEep")),
     inert(f"{_SENSE}:SWEep:SPEed", "NORM", ("NORMal", "ACCUracy")),
     numeric(f"{_SENSE}:SWEep:COUNt", "count"),
@@ -118,13 +108,9 @@ _SWEEP_ROWS = (
 )
 
 _LEVEL_ROWS = (
-    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", parameter=Level()),
-    numeric(f"{_TRACE_Y}:RLEVel:OFFSet", "level_offset_db", DECIBELS),
+    *level_rows(_TRACE_Y, f"{_POWER}:ATTenuation", f"{_POWER}:GAIN[:STATe]"),
     inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 10.0, DECIBELS),
     inert(f"{_TRACE_Y}:SPACing", "LOG", ("LOGarithmic", "LINear")),
-    numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),
-    boolean(f"{_POWER}:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
-    boolean(f"{_POWER}:GAIN[:STATe]", "is_preamplifier_on"),
     constant(f"{_SENSE}:CORRection:IMPedance", "OHM50"),
     unit_row("UNIT:POWer", _UNITS),
 )
@@ -138,9 +124,7 @@ _MISCELLANEOUS_ROWS = (
     constant("*IDN", IDENTITY),
     constant("*OPT", "0"),
     application_row("INSTrument[:SELect]", "SA", frozenset({"SA"})),
-    ignored("SYSTem:LOCal"),
-    ignored("SYSTem:REMote"),
-    *CLOCK_ROWS,
+    *LOCAL_ROWS,
 )
 
 SIGLENT = Dialect(
