@@ -273,20 +273,8 @@ def test_every_row_of_the_table_is_taken():
     assert wanted - taken == set()
 
 
-def _beyond(driver):
-    driver.rows(1, replace(GOOD, attitude_deg=Axes(0.0, 0.45, 0.0)))
-
-
-def _beyond_long(driver):
-    driver.rows(12, replace(GOOD, attitude_deg=Axes(0.0, 0.45, 0.0)))
-
-
-def _fade(driver):
-    driver.rows(1, replace(GOOD, is_fading=True))
-
-
-def _good(driver):
-    driver.rows(12)
+def _rows(count, **change):
+    return lambda driver: driver.rows(count, replace(GOOD, **change))
 
 
 def _order(kind):
@@ -297,6 +285,8 @@ def _report(driver):
     driver.send(InputsChanged(driver.at, INPUTS))
 
 
+BEYOND = {"attitude_deg": Axes(0.0, 0.45, 0.0)}
+_beyond, _beyond_long, _fade, _good = _rows(1, **BEYOND), _rows(12, **BEYOND), _rows(1, is_fading=True), _rows(12)
 ARMED, ENGAGED = ReleaseDriver.armed, ReleaseDriver.engaged
 STOP, RESET = _order(OrderKind.STOP), _order(OrderKind.RESET)
 ARM, DISENGAGE = _order(OrderKind.ARM), _order(OrderKind.DISENGAGE)

@@ -1,12 +1,17 @@
 """Comments of operators on their actions: optional ones, and required ones that go to the shift log."""
 
+from dataclasses import dataclass
 from typing import Annotated, Any
 
-from service.api.access.principals import Principal
-from service.api.context.dependencies import ApiContext
+from fastapi import Depends
+
+from service.api.access.auth import CurrentPrincipal
+from service.api.access.principals import Permission, Principal
+from service.api.context.dependencies import ApiContext, Context, SpacecraftId
 from service.api.protocol.bodies import accepts, optional_body
 from service.api.schemas.alarms import RemarkDocument
 from service.records.operations.note import Note
+from service.runtime.control.release_service import ReleaseService
 
 TAG = "control"
 
@@ -19,12 +24,44 @@ def accepts_comment() -> dict[str, Any]:
 Said = Annotated[RemarkDocument, optional_body(RemarkDocument)]
 
 
-def log_comment(context: ApiContext, spacecraft_id: str, principal: Principal, order: str, comment: str) -> None:
-    """Write the comment of an operator on an order into the shift log; an empty comment writes nothing."""
-    if not comment.strip():
-        return
-    now_us = context.clock.system_us()
-    present_us = context.clock.now_us(spacecraft_id)
-    epoch_us = now_us if present_us is None else present_us
-    note = Note(0, spacecraft_id, epoch_us, now_us, principal.name, f"{order}: {comment}", (TAG,))
-    context.storage.notes.add(note)
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Person who orders something of a spacecraft."""
+
+    context: ApiContext
+    spacecraft_id: str
+    principal: Principal
+
+    @property
+    def name(self) -> str:
+        """Name of the key."""
+        return self.principal.name
+
+    @property
+    def is_approver(self) -> bool:
+        """Return whether the key may approve."""
+        return self.principal.may(Permission.APPROVE)
+
+    @property
+    def release(self) -> ReleaseService:
+        """Interlock and commands of all spacecraft."""
+        return self.context.release_service
+
+    def log(self, order: str, comment: str) -> None:
+        """Write what the person says to an order into the shift log; nothing where nothing is said."""
+        if not comment.strip():
+            return
+        clock = self.context.clock
+        now_us = clock.system_us()
+        present_us = clock.now_us(self.spacecraft_id)
+        epoch_us = now_us if present_us is None else present_us
+        note = Note(0, self.spacecraft_id, epoch_us, now_us, self.name, f"{order}: {comment}", (TAG,))
+        self.context.storage.notes.add(note)
+
+
+async def caller_of(spacecraft_id: SpacecraftId, context: Context, principal: CurrentPrincipal) -> Caller:
+    """Return the caller of a request, for a dependency."""
+    return Caller(context, spacecraft_id, principal)
+
+
+CurrentCaller = Annotated[Caller, Depends(caller_of)]

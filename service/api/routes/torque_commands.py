@@ -6,12 +6,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Response
 
-from service.api.access.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
-from service.api.access.principals import Permission
+from service.api.access.auth import MAY_APPROVE, MAY_OPERATE
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of, optional_body
 from service.api.protocol.paging import Page
-from service.api.routes.comments import Said, accepts_comment, log_comment
+from service.api.routes.comments import Caller, CurrentCaller, Said, accepts_comment
 from service.api.schemas.torque_commands import (
     CommandAnswer,
     CommandPage,
@@ -20,7 +19,6 @@ from service.api.schemas.torque_commands import (
     ReportDocument,
     UplinkAnswer,
 )
-from service.records.operations.release import Command
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["release of torques"])
 #: its counter
@@ -37,18 +35,14 @@ _ACCEPTS_REPORT = accepts(ReportDocument, is_required=False)
     responses={HTTPStatus.OK: {"model": CommandAnswer, "description": "Of a dry run: nothing is stored"}},
 )
 def prepare_torques(
-    spacecraft_id: SpacecraftId,
-    body: Annotated[PrepareDocument, body_of(PrepareDocument)],
-    context: Context,
-    principal: CurrentPrincipal,
-    response: Response,
+    caller: CurrentCaller, body: Annotated[PrepareDocument, body_of(PrepareDocument)], response: Response
 ) -> CommandAnswer:
     """Compute and check a command that waits for another person; a dry run only shows it."""
-    command = context.release_service.prepare(spacecraft_id, principal.name, body.to_request(), dry_run=body.dry_run)
+    command = caller.release.prepare(caller.spacecraft_id, caller.name, body.to_request(), dry_run=body.dry_run)
     if command.is_dry_run:
         response.status_code = HTTPStatus.OK
     else:
-        response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/torques/{command.counter}"
+        response.headers["Location"] = f"/api/v1/spacecraft/{caller.spacecraft_id}/torques/{command.counter}"
     return CommandAnswer.of(command)
 
 
@@ -74,68 +68,50 @@ def get_uplink(spacecraft_id: SpacecraftId, command_id: CommandId, context: Cont
 
 @router.post("/torques/{command_id}:confirm", dependencies=[MAY_APPROVE], openapi_extra=accepts(ConfirmDocument))
 def confirm_torques(
-    spacecraft_id: SpacecraftId,
-    command_id: CommandId,
-    body: Annotated[ConfirmDocument, body_of(ConfirmDocument)],
-    context: Context,
-    principal: CurrentPrincipal,
+    caller: CurrentCaller, command_id: CommandId, body: Annotated[ConfirmDocument, body_of(ConfirmDocument)]
 ) -> CommandAnswer:
     """Confirm a command that another person prepared; it is released at once, or refused with the reason."""
-    command = context.release_service.confirm(
-        spacecraft_id,
-        command_id,
-        principal.name,
-        body.digest,
-        is_approver=principal.may(Permission.APPROVE),
-        comment=body.comment,
+    command = caller.release.confirm(
+        caller.spacecraft_id, command_id, caller.name, body.digest, is_approver=caller.is_approver, comment=body.comment
     )
     return CommandAnswer.of(command)
 
 
 @router.post("/torques/{command_id}:cancel", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
-def cancel_torques(
-    spacecraft_id: SpacecraftId, command_id: CommandId, body: Said, context: Context, principal: CurrentPrincipal
-) -> CommandAnswer:
+def cancel_torques(caller: CurrentCaller, command_id: CommandId, body: Said) -> CommandAnswer:
     """Take a prepared command back; what has been released cannot be called back."""
-    command = context.release_service.cancel(spacecraft_id, command_id, principal.name)
-    log_comment(context, spacecraft_id, principal, f"cancel command {command_id}", body.comment)
+    command = caller.release.cancel(caller.spacecraft_id, command_id, caller.name)
+    caller.log(f"cancel command {command_id}", body.comment)
     return CommandAnswer.of(command)
 
 
 @router.post("/torques/{command_id}:sent", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
-def report_sent(
-    spacecraft_id: SpacecraftId, command_id: CommandId, body: ReportBody, context: Context, principal: CurrentPrincipal
-) -> CommandAnswer:
+def report_sent(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
     """Report that a released command was uplinked."""
-    return CommandAnswer.of(_reported(context, spacecraft_id, command_id, "sent", body, principal.name))
+    return _reported(caller, command_id, "sent", body)
 
 
 @router.post("/torques/{command_id}:executed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
-def report_executed(
-    spacecraft_id: SpacecraftId, command_id: CommandId, body: ReportBody, context: Context, principal: CurrentPrincipal
-) -> CommandAnswer:
+def report_executed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
     """Report that a command was executed, whole or between two instants; it becomes known input of the filter."""
-    return CommandAnswer.of(_reported(context, spacecraft_id, command_id, "executed", body, principal.name))
+    return _reported(caller, command_id, "executed", body)
 
 
 @router.post("/torques/{command_id}:failed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
-def report_failed(
-    spacecraft_id: SpacecraftId, command_id: CommandId, body: ReportBody, context: Context, principal: CurrentPrincipal
-) -> CommandAnswer:
+def report_failed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
     """Report that a command was not executed, or only between two instants."""
-    return CommandAnswer.of(_reported(context, spacecraft_id, command_id, "failed", body, principal.name))
+    return _reported(caller, command_id, "failed", body)
 
 
-def _reported(
-    context: Context, spacecraft_id: str, command_id: int, turn: str, body: ReportDocument, by: str
-) -> Command:
+def _reported(caller: Caller, command_id: int, turn: str, body: ReportDocument) -> CommandAnswer:
     """Return a command after a report."""
-    return context.release_service.report(
-        spacecraft_id,
+    command = caller.release.report(
+        caller.spacecraft_id,
         command_id,
         turn,
-        by=by,
+        by=caller.name,
         at_us=body.at,
         executed_from_us=body.executed_from,
         executed_until_us=body.executed_until,
     )
+    return CommandAnswer.of(command)

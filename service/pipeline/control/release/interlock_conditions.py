@@ -99,14 +99,7 @@ class InterlockRow:
 def interlock_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: bool) -> InterlockRow:
     """Return the facts of a row of the method that drives control.
 
-    Parameters
-    ----------
-    row : AttitudeRow
-        Newest row.
-    period_s : float, s
-        Expected time to the next one.
-    is_innovation_in_band : bool
-        By the estimator; a method without the statistic says True.
+    The next one is expected after `period_s`; a method without the statistic of innovations says that it is in band.
     """
     not_acquired = () if row.status is Status.ACQUIRED else (row.status.value.lower(),)
     return InterlockRow(

@@ -7,19 +7,22 @@ default, one that the code does not have any more is passed over; a text that do
 """
 
 import json
-from collections.abc import Callable
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass, replace
 from enum import Enum
 from functools import cache
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from service.pipeline.control.release.events import ReleaseState
-from service.pipeline.control.release.interlock_conditions import InterlockInputs
+from service.pipeline.control.release.interlock import Interlock
 from service.records.operations.release import Command, SignCheck
 
 #: fields that are stored under the name that they had first
 _STORED_AS = {"inputs": "around"}
+#: what of the interlock may be lost
+_FORGOTTEN = ("row", "inputs", "innovation_since_us", "clock", "good_since_us", "standing", "since")
+_FRESH = Interlock()
 
 
 def document_of(state: ReleaseState) -> str:
@@ -30,19 +33,10 @@ def document_of(state: ReleaseState) -> str:
 
 
 def state_of(document: str, command_of: Callable[[int], Command]) -> ReleaseState:
-    """Return the state of a text; that before the first event for an empty one.
+    """Return the state of a text of `document_of`, that before the first event for an empty one.
 
-    Parameters
-    ----------
-    document : str
-        Of `document_of`; in those of former versions commands stand whole, and their counters alone are read.
-    command_of : callable
-        Gives the stored command of a counter.
-
-    Raises
-    ------
-    ValueError
-        The text is not that of a state.
+    `command_of` gives the stored command of a counter; in texts of former versions commands stand whole, and their
+    counters alone are read. ValueError: the text is not that of a state.
     """
     if not document:
         return ReleaseState()
@@ -57,26 +51,13 @@ def state_of(document: str, command_of: Callable[[int], Command]) -> ReleaseStat
     return replace(state, commands=tuple(map(command_of, counters)), sign_check=check)
 
 
-def essence(state: ReleaseState) -> ReleaseState:
-    """Return the part of a state that must not be lost; rows and inputs are read again after a restart."""
+def essence(state: ReleaseState) -> tuple[object, ...]:
+    """Return what of a state must not be lost; rows and inputs are read again after a restart."""
     interlock, check = state.interlock, state.sign_check
-    calibration_id, plan_id, version, control = interlock.configuration
-    inputs = InterlockInputs(
-        calibration_id=calibration_id, plan_id=plan_id, spacecraft_version=version, control_version=control
-    )
-    kept = replace(
-        interlock,
-        row=None,
-        inputs=inputs,
-        innovation_since_us=None,
-        clock=None,
-        good_since_us=None,
-        standing=(),
-        since=(),
-    )
+    forgotten = {name: getattr(_FRESH, name) for name in _FORGOTTEN}
     # impulses are kept with the release that they belong to, likelihoods with the next leg
-    kept_check = None if check is None else replace(check, log_ratio=None)
-    return replace(state, interlock=kept, sent=(), sign_check=kept_check)
+    kept = None if check is None else replace(check, log_ratio=None)
+    return replace(state, interlock=replace(interlock, **forgotten), sent=(), sign_check=kept), interlock.configuration
 
 
 def _plain(value: Any) -> Any:
@@ -84,12 +65,10 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Enum):
         return value.name
     kind: Any = type(value)
-    names = _names(kind)
-    if names is not None:
-        return {_STORED_AS.get(name, name): _plain(getattr(value, name)) for name in names}
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return value
+    kinds = _kinds(kind)
+    if kinds is not None:
+        return {_STORED_AS.get(name, name): _plain(getattr(value, name)) for name in kinds}
+    return [_plain(each) for each in value] if isinstance(value, tuple) else value
 
 
 def _read(kind: Any, value: Any) -> Any:
@@ -99,36 +78,22 @@ def _read(kind: Any, value: Any) -> Any:
             return None
         (kind,) = (each for each in get_args(kind) if each is not NoneType)
     if get_origin(kind) is tuple:
-        return _read_tuple(get_args(kind), value)
+        first, *others = get_args(kind)
+        each = (first,) * len(value) if Ellipsis in others else (first, *others)
+        return tuple(_read(one, part) for one, part in zip(each, value, strict=True))
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind[value]
-    if _names(kind) is not None:
-        hints = _hints(kind)
-        stored = {_STORED_AS.get(name, name): name for name in hints}
-        return kind(**{stored[key]: _read(hints[stored[key]], part) for key, part in value.items() if key in stored})
+    kinds = _kinds(kind)
+    if kinds is not None:
+        stored = {_STORED_AS.get(name, name): name for name in kinds}
+        return kind(**{stored[key]: _read(kinds[stored[key]], part) for key, part in value.items() if key in stored})
     if not isinstance(value, (int, float) if kind is float else kind):
         message = f"{value!r} is no {kind.__name__}"
         raise TypeError(message)
     return float(value) if kind is float else value
 
 
-def _read_tuple(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
-    """Return a tuple of any length of one kind, or of one value a kind."""
-    if kinds[-1] is Ellipsis:
-        return tuple(_read(kinds[0], each) for each in value)
-    return tuple(_read(kind, each) for kind, each in zip(kinds, value, strict=True))
-
-
 @cache
-def _names(kind: Any) -> tuple[str, ...] | None:
-    """Return the fields of a record, None for what is no record."""
-    if is_dataclass(kind):
-        return tuple(each.name for each in fields(kind))
-    named: tuple[str, ...] | None = getattr(kind, "_fields", None)
-    return named
-
-
-@cache
-def _hints(kind: Any) -> dict[str, Any]:
-    """Return the kind of each field of a record."""
-    return get_type_hints(kind)
+def _kinds(kind: Any) -> Mapping[str, Any] | None:
+    """Return the kind of each field of a record, None for what is no record."""
+    return get_type_hints(kind) if is_dataclass(kind) or hasattr(kind, "_fields") else None
