@@ -17,10 +17,12 @@ from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
 from analyzer_sim.world.payload.carriers import PLANS, ROLLOFF, CarrierPlan
 from analyzer_sim.world.payload.effects import Effects, FaultFlag, Operation
 from analyzer_sim.world.payload.level_terms import LevelTerms
+from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from analyzer_sim.world.payload.plan_versions import PlanVersion, plan_versions
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.sensors import References, references
-from analyzer_sim.world.spacecraft.spacecraft import Correction, attitude_history
+from analyzer_sim.world.spacecraft.operator import sensed_error_deg
+from analyzer_sim.world.spacecraft.spacecraft import Correction, Sensing, attitude_history
 from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord, telemetry
 
 #: longitude of the satellite, deg East
@@ -98,12 +100,6 @@ class World:
         self.plan: CarrierPlan = PLANS[scenario.plan]
         self.orbit = burnt_orbit(scenario, seed, Orbit.drawn(seed, LONGITUDE_DEG, scenario.start_us))
         epochs_us = row_epochs_us(scenario)
-        history = attitude_history(scenario, seed, epochs_us)
-        self.corrections: tuple[Correction, ...] = history.corrections
-        reported = references(scenario.sensors, seed, epochs_us, history.attitude_deg)
-        is_before = reported.epochs_us < scenario.operation_start_us
-        self.references: References = reported.of(is_before)
-        self.witnesses: References = reported.of(~is_before)
         effects = effects_of(
             scenario.faults,
             seed,
@@ -113,6 +109,12 @@ class World:
             scenario.row_period_s / 3600.0,
         )
         self.terms = LevelTerms(scenario, seed, self.plan, self.orbit, epochs_us, effects)
+        history = attitude_history(scenario, seed, epochs_us, self._sensing(epochs_us))
+        self.corrections: tuple[Correction, ...] = history.corrections
+        reported = references(scenario.sensors, seed, epochs_us, history.attitude_deg)
+        is_before = reported.epochs_us < scenario.operation_start_us
+        self.references: References = reported.of(is_before)
+        self.witnesses: References = reported.of(~is_before)
         self.rows: Rows = self._series(epochs_us, history.attitude_deg, effects)
         declared = [*burn_operations(scenario.burns, self.orbit), *effects.operations]
         self.operations: tuple[Operation, ...] = tuple(
@@ -125,6 +127,15 @@ class World:
         self.telemetry: tuple[TelemetryRecord, ...] = telemetry(scenario, seed, burns_us)
         self._measured = np.flatnonzero(~self.rows.is_gap)
         self._position = -1
+
+    def _sensing(self, epochs_us: EpochArray) -> Sensing | None:
+        """Return what an operator who commands from the powers makes of their noise, None where nobody does."""
+        if not self.scenario.keeping.is_steered_by_powers:
+            return None
+        alignment = self.scenario.phase("alignment")
+        is_aligned = (epochs_us >= alignment.start_us) & (epochs_us < alignment.stop_us)
+        slopes = sensitivity_db_per_deg(self.plan, self.orbit)
+        return Sensing(*sensed_error_deg(slopes, self.terms.noise_db, is_aligned))
 
     @property
     def carrier_ids(self) -> tuple[str, ...]:

@@ -73,6 +73,11 @@ class LevelTerms:
         return bool(self._scenario.repeater.alc_transponders or self._scenario.repeater.power_controlled)
 
     @property
+    def noise_db(self) -> FloatArray:
+        """(T, N) noise and rain of stations, chain and receiving site."""
+        return np.asarray(self._stations_db + self.common_db - self._effects.chain_db[:, None])
+
+    @property
     def noise_dbm_hz(self) -> FloatArray:
         """(T,) noise density at the analyzer input."""
         rain_k = RAIN_K * (1.0 - 10.0 ** (-self._effects.downlink_fade_db / 10.0))
@@ -110,8 +115,7 @@ class LevelTerms:
 
     def noise_free_dbm(self, carrier_dbm: FloatArray) -> FloatArray:
         """Return the levels (T, N) of all rows without noise and rain of stations, chain and receiving site."""
-        noise_db = self._stations_db + self.common_db - self._effects.chain_db[:, None]
-        return np.asarray(carrier_dbm - noise_db)
+        return np.asarray(carrier_dbm - self.noise_db)
 
     def measurable_dbm(self, carrier_dbm: FloatArray, first: int = 0) -> FloatArray:
         """Return the power inside each carrier's band, NaN where the carrier is off or nothing is measured."""

@@ -55,6 +55,8 @@ HARD: tuple[Scenario, ...] = (
             flicker=((0.06, 240.0), (0.10, 900.0), (0.13, 3600.0), (0.20, 72_000.0)),
             flicker_scale=(0.8, 1.35),
         ),
+        # what the operator of the other worlds knows is more than powers of such noise tell
+        keeping=KeepingErrors(is_steered_by_powers=True),
         faults=(replace(_STORMS, count=9),),
     ),
     Scenario(

@@ -3,13 +3,15 @@
 from dataclasses import replace
 
 from analyzer_sim.world.scenario.events import Fault, Showers, Weather, WeatherSystem
-from analyzer_sim.world.scenario.story import NoiseStatistics, Scenario, StationNoise
+from analyzer_sim.world.scenario.story import KeepingErrors, NoiseStatistics, Scenario, StationNoise
 from analyzer_sim.world.scenario.turns import TURNS_H
 
 #: a station's level is that of a real link; beside it stand the receiving chain and the noise of the sweep
 LINK_NOISE = NoiseStatistics(
     white_scale=0.0, coloured_db=(0.0, 0.0), thermal_db=0.0, wander_scale=0.0, station=StationNoise()
 )
+#: an operator who knew the truth would give it away: in weather his error is less than that of any filter of powers
+_STEERED = KeepingErrors(is_steered_by_powers=True)
 _FAR = Weather("weather")
 #: hours from the start of operation at which turns and alignment begin
 _ALIGNMENT_H = -1.0
@@ -17,7 +19,7 @@ _TURNS_H = _ALIGNMENT_H - TURNS_H
 
 
 def _weather(name: str, summary: str, *faults: Fault) -> Scenario:
-    return Scenario(name, summary, noise=LINK_NOISE, faults=faults)
+    return Scenario(name, summary, noise=LINK_NOISE, keeping=_STEERED, faults=faults)
 
 
 WEATHER: tuple[Scenario, ...] = (

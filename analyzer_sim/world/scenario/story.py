@@ -84,6 +84,8 @@ class KeepingErrors:
     #: error of the angles from which corrections are computed in operation, deg
     knowledge_deg: tuple[float, float, float] = (0.105, 0.038, 0.052)
     knowledge_tau_s: float = 3 * 3600.0
+    #: whether corrections are computed from the powers; otherwise from the truth with the error above
+    is_steered_by_powers: bool = False
     #: time in which a correction removes the known deviation
     feedback_tau_s: float = 1.5 * 3600.0
     #: drift of the inertial model, deg/h

@@ -10,19 +10,20 @@ the spacecraft follows the timetable within a small limit cycle. Angles in deg, 
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
-from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, EpochArray
+from analyzer_sim.world.orbit.orbit import EpochArray
 from analyzer_sim.world.scenario.manoeuvres import chunk_edges, holds_of, planned_deg, unexecuted_deg
 from analyzer_sim.world.scenario.story import KeepingErrors, Scenario
 from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE, TURNS_H
+from analyzer_sim.world.spacecraft.coupling import ORBITAL_RATE_PER_H, coupling_step
+from analyzer_sim.world.spacecraft.operator import MEAN_H, Operator
 
-#: exchange of roll and yaw, 1/h
-ORBITAL_RATE_PER_H = EARTH_RATE_RAD_S * 3600.0
 #: the limit cycle under the star tracker never leaves this, deg
 TRACKER_LIMIT_DEG = 0.095
 AXES = ("yaw", "roll", "pitch")
@@ -56,26 +57,30 @@ class AttitudeHistory:
     corrections: tuple[Correction, ...]
 
 
-def attitude_history(scenario: Scenario, seed: int, epochs_us: EpochArray) -> AttitudeHistory:
-    """Return the attitude at every epoch of a scenario and the corrections that were announced."""
+class Sensing(NamedTuple):
+    """What an operator who commands from the powers makes of their noise."""
+
+    #: (T, 3) error of the attitude by noise and weather, deg
+    error_deg: FloatArray
+    #: (3, 3) what he believes of it, deg^2
+    covariance_deg2: FloatArray
+
+
+def attitude_history(
+    scenario: Scenario, seed: int, epochs_us: EpochArray, sensing: Sensing | None = None
+) -> AttitudeHistory:
+    """Return the attitude at every epoch of a scenario and the corrections that were announced.
+
+    Corrections come from an operator who commands from the powers where his `sensing` is given, else from one who knows
+    the truth but for an error of his own.
+    """
     tracked = _tracked_deg(scenario, seed, epochs_us)
     first = int(np.searchsorted(epochs_us, scenario.operation_start_us))
     if first >= len(epochs_us):
         return AttitudeHistory(tracked, ())
-    free, corrections = _free_flight(scenario, seed, epochs_us[first:], tracked[first])
+    of_operation = None if sensing is None else sensing._replace(error_deg=sensing.error_deg[first:])
+    free, corrections = _free_flight(scenario, seed, epochs_us[first:], tracked[first], of_operation)
     return AttitudeHistory(np.concatenate([tracked[:first], free]), corrections)
-
-
-def coupling_step(hours: float, *, is_coupled: bool) -> tuple[FloatArray, FloatArray]:
-    """Return (phi, gamma): attitude after `hours` = phi @ attitude + gamma @ constant rate in deg/h."""
-    rate = ORBITAL_RATE_PER_H if is_coupled else 0.0
-    angle = rate * hours
-    cosine, sine = np.cos(angle), np.sin(angle)
-    phi = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    along = hours * np.sinc(angle / np.pi)
-    across = 0.5 * hours * angle * np.sinc(0.5 * angle / np.pi) ** 2
-    gamma = np.array([[along, -across, 0.0], [across, along, 0.0], [0.0, 0.0, hours]])
-    return phi, gamma
 
 
 def _tracked_deg(scenario: Scenario, seed: int, epochs_us: EpochArray) -> FloatArray:
@@ -118,7 +123,7 @@ def _noise_series(
 
 
 def _free_flight(
-    scenario: Scenario, seed: int, epochs_us: EpochArray, start_deg: FloatArray
+    scenario: Scenario, seed: int, epochs_us: EpochArray, start_deg: FloatArray, sensing: Sensing | None
 ) -> tuple[FloatArray, tuple[Correction, ...]]:
     """Fly the operation phase: the ground commands piece by piece, the spacecraft drifts in between."""
     figures, count, step_s = scenario.keeping, len(epochs_us), scenario.row_period_s
@@ -134,13 +139,20 @@ def _free_flight(
     phi, gamma = coupling_step(step_s / 3600.0, is_coupled=figures.is_coupled)
     attitude = np.empty((count + 1, 3))
     attitude[0] = start_deg
+    operator = None if sensing is None else Operator(start_deg, sensing.covariance_deg2, figures)
     corrections = []
     for first, last in pairwise(chunk_edges(holds, count, step_s).tolist()):
         span_h = (last - first) * step_s / 3600.0
-        known = attitude[first] + ignorance[first]
+        if operator is None or sensing is None:
+            known = attitude[first] + ignorance[first]
+        else:
+            since = max(0, first - round(3600.0 * MEAN_H / step_s))
+            known = operator.sense(attitude[first] + sensing.error_deg[since : first + 1].mean(axis=0))
         feedback = _feedback(known - announced[first] - secret[first], span_h, figures)
         balance = _balance(balanced[first], balanced[last], figures)
         reported = _feed_forward(announced[first], announced[last], span_h, figures) + feedback + balance
+        if operator is not None:
+            operator.predict(span_h, reported)
         untold = _feed_forward(secret[first], secret[last], span_h, figures) - balance
         rates = effect * reported + untold + drift[first:last]
         attitude[first + 1 : last + 1] = _propagate(attitude[first], rates @ gamma.T, phi)

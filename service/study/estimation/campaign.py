@@ -20,7 +20,7 @@ from types import FrameType
 from typing import NamedTuple, NoReturn, TypeVar
 
 from service.study.estimation.accuracy import AXES, Statistics, accuracy_statistics
-from service.study.estimation.baselines import BASELINES
+from service.study.estimation.baselines import BASELINES, UNINFORMED
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
 from service.study.estimation.flight.drive import UndrivenError
@@ -125,7 +125,7 @@ def assess(
     own = [bound for bound in bounds if bound.scenario in run]
     silent = {(scenario, method): Statistics() for scenario in run for method in METHODS}
     judged = judge(own, {**silent, **statistics})
-    return Campaign(plan, seconds, results, statistics, judged, idle_baselines(own, statistics, BASELINES))
+    return Campaign(plan, seconds, results, statistics, judged, idle_baselines(own, statistics, UNINFORMED))
 
 
 def collect_metrics(results: Sequence[UnitResult]) -> dict[tuple[str, str], Statistics]:

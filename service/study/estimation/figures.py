@@ -13,8 +13,15 @@ from service.study.estimation.baselines import BASELINES
 from service.study.estimation.campaign import METHODS, Campaign
 from service.study.estimation.unit import Course, UnitResult
 
-_COLORS = {"robust": "#1f77b4", "paper": "#ff7f0e", "zero": "#555555", "corrections": "#9467bd", "coupling": "#2ca02c"}
-_MARKERS = {"zero": "x", "corrections": "+", "coupling": "1"}
+_COLORS = {
+    "robust": "#1f77b4",
+    "paper": "#ff7f0e",
+    "zero": "#555555",
+    "corrections": "#9467bd",
+    "coupling": "#2ca02c",
+    "corrections_read": "#8c564b",
+}
+_MARKERS = {"zero": "x", "corrections": "+", "coupling": "1", "corrections_read": "2"}
 #: half the height of a plot of errors, yaw, roll, pitch, deg: larger errors leave it, so that the others are seen
 _REACH_DEG = (0.5, 0.15, 0.15)
 

@@ -11,6 +11,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 from service.study.estimation.accuracy import AXES, Statistics
+from service.study.estimation.baselines import BASELINES
 from service.study.estimation.bounds import Judged, Limit, Mark
 from service.study.estimation.campaign import METHODS, Campaign, versions
 from service.study.estimation.flight.oracle import ORACLE
@@ -178,11 +179,18 @@ def _baselines(campaign: Campaign) -> ReportTable:
     rows = []
     for (scenario, answer), statistics in campaign.statistics.items():
         if answer == "zero":
-            others = [campaign.statistics.get((scenario, name), {}) for name in ("robust", "corrections", "coupling")]
-            robust, corrections, coupling = (_angles(other, "rms_deg", 3) for other in others)
-            ratio = _to_oracle(others[0])
-            rows.append((scenario, _angles(statistics, "rms_deg", 3), corrections, coupling, robust, ratio))
-    columns = ("scenario", "zero = truth", "corrections only", "coupling only", "robust", "robust/oracle")
+            others = [campaign.statistics.get((scenario, name), {}) for name in (*BASELINES[1:], "robust")]
+            rms = [_angles(answer, "rms_deg", 3) for answer in (statistics, *others)]
+            rows.append((scenario, *rms, _to_oracle(others[-1])))
+    columns = (
+        "scenario",
+        "zero = truth",
+        "corrections only",
+        "coupling only",
+        "corrections read",
+        "robust",
+        "robust/oracle",
+    )
     return ReportTable("Rms of answers without powers", columns, tuple(rows))
 
 

@@ -11,12 +11,8 @@ from analyzer_sim.world.scenario.events import Hold
 from analyzer_sim.world.scenario.manoeuvres import chunk_edges, holds_of, planned_deg
 from analyzer_sim.world.scenario.scenario import KeepingErrors, Scenario, scenario_named
 from analyzer_sim.world.scenario.turns import TIMETABLE, TURNS_H
-from analyzer_sim.world.spacecraft.spacecraft import (
-    ORBITAL_RATE_PER_H,
-    AttitudeHistory,
-    attitude_history,
-    coupling_step,
-)
+from analyzer_sim.world.spacecraft.coupling import ORBITAL_RATE_PER_H, coupling_step
+from analyzer_sim.world.spacecraft.spacecraft import AttitudeHistory, attitude_history
 
 QUIET = Scenario("short", "for tests", quiet_h=2.0, alignment_h=0.75, operation_h=12.0)
 #: nothing that the ground does not know

@@ -5,7 +5,7 @@ import pytest
 
 from service.records.inputs import Correction
 from service.records.levels.attitude import Axes
-from service.study.estimation.baselines import BASELINES, COUPLING_RAD_H, baseline_answers, commanded_deg
+from service.study.estimation.baselines import BASELINES, COUPLING_RAD_H, FEEDBACK_H, baseline_answers, commanded_deg
 
 HOUR_US = 3_600_000_000
 START_US = 1_800_000_000_000_000
@@ -56,3 +56,22 @@ def test_corrections_against_the_exchange_hold_the_craft_still():
     answers = baseline_answers(epochs(np.arange(1, 121) / 60.0), START_US, np.array([0.0, 0.1, 0.0]), (hold,))
     # a minute's rotation with its correction in the middle: exact but for the third power of 0.004 rad
     assert answers["coupling"][-1] == pytest.approx([0.0, 0.1, 0.0], abs=1e-5)
+
+
+def test_a_correction_read_as_a_measurement_tells_what_its_operator_saw():
+    seen = np.array([0.06, -0.04, 0.02])
+    share = -np.expm1(-0.5 / FEEDBACK_H)
+    change = -share * seen
+    correction = Correction(START_US + HOUR_US, START_US + 3 * HOUR_US // 2, Axes(*change.tolist()))
+    answers = baseline_answers(epochs([0.5, 1.0, 1.5]), START_US, AT_START, (correction,))["corrections_read"]
+    np.testing.assert_allclose(answers[0], AT_START)
+    np.testing.assert_allclose(answers[1], seen, atol=1e-12)  # rounding
+    angle = 0.5 * COUPLING_RAD_H
+    yaw, roll, pitch = seen
+    turned = [np.cos(angle) * yaw - np.sin(angle) * roll, np.sin(angle) * yaw + np.cos(angle) * roll, pitch]
+    np.testing.assert_allclose(answers[2], turned + change, atol=1e-12)  # rounding
+
+
+def test_without_corrections_nothing_can_be_read():
+    answers = baseline_answers(epochs([0.5, 1.0]), START_US, AT_START, ())["corrections_read"]
+    np.testing.assert_allclose(answers, [AT_START, AT_START])

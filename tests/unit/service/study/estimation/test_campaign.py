@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.study.estimation.baselines import BASELINES
+from service.study.estimation.baselines import BASELINES, UNINFORMED
 from service.study.estimation.bounds import Bound, Mark, at_least, at_most
 from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics, versions
 
@@ -39,7 +39,7 @@ def test_a_refused_seed_misses_every_bound_of_its_scenario(judged_unit):
 
 def test_bounds_that_a_baseline_keeps_are_named(judged_unit):
     easy = [Bound("octants", "rms_deg.roll", at_most(1.0), None, "test")]
-    assert assessed([judged_unit()], bounds=easy).idle == tuple(("octants", name) for name in BASELINES)
+    assert assessed([judged_unit()], bounds=easy).idle == tuple(("octants", name) for name in UNINFORMED)
     hard = [*easy, Bound("octants", "skill.roll", at_least(0.5), None, "test")]
     assert assessed([judged_unit()], bounds=hard).idle == ()
 

@@ -37,7 +37,7 @@ def test_what_was_said_is_measured_and_kept_for_the_figures(monkeypatch, toured_
     assert result.refusal == ""
     assert set(result.methods) == {"robust", "oracle"}
     assert set(result.yardsticks) == {"robust", "never allow", "always allow", "three sigma", "oracle"}
-    assert set(result.baselines) == {"zero", "corrections", "coupling"}
+    assert set(result.baselines) == {"zero", "corrections", "coupling", "corrections_read"}
     assert result.course is not None
     assert result.course.hours[-1] == pytest.approx(2999 / 60, rel=1e-6)  # float32
     # the zero answer's error is the truth's own size, after the first hour
