@@ -4,6 +4,7 @@ Powers come from geometry that is written once more in ``flight_geometry``.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -124,16 +125,18 @@ class FlightPayload:
         """Return latitude and longitude (N, 2)."""
         return np.array([CITIES[name] for name in self.cities])
 
+    @cached_property
     def positions_m(self) -> FloatArray:
-        """Return the stations and, last, the receiving site (N + 1, 3)."""
+        """Stations and, last, the receiving site (N + 1, 3)."""
         latitude, longitude = np.vstack([self.stations_deg(), [SITE.latitude_deg, SITE.longitude_deg]]).T
         return positions_m(latitude, longitude)
 
+    @cached_property
     def nominal_deg(self) -> FloatArray:
-        """Return azimuth and elevation (N + 1, 2) of the places from the nominal longitude."""
+        """Azimuth and elevation (N + 1, 2) of the places from the nominal longitude."""
         here_m = satellite_m(np.array([[0.0, LONGITUDE_DEG]]))
         still = np.zeros((1, 3))
-        return np.asarray(antenna_deg(here_m, body_axes(here_m, still, still), self.positions_m())[0])
+        return np.asarray(antenna_deg(here_m, body_axes(here_m, still, still), self.positions_m)[0])
 
     def daily_db(self, epochs_us: Any) -> FloatArray:
         """Return what dish and solar day add (T, N)."""
@@ -150,7 +153,7 @@ class FlightPayload:
 
     def _sight_deg(self, epochs_us: FloatArray) -> FloatArray:
         """Return where the satellite stands beside the axis of each dish (T, N, 2), East and up."""
-        positions = self.positions_m()[:-1]
+        positions = self.positions_m[:-1]
         axis = satellite_m(np.array([0.0, LONGITUDE_DEG])) - positions
         axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
         east = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
@@ -172,7 +175,7 @@ class FlightPayload:
         else:
             here_m = np.tile(satellite_m(np.array([[0.0, LONGITUDE_DEG]])), (len(epochs), 1))
             axes = body_axes(here_m, np.zeros((1, 3)), angles)
-        moved = antenna_deg(here_m, axes, self.positions_m()) - self.nominal_deg()
+        moved = antenna_deg(here_m, axes, self.positions_m) - self.nominal_deg
         d, site, bend = moved[:, :-1], moved[:, -1:], self.hessian
         beam = (
             (d * self.gradient).sum(axis=-1)
@@ -242,7 +245,7 @@ class FlightPayload:
     def geometry(self, **changes: Any) -> GeometryFit:
         """Return the truth as the record of a fit, errors of 0.02 dB in the levels."""
         count, size = len(self.ids), 1 + self.daily.shape[1] + 5
-        nominal, stations = self.nominal_deg(), self.stations_deg()
+        nominal, stations = self.nominal_deg, self.stations_deg()
         spread = np.diag([0.02**2] + [1e-10] * (size - 1))
         labels = tuple(sorted(set(self.transponders)))
         fit = GeometryFit(
@@ -277,18 +280,25 @@ class FlightPayload:
 
     def calibration(self, calibration_id: int = 1, plan_id: int = 1, **changes: Any) -> Calibration:
         """Return a calibration by geometry with the paper part that goes with it."""
-        carriers = tuple(self._carrier(k) for k in range(len(self.ids)))
         observed = Observability(30.0, Axes(5, 0.2, 0.7), Axes(1, 0.04, 0.1))
-        result = CalibrationResult(carriers, observed, {}, (), self.geometry(**changes))
+        result = CalibrationResult(self._carriers, observed, {}, (), self.geometry(**changes))
         state = CalibrationState.ACTIVE
         return Calibration(calibration_id, plan_id, 1, state, self.request, START_US, "engineer", result)
+
+    @cached_property
+    def _carriers(self) -> tuple[CarrierCalibration, ...]:
+        return tuple(self._carrier(k) for k in range(len(self.ids)))
+
+    @cached_property
+    def _harmonics(self) -> tuple[Harmonic, ...]:
+        return tuple(self.permuted([k]).harmonic() for k in range(len(self.ids)))
 
     def _carrier(self, k: int) -> CarrierCalibration:
         own = self.permuted([k])
         level = float(own.power_dbm([START_US], np.zeros(3))[0, 0])
         turned = own.power_dbm([START_US] * 6, 0.3 * np.vstack([np.eye(3), -np.eye(3)]))[:, 0]
         plus, minus = (turned[:3] - level) / 0.3, (level - turned[3:]) / 0.3
-        harmonic = own.harmonic()
+        harmonic = self._harmonics[k]
         return CarrierCalibration(
             id=self.ids[k],
             level_dbm=harmonic.offset_dbm,
@@ -333,7 +343,7 @@ class FlightPayload:
         **changes: Any,
     ) -> Alignment:
         """Return an alignment whose references are the true levels of either method."""
-        offsets = np.array([self.permuted([k]).harmonic().offset_dbm for k in range(len(self.ids))])
+        offsets = np.array([harmonic.offset_dbm for harmonic in self._harmonics])
         reported = {"robust": self._references(self.level_dbm), "paper": self._references(offsets)}
         made = Alignment(
             alignment_id,
