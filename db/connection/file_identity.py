@@ -57,9 +57,9 @@ class FileWatch:
             if identity == seen:
                 continue
             if identity is None:
-                detail = f"The file {name.name} of the archive was taken away; nothing is kept until it is back."
+                detail = f"The archive file {name.name} was removed; rows are not stored until it is back."
                 raise StorageError("storage.gone", detail)
-            detail = f"Another file stands in the place of {name.name}; the service opens it if it is an archive."
+            detail = f"The archive file {name.name} was replaced; the service opens the new file if it is an archive."
             raise StorageError("storage.replaced", detail)
 
     def confirm(self) -> None:
@@ -75,7 +75,9 @@ class FileWatch:
             os.removexattr(self._names[1], _NO_ATTRIBUTE)
         except OSError as fault:
             if fault.errno in _GIVEN_UP:
-                detail = f"The file system of the archive takes no changes: {fault.strerror}. Nothing was acknowledged."
+                detail = (
+                    f"The file system of the archive cannot be written: {fault.strerror}. Nothing was acknowledged."
+                )
                 raise StorageError("storage.unavailable", detail) from fault
 
     def is_to_be_reopened(self) -> bool:

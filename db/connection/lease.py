@@ -105,7 +105,7 @@ class SqlLease:
 
 
 def _lost() -> StorageError:
-    detail = "Another service of this archive may have taken over; what was to be stored is its to compute."
+    detail = "Another service of this archive may lead now; it computes and stores these results."
     return StorageError("lease.lost", detail)
 
 

@@ -286,7 +286,7 @@ def _opened(head: SegmentHead, name: str | None, blobs: Blobs) -> SegmentChunk:
         message = f"it is written in codec {head.codec}, which this version does not know"
         raise ValueError(message)
     if crc32_of(head, blobs) != head.crc32:
-        message = "its checksum does not agree with its content"
+        message = "its checksum differs from its content"
         raise ValueError(message)
     if name is None:
         message = f"there is no source {head.source_key}"

@@ -227,7 +227,7 @@ def _rows_of_spacecraft(connection: Connection) -> dict[str, SpacecraftCount]:
 
 def _same_bytes(manifest: Manifest, archive: Path, report: Report) -> Diagnosis:
     """Compare the file with the manifest."""
-    advice = "Take another backup; this one is not what was written."
+    advice = "This backup was changed or is incomplete; use another one."
     if not archive.is_file():
         return Diagnosis("file", "fault", f"{manifest.file} is not there", advice)
     size = archive.stat().st_size
@@ -247,7 +247,7 @@ def _same_counts(manifest: Manifest, connection: Connection) -> Diagnosis:
     ]
     if differing or _rows_of_spacecraft(connection) != manifest.spacecraft:
         detail = "; ".join(differing) or "counts of a spacecraft are not those of the manifest"
-        return Diagnosis("manifest", "fault", detail, "Take another backup; this one was changed.")
+        return Diagnosis("manifest", "fault", detail, "This backup was changed; use another one.")
     rows = sum(manifest.tables.values())
     return Diagnosis("manifest", "ok", f"{rows} rows of {len(manifest.spacecraft)} spacecraft, as the manifest says")
 
@@ -258,5 +258,5 @@ def _of_backup(diagnosis: Diagnosis) -> Diagnosis:
     if check == "schema" and detail.endswith(OLDER):
         return Diagnosis(check, "ok", f"{detail}; a restore migrates it and looks at its content then")
     return Diagnosis(
-        check, state, detail, "Take another backup, and let `soo doctor` look." if diagnosis.advice else ""
+        check, state, detail, "Use another backup, and check the archive with `soo doctor`." if diagnosis.advice else ""
     )

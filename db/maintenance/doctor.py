@@ -134,7 +134,7 @@ def _log(path: Path) -> Diagnosis:
     log = path.with_name(f"{path.name}-wal")
     size = log.stat().st_size if log.exists() else 0
     if size > WAL_BYTES_WARNING:
-        advice = "A reader holds an old state: end long exports and tools on the file; a restart takes the log in."
+        advice = "A reader holds an old snapshot: end long exports and tools on the file; a restart merges the log."
         return Diagnosis("wal", "warning", f"{size >> 20} MiB wait in {log.name}", advice)
     return Diagnosis("wal", "ok", f"{size >> 20} MiB in the write-ahead log")
 
@@ -156,7 +156,7 @@ def _clock(connection: Connection, now_us: int) -> Iterator[Diagnosis]:
         if apart > CLOCK_TOLERANCE_US + US_PER_S:
             yield Diagnosis("clock", "warning", f"the server's clock is {apart / US_PER_S:.0f} s away", advice)
             return
-    yield Diagnosis("clock", "ok", f"{format_epoch(now_us)}, behind nothing that was received")
+    yield Diagnosis("clock", "ok", f"{format_epoch(now_us)}, not behind any received row")
 
 
 def _newest_receipt_us(connection: Connection) -> int:

@@ -31,7 +31,7 @@ Report = Callable[[str], None]
 _NEEDED = {
     "fsync": "a power loss can destroy the database",
     "full_page_writes": "a power loss can destroy the database",
-    "synchronous_commit": "a power loss takes rows that were acknowledged",
+    "synchronous_commit": "a power loss can lose acknowledged rows",
 }
 #: what a schema that can be migrated is called
 OLDER = "is older than this program"
@@ -113,7 +113,7 @@ def _sqlite_integrity(connection: Connection) -> Iterator[Diagnosis]:
         return
     lost = list(connection.exec_driver_sql("PRAGMA foreign_key_check"))
     if lost:
-        detail = f"{len(lost)} rows name a row that is not there, the first in table {lost[0][0]}"
+        detail = f"{len(lost)} rows refer to a missing row, the first in table {lost[0][0]}"
         yield Diagnosis("integrity", "fault", detail, _RESTORE)
         return
     yield Diagnosis("integrity", "ok", "the file is whole")
@@ -173,7 +173,7 @@ def _journal(state: Row[Any], name: str, ledger: Ledger) -> Iterator[Diagnosis]:
     """Every number is taken once."""
     holes, doubles = ledger.holes(), ledger.doubles()
     if len(doubles):
-        detail = f"{name}: numbers {named(doubles.tolist())} are taken more than once"
+        detail = f"{name}: numbers {named(doubles.tolist())} occur more than once"
         yield Diagnosis("journal", "fault", detail, _RESTORE)
     if ledger.beyond:
         detail = f"{name}: {ledger.beyond} entries have numbers above the head, {state.newest_number}"
@@ -229,7 +229,7 @@ def _results(connection: Connection, state: Row[Any], name: str, ledger: Ledger)
     wrong = []
     if not ledger.damaged:
         for series, numbers in orphans(connection, key, ledger).items():
-            wrong.append(f"{series} rows were computed from measurements that are not there: {named(numbers)}")
+            wrong.append(f"{series} rows were computed from missing measurements: {named(numbers)}")
     sequences = 0
     newest = 0
     for table in (attitude, torque):
@@ -273,7 +273,7 @@ def _keys(connection: Connection) -> Iterator[Diagnosis]:
         return
     named = "; ".join(f"{row.key_id} {row.name!a}" for row in odd)
     advice = "Make their holders new keys, `soo keys create`, and revoke these: the audit log knows people by them."
-    yield Diagnosis("keys", "warning", f"names that cannot be told apart, or break the rule: {named}", advice)
+    yield Diagnosis("keys", "warning", f"key names that look equal or break the naming rule: {named}", advice)
 
 
 def _audit(connection: Connection) -> Iterator[Diagnosis]:
@@ -281,6 +281,6 @@ def _audit(connection: Connection) -> Iterator[Diagnosis]:
     audit = SqlAudit(_OneConnection(connection))
     broken = list(findings(audit.chain(), audit.head()))
     for finding in broken:
-        yield Diagnosis("audit", "fault", finding.detail, "`soo audit verify` tells more; compare with a backup.")
+        yield Diagnosis("audit", "fault", finding.detail, "`soo audit verify` shows details; compare with a backup.")
     if not broken:
         yield Diagnosis("audit", "ok", f"{audit.head().number} entries, the chain holds")

@@ -123,7 +123,9 @@ def _delete_spacecraft(connection: Connection, key: int, spacecraft_id: str) -> 
     """Take the head away: without it there is no spacecraft, its row keeps the id taken."""
     lock_head(connection, key)
     if connection.execute(select(source).where(source.c.spacecraft_key == key)).first() is not None:
-        raise ConflictError("spacecraft.has_rows", f"Spacecraft {spacecraft_id!r} has measurements and stays.")
+        raise ConflictError(
+            "spacecraft.has_rows", f"Spacecraft {spacecraft_id!r} has measurements and cannot be deleted."
+        )
     connection.execute(delete(head).where(head.c.spacecraft_key == key))
 
 
@@ -135,7 +137,7 @@ def _withdraw_plan(connection: Connection, key: int, spacecraft_id: str, plan_id
     for table in (measurement, measurement_segment, calibration):
         found = select(table.c.plan_id).where(table.c.spacecraft_key == key, table.c.plan_id == plan_id)
         if connection.execute(found.limit(1)).first() is not None:
-            detail = f"Rows or calibrations rest on plan {plan_id}; put another plan, rows to come go under it."
+            detail = f"Rows or calibrations use plan {plan_id}, so it stays; PUT another plan for later rows."
             raise ConflictError("plan.in_use", detail)
     is_it = (carrier_plan.c.spacecraft_key == key, carrier_plan.c.plan_id == plan_id)
     connection.execute(update(carrier_plan).where(*is_it).values(sha256=_WITHDRAWN))

@@ -36,7 +36,7 @@ class SqlKeys:
             for row in connection.execute(select(access_key)):
                 key = _stored_of(row).key
                 if name_key(key.name) == wanted and key.is_valid(stored.key.created_at_us):
-                    detail = f"Key {key.id} in force has the name {key.name!r}; revoke it, or choose another name."
+                    detail = f"The valid key {key.id} has the name {key.name!r}; revoke it, or choose another name."
                     raise ConflictError("key.exists", detail)
             return _insert(connection, stored)
 

@@ -44,7 +44,7 @@ def server_config(
     trusted_proxies : str or None
         Addresses or networks, by commas, whose X-Forwarded headers are believed; None = nobody's.
     request_timeout_s : float
-        A request has to come whole within this.
+        A request must be complete within this.
     """
     of_all = {"request_timeout_s": request_timeout_s, "connections_open": app.state.connections}
     protocol = type("Protocol", (BoundedProtocol,), of_all)

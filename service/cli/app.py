@@ -16,7 +16,7 @@ _COMMANDS = {
         "station.acquire", "Measure carrier powers on spectrum analyzers and send them to the service."
     ),
     "send": CommandSource(
-        "station.send", "Send an archive of carrier powers to the service; goes on where it was interrupted."
+        "station.send", "Send an archive of carrier powers to the service; continues where it was interrupted."
     ),
     "calibrate": CommandSource(
         "operation.operate", "Fit daily changes and sensitivities from quiet days and calibration turns."

@@ -93,7 +93,7 @@ class Settings(BaseSettings):
     trusted_proxies: TrustedProxies = Field(
         None, description="addresses or networks, by commas, whose X-Forwarded-For and -Proto are believed"
     )
-    request_timeout_s: float = Field(60.0, gt=0, description="a request has to come whole within this, s")
+    request_timeout_s: float = Field(60.0, gt=0, description="a request must be complete within this, s")
     rate_limit: RateLimitConfig = Field(RateLimitConfig(), description="requests by key and class")
     log_format: Literal["json", "text"] = Field(
         "json", description="`json` writes one object a line, `text` lines for people"

@@ -114,7 +114,7 @@ class MeasuringStation:
         sending.join()
         for worker in (measuring, sending):
             if worker.error is not None:
-                message = f"{worker.name} died: {type(worker.error).__name__} {worker.error}"
+                message = f"{worker.name} failed: {type(worker.error).__name__} {worker.error}"
                 raise StationError(message) from worker.error
         return self._summary()
 

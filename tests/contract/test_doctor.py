@@ -233,9 +233,7 @@ def test_a_row_without_its_parent_is_found(file):
     connection.execute("INSERT INTO operation VALUES (12345, 1, 1, 1)")
     connection.commit()
     connection.close()
-    assert faults(f"sqlite:///{file}") == [
-        ("integrity", "1 rows name a row that is not there, the first in table operation")
-    ]
+    assert faults(f"sqlite:///{file}") == [("integrity", "1 rows refer to a missing row, the first in table operation")]
 
 
 @pytest.mark.parametrize(("free_mib", "state"), [(10, "fault"), (500, "warning"), (5000, "ok")])

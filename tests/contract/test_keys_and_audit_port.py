@@ -232,7 +232,7 @@ def named(key_id, name, **changes):
 def test_no_two_keys_in_force_have_one_name(storage):
     storage.keys.add(named("k1", "Olga Straße"))
     for name in ("olga STRASSE", "Ｏlga Straße"):
-        with pytest.raises(ConflictError, match="Key k1 in force has the name") as refused:
+        with pytest.raises(ConflictError, match="The valid key k1 has the name") as refused:
             storage.keys.add(named("k2", name))
         assert refused.value.code == "key.exists"
     storage.keys.add(named("k2", "Olga 2", expires_at_us=10))

@@ -71,7 +71,7 @@ def _count(request: Request, principal: Principal) -> None:
 def refuse_above(allowance: Allowance | None) -> None:
     """Raise problem 429 unless a request is within its rate."""
     if allowance is not None and not allowance.is_allowed:
-        detail = f"too many requests; go on after {allowance.reset_s} s, and slower"
+        detail = f"too many requests; continue after {allowance.reset_s} s, at a lower rate"
         headers = {"Retry-After": str(allowance.reset_s)}
         raise RequestProblemError(HTTPStatus.TOO_MANY_REQUESTS, "rate.limited", detail, headers=headers)
 

@@ -17,8 +17,11 @@ from service.api.problems.validation_errors import faults_of
 from service.errors import SooError
 
 _HTTP_CODES = {
-    HTTPStatus.NOT_FOUND: ("path.unknown", "nothing is served under this path; /openapi.json lists what is"),
-    HTTPStatus.METHOD_NOT_ALLOWED: ("method.not_allowed", "this path does not take this method; see the Allow header"),
+    HTTPStatus.NOT_FOUND: ("path.unknown", "there is no such path; /openapi.json lists all paths"),
+    HTTPStatus.METHOD_NOT_ALLOWED: (
+        "method.not_allowed",
+        "this path does not support this method; see the Allow header",
+    ),
 }
 
 
@@ -50,5 +53,5 @@ async def _on_http(request: Request, error: Any) -> Response:
 
 
 async def _on_disconnect(request: Request, _error: Any) -> Response:
-    detail = "the connection was closed before the whole body had come"
+    detail = "the connection closed before the body was complete"
     return render(request, RequestProblemError(HTTPStatus.BAD_REQUEST, "body.incomplete", detail))

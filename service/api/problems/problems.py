@@ -100,7 +100,7 @@ def invalid_request(fields: Sequence[FieldError]) -> RequestProblemError:
     """Return the 422 that names faulty fields."""
     if len(fields) == 1:
         return RequestProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, fields[0].code, fields[0].detail, fields)
-    detail = f"{len(fields)} fields of the request are at fault; see errors"
+    detail = f"{len(fields)} fields of the request are invalid; see errors"
     return RequestProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "request.invalid", detail, fields)
 
 

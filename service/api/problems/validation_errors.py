@@ -29,7 +29,7 @@ _CODE_OF = {
     "int_parsing_size": "value.range",
 }
 _DETAIL_OF = {
-    "field.unknown": "this field is not known here; check its spelling or leave it out",
+    "field.unknown": "unknown field; check its spelling or leave it out",
     "field.missing": "this field is required",
     "value.not_finite": "NaN, Infinity and numbers beyond the range of float64 are not accepted; absent is null",
 }

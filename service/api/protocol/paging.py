@@ -104,7 +104,7 @@ def decode_cursor(text: str, mark: int = 0) -> Position:
         version, start_us, number, its_mark = 0, 0, 0, 0
     detail = None
     if version != _CURSOR_VERSION or encode_cursor((start_us, number), its_mark) != text:
-        detail = "this cursor was not given by this service; take it from next of the page before, or leave it out"
+        detail = "this cursor is not from this service; use next of the previous page, or leave it out"
     elif its_mark != mark:
         detail = "this cursor belongs to another query; keep path and parameters, or leave it out"
     if detail is not None:

@@ -1,7 +1,7 @@
 """``soo export``: a stretch of the archive as a file, or as a stream to standard output.
 
-Exit codes: 0 the file is whole and verified, 1 the service refused or did not answer (the same command goes on where it
-stopped), 2 an option or the file's place is wrong.
+Exit codes: 0 the file is whole and verified, 1 the service refused or did not answer (the same command continues where
+it stopped), 2 an option or the file's place is wrong.
 """
 
 import json
@@ -68,7 +68,7 @@ def export(
             typer.echo(f"{output}: {error.strerror or error}", err=True)
             raise typer.Exit(EXIT_USAGE) from error
         except KeyboardInterrupt as interrupt:
-            typer.echo("stopped; the same command goes on where this one stopped", err=True)
+            typer.echo("stopped; the same command continues where this one stopped", err=True)
             raise typer.Exit(EXIT_STOPPED) from interrupt
     if as_json:
         typer.echo(json.dumps(report))

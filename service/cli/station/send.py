@@ -1,7 +1,7 @@
 """``soo send``: an archive that a station already has, sent to the service.
 
 Exit codes: 0 every row is accepted or was known, 1 the service refused the request or did not answer (the same command
-goes on where it stopped), 2 the file or an option is wrong, 3 rows were refused or could not be read.
+continues where it stopped), 2 the file or an option is wrong, 3 rows were refused or could not be read.
 """
 
 import json
@@ -50,7 +50,7 @@ def send(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Send an archive of carrier powers to the service; goes on where it was interrupted."""
+    """Send an archive of carrier powers to the service; continues where it was interrupted."""
     # httpx and numpy cost more than the command line itself
     from service.cli.station.tdm_archive import open_any_archive
     from service.frontend.backfill.backfill import ArchiveOrder, check_archive
@@ -67,7 +67,7 @@ def send(
             typer.echo(str(error), err=True)
             raise typer.Exit(EXIT_USAGE) from error
         except KeyboardInterrupt as stop:
-            typer.echo("stopped; the same command goes on where this one stopped", err=True)
+            typer.echo("stopped; the same command continues where this one stopped", err=True)
             raise typer.Exit(EXIT_STOPPED) from stop
     typer.echo(json.dumps(report)) if as_json else _show(report)
     _end(report, source)

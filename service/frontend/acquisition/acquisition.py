@@ -117,7 +117,7 @@ class Acquisition:
         if self._had_fault:
             found["analyzer.fault"] = self.counters.last_fault
         if self.is_stuck:
-            found["analyzer.stuck"] = f"{self.counters.state.name} hangs beyond every bound of its action"
+            found["analyzer.stuck"] = f"{self.counters.state.name} does not return within every bound of its action"
         return [{"code": code, "detail": detail[:1000]} for code, detail in found.items()]
 
     @property

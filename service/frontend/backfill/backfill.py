@@ -42,7 +42,7 @@ MOST_FAULTS_SHOWN = 20
 
 
 class SendInterruptedError(ClientError):
-    """The service did not take the rest; the same order goes on where it stopped."""
+    """The service did not take the rest; the same order continues where it stopped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +255,7 @@ class _Sender:
             except ServiceUnavailableError as error:
                 wait_s = max(self._backoff.next_s(), error.retry_after_s or 0.0)
                 if time.monotonic() + wait_s > deadline_s:
-                    raise SendInterruptedError(f"{error}; the same command goes on where this one stopped") from error
+                    raise SendInterruptedError(f"{error}; run the same command again to continue") from error
                 time.sleep(wait_s)
             except ProblemError as problem:
                 rows = self._shortened(problem, rows)

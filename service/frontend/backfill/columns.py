@@ -69,7 +69,7 @@ def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> FileColumns
     names = tuple(name.strip() for name in header)
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
-        raise ArchiveError(f"columns stand twice: {', '.join(repeated)}")
+        raise ArchiveError(f"columns occur twice: {', '.join(repeated)}")
     if "epoch" not in names:
         raise ArchiveError(f"no column 'epoch' among {', '.join(names[:8])}")
     positions = {carrier_id: position for position, carrier_id in enumerate(plan_ids)}
@@ -83,7 +83,7 @@ def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> FileColumns
         plan_ids[position] for position, count in Counter(each.plan_position for each in carriers).items() if count > 1
     ]
     if twice:
-        raise ArchiveError(f"carriers stand in two columns: {', '.join(twice)}")
+        raise ArchiveError(f"carriers have two columns: {', '.join(twice)}")
     if not carriers:
         raise ArchiveError(
             f"no column is a carrier of the plan: it has {', '.join(plan_ids[:8])}, wanted as c00_dbm or c00_dbw"

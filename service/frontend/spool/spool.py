@@ -317,7 +317,7 @@ class Spool:
         oldest = next((epoch_us for epoch_us in self._held if epoch_us not in self._in_flight), row.epoch_us)
         del self._held[oldest]
         self._given_up += 1
-        detail = f"more than {self._bounds.held_rows} rows in memory while the disk takes none"
+        detail = f"more than {self._bounds.held_rows} rows in memory while the disk cannot be written"
         self._board.put_up(codes.FULL, f"{detail}: {self._given_up} given up", self._now_us())
 
     def _attempt(self, work: Callable[[SpoolFile], T]) -> T | None:

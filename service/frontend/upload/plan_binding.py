@@ -84,7 +84,7 @@ def bind_plan(plan: Mapping[str, Any], task_ids: Sequence[str]) -> PlanBinding:
         tuple(carrier_id for carrier_id in plan_ids if carrier_id not in positions),
     )
     if len(binding.unknown) == len(task_ids):
-        raise PlanMismatchError(f"no carrier of the task stands in plan {plan_id}: {', '.join(task_ids[:5])} ...")
+        raise PlanMismatchError(f"no carrier of the task is in plan {plan_id}: {', '.join(task_ids[:5])} ...")
     return binding
 
 

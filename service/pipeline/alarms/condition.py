@@ -20,8 +20,8 @@ class Kind(StrEnum):
 class Origin(StrEnum):
     """Origin of the value of a condition."""
 
-    ROW = "every row that is neither late nor caught up with"
-    CLOCK = "the spacecraft's clock, looked at every `SOO_ALARMS__CHECK_PERIOD_S`"
+    ROW = "every row that is neither late nor from a catch-up"
+    CLOCK = "intervals of `SOO_ALARMS__CHECK_PERIOD_S` of the spacecraft's clock"
     REFERENCE = "every attitude reference near a row in time"
 
 

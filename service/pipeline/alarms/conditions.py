@@ -25,13 +25,13 @@ def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, Alar
 
 
 def _of_carriers() -> tuple[AlarmCondition, ...]:
-    """Return what is looked at carrier by carrier."""
+    """Return the conditions of single carriers."""
     return (
         _condition(
             ("carrier_level", Kind.ABOVE, "dB", "carrier", Origin.ROW),
             "level of carrier {thing} differs from the expected level by {value}",
             "look at the carrier's trace; ask its user whether power or traffic was changed and declare carrier_work "
-            "if so; the estimate leaves a carrier that moved alone out by itself",
+            "if so; the estimate excludes a single changed carrier automatically",
             ConditionLimits(warning=3.0, distress=6.0, deadband=0.5, on_s=300.0, off_s=300.0),
         ),
         _condition(
@@ -49,14 +49,14 @@ def _of_carriers() -> tuple[AlarmCondition, ...]:
         _condition(
             ("carrier_residual", Kind.ABOVE, "dB", "carrier", Origin.ROW),
             "residual of carrier {thing} is {value}",
-            "see whether its uplink fades or its traffic changed; a carrier that stays so wants a new calibration",
+            "see whether its uplink fades or its traffic changed; a carrier that stays so needs a new calibration",
             ConditionLimits(watch=1.5, warning=3.0, deadband=0.3, on_s=600.0, off_s=600.0, repeat_s=None),
         ),
     )
 
 
 def _of_attitude(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
-    """Return what is looked at in the attitude rows of the method that drives control."""
+    """Return the conditions of the attitude rows of the method that drives control."""
     return (
         _condition(
             ("attitude_angle", Kind.ABOVE, "deg", "axis", Origin.ROW),
@@ -82,12 +82,12 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
 
 
 def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
-    """Return what is looked at between methods, sensors and carriers."""
+    """Return the conditions between methods, sensors and carriers."""
     return (
         _condition(
             ("methods_disagree", Kind.ABOVE, "deg", "methods", Origin.ROW),
             "methods {thing} disagree in roll or pitch by {value}",
-            "compare both with another sensor; the method that is right shows in the residuals; align again if none is",
+            "compare both with another sensor and with the residuals; align again if both are wrong",
             ConditionLimits(
                 # the chain has waited for them to be apart for long
                 warning=robust.disagreement_deg,
@@ -98,20 +98,20 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
         _condition(
             ("downlink_fade", Kind.ABOVE, "dB", "receiving site", Origin.ROW),
             "downlink fade at the {thing} is {value}",
-            "wait for the rain to end; control returns by itself; a fade without rain means the receiving chain",
+            "wait for the rain to end; control resumes automatically; without rain check the receiving chain",
             ConditionLimits(watch=0.0, warning=6.0, deadband=0.0, on_s=300.0, off_s=600.0, repeat_s=None),
         ),
         _condition(
             ("sensor_disagreement", Kind.ABOVE, "deg", "sensor", Origin.REFERENCE),
             "sensor {thing} differs from the estimate, beyond three sigma of both, by {value}",
-            "find out which one is wrong by a third sensor; align again if it is the estimate",
+            "compare both with a third sensor; align again if the estimate is wrong",
             ConditionLimits(warning=0.15, distress=0.3, deadband=0.03, on_s=600.0, off_s=600.0, latching=True),
         ),
     )
 
 
 def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
-    """Return what is looked at in what comes in, or does not."""
+    """Return the conditions of sources and links."""
     return (
         _condition(
             ("data_stale", Kind.ABOVE, "row periods", "source", Origin.CLOCK),
@@ -124,19 +124,19 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
         _condition(
             ("link_down", Kind.ABOVE, "s", "link", Origin.CLOCK),
             "link {thing} has been down for {value}",
-            "see its detail in GET /links; look at front end, analyzer and line; :reset begins a new session",
+            "see its detail in GET /links; check front end, analyzer and line; POST /links/{id}:reset opens a session",
             # only 0 s lies a deadband inside 30 s: a link is back when it works, not when it has just failed again
             ConditionLimits(distress=30.0, critical=_HOUR_S, deadband=30.0, off_s=10.0, repeat_s=600.0),
         ),
         _condition(
             ("link_warning", Kind.ABOVE, "s", "link/warning", Origin.CLOCK),
-            "warning {thing} of the front end has stood for {value}",
-            "see the warning in GET /links; a full spool wants the line to the service or more disk",
+            "warning {thing} of the front end has been active for {value}",
+            "see the warning in GET /links; for a full spool restore the line to the service or add disk space",
             ConditionLimits(warning=0.0, distress=_HOUR_S),
         ),
         _condition(
             ("rows_missing", Kind.ABOVE, "rows", "source", Origin.CLOCK),
-            "source {thing} has numbered {value} of the last hour that did not arrive",
+            "missing from source {thing} in the last hour: {value}",
             "see GET .../archive/gaps; `soo send` brings what the front end's spool still holds",
             ConditionLimits(warning=0.0, distress=100.0, on_s=120.0, off_s=60.0, repeat_s=None),
         ),
@@ -144,31 +144,31 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
 
 
 def _of_release() -> tuple[AlarmCondition, ...]:
-    """Return what is looked at in the release of torques."""
+    """Return the conditions of the release of torques."""
     return (
         _condition(
             ("control_tripped", Kind.ABOVE, "s", "reason", Origin.CLOCK),
             "control has tripped: {thing}",
-            "find the cause in GET .../control, then POST .../control:reset; ten good minutes later an operator arms",
+            "find the cause in GET .../control, POST .../control:reset; ten good minutes later POST .../control:arm",
             ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
         ),
         _condition(
             ("release_changed", Kind.ABOVE, "s", "release", Origin.CLOCK),
-            "an upgrade made the release {thing} in place of automatic {value} ago",
-            "where torques shall go without a person, two approvers send control:arm with release automatic",
+            "an upgrade replaced release automatic by {thing} {value} ago",
+            "to release torques without a person, two approvers send POST .../control:arm with release automatic",
             ConditionLimits(warning=0.0),
         ),
         _condition(
             ("report_late", Kind.ABOVE, "s", "command", Origin.CLOCK),
-            "{thing} has had no report for {value} since its end",
-            "ask the centre what was carried out and POST .../torques/{id}:executed or :failed; no torque goes before",
+            "time without a report since the end of {thing} is {value}",
+            "ask the centre what was executed; POST .../torques/{id}:executed or :failed; no torque is released before",
             ConditionLimits(distress=600.0, repeat_s=600.0),
         ),
     )
 
 
 def _of_service(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
-    """Return what is looked at in what the service lives on."""
+    """Return the conditions of calibration, ephemeris, keys and disk."""
     return (
         _condition(
             ("calibration_old", Kind.ABOVE, "d", "calibration", Origin.CLOCK),
@@ -191,7 +191,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
         _condition(
             ("disk_full", Kind.BELOW, "MB", "disk", Origin.CLOCK),
             "free space of the {thing} is {value}",
-            "make room or shorten the retention; rows are refused, and kept by front ends, when nothing is left",
+            "free space or shorten the retention; a full disk refuses rows, which wait in the spools of the front ends",
             ConditionLimits(
                 warning=alarms.disk_warning_mb, critical=alarms.disk_critical_mb, deadband=64.0, off_s=60.0
             ),

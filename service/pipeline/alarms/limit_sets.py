@@ -127,7 +127,7 @@ def faults_of(conditions: Mapping[str, AlarmCondition], stated: AlarmLimits) -> 
             elif not _is_ordered(
                 conditions[name].kind, _changed(conditions[name].limits, name, stated, _up_to(chosen))
             ):
-                detail = "a higher severity must not be reached before a lower one; mind the limits that are not stated"
+                detail = "a higher severity must not be reached before a lower one; omitted limits keep their defaults"
                 faults.append(FieldError(pointer, "alarm_limits.order", detail))
     return tuple(faults)
 

@@ -96,7 +96,7 @@ def _limits_table(conditions: dict[str, AlarmCondition]) -> str:
 def _words(condition: AlarmCondition) -> str:
     """Return what a condition says, what tells it, and what to do."""
     says = condition.says.format(thing="*name*", value="*value*")
-    says = f"* **`{condition.name}`**: {says}; looked at in {condition.origin.value}."
+    says = f"* **`{condition.name}`**: {says}; checked at {condition.origin.value}."
     return _wrapped(f"{says} What to do: {condition.next_step}.")
 
 

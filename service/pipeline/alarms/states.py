@@ -38,15 +38,15 @@ class CoverEvent(Enum):
 
 #: what each event means, for the page
 MEANINGS: dict[AlarmEvent | CoverEvent, str] = {
-    AlarmEvent.RAISE: "the condition has stood for `on_s`",
-    AlarmEvent.ESCALATE: "a higher limit has been passed for `on_s`; who acknowledged the lower one has not seen this",
+    AlarmEvent.RAISE: "the condition has held for `on_s`",
+    AlarmEvent.ESCALATE: "a higher limit has been passed for `on_s`; acknowledging the lower one does not cover it",
     AlarmEvent.RETURN: "the value has been inside the limit by the deadband for `off_s`",
     AlarmEvent.RETURN_UNSEEN: "the same while the alarm was shelved or suppressed: nobody has to acknowledge it",
     AlarmEvent.ACKNOWLEDGE: "an operator has seen it",
-    AlarmEvent.CLEAR: "an operator closes it; a condition that still stands alarms again after `on_s`",
-    CoverEvent.SHELVE: "an operator wants quiet until an instant, at most 24 h ahead",
-    CoverEvent.UNSHELVE: "an operator ends that, or the instant has come",
-    CoverEvent.SUPPRESS: "a declared operation says that the alarm means nothing now",
+    AlarmEvent.CLEAR: "an operator closes it; a condition that still holds alarms again after `on_s`",
+    CoverEvent.SHELVE: "an operator shelves the alarm until an instant, at most 24 h ahead",
+    CoverEvent.UNSHELVE: "an operator ends the shelving, or its time is over",
+    CoverEvent.SUPPRESS: "a declared operation explains the alarm",
     CoverEvent.RELEASE: "that operation is over",
 }
 

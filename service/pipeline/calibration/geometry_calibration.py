@@ -151,7 +151,7 @@ def _refusal(carrier: Carrier, *, is_unseen: bool, is_hidden: bool, is_lonely: b
     """Return why the robust method must not use a carrier, None if it may."""
     reasons = (
         (not carrier.enabled, "disabled in the plan"),
-        (carrier.uplink_power_control == "auto", "uplink power control hides what the attitude does"),
+        (carrier.uplink_power_control == "auto", "uplink power control hides the effect of the attitude"),
         (is_hidden, "its station does not see the satellite: check its coordinates"),
         (is_lonely, f"its transponder is under level control and has fewer than {MIN_GROUP} carriers in the plan"),
         (is_unseen, "seen in too few stretches of the windows"),

@@ -54,7 +54,11 @@ def _about_windows(data: CalibrationInput, rows: GeometryRows, config: Calibrati
     for name in _AXIS_NAMES:
         sides = [side for side in missing if side.endswith(name)]
         if sides:
-            rest = "its effect rests on the places of the stations" if name == "yaw" else "its slopes rest on one side"
+            rest = (
+                "its effect follows from the station positions alone"
+                if name == "yaw"
+                else "its slopes rest on one side"
+            )
             if name != "yaw" and len(sides) > 1:
                 rest = "its slopes rest on the small motion of the quiet days and are poorly known"
             yield (

@@ -67,14 +67,14 @@ def report_signs(
     verdict = None if free is None else judge_axes(free, positions.geometry, beam, is_used, turned)
     if verdict is None:
         signs = SensorSigns(is_yaw_proven=False, is_common_proven=False)
-        return SignReport(signs, {}, (_unproven("too few carriers with a station tell it"),))
+        return SignReport(signs, {}, (_unproven("too few carriers have a station"),))
     _refuse_contradiction(verdict, data.sensors)
     is_turned = yaw_reach_deg >= config.min_yaw_proof_deg
     is_yaw_proven = is_turned and verdict.margin(-1.0, 1.0, 1.0) >= DECISIVE
     warnings = _about_scale(verdict, config)
     if not is_yaw_proven:
         why = f"yaw was turned by {yaw_reach_deg:.2f} deg, {config.min_yaw_proof_deg} deg are needed"
-        warnings += (_unproven("noise hides what the yaw turns did" if is_turned else why),)
+        warnings += (_unproven("noise hides the effect of the yaw turns" if is_turned else why),)
     quality = {}
     for name, value, sigma in zip(("pitch", "roll"), verdict.coefficient, verdict.sigma, strict=True):
         quality[f"yaw_on_{name}_slope"] = float(value)

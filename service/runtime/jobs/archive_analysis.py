@@ -108,7 +108,7 @@ def wanted_count(candidates: Candidates, count: int | None, origin: str) -> int:
     """
     total, usable = len(candidates.carrier_ids), int(candidates.is_usable.sum())
     if count is not None and count > total:
-        raise InvalidInputError("selection.count", f"{origin} has {total} carriers; ask for no more")
+        raise InvalidInputError("selection.count", f"{origin} has {total} carriers; request no more")
     if usable < MIN_USABLE:
         detail = (
             f"only {usable} carriers of {origin} can be used, {MIN_USABLE} are needed for three angles and the common "
@@ -165,7 +165,7 @@ def _notes(calibration: Calibration, result: CalibrationResult, plan: CarrierPla
     known = {carrier.id for carrier in result.carriers}
     fresh = [carrier.id for carrier in plan.carriers if carrier.id not in known and carrier.is_usable_for_attitude]
     if fresh:
-        notes.append(f"{', '.join(fresh)} came with plan {plan.id} after the calibration: nothing is known of them yet")
+        notes.append(f"{', '.join(fresh)} were added by plan {plan.id} after the calibration and are not calibrated")
     if calibration.request.method is CalibrationMethod.PAPER:
         notes.append(
             "coefficients were fitted freely: their errors make yaw look better than it is; a calibration by geometry "

@@ -27,7 +27,7 @@ _START_TIMEOUT_S = 300.0
 #: by so much the system's scheduler prefers the service
 _NICENESS = 10
 _STOPPING = "the service is stopping; start it again"
-_DIED = "the process that computed it has died, see the system's log for lack of memory; start it again"
+_DIED = "its worker process ended unexpectedly; check the system log for lack of memory, then start it again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

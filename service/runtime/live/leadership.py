@@ -104,5 +104,5 @@ class Leading:
 
 def elsewhere() -> StorageError:
     """Return what an order is answered with that only the leading service can carry out."""
-    detail = "Another service of this archive leads: send this to it, or again when this one has taken over."
+    detail = "Another service of this archive leads: send the request to it, or retry when this one has taken over."
     return StorageError("lease.elsewhere", detail)

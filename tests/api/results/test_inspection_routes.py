@@ -279,7 +279,7 @@ async def test_the_newest_plan_says_who_is_still_there(bench, make):
     assert sorted(reported["selected"]) == ["c01", "c03", "c04", "c05"]
     assert reported["carriers"][0]["reasons"] == ["no longer in the carrier plan"]
     assert "disabled" in reported["carriers"][2]["reasons"][0]
-    assert "c06 came with plan 2 after the calibration: nothing is known of them yet" in reported["notes"]
+    assert "c06 were added by plan 2 after the calibration and are not calibrated" in reported["notes"]
 
 
 async def test_carriers_that_do_not_determine_the_attitude(bench, make):

@@ -10,7 +10,7 @@ CONTROL_INHIBITIONS: dict[str, str] = {
     "mode_off": "attitude control is switched off",
     "no_fast_loop": "the catalogue states no fast loop or no Forecast mode on board",
     "no_rate": "too few fixes yet for an angular rate",
-    "no_law": "inertia, wheels, period and damping of the catalogue make no control law; the log says why",
+    "no_law": "inertia, wheels, period and damping of the catalogue give no control law; see the service log",
     "no_body_rate": "the law gyro_orbitant needs body rates about all axes in telemetry that is not too old",
     "law_beyond": "the roll rate exceeds the orbital rate, or the spacecraft turns against its orbit: no yaw follows",
     "tripped": "control has tripped; torques are withheld until ten good minutes after the reset",

@@ -58,7 +58,7 @@ def test_a_commit_that_the_file_system_disowns_is_not_acknowledged(engines, monk
     insert(engines, 1)
     with monkeypatch.context() as changed:
         changed.setattr("db.connection.file_identity.os.removexattr", refuse)
-        with pytest.raises(StorageError, match="takes no changes: Read-only file system") as caught:
+        with pytest.raises(StorageError, match="cannot be written: Read-only file system") as caught:
             insert(engines, 2)
         # a repetition finds the row, writes nothing, and is not acknowledged either
         with pytest.raises(StorageError), engines.write.begin():

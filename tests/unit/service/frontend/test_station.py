@@ -63,5 +63,5 @@ def test_a_thread_that_dies_takes_the_station_down(
     monkeypatch.setattr(made.acquisition, "run", lambda: made._stop.wait(120.0))
     target = made.acquisition if part == "acquisition" else made.uploader
     monkeypatch.setattr(target, "run", die)
-    with pytest.raises(StationError, match=f"{part} sc.sa-1 died: MemoryError no room"):
+    with pytest.raises(StationError, match=f"{part} sc.sa-1 failed: MemoryError no room"):
         made.run()

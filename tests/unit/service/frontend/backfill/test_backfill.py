@@ -140,7 +140,7 @@ def test_after_interruptions_at_any_request_it_goes_on_where_it_stopped(tmp_path
 
 def test_a_service_that_stays_away_ends_the_run_and_says_how_to_go_on(tmp_path: Path) -> None:
     service = Archive(httpx.ConnectError("refused"))
-    with pytest.raises(SendInterruptedError, match="goes on where this one stopped"):
+    with pytest.raises(SendInterruptedError, match="run the same command again to continue"):
         send(service, write(tmp_path, *lines(4)))
 
 
@@ -217,8 +217,8 @@ def test_unknown_columns_are_refused_when_asked(tmp_path: Path) -> None:
     ("header", "message"),
     [
         (["time", "c00_dbm"], "no column 'epoch'"),
-        (["epoch", "c00_dbm", "c00_dbm"], "stand twice"),
-        (["epoch", "c00_dbm", "c00_dbw"], "in two columns: c00"),
+        (["epoch", "c00_dbm", "c00_dbm"], "occur twice"),
+        (["epoch", "c00_dbm", "c00_dbw"], "have two columns: c00"),
         (["epoch", "c99_dbm"], "no column is a carrier"),
     ],
 )

@@ -66,7 +66,7 @@ def test_rows_that_fit_no_plan_wait_and_let_the_other_lane_pass(
         deliver(made, lambda: made.waiting == 2)
         assert rows.waiting == 2
     assert seqs(service) == [(3, 2)]
-    assert "no carrier of the task stands in plan 3" in caplog.text
+    assert "no carrier of the task is in plan 3" in caplog.text
 
 
 def test_lanes_take_turns_while_both_have_rows(rows: Spool) -> None:

@@ -84,7 +84,7 @@ def test_an_alarm_says_what_happened_to_which_thing_since_when_and_by_how_much(r
             "sa-1",
             12.0,
             0.0,
-            "source sa-1 has numbered 12 rows of the last hour that did not arrive",
+            "missing from source sa-1 in the last hour: 12 rows",
         ),
     ],
 )

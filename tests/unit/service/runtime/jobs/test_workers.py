@@ -96,7 +96,7 @@ def test_a_process_that_died_at_rest_is_replaced_unseen(make_workers):
 
 def test_a_process_that_dies_at_work_says_so(make_workers):
     workers = make_workers(processes=1)
-    with pytest.raises(UnavailableError, match=r"analysis\.ended: the process that computed it has died"):
+    with pytest.raises(UnavailableError, match=r"analysis\.ended: its worker process ended unexpectedly"):
         workers.run(os._exit, 1)
     assert workers.run(pow, 2, 5) == 32
 
