@@ -46,9 +46,8 @@ def requested(context: ReleaseContext, request: CommandRequest, at: Instant) -> 
         command = proposal_of(computed, spacecraft, request.reason)
     except ValueError as error:
         raise InvalidInputError("command.wish", str(error)) from error
-    settled, envelope = settled_at(context.state, at, settings), settings.envelope
-    checks = release_checks(settled, command, at, settings, envelope=envelope, waiting_s=settings.prepared_s)
-    return replace(command, checks=checks)
+    settled = settled_at(context.state, at, settings)
+    return replace(command, checks=release_checks(settled, command, at, settings))
 
 
 def computed_command(

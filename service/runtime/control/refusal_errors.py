@@ -27,13 +27,14 @@ def error_of(refusal: Refusal) -> SooError:
     return _KINDS.get(refusal.code, ConflictError)(refusal.code, refusal.detail)
 
 
-def require_release(spacecraft: Spacecraft) -> None:
-    """Raise ConflictError ``control.mode`` or ``release.automatic`` where no command is released one by one."""
+def release_refusal(spacecraft: Spacecraft) -> Refusal | None:
+    """Return why no command of a spacecraft is released one by one, None where they are."""
     control, onboard = spacecraft.control, spacecraft.onboard
     if control.mode is not ControlMode.GROUND:
-        raise ConflictError("control.mode", f"{spacecraft.id} takes no torques: its mode is {control.mode.value}")
+        return Refusal("control.mode", f"{spacecraft.id} takes no torques: its mode is {control.mode.value}")
     if not (onboard.fast_loop and onboard.forecast_mode):
-        raise ConflictError("control.mode", f"{spacecraft.id} states no fast loop or no Forecast mode on board")
+        return Refusal("control.mode", f"{spacecraft.id} states no fast loop or no Forecast mode on board")
     if control.release is Release.AUTOMATIC:
         detail = "computed commands of this spacecraft count as applied; nothing is prepared or authorised"
-        raise ConflictError("release.automatic", detail)
+        return Refusal("release.automatic", detail)
+    return None

@@ -24,7 +24,7 @@ from service.records.catalogue import ControlMode, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, CommandRequest, ProductForm, UplinkProduct
 from service.runtime.control.proposals import requested
-from service.runtime.control.refusal_errors import error_of, require_release
+from service.runtime.control.refusal_errors import error_of, release_refusal
 from service.runtime.control.release_context import ReleaseContext
 from service.runtime.control.release_loop import ReleaseLoop
 from service.runtime.control.sign_checks import begin_sign_check, continue_sign_check
@@ -182,7 +182,9 @@ class ReleaseService(ReleaseLoop):
         if not self._may_send(spacecraft):
             detail = f"{spacecraft.id} is not simulated: under the clock of data it never gets a command"
             raise ConflictError("interlock.simulated", detail)
-        require_release(spacecraft)
+        refusal = release_refusal(spacecraft)
+        if refusal is not None:
+            raise error_of(refusal)
 
     def _hold_against_powers(self, context: ReleaseContext, event: Report) -> None:
         """Judge a command that is reported executed whole by its response in the powers before."""

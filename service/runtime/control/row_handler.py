@@ -18,11 +18,12 @@ from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.proposals import effect_of_law, proposal_of
 from service.pipeline.control.release.settings import microseconds
 from service.pipeline.control.release.sign_checks import is_running
-from service.records.catalogue import ControlMode, Release, Spacecraft
+from service.records.catalogue import ControlMode, Spacecraft
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 from service.records.operations.release import ProductForm, UplinkProduct
 from service.runtime.control.proposals import computed_command, soonest_start_us
+from service.runtime.control.refusal_errors import release_refusal
 from service.runtime.control.release_context import ReleaseContext
 from service.runtime.control.sign_checks import continue_sign_check
 
@@ -55,7 +56,7 @@ def _send(context: ReleaseContext, at: Instant) -> None:
     """Offer the law's command to a standing authorisation, once a command period, while nothing else is out."""
     spacecraft, state = context.spacecraft, context.state
     is_checking = is_running(state.sign_check)
-    if state.interlock.state is not State.ENGAGED or not _is_for_release(spacecraft) or is_checking:
+    if state.interlock.state is not State.ENGAGED or release_refusal(spacecraft) or is_checking:
         return
     period_s = spacecraft.control.command_period_s
     newest_us = max([context.asked_us, *(each.released_us or 0 for each in state.commands)])
@@ -91,12 +92,6 @@ def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None
         sigma_deg=row.sigma_deg,
     )
     context.release.handle(AnglesFit(at, product))
-
-
-def _is_for_release(spacecraft: Spacecraft) -> bool:
-    """Return whether commands of a spacecraft are released one by one."""
-    is_able = spacecraft.onboard.fast_loop and spacecraft.onboard.forecast_mode
-    return is_able and spacecraft.control.mode is ControlMode.GROUND and spacecraft.control.release is Release.TWO_STEP
 
 
 def _effect(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:

@@ -30,7 +30,7 @@ def prepare(state: ReleaseState, event: events.Prepare, settings: ReleaseSetting
     waiting = [command.counter for command in state.commands if command.state in OPEN]
     if waiting:
         return refused(state, "command.open", f"command {waiting[0]} waits for its confirmation: confirm or cancel it")
-    refusal = _failure_by_hand(state, event.command, event.at, settings)
+    refusal = first_failure(release_checks(state, event.command, event.at, settings))
     if refusal is not None:
         return Step(state, (), refusal)
     return Step(_with_new(state, event.command, event.by, event.at, settings))
@@ -41,7 +41,7 @@ def confirm(state: ReleaseState, event: events.Confirm, settings: ReleaseSetting
     command = command_of(state, event.counter)
     if command is None:
         return unknown(state, event.counter)
-    refusal = _confirm_refusal(command, event) or _failure_by_hand(state, command, event.at, settings)
+    refusal = _confirm_refusal(command, event) or first_failure(release_checks(state, command, event.at, settings))
     if refusal is not None:
         return Step(state, (), refusal)
     return Step(_with_released(state, replace(command, comment=event.comment or command.comment), event.by, event.at))
@@ -55,11 +55,13 @@ def automatic(state: ReleaseState, event: events.Automatic, settings: ReleaseSet
     """
     interlock, wanted = state.interlock, event.command
     if interlock.state in (State.ARMED, State.RECOVERY) or interlock.authorisation is None:
-        return refused(state, *_no_authorisation(interlock.state))
+        if interlock.state is State.TRIPPED:
+            return refused(state, "interlock.tripped", "control tripped: find the cause, reset, arm")
+        detail = "there is no standing authorisation: prepare and confirm the command"
+        return refused(state, "interlock.not_engaged", detail)
     if wanted.attitude_epoch_us <= state.released_epoch_us:
         return refused(state, "command.duplicate", "a command from this estimate, or a newer one, has been released")
-    checks = release_checks(state, wanted, event.at, settings, envelope=settings.envelope, waiting_s=0.0)
-    failure = first_failure(checks)
+    failure = first_failure(release_checks(state, wanted, event.at, settings, waiting_s=0.0))
     if failure is not None and failure.code == "envelope.exceeded":
         stopped = tripped(interlock, Condition.ENVELOPE, event.at, settings)
         return Step(replace(state, interlock=stopped), (events.PublishEffect(f"envelope: {failure.detail}"),))
@@ -177,19 +179,6 @@ def unknown(state: ReleaseState, counter: int) -> Step:
 def _illegal(state: ReleaseState, command: Command) -> Step:
     detail = f"command {command.counter} is {command.state}: this is not possible any more"
     return refused(state, "command.state", detail)
-
-
-def _failure_by_hand(state: ReleaseState, command: Command, at: Instant, settings: ReleaseSettings) -> Refusal | None:
-    """Return why a command that persons look at may not go."""
-    envelope, waiting_s = settings.envelope, settings.prepared_s
-    return first_failure(release_checks(state, command, at, settings, envelope=envelope, waiting_s=waiting_s))
-
-
-def _no_authorisation(state: State) -> tuple[str, str]:
-    """Return code and detail where the interlock is not engaged."""
-    if state is State.TRIPPED:
-        return "interlock.tripped", "control tripped: find the cause, reset, arm"
-    return "interlock.not_engaged", "there is no standing authorisation: prepare and confirm the command"
 
 
 def _confirm_refusal(command: Command, event: events.Confirm) -> Refusal | None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse, ScheduleVerdict, TorqueCommand
 from service.records.operations.release import Command, Purpose
 
+#: parts of an effect with one value an axis
+_BY_AXIS = tuple(name for name in Effect._fields if name != "wheel_momentum_n_m_s")
 #: body axes x roll, y pitch, z yaw in the order yaw, roll, pitch
 _ANGLES_FROM_BODY = [2, 0, 1]
 
@@ -31,6 +34,7 @@ def proposed(
 ) -> Command:
     """Return a command that waits for its preparation; `checked` is None where no flexible mode is known."""
     schedule = schedule_of(pulses, start_us)
+    by_axis: dict[str, Any] = {name: Axes(*getattr(effect, name)) for name in _BY_AXIS}
     return Command(
         purpose=purpose,
         is_simulated=spacecraft.simulated,
@@ -40,36 +44,23 @@ def proposed(
         stop_us=max((pulse.stop_us for pulse in schedule), default=start_us),
         schedule=schedule,
         schedule_verdict="accept" if checked is None else checked.verdict,
-        impulse_n_m_s=Axes(*effect.impulse_n_m_s),
-        gross_impulse_n_m_s=Axes(*effect.gross_impulse_n_m_s),
-        angle_change_deg=Axes(*effect.angle_change_deg),
-        rate_change_deg_s=Axes(*effect.rate_change_deg_s),
-        peak_angle_deg=Axes(*effect.peak_angle_deg),
-        peak_rate_deg_s=Axes(*effect.peak_rate_deg_s),
-        wheel_momentum_n_m_s=effect.wheel_momentum_n_m_s,
         computed=computed,
+        wheel_momentum_n_m_s=effect.wheel_momentum_n_m_s,
+        **by_axis,
     )
 
 
 def proposal_of(command: TorqueCommand, spacecraft: Spacecraft, reason: str) -> Command:
-    """Return a command of the control law as a proposal.
-
-    Raises
-    ------
-    ValueError
-        Its pulses overlap, or the inertia is that of no body.
-    """
-    pulses, effect = pulses_of(command.schedule, command.epoch_us), effect_of_law(command, spacecraft)
-    start_us, checked = command.epoch_us, command.schedule_check
-    return proposed(
-        spacecraft, command.attitude_epoch_us, start_us, pulses, effect, checked, reason=reason, computed=command
-    )
+    """Return a command of the law as a proposal; ValueError where pulses overlap or the inertia is that of no body."""
+    pulses, checked = pulses_of(command.schedule, command.epoch_us), command.schedule_check
+    effect = effect_of_pulses(pulses, spacecraft, command.command_period_s)
+    epochs_us = command.attitude_epoch_us, command.epoch_us
+    return proposed(spacecraft, *epochs_us, pulses, effect, checked, reason=reason, computed=command)
 
 
 def effect_of_law(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:
     """Return the effect of a command of the law on angles, rates and wheels; ValueError as `proposal_of`."""
-    pulses = pulses_of(command.schedule, command.epoch_us)
-    return effect_of_pulses(pulses, spacecraft, command.command_period_s)
+    return effect_of_pulses(pulses_of(command.schedule, command.epoch_us), spacecraft, command.command_period_s)
 
 
 def effect_of_pulses(pulses: tuple[AxisPulse, ...], spacecraft: Spacecraft, least_horizon_s: float) -> Effect:

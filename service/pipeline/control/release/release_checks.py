@@ -22,18 +22,19 @@ def release_checks(
     at: Instant,
     settings: ReleaseSettings,
     *,
-    envelope: Envelope,
-    waiting_s: float,
+    envelope: Envelope | None = None,
+    waiting_s: float | None = None,
 ) -> tuple[CommandCheck, ...]:
     """Return every check of a command against a settled state, those that fail and those that hold.
 
-    The envelope is that of the settings or the authorised one; a person may look at the command for `waiting_s` before
-    its estimate is too old.
+    The envelope is that of the settings unless another one is authorised; persons may look at the command for
+    `waiting_s`, by default as long as a prepared one waits, before its estimate is too old.
     """
     interlock, epoch_us, yaw = state.interlock, command.attitude_epoch_us, command.gross_impulse_n_m_s.yaw
-    excesses = envelope_excesses(effect_of(command), sent_within_an_hour(state, at.now_us), envelope)
+    sent_n_m_s = sent_within_an_hour(state, at.now_us)
+    excesses = envelope_excesses(effect_of(command), sent_n_m_s, envelope or settings.envelope)
     newest_us, period_s = (0, 0.0) if interlock.row is None else (interlock.row.epoch_us, interlock.row.period_s)
-    stale_us = settings.stale_us(period_s, waiting_s)
+    stale_us = settings.stale_us(period_s, settings.prepared_s if waiting_s is None else waiting_s)
     waiting = [each.counter for each in state.commands if each.state in UNREPORTED]
     unreported = f"what became of command {', '.join(map(str, waiting))} is not reported: report it first"
     stale = "computed from an estimate that is not the newest any more: prepare it again"

@@ -75,17 +75,17 @@ def prepare_leg(state: ReleaseState, event: PrepareLeg, settings: ReleaseSetting
 
 def judge(state: ReleaseState, event: SignJudged, settings: ReleaseSettings) -> Step:
     """Return the state with a verdict: any but an open one ends the check, an open one when its time is over."""
-    moved = replace(state, interlock=_with_sign(state.interlock, event, settings))
+    judged = replace(state, interlock=_with_sign(state.interlock, event, settings))
     check = state.sign_check
     if check is None or check.state != RUNNING or check.axis != event.axis:
-        return Step(moved)
+        return Step(judged)
     ratio = check.log_ratio if event.log_ratio is None else event.log_ratio
     reported = replace(check, log_ratio=ratio, wheels=event.wheels)
-    if event.verdict is not SignState.OPEN:
-        return Step(_ended(moved, replace(reported, state=event.verdict.value, detail="")))
-    if event.at.now_us >= check.until_us:
-        return Step(_ended(moved, replace(reported, state=event.verdict.value, detail="its time is over")))
-    return Step(replace(moved, sign_check=reported))
+    is_open = event.verdict is SignState.OPEN
+    if is_open and event.at.now_us < check.until_us:
+        return Step(replace(judged, sign_check=reported))
+    detail = "its time is over" if is_open else ""
+    return Step(_ended(judged, replace(reported, state=event.verdict.value, detail=detail)))
 
 
 def followed(state: ReleaseState, settings: ReleaseSettings) -> ReleaseState:
