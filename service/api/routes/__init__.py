@@ -8,7 +8,6 @@ from service.api.routes import (
     alignments,
     analyses,
     attitude,
-    attitude_uplink,
     audit,
     calibrations,
     carrier_selection,
@@ -45,7 +44,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     *(each.router for each in (spacecraft, carriers, ephemeris, sources, inputs, operations, calibrations, alignments)),
     *(each.router for each in (harmonics, carrier_selection, status, measurements, samples, traces)),
     # torque_commands behind the names of torques, which its ids must not hide
-    *(each.router for each in (attitude, attitude_uplink, torques, torque_commands, control, stream, export)),
+    *(each.router for each in (attitude, torques, torque_commands, control, stream, export)),
     *(each.router for each in (replays, jobs)),
     links.report_router,
     links.router,

@@ -66,6 +66,12 @@ def get_uplink(spacecraft_id: SpacecraftId, command_id: CommandId, context: Cont
     return UplinkAnswer.of(context.release_service.uplink(spacecraft_id, command_id))
 
 
+@router.get("/attitude/uplink")
+def get_attitude_uplink(spacecraft_id: SpacecraftId, context: Context) -> UplinkAnswer:
+    """Return the newest angles for a spacecraft in mode onboard, with their counter and how long they hold."""
+    return UplinkAnswer.of(context.release_service.attitude_uplink(spacecraft_id))
+
+
 @router.post("/torques/{command_id}:confirm", dependencies=[MAY_APPROVE], openapi_extra=accepts(ConfirmDocument))
 def confirm_torques(
     caller: CurrentCaller, command_id: CommandId, body: Annotated[ConfirmDocument, body_of(ConfirmDocument)]
