@@ -1,4 +1,4 @@
-"""Comments of operators on their actions: optional ones, and required ones that go to the shift log."""
+"""Callers who order something, and their comments: optional ones, and those that go to the shift log."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any

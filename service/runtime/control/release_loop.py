@@ -112,9 +112,13 @@ class ReleaseLoop:
         for spacecraft in self.storage.catalogue.all_spacecraft():
             if self.clock.is_data(spacecraft.id):
                 continue
-            with self._present(spacecraft.id) as (context, at):
-                context.release.handle(Tick(at))
-                continue_sign_check(context, at)
+            try:
+                with self._present(spacecraft.id) as (context, at):
+                    context.release.handle(Tick(at))
+                    continue_sign_check(context, at)
+            except SooError as error:
+                # time goes on for the others; a state that grows old inhibits
+                _LOG.error("release loop failed for %s: %s", spacecraft.id, error)
 
     def _run(self) -> None:
         """Let time pass until stopped."""

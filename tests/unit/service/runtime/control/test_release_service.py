@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 from release_service_driver import GOOD, MINUTE_US, START_US, US, ReleaseServiceDriver
-from release_storage import SC
+from release_storage import CRAFT, SC
 
 from service.core.control.envelope import Envelope
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
@@ -250,6 +250,16 @@ def test_a_service_that_does_not_lead_tells_what_is_stored_and_takes_no_orders(d
     assert driver.state == "INHIBITED"
     driver.rows(12)
     assert driver.state == "ARMED"
+
+
+def test_time_passes_for_a_spacecraft_when_the_release_of_another_one_cannot_be_read(driver, caplog):
+    driver.armed()
+    driver.prepare()
+    driver.archive.catalogue.all_spacecraft = lambda: (replace(CRAFT, id="unknown-1"), driver.archive.record)
+    driver.pass_time(driver.settings.prepared_s)
+    driver.service.tick()
+    assert driver.releases.command(SC, 1).state == "EXPIRED"
+    assert "release loop failed for unknown-1: spacecraft.unknown" in caplog.text
 
 
 def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
