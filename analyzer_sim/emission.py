@@ -37,7 +37,7 @@ class NoiseHump:
 
 @dataclass(frozen=True, slots=True)
 class Emission:
-    """All that arrives at the analyzer input during one row."""
+    """Emission at the analyzer input during one row."""
 
     #: middle of the dwell, microseconds UTC since 1970-01-01
     epoch_us: int

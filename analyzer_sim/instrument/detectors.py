@@ -48,7 +48,7 @@ _FREEDOM_OF_MINIMA = 1.5
 
 
 class Dwell(NamedTuple):
-    """How long and how densely points are observed; the key of the kernel cache."""
+    """Observation time and density of points; the key of the kernel cache."""
 
     rbw_hz: float
     #: time on one point, s

@@ -33,7 +33,7 @@ _LEAST_MW = 1e-30
 
 
 class Detail(Enum):
-    """How the statistics of a trace are made."""
+    """Detail of the statistics of a trace."""
 
     #: Gamma draws for the RMS detector, the envelope for the others
     FAST = "fast"

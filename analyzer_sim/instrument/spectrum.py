@@ -39,7 +39,7 @@ _SHAPES_KEPT = 256
 
 
 class SweepGrid(NamedTuple):
-    """Where a trace is taken; the key of every cache."""
+    """Frequency grid of a trace; the key of every cache."""
 
     start_hz: float
     stop_hz: float

@@ -22,7 +22,7 @@ from analyzer_sim.scpi.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_T
 
 
 class Pace(Enum):
-    """How long a sweep lasts."""
+    """Pace of sweeps."""
 
     #: no time at all
     VIRTUAL = "virtual"
@@ -31,7 +31,7 @@ class Pace(Enum):
 
 
 class SweepState(Enum):
-    """Where the sweep stands; the module docstring has the transitions."""
+    """State of the sweep; the module docstring has the transitions."""
 
     IDLE = auto()
     WAITING = auto()

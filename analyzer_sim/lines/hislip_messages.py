@@ -61,7 +61,7 @@ class MessageType(IntEnum):
 
 
 class FatalCode(IntEnum):
-    """Why a session ends."""
+    """Code of a fatal error, which ends the session."""
 
     UNIDENTIFIED = 0
     POORLY_FORMED_HEADER = 1
@@ -71,7 +71,7 @@ class FatalCode(IntEnum):
 
 
 class ErrorCode(IntEnum):
-    """Why one message was refused; the session goes on."""
+    """Code of an error that refuses one message; the session continues."""
 
     UNIDENTIFIED = 0
     UNKNOWN_TYPE = 1

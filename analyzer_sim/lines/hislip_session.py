@@ -48,7 +48,7 @@ _TRIGGER = ProgramMessage(b"*TRG", is_overrun=False)
 
 
 class Phase(Enum):
-    """Where a session stands."""
+    """Phase of a session."""
 
     HALF_OPEN = auto()
     OPEN = auto()

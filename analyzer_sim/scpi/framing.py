@@ -29,7 +29,7 @@ _SPECIAL = re.compile(rb"[\n'\"#]")
 
 
 class FramerState(Enum):
-    """Where the framer stands; the module docstring has the transitions."""
+    """State of the framer; the module docstring has the transitions."""
 
     PLAIN = auto()
     QUOTED = auto()

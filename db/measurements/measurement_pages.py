@@ -51,7 +51,7 @@ POWERS: Columns = (*LIGHT, measurement.c.powers)
 
 
 class Chosen(NamedTuple):
-    """Which measurements of a spacecraft are meant."""
+    """Selection of measurements of a spacecraft."""
 
     window: Window
     #: of this source only

@@ -21,7 +21,7 @@ ResultKey = tuple[Any, ...]
 
 
 class Consumed(NamedTuple):
-    """Where the consumer stands after the outcomes."""
+    """Position of the consumer after the outcomes."""
 
     number: int
     epoch_us: int | None

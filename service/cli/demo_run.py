@@ -35,7 +35,7 @@ def _address(text: str) -> tuple[str, int]:
 
 
 class Alone(NamedTuple):
-    """Which spacecraft is flown once more, without control."""
+    """Reference flight of the same spacecraft without control."""
 
     seed: int
     operation_days: float

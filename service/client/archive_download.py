@@ -64,7 +64,7 @@ class DownloadOrder:
 
 
 class DownloadProgress(NamedTuple):
-    """How far it is."""
+    """Progress of a download."""
 
     #: end of the newest day that is there, RFC 3339
     until: str

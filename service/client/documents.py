@@ -17,7 +17,7 @@ class Angles(TypedDict):
 
 
 class AllowedAxes(TypedDict):
-    """Which axes may be controlled."""
+    """Permission of control for each axis."""
 
     yaw: bool
     roll: bool

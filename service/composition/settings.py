@@ -48,7 +48,7 @@ TrustedProxies = Annotated[str | None, AfterValidator(_networks)]
 
 
 class Settings(BaseSettings):
-    """Everything that can be set from outside."""
+    """Settings of the service, from environment variables."""
 
     model_config = SettingsConfigDict(
         env_prefix="SOO_",

@@ -29,7 +29,7 @@ class _Part(BaseModel):
 
 
 class AnalyzerPart(_Part):
-    """Where the analyzer is and how it is spoken to."""
+    """Address and dialect of the analyzer."""
 
     #: VISA resource name; the command line may name another
     resource: str | None = None

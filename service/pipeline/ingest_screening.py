@@ -28,7 +28,7 @@ Details = Sequence[Mapping[str, Sequence[float | None]]]
 
 
 class EpochBounds(NamedTuple):
-    """Which epochs are accepted, and which of them are late; microseconds UTC."""
+    """Bounds of accepted epochs and of late ones; microseconds UTC."""
 
     #: smallest accepted epoch
     earliest_us: int

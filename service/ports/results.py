@@ -38,7 +38,7 @@ class Outcome:
 
 
 class Results(Protocol):
-    """Everything the service computed: calibrations, alignments, attitude, commands, jobs, replays."""
+    """Results of the service: calibrations, alignments, attitude, commands, jobs, replays."""
 
     def add_calibration(
         self,

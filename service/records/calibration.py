@@ -13,7 +13,7 @@ from service.records.noise import NoiseComponent
 
 
 class CalibrationMethod(StrEnum):
-    """How the calibration is fitted."""
+    """Method of the calibration fit."""
 
     GEOMETRY = "geometry"
     PAPER = "paper"
@@ -52,7 +52,7 @@ class Harmonic:
 
 @dataclass(frozen=True, slots=True)
 class CarrierCalibration:
-    """All that a calibration says about one carrier."""
+    """Result of a calibration for one carrier."""
 
     id: str
     level_dbm: float
@@ -107,7 +107,7 @@ class CalibrationRequest:
 
 @dataclass(frozen=True, slots=True)
 class SensorSigns:
-    """Which signs of the sensors' axes the powers have proven."""
+    """Signs of the sensors' axes that the powers have proven."""
 
     #: yaw against roll and pitch; while it is not, yaw is not controlled
     is_yaw_proven: bool

@@ -18,7 +18,7 @@ class Method(StrEnum):
 
 
 class ControlMode(StrEnum):
-    """Where torques are computed."""
+    """Place of the torque computation: on the ground, on board, or none."""
 
     GROUND = "ground"
     ONBOARD = "onboard"
@@ -34,7 +34,7 @@ class ControlLaw(StrEnum):
 
 
 class Release(StrEnum):
-    """How a computed command becomes an applied one."""
+    """Release mode, by which a computed command becomes an applied one."""
 
     TWO_STEP = "two_step"
     AUTOMATIC = "automatic"

@@ -26,7 +26,7 @@ _BAND_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class MarkerStyle:
-    """How the markers of one make behave."""
+    """Markers of one make: headers and behaviour."""
 
     #: header of one marker: ``CALCulate<16>:MARKer<16>``
     pattern: str

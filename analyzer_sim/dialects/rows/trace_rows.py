@@ -31,7 +31,7 @@ class TraceFormat:
 
 @dataclass(frozen=True, slots=True)
 class TraceStyle:
-    """How a dialect writes traces."""
+    """Format of a dialect's traces."""
 
     formats: tuple[TraceFormat, ...]
     #: what stands after the last number of an ASCII trace

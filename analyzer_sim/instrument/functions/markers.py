@@ -9,7 +9,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Search(Enum):
-    """Where the next peak is looked for."""
+    """Direction of a peak search."""
 
     #: anywhere, the highest one that is lower than the marker
     NEXT = "next"

@@ -231,7 +231,7 @@ class Showers:
 
 @dataclass(frozen=True, slots=True)
 class Relevel:
-    """All users' levels are set again, each by a Gaussian step of its own."""
+    """Change of all users' levels, each by a Gaussian step of its own."""
 
     name: str
     start_h: float

@@ -76,7 +76,7 @@ class ResidualTorque:
 
 @dataclass(frozen=True, slots=True)
 class KeepingErrors:
-    """How the attitude is kept; triples in the order yaw, roll, pitch."""
+    """Errors of attitude keeping; triples in the order yaw, roll, pitch."""
 
     #: limit cycle under the star tracker, deg
     tracker_deg: tuple[float, float, float] = (0.025, 0.018, 0.018)

@@ -58,11 +58,11 @@ class AttitudeHistory:
 
 
 class Sensing(NamedTuple):
-    """What an operator who commands from the powers makes of their noise."""
+    """Attitude error of an operator who commands from the powers, and its covariance as he assumes it."""
 
     #: (T, 3) error of the attitude by noise and weather, deg
     error_deg: FloatArray
-    #: (3, 3) what he believes of it, deg^2
+    #: (3, 3) assumed covariance, deg^2
     covariance_deg2: FloatArray
 
 

@@ -22,7 +22,7 @@ _AUDITED = frozenset({Permission.OPERATE, Permission.APPROVE, Permission.ADMINIS
 
 
 class KeyRing(Protocol):
-    """Where keys are known."""
+    """Port of the known keys."""
 
     async def principal(self, key: str) -> Principal | None:
         """Return the holder of a valid key, None for any other text."""

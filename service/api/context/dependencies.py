@@ -83,7 +83,7 @@ async def _nothing() -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApiContext:
-    """All that the interface needs from outside."""
+    """Dependencies of the interface: storage, clock, feed and settings."""
 
     storage: Storage
     clock: Clock

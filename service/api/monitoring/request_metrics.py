@@ -20,7 +20,7 @@ _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"
 
 @dataclass(slots=True)
 class DurationHistogram:
-    """How long requests of one route took."""
+    """Histogram of the durations of one route's requests."""
 
     #: requests in each class of duration, the last one above all bounds
     counts: list[int] = field(default_factory=lambda: [0] * (len(DURATION_BOUNDS_S) + 1))

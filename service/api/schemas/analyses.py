@@ -150,7 +150,7 @@ class CaptureAnswer(
     ),
     Answer,
 ):
-    """Where capture begins and what is said of the swing."""
+    """Limit of capture and the verdict on the oscillation."""
 
 
 class PulseDocument(Document):

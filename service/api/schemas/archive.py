@@ -102,7 +102,7 @@ class SourceRowsAnswer(members_of(SourceState, without=("newest_epoch_us",)), An
 
 
 class GapsAnswer(Answer):
-    """Where rows that feed the estimator are missing."""
+    """Gaps in the rows of a source, or in those that feed the estimator."""
 
     range: WindowAnswer
     source: str | None

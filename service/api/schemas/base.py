@@ -157,7 +157,7 @@ class AnglesAnswer(Answer):
 
 
 class AllowedAxesAnswer(Answer):
-    """Which axes may be controlled."""
+    """Permission of control for each axis."""
 
     yaw: bool
     roll: bool

@@ -18,7 +18,7 @@ from service.runtime.jobs.archive_analysis import CarrierRecommendation
 
 
 class Turns(StrEnum):
-    """Which calibration turns an answer carries."""
+    """Kind of the calibration turns in an answer."""
 
     NONE = "none"
     STANDARD = "standard"

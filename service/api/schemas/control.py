@@ -43,7 +43,7 @@ class OrderDocument(Document):
 
 
 class SignCheckDocument(Document):
-    """Which axis is to be checked."""
+    """Request for a sign check of one axis."""
 
     axis: Literal["yaw", "roll", "pitch"] | None = None
     """Null: the first of roll, pitch and yaw whose sign is not proven."""

@@ -34,7 +34,7 @@ _REPORT_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """Where rows go, and where they wait."""
+    """Destination of the rows: service, key and spool."""
 
     service: str
     key: str

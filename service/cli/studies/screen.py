@@ -1,4 +1,4 @@
-"""What studies show: options of their output, a progress bar, tables, drawn figures."""
+"""Output of studies: options, progress bar, tables, drawn figures."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager

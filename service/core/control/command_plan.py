@@ -35,7 +35,7 @@ class Situation(NamedTuple):
 
 
 class Forecast(NamedTuple):
-    """How a command is divided, and the torque that nobody commanded in each part."""
+    """Division of a command in time, and the known disturbance torque in each part."""
 
     slew_s: float
     slice_s: float

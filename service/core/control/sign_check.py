@@ -31,7 +31,7 @@ _FREE_DB = 3.0
 
 
 class Sign(Enum):
-    """How a spacecraft answers a command."""
+    """Response of a spacecraft to a command."""
 
     PLUS = 1
     NOTHING = 0

@@ -124,7 +124,7 @@ class Tones(NamedTuple):
 
 
 class OrbitalFrameSpacecraft(NamedTuple):
-    """Everything that flies."""
+    """Spacecraft in the orbital frame: inertia, law, computer, wheels and sensors."""
 
     inertia: Inertia = NOMINAL_INERTIA
     law: Law = Law()

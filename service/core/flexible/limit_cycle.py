@@ -52,7 +52,7 @@ class LimitCycle(NamedTuple):
 
 
 class LimitCycleAnalysis(NamedTuple):
-    """Everything about the cycles of one axis."""
+    """Limit cycles of one axis with their closed forms."""
 
     #: on one side
     cycles: tuple[LimitCycle, ...]

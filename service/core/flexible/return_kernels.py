@@ -37,7 +37,7 @@ class OneSided(NamedTuple):
 
 
 class Visit(NamedTuple):
-    """Where a return stands: motion, counter, and what it has reached so far."""
+    """State of a return: motion, counter and extremes so far."""
 
     angle_rad: float
     rate_rad_s: float

@@ -37,7 +37,7 @@ class TraceGrid(NamedTuple):
 
 
 class CarrierBands(NamedTuple):
-    """Where N carriers and their noise windows lie, in the analyzer's frequencies."""
+    """Bands of N carriers and their noise windows, in the analyzer's frequencies."""
 
     #: (N,) Hz
     center_hz: FloatArray

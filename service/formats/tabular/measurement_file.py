@@ -24,7 +24,7 @@ Kernels = Literal["numba", "numpy"]
 
 
 class MeasurementColumns:
-    """Where the levels of each plan stand among the columns of a file.
+    """Columns of a file and the position of each plan's levels among them.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from enum import Enum, auto
 
 
 class AcquisitionState(Enum):
-    """Where the acquisition stands."""
+    """State of the acquisition."""
 
     CONNECT = auto()
     IDENTIFY = auto()
@@ -18,7 +18,7 @@ class AcquisitionState(Enum):
 
 
 class AcquisitionEvent(Enum):
-    """How the action of a state ended, or what an operator ordered before it."""
+    """End of a state's action, or order of an operator before it."""
 
     OK = auto()
     FAULT = auto()

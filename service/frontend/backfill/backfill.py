@@ -66,7 +66,7 @@ class ArchiveOrder:
 
 
 class Progress(NamedTuple):
-    """How far it is."""
+    """Progress of sending a file."""
 
     #: read of the file, in bytes or rows
     done: int

@@ -45,7 +45,7 @@ class SendCounters:
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """Where the rows of a file go, and which of them."""
+    """Destination of a file: service, spacecraft, source and chosen rows."""
 
     sha256: str
     service: str

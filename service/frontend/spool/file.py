@@ -36,7 +36,7 @@ _CHUNK = 256
 
 
 class UploadLane(Enum):
-    """Which rows a request carries."""
+    """Lane of a request: live rows or backfill."""
 
     #: younger than the limit of lateness
     LIVE = ">="

@@ -7,7 +7,7 @@ from service.records.operations.alarm_limits import ConditionLimits
 
 
 class Kind(StrEnum):
-    """How a value is held against its limits."""
+    """Comparison of a value with its limits."""
 
     #: alarms above the limit
     ABOVE = "above"

@@ -47,7 +47,7 @@ DISTURBING = frozenset(
 
 
 class PlanPositions(NamedTuple):
-    """Where the stations of a plan stand; NaN for a beacon.
+    """Positions of the stations of a plan; NaN for a beacon.
 
     Parameters
     ----------

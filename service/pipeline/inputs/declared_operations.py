@@ -55,7 +55,7 @@ class _Effect:
 
 
 class CarrierIndices:
-    """Which carriers an operation names, by place in the model."""
+    """Indices in the model of the carriers that an operation names."""
 
     def __init__(self, carrier_ids: tuple[str, ...], transponders: tuple[str, ...], transponder: FloatArray) -> None:
         self._carrier_ids = np.array(carrier_ids)

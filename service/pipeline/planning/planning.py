@@ -39,7 +39,7 @@ _AXIS_NAMES = ("yaw", "roll", "pitch")
 
 
 class Rule(StrEnum):
-    """How carriers are chosen."""
+    """Rule of the choice of carriers."""
 
     PAPER = "paper"
     OPTIMAL = "optimal"

@@ -56,7 +56,7 @@ class InputReceipt:
 
 @dataclass(frozen=True, slots=True)
 class HeadState:
-    """Where the journal of a spacecraft and its consumer stand."""
+    """Positions of a spacecraft's journal and of its consumer."""
 
     #: number of the newest entry, 0 before the first
     newest_number: int

@@ -60,7 +60,7 @@ class KeptTrace:
 
 @dataclass(frozen=True, slots=True)
 class Ring:
-    """How much is kept of one source; of what is more, the oldest epochs go."""
+    """Bounds of the traces kept of one source; beyond them the oldest epochs are dropped."""
 
     traces: int
     size_bytes: int

@@ -11,7 +11,7 @@ from typing import Annotated
 
 
 class Severity(IntEnum):
-    """How much an alarm matters; the words of the mission-control world."""
+    """Severity of an alarm, in the words of mission control."""
 
     WATCH = 1
     WARNING = 2
@@ -26,7 +26,7 @@ class Severity(IntEnum):
 
 
 class Process(StrEnum):
-    """Where an alarm stands between its condition and the operator."""
+    """Process state of an alarm between its condition and the operator."""
 
     #: the condition is gone and nothing is left to be seen; the alarm is closed
     NORMAL = "normal"

@@ -9,7 +9,7 @@ Statement = dict[str, float | bool | None]
 
 @dataclass(frozen=True, slots=True)
 class ConditionLimits:
-    """When one condition alarms, and how."""
+    """Limits and delays of one alarm condition."""
 
     #: what the value must pass for each severity, in the condition's unit; None = never
     watch: float | None = None

@@ -64,7 +64,7 @@ class AuditEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditFilter:
-    """Which entries are wanted; None = any."""
+    """Filter of audit entries; None = any."""
 
     start_us: int
     stop_us: int

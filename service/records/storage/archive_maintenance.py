@@ -47,7 +47,7 @@ class RetiredRows:
 
 @dataclass(frozen=True, slots=True)
 class SealingConfig:
-    """When closed days are packed."""
+    """Times of sealing closed days."""
 
     quiet_s: float = setting(900.0, "a day is packed this long after its end and after its last row came in, s", CHOSEN)
     period_s: float = setting(60.0, "between two looks for days to pack and rows to drop, s", CHOSEN)
@@ -58,7 +58,7 @@ class SealingConfig:
 
 @dataclass(frozen=True, slots=True)
 class RetentionConfig:
-    """How long series are kept: 0 = for ever, and without limit of size."""
+    """Retention time and size of the series; 0 = no limit."""
 
     measurements_days: float = setting(
         0.0, "measurements older than this are dropped and refused; 0 = kept for ever", CHOSEN

@@ -15,7 +15,7 @@ _FINAL_CODES = range(500, 600)
 
 @dataclass(frozen=True, slots=True)
 class MailRoute:
-    """Where letters go, and by which server."""
+    """Mail server, sender and recipients of notices."""
 
     host: str
     port: int

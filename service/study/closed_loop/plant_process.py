@@ -67,7 +67,7 @@ class PlantRow:
 
 @dataclass(frozen=True)
 class Opening:
-    """Everything before operation; T rows, N carriers."""
+    """Data before the start of operation; T rows, N carriers."""
 
     carrier_ids: tuple[str, ...]
     closed_rows: int

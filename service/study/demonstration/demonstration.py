@@ -37,7 +37,7 @@ _LONGEST_PAUSE_S = 40 * 86_400
 
 @dataclass(frozen=True)
 class ProcessAddresses:
-    """Where the three processes are reached."""
+    """Addresses of the three processes."""
 
     service_url: str
     key: str

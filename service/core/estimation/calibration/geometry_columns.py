@@ -35,7 +35,7 @@ DOWNLINK_PRIOR_DB_PER_DEG = 1.5
 
 
 class CarrierGeometry(NamedTuple):
-    """Where the stations of N carriers and the receiving site stand in the antenna frame.
+    """Directions to the stations of N carriers and to the receiving site in the antenna frame.
 
     Parameters
     ----------

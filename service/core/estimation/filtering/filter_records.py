@@ -21,7 +21,7 @@ from service.core.estimation.filtering.watches.noise_watch import NoiseWatch, ca
 
 
 class FilterState(NamedTuple):
-    """Everything that the next step needs."""
+    """State of the filter between two steps."""
 
     epoch_us: int
     gaussian: Gaussian

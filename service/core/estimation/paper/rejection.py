@@ -34,7 +34,7 @@ BoolArray = NDArray[np.bool_]
 
 
 class RejectionReason(IntEnum):
-    """Why a carrier took no part in the fix."""
+    """Use of a carrier in the fix, or the reason of its rejection."""
 
     USED = 0
     ABSENT = 1

@@ -27,7 +27,7 @@ TURN_ORDER = (1, 2, 0)
 
 
 class SelectionReason(IntEnum):
-    """Why a carrier was chosen or not."""
+    """Reason for which a carrier was chosen or not."""
 
     CHOSEN = 0
     NOT_ELIGIBLE = 1

@@ -24,7 +24,7 @@ LOCK_RATIO = 1.9
 
 
 class CaptureAnalysis(NamedTuple):
-    """Where capture begins and what is said of one swing."""
+    """Limit of capture and the verdict on one oscillation."""
 
     #: "captured": the swing is above p_cr; "free": below; "always": any switching is captured
     verdict: str

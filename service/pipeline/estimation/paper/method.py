@@ -29,7 +29,7 @@ from service.records.levels.measurement import Measurement
 
 
 class PaperState(NamedTuple):
-    """Everything the method remembers from row to row."""
+    """State of the paper method between two rows."""
 
     #: deviations of the averaging window
     window: TrailingMean

@@ -45,11 +45,11 @@ from service.records.levels.measurement import Measurement
 
 @dataclass(frozen=True)
 class RobustState:
-    """Everything the method remembers from row to row."""
+    """State of the robust method between two rows."""
 
     filter: FilterState
     commanded: CommandedMotion
-    #: what each command that nobody has reported would do, by counter; one share each in the filter's state
+    #: effect of each unreported command, by counter; one share each in the filter's state
     released: tuple[tuple[int, CommandedMotion], ...] = ()
     #: source of the newest row, None before the first
     source: str | None = None

@@ -42,7 +42,7 @@ Signal = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class RobustModel:
-    """Everything that a step computes with; N carriers in the calibration's order."""
+    """Model of a step of the robust method; N carriers in the calibration's order."""
 
     carrier_ids: tuple[str, ...]
     filter: CarrierModel

@@ -97,7 +97,7 @@ class Ground:
 
 @dataclass(frozen=True)
 class TrueStatistics:
-    """What noise and motion were drawn from; T rows, N carriers, Q parts of a carrier's noise, C of the chain's."""
+    """True statistics of noise and motion; T rows, N carriers, Q parts of a carrier's noise, C of the chain's."""
 
     #: (T, N) dBm, levels without noise and rain of stations, chain and receiving site
     noise_free_dbm: FloatArray

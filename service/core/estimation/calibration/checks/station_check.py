@@ -34,7 +34,7 @@ _WORST_DB = 2.0
 
 
 class StationOffsets(NamedTuple):
-    """Where N stations should stand against the catalogue, in the antenna frame.
+    """Offsets of N stations from the catalogue, in the antenna frame.
 
     Parameters
     ----------

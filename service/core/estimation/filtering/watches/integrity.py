@@ -12,7 +12,7 @@ _UNKNOWNS = 4
 
 
 class IntegrityLimits(NamedTuple):
-    """When control may use the attitude."""
+    """Limits within which control may use the attitude."""
 
     #: three sigma of yaw stay within the 0.3 deg that make a torque wrong; quiet carriers leave 0.09-0.12, flicker
     #: 0.11-0.13
