@@ -2,9 +2,10 @@
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fastapi import FastAPI
 from pydantic import SecretStr
@@ -165,34 +166,21 @@ def _secret(value: SecretStr | None) -> str:
     return "" if value is None else value.get_secret_value()
 
 
+def _chosen(settings: Settings, part: type[Any]) -> dict[str, Any]:
+    """Return the settings that have the names of the fields of a part."""
+    return {field.name: getattr(settings, field.name) for field in fields(part) if hasattr(settings, field.name)}
+
+
 def _limits(settings: Settings) -> Limits:
     """Return the limits of what may come in."""
-    return Limits(
-        future_tolerance_s=settings.future_tolerance_s,
-        future_tolerance_data_s=settings.future_tolerance_data_s,
-        late_after_s=settings.late_after_s,
-        retention_s=settings.retention.measurements_days * 86_400 or None,
-        max_body_bytes=settings.max_body_bytes,
-        max_rows_per_batch=settings.max_rows_per_batch,
-        evidence_traces=settings.evidence_traces,
-        evidence_bytes=settings.evidence_bytes,
-        rates=settings.rate_limit,
-        max_streams=settings.max_streams,
-        max_sources_per_key=settings.max_sources_per_key,
-        max_connections=min(settings.max_connections, max(64, raised_descriptor_limit() - _OWN_FILES)),
-        max_connections_per_address=settings.max_connections_per_address,
-        trusted_proxies=settings.trusted_proxies or "",
-    )
-
-
-def _monitoring_settings(settings: Settings) -> MonitoringSettings:
-    """Return how the service lets itself be watched."""
-    return MonitoringSettings(
-        metrics_need_key=settings.metrics_need_key,
-        access_log=settings.access_log,
-        ready_lag=settings.ready_lag,
-        min_free_disk_bytes=settings.min_free_disk_bytes,
-    )
+    descriptors = max(64, raised_descriptor_limit() - _OWN_FILES)
+    derived = {
+        "retention_s": settings.retention.measurements_days * 86_400 or None,
+        "rates": settings.rate_limit,
+        "max_connections": min(settings.max_connections, descriptors),
+        "trusted_proxies": settings.trusted_proxies or "",
+    }
+    return Limits(**_chosen(settings, Limits) | derived)
 
 
 def build_maintenance(settings: Settings, storage: Storage, clock: Clock, turn: Term = always) -> ArchiveMaintenance:
@@ -260,7 +248,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         clock=clock,
         bootstrap_key=_secret(settings.bootstrap_key) or None,
         limits=_limits(settings),
-        monitoring=_monitoring_settings(settings),
+        monitoring=MonitoringSettings(**_chosen(settings, MonitoringSettings)),
         is_following=lambda: supervisor.is_running,
         on_accepted=supervisor.notify,
         on_startup=start,
