@@ -114,6 +114,19 @@ class Database:
             return connection.execute(statement).first()
 
 
+class Repository:
+    """Part of the archive in a relational database.
+
+    Parameters
+    ----------
+    database : Database
+        Where its rows are kept.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+
 def lock_head(connection: Connection, key: int) -> Row[Any]:
     """Return the head of a spacecraft and keep every other writer of it away until the transaction ends."""
     row = connection.execute(select(head).where(head.c.spacecraft_key == key).with_for_update()).one_or_none()

@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, delete, func, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from db.database import Database, beyond, lock_head
+from db.database import Repository, beyond, lock_head
 from db.encoding.json_documents import decode, encode
 from db.measurements.retention import LOGS_AT_ONCE
 from db.schema.alarm_tables import alarm as alarm_table
@@ -26,17 +26,8 @@ _GROUPS: dict[str, tuple[str, ...]] = {
 _Instance = tuple[str | None, str, str, int]
 
 
-class SqlAlarms:
-    """Alarms in a relational database.
-
-    Parameters
-    ----------
-    database : Database
-        Where they are kept.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
+class SqlAlarms(Repository):
+    """Alarms in a relational database."""
 
     def save(self, changes: Sequence[AlarmChange]) -> tuple[AlarmChange, ...]:
         """Store changes in one transaction and return them with their numbers, alarms that are new with their ids."""

@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Row, select
 
 from db.audit_chain import append_entry
-from db.database import Database
+from db.database import Repository
 from db.schema.access_tables import audit_entry, audit_head
 from service.records.operations.audit import GENESIS, AuditEntry, AuditEvent, AuditFilter, AuditHead
 
@@ -16,17 +16,8 @@ _WALK = 2000
 _EVENT_FIELDS = tuple(field.name for field in fields(AuditEvent))
 
 
-class SqlAudit:
-    """The audit log in a relational database.
-
-    Parameters
-    ----------
-    database : Database
-        Where it is kept.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
+class SqlAudit(Repository):
+    """The audit log in a relational database."""
 
     def append(self, audit_event: AuditEvent) -> AuditEntry:
         """Add a deed and wait for its commit."""

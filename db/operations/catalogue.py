@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, Table, delete, select, update
 from sqlalchemy.exc import IntegrityError
 
-from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id
+from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
 from db.encoding.json_documents import decode, decode_all, encode, encode_all
 from db.schema.tables import calibration, carrier_plan, ephemeris, head, measurement, measurement_segment, source
 from db.schema.tables import spacecraft as spacecraft_table
@@ -19,11 +19,8 @@ from service.records.inputs import EphemerisChange, PlanChange, SpacecraftChange
 _WITHDRAWN = "withdrawn"
 
 
-class SqlCatalogue:
+class SqlCatalogue(Repository):
     """Catalogue in a relational database."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add_spacecraft(self, spacecraft: Spacecraft) -> None:
         """Store and journal a new spacecraft; ConflictError ``spacecraft.exists``."""

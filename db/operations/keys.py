@@ -7,24 +7,15 @@ from typing import Any
 from sqlalchemy import Connection, Row, select, update
 
 from db.audit_chain import append_entry, lock_audit_head
-from db.database import Database
+from db.database import Repository
 from db.schema.access_tables import access_key
 from service.errors import ConflictError, NotFoundError
 from service.records.operations.access_key import AccessKey, Role, StoredKey, name_key
 from service.records.operations.audit import AuditEvent
 
 
-class SqlKeys:
-    """Access keys in a relational database.
-
-    Parameters
-    ----------
-    database : Database
-        Where they are kept.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
+class SqlKeys(Repository):
+    """Access keys in a relational database."""
 
     def add(self, stored: StoredKey) -> AccessKey:
         """Store a new key."""

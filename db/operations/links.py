@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, select, update
 
-from db.database import Database
+from db.database import Repository
 from db.encoding.json_documents import decode, encode
 from db.schema.tables import link as link_table
 from service.errors import ConflictError, NotFoundError
@@ -17,17 +17,8 @@ from service.records.operations.link import LinkReport, LinkState, update_period
 MAX_LINKS = 1000
 
 
-class SqlLinks:
-    """Links in a relational database.
-
-    Parameters
-    ----------
-    database : Database
-        Where they are kept.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
+class SqlLinks(Repository):
+    """Links in a relational database."""
 
     def report(self, reports: Sequence[LinkReport], at_us: int) -> tuple[LinkState, ...]:
         """Store the newest reports in one transaction and return what is wanted of each link."""

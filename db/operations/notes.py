@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, delete, or_, select, true
 
-from db.database import Database, beyond, within
+from db.database import Repository, beyond, within
 from db.encoding.json_documents import decode, encode
 from db.measurements.retention import LOGS_AT_ONCE
 from db.schema.alarm_tables import note as note_table
@@ -15,17 +15,8 @@ from service.records.calibration import Window
 from service.records.operations.note import Note
 
 
-class SqlNotes:
-    """Notes in a relational database.
-
-    Parameters
-    ----------
-    database : Database
-        Where they are kept.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
+class SqlNotes(Repository):
+    """Notes in a relational database."""
 
     def add(self, note: Note) -> Note:
         """Store a note (its id is ignored) and return it with its id; NotFoundError ``note.unknown``."""

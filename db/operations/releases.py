@@ -2,7 +2,7 @@
 
 from sqlalchemy import ColumnElement, Connection, and_, select, update
 
-from db.database import Database, beyond, lock_head, within
+from db.database import Repository, beyond, lock_head, within
 from db.encoding.json_documents import decode, encode
 from db.measurements.slow_inputs import store_inputs
 from db.schema.release_tables import release_command, release_made_two_step, release_state, uplink_product
@@ -11,17 +11,8 @@ from service.records.calibration import Window
 from service.records.operations.release import Command, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
 
 
-class SqlReleases:
-    """Releases in a relational database.
-
-    Parameters
-    ----------
-    database : Database
-        Where they are kept.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
+class SqlReleases(Repository):
+    """Releases in a relational database."""
 
     def stored(self, spacecraft_id: str) -> StoredRelease:
         """Return the newest state; version 0 and an empty document before the first."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, func, select
 
-from db.database import Database, beyond, lock_head, within
+from db.database import Repository, beyond, lock_head, within
 from db.schema.tables import trace as trace_table
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
@@ -42,17 +42,8 @@ _HEAD = (
 )
 
 
-class SqlTraces:
-    """Evidence traces in a relational database.
-
-    Parameters
-    ----------
-    database : Database
-        Where they are kept.
-    """
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
+class SqlTraces(Repository):
+    """Evidence traces in a relational database."""
 
     def append(
         self, spacecraft_id: str, source: str, traces: Sequence[Trace], received_at_us: int, ring: Ring

@@ -5,7 +5,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, select, update
 
-from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id
+from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
 from db.encoding.json_documents import decode, encode
 from db.schema.tables import alignment as alignment_table
 from db.schema.tables import calibration as calibration_table
@@ -23,11 +23,8 @@ from service.records.inputs import AlignmentSet, CalibrationActivation
 _DELETED = "deleted"
 
 
-class SqlCalibrations:
+class SqlCalibrations(Repository):
     """Calibrations and alignments in a relational database."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add_calibration(
         self,

@@ -5,7 +5,7 @@ from dataclasses import replace
 from sqlalchemy import Connection, select, update
 from sqlalchemy.exc import IntegrityError
 
-from db.database import Database, lock_head, next_id
+from db.database import Repository, lock_head, next_id
 from db.encoding.json_documents import decode, encode
 from db.schema.tables import calibration as calibration_table
 from db.schema.tables import job as job_table
@@ -17,11 +17,8 @@ from service.records.operations.job import Job, JobState, Replay
 _UNFINISHED = (JobState.QUEUED.value, JobState.RUNNING.value)
 
 
-class SqlJobs:
+class SqlJobs(Repository):
     """Jobs and replays in a relational database."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add_job(self, job: Job) -> None:
         """Store a new job; ConflictError ``job.exists``."""

@@ -29,7 +29,6 @@ from service.client.service_client import ServiceClient
 
 #: days of one page of the manifest
 _PAGE_DAYS = 7
-_HASHED_BYTES = 1 << 20
 
 
 class DownloadError(ClientError):
@@ -139,11 +138,8 @@ def download_archive(
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, hexadecimal."""
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while chunk := file.read(_HASHED_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class _Download:

@@ -15,6 +15,7 @@ from analyzer_sim.dialects.rows.analyzer_rows import (
     sweep_time_rows,
 )
 from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.function_rows import start_sweep
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS, register_rows
 from analyzer_sim.dialects.rows.settings_rows import constant, inert, inert_number, numeric
 from analyzer_sim.dialects.rows.span_rows import (
@@ -129,12 +130,7 @@ def _configure_spectrum(call: Call) -> None:
 
 def _measure_spectrum(call: Call) -> None:
     _configure_spectrum(call)
-    _read_spectrum(call)
-
-
-def _read_spectrum(call: Call) -> None:
-    if not call.instrument.settings.is_continuous:
-        call.instrument.initiate()
+    start_sweep(call)
 
 
 def _initiate_spectrum(call: Call) -> None:
@@ -206,7 +202,7 @@ _TRACE_ROWS = (
         f"READ:{_SPECTRUM}",
         query=trace_reader(TRACE_STYLE, pairs_shown, "SANalyzer"),
         query_waits=True,
-        query_starts=_read_spectrum,
+        query_starts=start_sweep,
     ),
     Command(
         f"MEASure:{_SPECTRUM}",

@@ -22,7 +22,7 @@ def start_replay(
 ) -> ReplayStartedAnswer:
     """Start a replay; its rows are read by ?version= on history and export."""
     context.storage.catalogue.spacecraft(spacecraft_id)
-    replay, job = context.replayer.start(spacecraft_id, body.to_record())
+    replay, job = context.replayer.start(spacecraft_id, body.to_replay())
     response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/replays/{replay.id}"
     return ReplayStartedAnswer(id=replay.id, job=job.id, version=replay.version)
 

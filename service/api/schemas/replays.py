@@ -2,21 +2,16 @@
 
 from typing import Literal, Self
 
-from pydantic import model_validator
-from pydantic_core import PydanticCustomError
-
-from service.api.schemas.base import Answer, Document, Epoch, record_of
-from service.api.schemas.calibrations import Identifier
+from service.api.schemas.base import Answer, record_of
+from service.api.schemas.calibrations import Identifier, WindowDocument
 from service.api.schemas.record_answers import members_of
 from service.records.catalogue import Method
 from service.records.operations.job import Replay
 
 
-class ReplayDocument(Document):
+class ReplayDocument(WindowDocument):
     """A stretch of the archive to run again."""
 
-    start: Epoch
-    stop: Epoch
     method: Method | None = None
     """Null: every method."""
     calibration_id: Identifier | None = None
@@ -26,14 +21,7 @@ class ReplayDocument(Document):
     order: Literal["journal", "epoch"] = "journal"
     """As it was, or as it would have been with late rows in their place."""
 
-    @model_validator(mode="after")
-    def _check_order(self) -> Self:
-        """Refuse an interval without content."""
-        if self.start >= self.stop:
-            raise PydanticCustomError("range.invalid", "start must lie before stop; start is inclusive, stop exclusive")
-        return self
-
-    def to_record(self) -> Replay:
+    def to_replay(self) -> Replay:
         """Return the replay that this document asks for; number, job and time are given later."""
         return record_of(Replay, self, id=0, alignment_id=self.alignment_id or 0, job_id="", created_at_us=0)
 

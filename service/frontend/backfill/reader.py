@@ -15,7 +15,6 @@ from service.records.csv_guard import unguarded
 
 #: rows of a Parquet file in memory at once
 _PARQUET_ROWS = 2000
-_HASHED_BYTES = 1 << 20
 
 
 class FileRow(NamedTuple):
@@ -51,11 +50,8 @@ def open_archive(path: Path) -> ArchiveFileReader:
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, hexadecimal."""
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while chunk := file.read(_HASHED_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class CsvArchive:
