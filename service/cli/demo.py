@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.ending import end
 from service.cli.extras import require
 from service.cli.studies.exit_code import ended_by_signals
 
@@ -68,8 +69,7 @@ def demo(
             return
         except FAILURES as error:
             presenter.close()
-            typer.echo(f"the demonstration failed: {error}", err=True)
-            raise typer.Exit(2) from error
+            end(f"the demonstration failed: {error}", cause=error)
     typer.echo(json.dumps({"seed": seed, **figures}, allow_nan=False)) if as_json else print_figures(console, figures)
     if figures["missed"]:
         raise typer.Exit(1)
@@ -80,7 +80,6 @@ def _directory(stack: ExitStack, keep: Path | None) -> Path:
     if keep is None:
         return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="soo-demo-")))
     if (keep / "soo.db").exists():
-        typer.echo(f"{keep} holds the database of an earlier demonstration; name another folder", err=True)
-        raise typer.Exit(2)
+        end(f"{keep} holds the database of an earlier demonstration; name another folder")
     keep.mkdir(parents=True, exist_ok=True)
     return keep

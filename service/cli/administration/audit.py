@@ -8,17 +8,18 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from service.cli.command_group import new_app
+from service.cli.ending import end
 from service.cli.operation.connection import JsonOption
 from service.errors import StorageError
 from service.records.operations.audit import ChainFinding, findings
 
 app = new_app(help="The audit log: who did what, chained by hashes.", no_args_is_help=True)
-EXIT_BROKEN, EXIT_USAGE = 1, 2
+EXIT_BROKEN = 1
 _LOGGED = re.compile(r"audit head (\d+) ([0-9a-f]{64})")
 _NOTED = re.compile(r"(\d+):([0-9a-f]{64})")
 
@@ -46,12 +47,12 @@ def verify(
     try:
         storage = open_storage(Settings.model_validate({"database_url": database} if database else {}))
     except ValueError as error:
-        _refuse(f"cannot use the database: {error}")
+        end(f"cannot use the database: {error}")
     try:
         newest = storage.audit.head()
         found = list(findings(storage.audit.chain(), newest, announced, storage.audit.head))
     except StorageError as error:
-        _refuse(error.detail)
+        end(error.detail)
     finally:
         storage.close()
     if as_json:
@@ -78,7 +79,7 @@ def _noted(heads: Sequence[str]) -> dict[int, str]:
     for text in heads:
         match = _NOTED.fullmatch(text)
         if match is None:
-            _refuse(f"a head reads NUMBER:HASH with 64 hexadecimal digits, not {text!r}")
+            end(f"a head reads NUMBER:HASH with 64 hexadecimal digits, not {text!r}")
         found[int(match[1])] = match[2]
     return found
 
@@ -97,10 +98,4 @@ def logged(pattern: re.Pattern[str], logs: Sequence[Path]) -> Iterator[tuple[str
                 for line in lines:
                     yield from (match.groups() for match in pattern.finditer(line))
         except OSError as error:
-            _refuse(f"cannot read {path}: {error.strerror}")
-
-
-def _refuse(message: str) -> NoReturn:
-    """End with a message on standard error."""
-    typer.echo(message, err=True)
-    raise typer.Exit(EXIT_USAGE)
+            end(f"cannot read {path}: {error.strerror}")

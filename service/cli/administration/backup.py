@@ -12,8 +12,9 @@ from typing import Annotated, Any
 
 import typer
 
-from service.cli.administration.doctor import EXIT_USAGE, show
+from service.cli.administration.doctor import show
 from service.cli.command_group import new_app
+from service.cli.ending import end
 from service.cli.operation.connection import JsonOption
 from service.records.storage.backup import BackupError, Manifest
 from service.records.storage.diagnosis import worst
@@ -98,17 +99,11 @@ def _guarded() -> Iterator[Callable[[str, float], None]]:
         try:
             yield report
         except BackupError as error:
-            _end(str(error), EXIT_REFUSED, error)
+            end(str(error), EXIT_REFUSED, error)
         except OSError as error:
-            _end(f"{error.filename or 'disk'}: {error.strerror}", EXIT_REFUSED, error)
+            end(f"{error.filename or 'disk'}: {error.strerror}", EXIT_REFUSED, error)
         except ValueError as error:
-            _end(str(error), EXIT_USAGE, error)
-
-
-def _end(message: str, code: int, error: Exception) -> None:
-    """End the command."""
-    typer.echo(message, err=True)
-    raise typer.Exit(code) from error
+            end(str(error), cause=error)
 
 
 def _report(report: dict[str, Any], *, as_json: bool) -> None:

@@ -12,11 +12,11 @@ from typing import Annotated
 import typer
 
 from service.cli.administration.audit import logged
+from service.cli.ending import end
 from service.cli.operation.connection import JsonOption
 from service.records.storage.diagnosis import Diagnosis, State, worst
 
 EXIT_OF: dict[State, int] = {"ok": 0, "fault": 1, "warning": 3}
-EXIT_USAGE = 2
 _LOGGED = re.compile(r"journal head ([a-z0-9-]+) (\d+) ([0-9a-f]{16})")
 _COLOURS: dict[State, str] = {"ok": "green", "warning": "yellow", "fault": "red"}
 
@@ -37,14 +37,12 @@ def doctor(
 
     announced = [JournalHead(name, int(number), digest) for name, number, digest in logged(_LOGGED, log or [])]
     if log and not announced:
-        typer.echo("the log names no head of a journal: lines `journal head SPACECRAFT NUMBER DIGEST`", err=True)
-        raise typer.Exit(EXIT_USAGE)
+        end("the log names no head of a journal: lines `journal head SPACECRAFT NUMBER DIGEST`")
     try:
         with Console(stderr=True).status("opening") as status:
             found = open_archive_tools(database).diagnose(status.update, announced)
     except ValueError as error:
-        typer.echo(str(error), err=True)
-        raise typer.Exit(EXIT_USAGE) from error
+        end(str(error), cause=error)
     show(found, as_json=as_json)
     raise typer.Exit(EXIT_OF[worst(found)])
 

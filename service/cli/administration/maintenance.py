@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
+from service.cli.ending import end
 from service.cli.operation.connection import JsonOption
 
 EXIT_FAULT = 1
-EXIT_USAGE = 2
 
 
 def maintenance(
@@ -27,8 +27,7 @@ def maintenance(
     try:
         storage = open_storage(settings)
     except ValueError as error:
-        typer.echo(str(error), err=True)
-        raise typer.Exit(EXIT_USAGE) from error
+        end(str(error), cause=error)
     try:
         work = build_maintenance(settings, storage, build_clock(settings, storage))
         work.poll_once()

@@ -14,10 +14,11 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.ending import end
 from service.errors import StorageError
 from service.runtime.log_format import write_log
 
@@ -33,8 +34,6 @@ _LOG = logging.getLogger("soo.serve")
 # one thread a matrix product: two of them on small matrices cost far more than they give
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-#: wrong settings, or what they name cannot be had
-EXIT_USAGE = 2
 #: a database server that is away at the start is waited for so long
 _PATIENCE_S = 30.0
 #: between two looks at the database
@@ -79,9 +78,9 @@ def _settings(given: dict[str, str | int | None]) -> "Settings":
     except ValidationError as error:
         # the values themselves are left out: one of them is the key
         faults = error.errors(include_url=False, include_input=False, include_context=False)
-        _refuse("; ".join(f"setting {'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in faults))
+        end("; ".join(f"setting {'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in faults))
     except (SettingsError, OSError, UnicodeDecodeError) as error:
-        _refuse(f"settings cannot be read: {error}")
+        end(f"settings cannot be read: {error}")
 
 
 def _check_tls(settings: "Settings") -> None:
@@ -90,7 +89,7 @@ def _check_tls(settings: "Settings") -> None:
     if certificate is None and key is None:
         return
     if certificate is None or key is None:
-        _refuse("--tls-certificate and --tls-key go together: one is missing")
+        end("--tls-certificate and --tls-key go together: one is missing")
     # loads OpenSSL, which a service without a certificate does not need
     import ssl
 
@@ -98,7 +97,7 @@ def _check_tls(settings: "Settings") -> None:
         # an encrypted key is refused rather than asked for on a terminal that a service does not have
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password="")
     except (OSError, ssl.SSLError) as error:
-        _refuse(f"cannot use certificate {certificate} with key {key}: {error.strerror or error}")
+        end(f"cannot use certificate {certificate} with key {key}: {error.strerror or error}")
 
 
 def _listener(settings: "Settings") -> socket.socket:
@@ -110,7 +109,7 @@ def _listener(settings: "Settings") -> socket.socket:
         listener.bind((settings.host, settings.port))
     except OSError as error:
         listener.close()
-        _refuse(f"cannot listen on {settings.host}:{settings.port}: {error.strerror}; choose another --port or --host")
+        end(f"cannot listen on {settings.host}:{settings.port}: {error.strerror}; choose another --port or --host")
     return listener
 
 
@@ -126,9 +125,7 @@ def _serve(settings: "Settings", listener: socket.socket) -> None:
         try:
             key_file = first_administrator(settings, storage)
         except OSError as error:
-            _refuse(
-                f"cannot write the administrator's key to {error.filename}: {error.strerror}; set SOO_BOOTSTRAP_KEY"
-            )
+            end(f"cannot write the administrator's key to {error.filename}: {error.strerror}; set SOO_BOOTSTRAP_KEY")
         watch = watch_file(settings)
         server = _server(settings, build_app(settings, storage), None if is_announced else listener)
         if not is_announced:
@@ -168,7 +165,7 @@ def _opened(settings: "Settings") -> "Storage":
         except (StorageError, ValueError) as error:
             is_away = isinstance(error, StorageError) and settings.database_url.startswith("postgresql")
             if not is_away or time.monotonic() > until:
-                _refuse(f"cannot use the database: {error}")
+                end(f"cannot use the database: {error}")
             _LOG.warning("the database does not answer, waiting for it: %s", error)
         time.sleep(_POLL_S)
 
@@ -197,9 +194,3 @@ def _server(settings: "Settings", app: "FastAPI", announced: socket.socket | Non
         request_timeout_s=settings.request_timeout_s,
     )
     return AnnouncedServer(config, app)
-
-
-def _refuse(message: str) -> NoReturn:
-    """End with a message on standard error."""
-    typer.echo(message, err=True)
-    raise typer.Exit(EXIT_USAGE)

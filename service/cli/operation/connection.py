@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.ending import end
+
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
 
@@ -26,11 +28,9 @@ def key_of(key_env: str) -> str:
     try:
         key = os.environ.get(key_env) or (Path(path).read_text(encoding="utf-8").strip() if path else "")
     except (OSError, UnicodeDecodeError) as error:
-        typer.echo(f"no key: {key_env}_FILE names {path}, which cannot be read: {error}", err=True)
-        raise typer.Exit(2) from error
+        end(f"no key: {key_env}_FILE names {path}, which cannot be read: {error}", cause=error)
     if not key:
-        typer.echo(f"no key: the environment variable {key_env} is empty, and {key_env}_FILE names no file", err=True)
-        raise typer.Exit(2)
+        end(f"no key: the environment variable {key_env} is empty, and {key_env}_FILE names no file")
     return key
 
 
@@ -46,5 +46,4 @@ def connected(service: str, key_env: str, **options: Any) -> Iterator["ServiceCl
         with ServiceClient(service, key, **options) as client:
             yield client
     except ClientError as error:
-        typer.echo(str(error), err=True)
-        raise typer.Exit(1) from error
+        end(str(error), 1, error)

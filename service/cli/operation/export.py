@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.ending import end
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from service.client.archive_download import DownloadOrder, DownloadProgress
     from service.client.service_client import ServiceClient
 
-EXIT_STOPPED, EXIT_USAGE = 1, 2
+EXIT_STOPPED = 1
 
 
 def export(
@@ -55,8 +56,7 @@ def export(
 
     order = DownloadOrder(spacecraft, series, format_, start, stop, method, version, patience)
     if output is None and (by_day or as_json):
-        typer.echo("--by-day and --json need --output", err=True)
-        raise typer.Exit(EXIT_USAGE)
+        end("--by-day and --json need --output")
     with connected(service, key_env, retries=0, timeout_s=120.0) as client:
         if output is None:
             for chunk in client.download(f"/spacecraft/{spacecraft}/archive/{series}:export", order.parameters):
@@ -65,11 +65,9 @@ def export(
         try:
             report = _download(client, order, output, by_day=by_day, is_quiet=as_json)
         except OSError as error:
-            typer.echo(f"{output}: {error.strerror or error}", err=True)
-            raise typer.Exit(EXIT_USAGE) from error
+            end(f"{output}: {error.strerror or error}", cause=error)
         except KeyboardInterrupt as interrupt:
-            typer.echo("stopped; the same command continues where this one stopped", err=True)
-            raise typer.Exit(EXIT_STOPPED) from interrupt
+            end("stopped; the same command continues where this one stopped", EXIT_STOPPED, interrupt)
     if as_json:
         typer.echo(json.dumps(report))
     else:

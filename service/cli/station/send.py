@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from service.cli.ending import end
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
     from service.frontend.backfill import backfill
 
-EXIT_STOPPED, EXIT_USAGE, EXIT_REFUSED = 1, 2, 3
+EXIT_STOPPED, EXIT_REFUSED = 1, 3
 
 
 def send(
@@ -64,11 +65,9 @@ def send(
         try:
             report = check_archive(client, order) if dry_run else _send(client, order, is_quiet=as_json)
         except (ArchiveError, OSError) as error:
-            typer.echo(str(error), err=True)
-            raise typer.Exit(EXIT_USAGE) from error
+            end(str(error), cause=error)
         except KeyboardInterrupt as stop:
-            typer.echo("stopped; the same command continues where this one stopped", err=True)
-            raise typer.Exit(EXIT_STOPPED) from stop
+            end("stopped; the same command continues where this one stopped", EXIT_STOPPED, stop)
     typer.echo(json.dumps(report)) if as_json else _show(report)
     _end(report, source)
 
@@ -124,7 +123,6 @@ def _end(report: dict[str, Any], source: str) -> None:
     foreign = report["other_sources"]
     sent = report["rows"] if "faults" in report else report["rows"] - sum(foreign.values())
     if foreign and not sent:
-        typer.echo(f"no row of {source}; the file's are of {', '.join(foreign)}: see --from-source", err=True)
-        raise typer.Exit(EXIT_USAGE)
+        end(f"no row of {source}; the file's are of {', '.join(foreign)}: see --from-source")
     if report["unreadable"] or report.get("refused"):
         raise typer.Exit(EXIT_REFUSED)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from service.cli.ending import end
 from service.cli.studies.screen import (
-    EXIT_FAILED,
     EXIT_MISSED,
     AsJson,
     AsMarkdown,
@@ -88,8 +88,7 @@ def closed_loop(
     sensings = tuple(one for one in Sensing if not sensing or one.value in sensing)
     _require("mode", [mode], ("ground", "onboard"))
     if silence_h[1] and mode != "onboard":
-        typer.echo("--silence-h is for --mode onboard; over a link commands are lost as it is", err=True)
-        raise typer.Exit(EXIT_FAILED)
+        end("--silence-h is for --mode onboard; over a link commands are lost as it is")
     settings = (uplink, operation_days, drift_deg_h, yaw_sigma_deg, mode, silence_h)
     plan = LoopPlan(scenarios, runs, workers, sensings, *settings)
     with failures_told(PlantFailedError, BrokenExecutor, OSError), counted("loops") as show:
@@ -111,8 +110,7 @@ def _require(kind: str, reported: list[str], known: Sequence[str]) -> None:
     """Refuse a word that is not known."""
     for word in reported:
         if word not in known:
-            typer.echo(f"no {kind} {word!r}; there are {', '.join(known)}", err=True)
-            raise typer.Exit(EXIT_FAILED)
+            end(f"no {kind} {word!r}; there are {', '.join(known)}")
 
 
 def _command(plan: "LoopPlan") -> str:

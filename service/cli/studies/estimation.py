@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
+from service.cli.ending import end
 from service.cli.studies.screen import (
-    EXIT_FAILED,
     EXIT_MISSED,
     AsJson,
     AsMarkdown,
@@ -66,8 +66,7 @@ def _scenarios(named: list[str] | None, group: str | None) -> tuple[str, ...]:
     from service.study.estimation.scenarios import GROUPS
 
     if group is not None and group not in GROUPS:
-        typer.echo(f"no group {group!r}; there are {', '.join(GROUPS)}", err=True)
-        raise typer.Exit(EXIT_FAILED)
+        end(f"no group {group!r}; there are {', '.join(GROUPS)}")
     grouped = GROUPS[group or "all"] if group or not named else ()
     return tuple(dict.fromkeys([*grouped, *(named or ())]))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.ending import end
 from service.cli.extras import require
 from service.cli.studies.exit_code import ended_by_signals
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 EXIT_MISSED = 1
-EXIT_FAILED = 2
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON only.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Print the tables as sections of a page.")]
 
@@ -92,11 +92,9 @@ def failures_told(*failures: type[Exception]) -> Iterator[None]:
         with ended_by_signals():
             yield
     except KeyboardInterrupt:
-        typer.echo("stopped", err=True)
-        raise typer.Exit(EXIT_FAILED) from None
+        end("stopped")
     except failures as error:
-        typer.echo(f"the study failed: {error}", err=True)
-        raise typer.Exit(EXIT_FAILED) from error
+        end(f"the study failed: {error}", cause=error)
 
 
 def draw(folder: Path | None, study: str, drawn: Callable[[Any, Path], Iterable[Path]]) -> None:
