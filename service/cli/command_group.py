@@ -3,10 +3,13 @@
 import gc
 from collections.abc import Iterator, Mapping
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+
+#: exit code of a wrong option, or of one that names what cannot be had
+EXIT_USAGE = 2
 
 
 class CommandSource(NamedTuple):
@@ -83,3 +86,9 @@ def late_app(
     # Typer makes a group of what has a callback
     app.callback(cls=LateGroup, no_args_is_help=True)(_begin)
     return app
+
+
+def end(message: str, code: int = EXIT_USAGE, cause: BaseException | None = None) -> NoReturn:
+    """End the command with a message on standard error and an exit code."""
+    typer.echo(message, err=True)
+    raise typer.Exit(code) from cause

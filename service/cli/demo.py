@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.ending import end
+from service.cli.command_group import end
 from service.cli.extras import require
 from service.cli.studies.exit_code import ended_by_signals
 

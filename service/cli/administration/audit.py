@@ -12,8 +12,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.command_group import new_app
-from service.cli.ending import end
+from service.cli.command_group import end, new_app
 from service.cli.operation.connection import JsonOption
 from service.errors import StorageError
 from service.records.operations.audit import ChainFinding, findings

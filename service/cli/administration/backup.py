@@ -13,8 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from service.cli.administration.doctor import show
-from service.cli.command_group import new_app
-from service.cli.ending import end
+from service.cli.command_group import end, new_app
 from service.cli.operation.connection import JsonOption
 from service.records.storage.backup import BackupError, Manifest
 from service.records.storage.diagnosis import worst

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from service.cli.administration.audit import logged
-from service.cli.ending import end
+from service.cli.command_group import end
 from service.cli.operation.connection import JsonOption
 from service.records.storage.diagnosis import Diagnosis, State, worst
 

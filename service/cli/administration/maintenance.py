@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.ending import end
+from service.cli.command_group import end
 from service.cli.operation.connection import JsonOption
 
 EXIT_FAULT = 1

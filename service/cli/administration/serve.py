@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.ending import end
+from service.cli.command_group import end
 from service.errors import StorageError
 from service.runtime.log_format import write_log
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.ending import end
+from service.cli.command_group import end
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.ending import end
+from service.cli.command_group import end
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from service.cli.ending import end
+from service.cli.command_group import end
 from service.cli.studies.screen import (
     EXIT_MISSED,
     AsJson,
@@ -20,7 +20,7 @@ from service.cli.studies.screen import (
     console_of,
     counted,
     draw,
-    failures_told,
+    failures_shown,
     print_tables,
 )
 
@@ -91,7 +91,7 @@ def closed_loop(
         end("--silence-h is for --mode onboard; over a link commands are lost as it is")
     settings = (uplink, operation_days, drift_deg_h, yaw_sigma_deg, mode, silence_h)
     plan = LoopPlan(scenarios, runs, workers, sensings, *settings)
-    with failures_told(PlantFailedError, BrokenExecutor, OSError), counted("loops") as show:
+    with failures_shown(PlantFailedError, BrokenExecutor, OSError), counted("loops") as show:
         campaign = run_loops(plan, show, flights)
     draw(figures, "closed_loop", lambda study, folder: study.draw_campaign(campaign, folder))
     if as_json:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.ending import end
+from service.cli.command_group import end
 from service.cli.studies.screen import (
     EXIT_MISSED,
     AsJson,
@@ -18,7 +18,7 @@ from service.cli.studies.screen import (
     console_of,
     counted,
     draw,
-    failures_told,
+    failures_shown,
     print_tables,
 )
 
@@ -47,7 +47,7 @@ def estimation(
     from service.study.estimation.report import as_document, markdown, tables, verdict_lines
 
     plan = CampaignPlan(_scenarios(scenario, group), seeds, workers, operation_days)
-    with failures_told(ExportFailedError, BrokenExecutor, OSError), counted("worlds") as show:
+    with failures_shown(ExportFailedError, BrokenExecutor, OSError), counted("worlds") as show:
         campaign = run_campaign(plan, show)
     draw(figures, "estimation", lambda study, folder: study.draw_campaign(campaign, folder))
     command = _command(scenario, group, seeds, operation_days)

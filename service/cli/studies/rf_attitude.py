@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.cli.studies.published import report
-from service.cli.studies.screen import EXIT_MISSED, AsJson, AsMarkdown, Figures, draw, failures_told, named_steps
+from service.cli.studies.screen import EXIT_MISSED, AsJson, AsMarkdown, Figures, draw, failures_shown, named_steps
 
 
 def rf_attitude(
@@ -22,7 +22,7 @@ def rf_attitude(
     from service.study.estimation.flight.world import ExportFailedError
     from service.study.rf_attitude.reproduction import reproduce
 
-    with failures_told(ExportFailedError, UndrivenError, OSError), named_steps() as show:
+    with failures_shown(ExportFailedError, UndrivenError, OSError), named_steps() as show:
         rows, sessions = reproduce(seeds, show)
     draw(figures, "rf_attitude", lambda study, at: study.draw_reproduction(sessions[0], at))
     report(rows, "Attitude from retransmitted carriers, Yamal-200", as_json=as_json, as_markdown=as_markdown)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.ending import end
+from service.cli.command_group import end
 from service.cli.extras import require
 from service.cli.studies.exit_code import ended_by_signals
 
@@ -86,7 +86,7 @@ def named_steps() -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def failures_told(*failures: type[Exception]) -> Iterator[None]:
+def failures_shown(*failures: type[Exception]) -> Iterator[None]:
     """End with exit code 2 by a signal or by one of the failures."""
     try:
         with ended_by_signals():

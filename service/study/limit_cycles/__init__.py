@@ -1,4 +1,4 @@
 """Reproduction of the study of relay-pulse wheel control of a flexible spacecraft.
 
-Public: figures, report.
+Public: report.
 """

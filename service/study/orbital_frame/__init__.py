@@ -1,4 +1,4 @@
 """Reproduction of the orbital-frame control of Meteor-M No. 2 (Belenkii, Vasilev, Semenov).
 
-Public: figures, reproduction.
+Public: reproduction.
 """

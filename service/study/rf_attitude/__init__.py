@@ -1,4 +1,4 @@
 """Reproduction of attitude from retransmitted carriers on Yamal-200 (Sevast'yanov).
 
-Public: figures, reproduction.
+Public: reproduction.
 """
