@@ -35,7 +35,7 @@ class EpochSpan(NamedTuple):
 
 
 class Database:
-    """Engines, writer and what every repository needs of them.
+    """Engines and writer of one archive, shared by all repositories.
 
     Parameters
     ----------

@@ -83,4 +83,4 @@ class UnavailableError(SooError):
 
 
 class StorageError(SooError):
-    """The archive cannot keep or give what was asked; try again later."""
+    """The archive cannot be read or written; try again later."""

@@ -1,4 +1,4 @@
-"""When a sweep begins and ends: its states and its pace. No trace, no world, no SCPI.
+"""Progress of a sweep: its states and its pace. No trace, no world, no SCPI.
 
 ::
 

@@ -20,7 +20,7 @@ _FIELDS = {"start", "duration_s", "roll_n_m", "pitch_n_m", "yaw_n_m"}
 
 
 class ScheduleError(ValueError):
-    """A line holds no schedule that can be flown; the text says why."""
+    """A line holds no valid schedule; the text gives the reason."""
 
 
 class Schedule(NamedTuple):

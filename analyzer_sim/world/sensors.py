@@ -40,7 +40,7 @@ RADIO_BEACON = Sensor("radio_beacon", (0.1, _NONE, _NONE), session_min=20.0)
 
 @dataclass(frozen=True, slots=True)
 class References:
-    """Attitudes as the sensors told them, in order of epoch."""
+    """Attitudes measured by the sensors, in order of epoch."""
 
     #: (R,) microseconds
     epochs_us: EpochArray

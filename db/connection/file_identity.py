@@ -1,4 +1,4 @@
-"""The file under a name is the one that was opened: rows written into a file that was taken away are kept by nobody.
+"""Detection of a replaced or removed database file: rows written into a removed file would be lost.
 
 SQLite goes on reading and writing a file that was deleted, moved or replaced, and says nothing. Here the identities of
 the file and of its log are looked at before every transaction and after every COMMIT, some microseconds each time, so

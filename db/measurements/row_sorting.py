@@ -42,7 +42,7 @@ class SortedRows:
 
 @dataclass
 class _StoredRows:
-    """Contents of one source by epoch: what is stored, and what the batch adds."""
+    """Contents of one source by epoch: stored rows, and rows of the batch."""
 
     connection: Connection
     cache: SegmentCache

@@ -1,4 +1,4 @@
-"""Which sequence numbers of a source the archive holds, kept as intervals in the transaction that stores the rows.
+"""Sequence numbers of a source in the archive, kept as intervals in the transaction that stores the rows.
 
 A front end numbers its rows in the order in which it takes them. Numbers that start again while epochs go on are a new
 run, and so are numbers that jump by more than ``MAX_JUMP``; a late row that far off its run is not counted. A row of

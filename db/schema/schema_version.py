@@ -1,4 +1,4 @@
-"""Which schema a database has, and from which ones this version of the service can go on."""
+"""Schema version of a database, and the versions from which this service can migrate."""
 
 from pathlib import Path
 

@@ -32,7 +32,7 @@ _PAGE_DAYS = 7
 
 
 class DownloadError(ClientError):
-    """The files cannot be had as the manifest tells them."""
+    """The files cannot be downloaded as the manifest lists them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class DownloadProgress(NamedTuple):
 
 
 class _Day(NamedTuple):
-    """One day as the manifest tells it."""
+    """One day of the manifest."""
 
     path: Path
     href: str

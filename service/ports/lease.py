@@ -4,7 +4,7 @@ from typing import Protocol
 
 
 class Lease(Protocol):
-    """The right to do what only one service of an archive may do.
+    """Lease of an archive: its holder alone computes, maintains and releases.
 
     It ends with its holder, however that ends. What was written under it is refused, inside the transaction, once it
     is another's: StorageError ``lease.lost``.

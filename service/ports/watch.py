@@ -11,7 +11,7 @@ from service.records.operations.note import Note
 
 
 class Alarms(Protocol):
-    """Alarms, what happened to them, their limits, and what is about to alarm."""
+    """Port of alarms: their history, their limits, and the memory of their conditions."""
 
     def save(self, changes: Sequence[AlarmChange]) -> tuple[AlarmChange, ...]:
         """Store changes in one transaction and return them with their numbers, alarms that are new with their ids.

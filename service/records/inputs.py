@@ -13,7 +13,7 @@ from service.records.levels.attitude import Axes
 
 @dataclass(frozen=True, slots=True)
 class AttitudeReference:
-    """Attitude told by a sensor outside this service; NaN = the sensor does not see this angle."""
+    """Attitude measured by a sensor outside this service; NaN = the sensor does not measure this angle."""
 
     #: star_tracker, earth_sensor, radio_beacon or other
     source: str
@@ -43,7 +43,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True)
 class TelemetryRecord:
-    """On-board state told by the control centre."""
+    """On-board state reported by the control centre."""
 
     epoch_us: int
     onboard_mode: str | None = None

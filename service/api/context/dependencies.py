@@ -35,7 +35,7 @@ _DAY_S = 86_400.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Limits of what may come in, and of how long what goes out holds."""
+    """Limits of requests, and lifetimes of answers."""
 
     #: how far ahead of the system clock an epoch may lie
     future_tolerance_s: float = 5.0

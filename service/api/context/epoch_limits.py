@@ -1,4 +1,4 @@
-"""Which epochs a spacecraft's clock accepts, remembered for a second where the clock has to ask the database.
+"""Bounds of the epochs that a spacecraft's clock accepts, cached for a second where the clock queries the database.
 
 Under the data clock the present is the newest stored epoch, which only grows: what was accepted under a remembered one
 is accepted under the present one. A caller that is about to refuse an epoch asks for the present bounds first.

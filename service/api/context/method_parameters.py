@@ -1,4 +1,4 @@
-"""Which estimation method and which version of the results a request means."""
+"""Query parameters for the estimation method and the version of the results."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""How the service is looked at from outside: what counts as ready, who reads metrics, what is written of requests."""
+"""Settings of monitoring: criteria of readiness, access to metrics, log of requests."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""How many carriers a plan has, kept in memory: plans are immutable, and every batch asks."""
+"""Number of carriers of each plan, kept in memory: plans are immutable, and every batch needs it."""
 
 from collections import OrderedDict
 

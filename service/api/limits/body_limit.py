@@ -70,7 +70,7 @@ class BodyLimit:
 
 
 class _Counter:
-    """A receive channel that counts what passes."""
+    """Receive channel that counts the bytes of the body."""
 
     def __init__(self, receive: Receive, max_body_bytes: int, unpacker: "_Unpacker | None") -> None:
         self._receive = receive

@@ -27,7 +27,7 @@ class Part(NamedTuple):
 
 
 class SharedReadiness:
-    """The look at all parts that requests share: nobody's rate is counted here, so one look runs at a time.
+    """Shared check of all parts: requests for it have no rate limit, so one check runs at a time.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ Said = Annotated[RemarkDocument, optional_body(RemarkDocument)]
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Person who orders something of a spacecraft."""
+    """Operator who sends an order for a spacecraft."""
 
     context: ApiContext
     spacecraft_id: str

@@ -1,4 +1,4 @@
-"""Where planning takes carriers from: a running service, or a spacecraft and a carrier plan on disk, beams assumed.
+"""Sources of carriers for planning: a running service, or a spacecraft and a carrier plan on disk, beams assumed.
 
 Both end in the same document, that of ``GET .../carrier-selection``, and in the places of the stations.
 """

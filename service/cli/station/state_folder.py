@@ -1,4 +1,4 @@
-"""Where commands keep what must outlive them: the service manager's folder, else the user's folder for state."""
+"""Folder of state that outlives a command: the service manager's folder, else the user's folder for state."""
 
 import os
 from pathlib import Path

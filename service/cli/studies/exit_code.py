@@ -1,4 +1,4 @@
-"""How a study ends early: by a signal, once, with its processes."""
+"""End of a study by a signal: once, with its processes."""
 
 import signal
 from collections.abc import Iterator

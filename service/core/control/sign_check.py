@@ -1,4 +1,4 @@
-"""Which way a commanded turn goes: as commanded, the other way, or not at all, told by the powers alone.
+"""Sign check: direction of a commanded turn from the powers alone: as commanded, the other way, or not at all.
 
     y_i(t) = b_i + d(t) + g_i' (l + s p(t)) + (l + s p)' H_i (l + s p) / 2 + g_i' v t + coloured_i(t) + white_i(t)
 

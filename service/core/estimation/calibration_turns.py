@@ -1,4 +1,4 @@
-"""Which turns a calibration wants: every axis to both sides in steps, then the corners of all octants.
+"""Turns for a calibration: every axis to both sides in steps, then the corners of all octants.
 
 The law of this file: the spacecraft returns to zero between the axes, so that slow changes of the users' levels are
 seen apart from its turns, and consecutive corners differ in one sign, so that no slew is longer than it must be.

@@ -1,4 +1,4 @@
-"""Which carriers to measure: weighted A-optimal choice by exchange.
+"""Choice of the carriers to measure: weighted A-optimal design by exchange.
 
 ``minimise sum_j u_j^2 C_jj``: C the covariance in deg^2 of (yaw, roll, pitch) from the rows ``[a_i 1] / sigma_i`` of
 the chosen carriers (a in dB/deg), u the weights. Yaw weighs 0.05 because no choice makes it good and any choice that

@@ -1,4 +1,4 @@
-"""How well a set of carriers determines the attitude.
+"""Observability of the attitude by a set of carriers.
 
 ``dP = A l + c + e``: A in dB/deg with columns yaw, roll, pitch, l in deg, c one level common to all carriers in dB
 (only where asked for), e noise of sigma_i. Bound of Cramer and Rao: ``sqrt diag (B' W B)^-1`` with ``B = A`` or

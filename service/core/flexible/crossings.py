@@ -1,4 +1,4 @@
-"""When the angle that the sensor sees comes to a line, and when the momentum comes to zero or to its limit.
+"""Times at which the measured angle reaches a line, and the momentum zero or its limit.
 
 A crossing has a direction: +1 upwards, -1 downwards. A line already passed that way at the start of a leg is crossed at
 once; on the line itself the rate decides. A rigid body is followed from turn to turn, with Newton's steps between; a

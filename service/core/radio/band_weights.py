@@ -1,4 +1,4 @@
-"""Which bins of a trace belong to which carrier: the weights of one setting of the analyzer.
+"""Weights of the bins of a trace for each carrier, for one setting of the analyzer.
 
 A bucket covers ``f_i +- df/2``; a band takes the part of it that lies inside. Weights depend on the settings alone, so
 they are made once and every sweep is one matrix product.

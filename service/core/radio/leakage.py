@@ -1,4 +1,4 @@
-"""How much of a neighbour's power the skirt of the resolution filter carries into a carrier's band.
+"""Leakage of a neighbour's power into a carrier's band by the skirt of the resolution filter.
 
 A raised-cosine carrier of unit power, density S(f), is seen through the Gaussian filter as ``S * |H|^2 / ENBW``; the
 part of it that falls into the integration band of carrier i is

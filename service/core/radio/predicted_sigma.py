@@ -1,4 +1,4 @@
-"""How far a measured carrier power scatters, from the settings of the sweep alone.
+"""Predicted scatter of a measured carrier power, from the settings of the sweep alone.
 
 A Gaussian resolution filter of 3 dB width RBW has the noise bandwidth ``ENBW = RBW sqrt(pi / (4 ln 2)) = 1.0645 RBW``.
 Power detected in it over a dwell t is a sum of about ``N = sqrt(2) ENBW t`` independent exponential powers; over a

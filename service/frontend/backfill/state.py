@@ -1,4 +1,4 @@
-"""How far an archive has been sent, kept in a small file beside it, and the rows that were refused.
+"""State of sending an archive, kept in a small file beside it, and the refused rows.
 
 Law of this file: the state is replaced as a whole and written through after every answer of the service; it belongs to
 one content of the file (SHA-256) and one destination. What stands in the file of refused rows beyond what the state

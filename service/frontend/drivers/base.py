@@ -12,7 +12,7 @@ from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO
 
 
 class SweepRefusedError(Exception):
-    """The analyzer answered, but did not do what it was told; its own words are in the text."""
+    """The analyzer refused a command; its own message is in the text."""
 
 
 class Features(NamedTuple):

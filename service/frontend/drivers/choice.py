@@ -1,4 +1,4 @@
-"""Which driver speaks to which analyzer: asked of ``*IDN?``, before which no connection is believed."""
+"""Choice of the driver of an analyzer by its answer to ``*IDN?``, which also proves the connection."""
 
 import re
 

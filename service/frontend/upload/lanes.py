@@ -1,4 +1,4 @@
-"""Which rows go next: the live lane and the backfill lane take turns while both have rows, so that neither starves.
+"""Choice of the rows to send next: the live lane and the backfill lane alternate while both have rows.
 
 ::
 

@@ -27,7 +27,7 @@ _KINDS_THAT_TURN = ("station_keeping", "momentum_unloading", "calibration_turn",
 
 
 class _Effect:
-    """Sum of what the operations of one step do."""
+    """Sum of the effects of the operations of one step."""
 
     def __init__(self, carriers: int, transponders: int) -> None:
         self.is_masked: BoolArray = np.zeros(carriers, dtype=np.bool_)

@@ -43,7 +43,7 @@ class Lookup(Protocol):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """Slow inputs reduced to what holds now."""
+    """Slow inputs in force now."""
 
     spacecraft: Spacecraft | None = None
     plan: CarrierPlan | None = None

@@ -37,7 +37,7 @@ class AssumedBeam(NamedTuple):
 
 
 class AssumedNoise(NamedTuple):
-    """Noise taken for every carrier, and what it stands for."""
+    """Noise assumed for every carrier, and its origin."""
 
     meaning: str
     white_db: float

@@ -47,7 +47,7 @@ class Rule(StrEnum):
 
 @dataclass(frozen=True)
 class CarrierSet:
-    """C carriers and what they see."""
+    """C carriers and their sensitivities."""
 
     #: in the order of choice
     chosen: IntArray

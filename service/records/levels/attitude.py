@@ -82,7 +82,7 @@ class AttitudeFix:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeRow:
-    """L4: what one method says about one measurement.
+    """L4: attitude estimate of one method at one measurement.
 
     Tables, exports and answers derive from these fields (`service.records.record_fields`); a text beside a type is the
     description in the interface. A new field stands at the end, with the default that older rows have

@@ -28,7 +28,7 @@ class ValueMemory:
 
 @dataclass(frozen=True, slots=True)
 class WatchMemory:
-    """One watch and what it is about."""
+    """Memory of one condition of one subject."""
 
     condition: str
     thing: str

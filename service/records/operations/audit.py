@@ -77,7 +77,7 @@ class AuditFilter:
 
 @dataclass(frozen=True, slots=True)
 class ChainFinding:
-    """One place where a chain is not what it was."""
+    """One inconsistency of a chain."""
 
     number: int
     #: changed | missing | truncated | beyond_head | announced

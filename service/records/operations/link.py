@@ -54,7 +54,7 @@ class LinkReport:
 
 @dataclass(frozen=True, slots=True)
 class LinkState:
-    """The newest report of a link, and what is wanted of it."""
+    """Newest report of a link, and its requested state."""
 
     report: LinkReport
     reported_at_us: int

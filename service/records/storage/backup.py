@@ -9,7 +9,7 @@ FORMAT = 1
 
 
 class BackupError(Exception):
-    """A backup cannot be made, trusted or put back; says why and what to do."""
+    """A backup cannot be made, trusted or restored; the text gives the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,7 +42,7 @@ class _Seen:
 
 
 class ClockChecks:
-    """Reads what the clock makes true or false.
+    """Checks of one spacecraft and of the service that depend on the clock.
 
     Parameters
     ----------

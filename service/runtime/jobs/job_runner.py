@@ -21,7 +21,7 @@ Progress = Callable[[float], None]
 
 
 class JobAbortedError(Exception):
-    """The work cannot be done; the text tells the operator why and what to do."""
+    """The work cannot be done; the text gives the reason and the remedy."""
 
 
 class JobRunner:

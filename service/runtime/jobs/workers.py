@@ -32,7 +32,7 @@ _DIED = "its worker process ended unexpectedly; check the system log for lack of
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerConfig:
-    """Bounds of what is computed in worker processes."""
+    """Bounds of the computations in worker processes."""
 
     processes: int = setting(2, "worker processes that compute analyses and calibrations", CHOSEN)
     max_waiting: int = setting(8, "analyses that wait while all workers compute; one more is 429", CHOSEN)

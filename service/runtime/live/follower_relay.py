@@ -13,7 +13,7 @@ _AT_ONCE = 256
 
 
 class Relay:
-    """Follows what is stored of each spacecraft.
+    """Follower of the stored rows of each spacecraft.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ class DocumentCache:
 
 
 class Trip(NamedTuple):
-    """A trip of control as the journal tells it."""
+    """Trip of control as it stands in the journal."""
 
     number: int
     at_us: int

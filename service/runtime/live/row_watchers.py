@@ -13,14 +13,14 @@ Seen = RowEvidence | AttitudeReference
 
 
 class Watcher(Protocol):
-    """Looks at what was computed, after it was stored; must not make the chain wait."""
+    """Watcher of stored results; it must not make the chain wait."""
 
     def on_rows(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
         """Take over rows that are neither late nor caught up with, and references, in the order of the journal."""
 
 
 class ReleaseWatcher(Protocol):
-    """Looks at what control may follow from, after it was stored."""
+    """Watcher of stored rows on which control depends."""
 
     def on_rows(self, spacecraft_id: str, seen: Sequence[StoredRow], *, has_inputs: bool = False) -> None:
         """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""

@@ -50,7 +50,7 @@ class ControllerOutput:
 
 
 class Controller(Protocol):
-    """Decides, row by row, what is sent."""
+    """Controller that decides row by row which command is sent."""
 
     def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:
         """Return what is to be sent under a counter; only a controller with perfect sensing may read the truth."""

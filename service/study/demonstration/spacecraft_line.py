@@ -11,7 +11,7 @@ _AXES = ("yaw", "roll", "pitch")
 
 
 class SpacecraftLineError(Exception):
-    """The line to the spacecraft broke, or a schedule was refused on the way to it; the text says why."""
+    """The line to the spacecraft broke, or it refused a schedule; the text gives the reason."""
 
 
 class SpacecraftReport(NamedTuple):

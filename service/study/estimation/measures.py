@@ -1,4 +1,4 @@
-"""Everything that is measured of one answer in one world, and its figures over the seeds of a scenario.
+"""Measures of one estimate in one world, and their statistics over the seeds of a scenario.
 
 A figure is a number under the name that the table of bounds uses. The mean over seeds is taken where the bounds ask
 for one; delays and what happens to a single rain count by their worst case, shares are pooled. What did not occur has

@@ -53,7 +53,7 @@ MIN_CARRIERS = 4
 
 
 class _Row(NamedTuple):
-    """A row with what is told about it."""
+    """Row with the known motion and declarations of its step."""
 
     #: (N,) dB, NaN = absent or masked
     deviation_db: FloatArray

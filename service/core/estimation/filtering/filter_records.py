@@ -37,7 +37,7 @@ class FilterState(NamedTuple):
 
 
 class FilterStep(NamedTuple):
-    """State after a row and what is told about it."""
+    """State after a row and the result of the row."""
 
     state: FilterState
     #: (3,) deg and (3, 3) deg^2

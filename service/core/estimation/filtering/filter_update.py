@@ -121,7 +121,7 @@ def innovate(
 
 
 class Updated(NamedTuple):
-    """State after a row and what the row said."""
+    """State after a row and the residuals of the row."""
 
     state: Gaussian
     #: (3,) shift of the attitude in units of its own sigma; white and of unit variance while the model holds

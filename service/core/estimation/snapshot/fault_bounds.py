@@ -1,4 +1,4 @@
-"""How large a fault of one carrier must be to be seen, and what it does while it is not.
+"""Smallest detectable fault of one carrier, and the attitude error of an undetected one.
 
 A fault f of carrier i shows in its own residual as ``(1 - h_i) f``, h_i its leverage; the fix takes ``K_i f`` of it,
 K the gain of the fix. The carrier is excluded beyond ``gate`` sigmas; for nine cases of ten

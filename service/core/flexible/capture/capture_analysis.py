@@ -1,4 +1,4 @@
-"""Everything about the capture of one axis by one mode, from plain numbers."""
+"""Capture of one axis by one mode: complete analysis from plain numbers."""
 
 from typing import NamedTuple
 

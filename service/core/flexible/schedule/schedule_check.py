@@ -26,7 +26,7 @@ _SAME_INTERVAL = 1e-6
 
 
 class Suggestion(NamedTuple):
-    """One change of a schedule and what it would give."""
+    """One change of a schedule and its effect."""
 
     #: "split": each pulse in two halves that far apart; "width": pulses of that length, impulse kept; "interval":
     #: pulses that far apart; "wait": send it that much later

@@ -1,4 +1,4 @@
-"""Why a row leads to no torque: the row's own reasons, those of the spacecraft's settings, and those of the law."""
+"""Reasons for which a row leads to no torque: of the row, of the spacecraft's settings, and of the law."""
 
 from service.pipeline.control.command.mean_torque import is_gyro_orbitant, rate_inhibition
 from service.records.catalogue import ControlMode, Spacecraft

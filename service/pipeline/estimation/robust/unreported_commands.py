@@ -29,7 +29,7 @@ Motion = Correction | AppliedCommand | ReportedCommand
 
 @dataclass(frozen=True)
 class ReportedMotion:
-    """A motion or a release that the ground told."""
+    """Motion or release known from the ground."""
 
     content: Motion | ReleasedCommand
     record: Spacecraft | None
