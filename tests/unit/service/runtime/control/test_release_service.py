@@ -276,11 +276,8 @@ def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
     assert driver.view.is_withheld
     driver.rows(12)
     assert driver.releases.reported[-1].is_withheld is False
-    assert [event.action for event in driver.archive.audit_events] == [
-        "interlock_armed",
-        "interlock_tripped",
-        "interlock_inhibited",
-    ]
+    actions = [event.action for event in driver.archive.audit_events]
+    assert actions == ["interlock_armed", "interlock_tripped", "interlock_inhibited"]
 
 
 def test_under_automatic_release_the_interlock_watches_and_a_trip_withholds():
@@ -300,18 +297,13 @@ def test_under_automatic_release_the_interlock_watches_and_a_trip_withholds():
 
 
 @pytest.mark.parametrize(
-    ("changes", "code"),
-    [
-        ({"mode": ControlMode.ONBOARD}, "control.mode"),
-        ({"mode": ControlMode.OFF}, "control.mode"),
-        ({"onboard": Onboard(fast_loop=True)}, "control.mode"),
-    ],
+    "changes", [{"mode": ControlMode.ONBOARD}, {"mode": ControlMode.OFF}, {"onboard": Onboard(fast_loop=True)}]
 )
-def test_modes_without_torques_from_the_ground_release_none(driver, changes, code):
+def test_modes_without_torques_from_the_ground_release_none(driver, changes):
     driver.archive.change_spacecraft(**changes)
     driver.rows(12)
     for order in (lambda: driver.order(OrderKind.ARM), driver.prepare, lambda: driver.engage("ann")):
-        with pytest.raises(ConflictError, match=code.replace(".", r"\.")):
+        with pytest.raises(ConflictError, match=r"control\.mode"):
             order()
 
 
