@@ -1,7 +1,6 @@
 """Context of the release of one spacecraft: facts of the archive, newest rows, rows of a running sign check."""
 
 import math
-import time
 from collections import deque
 from dataclasses import dataclass, field, replace
 
@@ -30,8 +29,6 @@ _NOT_PRESENT = frozenset({"late", "catch_up"})
 _OWN_TURN = "unannounced_motion"
 #: the estimator's reason for its statistic
 _OUT_OF_BAND = "innovations"
-#: facts of the archive hold for so long, unless something came in, s
-_FACTS_S = 20.0
 
 
 @dataclass(slots=True)
@@ -89,11 +86,6 @@ class ReleaseContext:
         if len(self.epochs_us) < 2:
             return _DEFAULT_PERIOD_S
         return float(np.median(np.diff(np.array(self.epochs_us)))) / US_PER_S
-
-    @property
-    def are_facts_old(self) -> bool:
-        """Return whether the archive should be asked again."""
-        return self.known is None or time.monotonic() - self.read_s > _FACTS_S
 
     @property
     def stale_us(self) -> int:

@@ -30,6 +30,8 @@ from service.runtime.control.spacecraft_release import SpacecraftRelease
 from service.runtime.live.leadership import Term, always, elsewhere
 
 _LOG = logging.getLogger("soo.release")
+#: facts of the archive hold for so long, unless something came in, s
+_FACTS_S = 20.0
 
 
 def _steady_us() -> int:
@@ -175,7 +177,7 @@ class ReleaseLoop:
 
     def _update_inputs(self, context: ReleaseContext, spacecraft_id: str, at: Instant) -> None:
         """Read the facts of the archive if they are old, and handle a change of the interlock's inputs."""
-        if context.are_facts_old:
+        if context.known is None or time.monotonic() - context.read_s > _FACTS_S:
             context.known = read_facts(self.storage, spacecraft_id, at.now_us)
             context.read_s = time.monotonic()
         release, is_disagreeing = context.release, context.is_disagreeing

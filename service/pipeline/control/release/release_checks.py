@@ -32,7 +32,8 @@ def release_checks(
     """
     interlock, epoch_us, yaw = state.interlock, command.attitude_epoch_us, command.gross_impulse_n_m_s.yaw
     sent_n_m_s = sent_within_an_hour(state, at.now_us)
-    excesses = envelope_excesses(effect_of(command), sent_n_m_s, envelope or settings.envelope)
+    effect = Effect(*(getattr(command, name) for name in Effect._fields))
+    excesses = envelope_excesses(effect, sent_n_m_s, envelope or settings.envelope)
     newest_us, period_s = (0, 0.0) if interlock.row is None else (interlock.row.epoch_us, interlock.row.period_s)
     stale_us = settings.stale_us(period_s, settings.prepared_s if waiting_s is None else waiting_s)
     waiting = [each.counter for each in state.commands if each.state in UNREPORTED]
@@ -83,11 +84,6 @@ def _schedule_checks(command: Command, at: Instant, settings: ReleaseSettings) -
 def first_failure(checks: tuple[CommandCheck, ...]) -> Refusal | None:
     """Return the refusal of the first check that fails."""
     return next((Refusal(check.code, check.detail) for check in checks if not check.is_ok), None)
-
-
-def effect_of(command: Command) -> Effect:
-    """Return the predicted effect of a command as the envelope measures it."""
-    return Effect(*(getattr(command, name) for name in Effect._fields))
 
 
 def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
