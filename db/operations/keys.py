@@ -83,14 +83,6 @@ def _insert(connection: Connection, stored: StoredKey) -> AccessKey:
 
 
 def _stored_of(row: Row[Any]) -> StoredKey:
-    key = AccessKey(
-        id=row.key_id,
-        name=row.name,
-        role=Role(row.role),
-        created_at_us=row.created_at_us,
-        created_by=row.created_by,
-        expires_at_us=row.expires_at_us,
-        last_used_us=row.last_used_us,
-        revoked_at_us=row.revoked_at_us,
-    )
-    return StoredKey(key, bytes(row.digest))
+    columns = dict(row._mapping) | {"role": Role(row.role)}  # noqa: SLF001 - the public name of it
+    digest = columns.pop("digest")
+    return StoredKey(AccessKey(id=columns.pop("key_id"), **columns), bytes(digest))

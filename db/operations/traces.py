@@ -6,6 +6,7 @@ the new traces, oldest epoch first.
 
 import zlib
 from collections.abc import Sequence
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -23,23 +24,9 @@ from service.records.levels.trace import KeptTrace, Ring, Trace, TraceHead, Trac
 _CHUNK = 500
 #: the fastest level: the others gain a hundredth of the size
 _PACK_LEVEL = 1
-_SETTINGS = (
-    trace_table.c.start_hz,
-    trace_table.c.step_hz,
-    trace_table.c.rbw_hz,
-    trace_table.c.enbw_hz,
-    trace_table.c.sweep_time_s,
-)
-_HEAD = (
-    trace_table.c.trace_id,
-    trace_table.c.source,
-    trace_table.c.epoch_us,
-    trace_table.c.sweep,
-    trace_table.c.points,
-    trace_table.c.received_at_us,
-    trace_table.c.size_bytes,
-    *_SETTINGS,
-)
+_SETTINGS = tuple(trace_table.c[field.name] for field in fields(TraceSettings))
+_OF_HEAD = ("trace_id", "source", "epoch_us", "sweep", "points", "received_at_us", "size_bytes")
+_HEAD = (*(trace_table.c[name] for name in _OF_HEAD), *_SETTINGS)
 
 
 class SqlTraces(Repository):
@@ -166,11 +153,7 @@ def _values(key: int, source: str, trace: Trace, received_at_us: int) -> dict[st
         "size_bytes": len(powers),
         "received_at_us": received_at_us,
         "points": len(trace.power_dbm),
-        "start_hz": trace.settings.start_hz,
-        "step_hz": trace.settings.step_hz,
-        "rbw_hz": trace.settings.rbw_hz,
-        "enbw_hz": trace.settings.enbw_hz,
-        "sweep_time_s": trace.settings.sweep_time_s,
+        **asdict(trace.settings),
         "powers": powers,
     }
 

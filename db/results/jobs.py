@@ -1,6 +1,6 @@
 """Jobs and replays, a part of ``service.ports.Results``."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from sqlalchemy import Connection, select, update
 from sqlalchemy.exc import IntegrityError
@@ -69,14 +69,8 @@ class SqlJobs(Repository):
 
 
 def _insert_job(connection: Connection, record: Job) -> None:
-    values = {
-        "job_id": record.id,
-        "kind": record.kind,
-        "state": record.state.value,
-        "progress": record.progress,
-        "created_at_us": record.created_at_us,
-        "error": record.error,
-    }
+    values = asdict(record) | {"state": record.state.value}
+    values["job_id"] = values.pop("id")
     try:
         connection.execute(job_table.insert().values(values))
     except IntegrityError as fault:

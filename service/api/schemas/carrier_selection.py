@@ -1,7 +1,10 @@
 """Selection of carriers: the carriers with reasons, their observability, alternative sets, and turns."""
 
 from enum import StrEnum
-from typing import Self
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import BeforeValidator
 
 from service.api.schemas.base import AnglesAnswer, Answer, Figure
 from service.pipeline.planning.candidates import Candidates
@@ -15,6 +18,14 @@ from service.pipeline.planning.planning import (
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import named_axes
 from service.runtime.jobs.archive_analysis import CarrierRecommendation
+
+
+def _named(values: Any) -> Any:
+    """Return angles of an array by name."""
+    return named_axes(values) if isinstance(values, np.ndarray) else values
+
+
+_Angles = Annotated[AnglesAnswer, BeforeValidator(_named)]
 
 
 class Turns(StrEnum):
@@ -38,7 +49,7 @@ class RecommendedCarrierAnswer(Answer):
     """Axis it was chosen for, else the one it answers to most."""
     dominance: Figure
     """Scaled answer to that axis over the greatest of the others."""
-    sensitivity_db_per_deg: AnglesAnswer
+    sensitivity_db_per_deg: _Angles
     sigma_db: Figure
     """Noise of one row, correlated parts included."""
     residual_rms_db: Figure
@@ -50,20 +61,15 @@ class RecommendedCarrierAnswer(Answer):
     def of(cls, recommendation: Recommendation, k: int) -> Self:
         """Return the answer for what is recommended of the k-th carrier."""
         candidates, word = recommendation.candidates, recommendation.words[k]
-        return cls.model_validate(
-            {
-                "carrier": candidates.carrier_ids[k],
-                "transponder": candidates.transponders[k],
-                "selected": word.rank is not None,
-                "rank": word.rank,
-                "axis": word.axis,
-                "dominance": word.dominance,
-                "sensitivity_db_per_deg": named_axes(candidates.sensitivity_db_per_deg[k]),
-                "sigma_db": float(candidates.sigma_db[k]),
-                "residual_rms_db": float(candidates.residual_rms_db[k]),
-                "departure_deg": float(candidates.nonlinearity_deg[k]),
-                "reasons": word.reasons,
-            }
+        return super().of(
+            word,
+            carrier=candidates.carrier_ids[k],
+            transponder=candidates.transponders[k],
+            selected=word.rank is not None,
+            sensitivity_db_per_deg=candidates.sensitivity_db_per_deg[k],
+            sigma_db=float(candidates.sigma_db[k]),
+            residual_rms_db=float(candidates.residual_rms_db[k]),
+            departure_deg=float(candidates.nonlinearity_deg[k]),
         )
 
 
@@ -75,7 +81,7 @@ class SetCarrierAnswer(Answer):
     """How much of the carrier's own error the fix follows, 0 to 1; those of a set add up to its unknowns."""
     undetectable_fault_db: Figure
     """Fault that one row overlooks in one case of ten; null where no other carrier checks it."""
-    fault_shift_deg: AnglesAnswer
+    fault_shift_deg: _Angles
     """What that fault moves."""
 
 
@@ -83,7 +89,7 @@ class AveragedSigmaAnswer(Answer):
     """Bound after averaging rows of a minute while the attitude stands still, with the learned noise."""
 
     span_s: float
-    sigma_deg: AnglesAnswer
+    sigma_deg: _Angles
 
 
 class CarrierSetAnswer(Answer):
@@ -93,14 +99,14 @@ class CarrierSetAnswer(Answer):
     """In the order of choice."""
     condition: Figure
     """Of the sensitivities; null = infinite."""
-    dop: AnglesAnswer
+    dop: _Angles
     """deg per dB, without a common level."""
-    dop_with_common: AnglesAnswer
+    dop_with_common: _Angles
     angle_dop: Figure
     """deg per dB, of the three angles together."""
-    crlb_deg: AnglesAnswer
+    crlb_deg: _Angles
     """Smallest sigma of one row, with a common-mode unknown."""
-    crlb_without_common_deg: AnglesAnswer
+    crlb_without_common_deg: _Angles
     averaged: list[AveragedSigmaAnswer]
     common_share: Figure
     """Share of a change common to all carriers that some attitude explains, 0 to 1."""
@@ -118,32 +124,27 @@ class CarrierSetAnswer(Answer):
         """Return the answer for a set."""
         statistics = found.figures
         names = [candidates.carrier_ids[k] for k in found.chosen]
-        return cls(
+        carriers = [
+            {
+                "carrier": name,
+                "leverage": float(statistics.leverage[k]),
+                "undetectable_fault_db": float(statistics.undetectable_fault_db[k]),
+                "fault_shift_deg": statistics.fault_shift_deg[k],
+            }
+            for k, name in enumerate(names)
+        ]
+        averaged = zip(AVERAGING_SPANS_S, found.averaged_deg, strict=True)
+        return super().of(
+            statistics,
             selected=names,
-            condition=statistics.condition,
-            dop=AnglesAnswer.of(named_axes(statistics.dop_deg_per_db)),
-            dop_with_common=AnglesAnswer.of(named_axes(statistics.dop_with_common_deg_per_db)),
+            dop=statistics.dop_deg_per_db,
+            dop_with_common=statistics.dop_with_common_deg_per_db,
             angle_dop=statistics.angle_dop_deg_per_db,
-            crlb_deg=AnglesAnswer.of(named_axes(statistics.crlb_deg)),
-            crlb_without_common_deg=AnglesAnswer.of(named_axes(statistics.crlb_without_common_deg)),
-            averaged=[
-                AveragedSigmaAnswer(span_s=span_s, sigma_deg=AnglesAnswer.of(sigma))
-                for span_s, sigma in zip(AVERAGING_SPANS_S, found.averaged_deg, strict=True)
-            ],
-            common_share=statistics.common_share,
-            redundancy=statistics.redundancy,
+            averaged=[{"span_s": span_s, "sigma_deg": sigma} for span_s, sigma in averaged],
             transponder_share=found.transponder_share,
             sufficient=not found.shortcomings,
-            shortcomings=list(found.shortcomings),
-            carriers=[
-                SetCarrierAnswer(
-                    carrier=name,
-                    leverage=float(statistics.leverage[k]),
-                    undetectable_fault_db=float(statistics.undetectable_fault_db[k]),
-                    fault_shift_deg=AnglesAnswer.of(named_axes(statistics.fault_shift_deg[k])),
-                )
-                for k, name in enumerate(names)
-            ],
+            shortcomings=found.shortcomings,
+            carriers=carriers,
         )
 
 
@@ -206,9 +207,9 @@ class CarrierSelectionAnswer(Answer):
     selected: list[str]
     """In the order of choice; fewer than asked for when there are not enough."""
     condition: Figure
-    dop: AnglesAnswer
+    dop: _Angles
     """deg per dB"""
-    crlb_deg: AnglesAnswer
+    crlb_deg: _Angles
     """One row, with a common-mode unknown."""
     sufficient: bool
     """Whether the subset has all that the robust method wants."""

@@ -28,7 +28,7 @@ from service.frontend.drivers.trace_reader import TraceReader
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import InputPart, SweepPart
 from service.records.epoch import US_PER_S, parse_epoch
-from service.records.levels.sweep import Sweep, SweepSettings
+from service.records.levels.sweep import SWEEP_FLAGS, Sweep, SweepSettings
 
 #: a reset may take this long, s
 RESET_S = 20.0
@@ -163,11 +163,7 @@ class ScpiDriver:
             (first.epoch_us + last.epoch_us) // 2,
             first.settings,
             np.mean([each.power_mw for each in taken], axis=0),
-            any(each.is_overrange for each in taken),
-            any(each.is_uncalibrated for each in taken),
-            any(each.is_reference_unlocked for each in taken),
-            any(each.is_stale for each in taken),
-            any(each.is_setting_mismatch for each in taken),
+            **{name: any(getattr(each, name) for each in taken) for name in SWEEP_FLAGS},
         )
 
     def _checked_sweep(self, sweep_id: str) -> Sweep:

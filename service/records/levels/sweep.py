@@ -1,6 +1,6 @@
 """Level L0: one trace of the analyzer with the settings under which it was really taken."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,3 +52,7 @@ class Sweep:
     is_stale: bool = False
     #: settings changed under the front end's hands or were not taken
     is_setting_mismatch: bool = False
+
+
+#: fields that say what is wrong with a trace
+SWEEP_FLAGS = tuple(field.name for field in fields(Sweep) if field.name.startswith("is_"))

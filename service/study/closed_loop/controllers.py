@@ -20,7 +20,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, Axes, FloatArray, Status
+from service.records.levels.attitude import AttitudeRow, Axes, FloatArray, Status, row_without_attitude
 from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
 from service.records.levels.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
@@ -155,26 +155,18 @@ def postponed(command: TorqueCommand, lead_s: float) -> TorqueCommand:
 
 def _row_of_truth(measurement: Measurement, truth: SpacecraftTruth) -> AttitudeRow:
     """Return the row that perfect sensing would have led to."""
-    return AttitudeRow(
-        epoch_us=measurement.epoch_us,
-        received_at_us=measurement.epoch_us,
-        number=measurement.number,
-        method=Method.ROBUST,
+    epoch_us = measurement.epoch_us
+    return replace(
+        row_without_attitude(epoch_us, epoch_us, measurement.number, Method.ROBUST, ()),
         attitude_deg=truth.attitude_deg,
         sigma_deg=Axes(0.0, 0.0, 0.0),
         rates_deg_s=_rates_of_angles(truth),
         status=Status.ACQUIRED,
         control_allowed=True,
         control_allowed_axes=(True, True, True),
-        inhibitions=(),
-        carriers_used=0,
-        excluded=(),
-        downlink_fade=False,
         downlink_fade_db=0.0,
         common_db=0.0,
         residual_rms_db=0.0,
-        calibration_id=None,
-        alignment_id=None,
     )
 
 
