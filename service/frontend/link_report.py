@@ -89,7 +89,7 @@ class LinkReporter:
         return [{**link, "state": STOPPED} for link in links] if self._is_ending else links
 
     def _front_end(self) -> dict[str, Any]:
-        """Return what the front end says of itself."""
+        """Return the report of the front end itself."""
         stations = list(self._stations.values())
         goods = [each.uploader.counters.last_good_us for each in stations]
         newest_us = max((each for each in goods if each is not None), default=None)
@@ -124,7 +124,7 @@ class LinkReporter:
 
 
 def analyzer_link(station: MeasuringStation, period_s: float) -> dict[str, Any]:
-    """Return what one analyzer's link says of itself."""
+    """Return the report of one analyzer's link."""
     acquisition, counters, spool = station.acquisition, station.acquisition.counters, station.spool.state
     upload = station.uploader.counters
     return {

@@ -119,7 +119,7 @@ class MeasuringStation:
         return self._summary()
 
     def _summary(self) -> StationSummary:
-        """Return what the run came to."""
+        """Return the summary of the run."""
         state = self.spool.state
         if state.waiting:
             logger.warning("%s: %d rows wait in the spool for the next start", self.link_id, state.waiting)

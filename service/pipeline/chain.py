@@ -152,12 +152,12 @@ class Chain:
         )
 
     def command_evidence(self) -> CommandEvidence | None:
-        """Return what the newest row that was not late says of commands; None where no method can tell."""
+        """Return the evidence of the newest row in time on commands; None where no method has any."""
         reported = (runner.command_evidence() for runner in self._runners)
         return next((evidence for evidence in reported if evidence is not None), None)
 
     def facts(self, measurement: Measurement, outcome: Outcome | None) -> RowEvidence:
-        """Return what alarms look at in the row that was stepped last."""
+        """Return the evidence of the row that was stepped last, for alarms."""
         running = next((runner for runner in self._runners if runner.is_running), None)
         spacecraft = self._knowledge.spacecraft
         return RowEvidence(

@@ -177,7 +177,7 @@ def _has_width(rows: ReceivedRows, width: int) -> BoolArray:
 
 
 def _details(details: Details, index: IntArray, width: int) -> CarrierDetails:
-    """Return what the rows at some places state beside their powers, each (T, N)."""
+    """Return the details beside powers of the rows at some positions, each (T, N)."""
     blank = [None] * width
     kept = [details[position] for position in index.tolist()]
     return CarrierDetails(
@@ -207,7 +207,7 @@ def _refusal(
 
 
 def _detail(code: str, rows: ReceivedRows, position: int, width: int, bounds: EpochBounds) -> str:
-    """Return what is wrong with one row and what to do."""
+    """Return the fault of one row and its remedy."""
     if code == "value.count":
         return f"plan {rows.plan_id} has {width} carriers; the row has {_counts(rows, position)}"
     if code == "time.too_old":

@@ -1,4 +1,4 @@
-"""Operator: whoever commands corrections from the powers that the product sees, with a plain filter of his own.
+"""Operator: commands corrections from the powers that the product sees, with a plain filter of his own.
 
     z = x + A n        n noise and weather of the stations, cut at half a decibel; A pseudo-inverse of [J 1]
 

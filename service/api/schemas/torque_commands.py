@@ -1,4 +1,4 @@
-"""Commands to be released: what a person wants, what was prepared, what became of it, what goes up."""
+"""Documents of released commands: requests, prepared commands, reports, uplink products."""
 
 from typing import Annotated, Literal, Self
 
@@ -17,14 +17,14 @@ CommandState = Literal[
 
 
 class PrepareDocument(Document):
-    """What a person wants to have prepared."""
+    """Request to prepare a command."""
 
     reason: Reason
-    """Why; it stands with the command for ever."""
+    """Reason of the command, kept with it."""
     attitude_epoch: Epoch | None = None
-    """Estimate that the person has looked at; null: the newest."""
+    """Epoch of the estimate to use; null: the newest."""
     start: Epoch | None = None
-    """When the schedule begins; null: as soon as the uplink allows."""
+    """Start of the schedule; null: as soon as the uplink allows."""
     duration_s: Annotated[float, Field(gt=0, le=86_400)] | None = None
     """From the first pulse to the end of the last; null: the forecast horizon of the spacecraft's control."""
     max_torque_n_m: Annotated[float, Field(gt=0, le=1e3)] | None = None
@@ -38,7 +38,7 @@ class PrepareDocument(Document):
 
 
 class ConfirmDocument(Document):
-    """What a second person confirms."""
+    """Confirmation of a prepared command by a second person."""
 
     digest: Annotated[Text, Field(min_length=1)]
     """Of the command as it was prepared."""
@@ -46,12 +46,12 @@ class ConfirmDocument(Document):
 
 
 class ReportDocument(Document):
-    """What the centre tells of a released command; the same report again changes nothing."""
+    """Report of the centre on a released command; the same report again changes nothing."""
 
     at: Epoch | None = None
-    """When it happened; null: now."""
+    """Instant of the event; null: now."""
     executed_from: Epoch | None = None
-    """Part that was carried out; null: from the beginning."""
+    """Start of the executed part; null: the beginning."""
     executed_until: Epoch | None = None
     """Null: to the end (executed), or nothing at all (failed, with a null `executed_from`)."""
 
@@ -64,7 +64,7 @@ _PREDICTED = ("angle_change_deg", "rate_change_deg_s", "peak_angle_deg", "peak_r
 
 
 class PredictedCommandAnswer(members_of(Command, only=_PREDICTED, number=float), Answer):
-    """What a command will have done when its last pulse has ended, against no command."""
+    """Predicted effect of a command at the end of its last pulse, against no command."""
 
 
 class CommandAnswer(
@@ -102,7 +102,7 @@ class CommandPage(RowPage):
 
 
 class UplinkAnswer(members_of(UplinkProduct, types={"digest": str | None, "schedule": PulseAnswer}), Answer):
-    """What goes up through the centre's own channels; it never changes."""
+    """Uplink product for the centre's own channels; it never changes."""
 
     @classmethod
     def of(cls, product: UplinkProduct) -> Self:

@@ -280,12 +280,12 @@ class Acquisition:
         return self._cycle
 
     def _longest_s(self) -> float:
-        """Return what no action takes: twice the cycle with all its waits, a reset, and every answer late."""
+        """Return a time that no action exceeds: the cycle with all its waits, resets, and every answer late."""
         waits_s = len(self._task.sweeps) * (self._settings.hold_s + 4.0 * self._settings.io_timeout_s)
         return 3.0 * self._cycle_s + waits_s + 3.0 * RESET_S
 
     def _allow(self, bound_s: float) -> None:
-        """Say how long the action in hand may take from now on."""
+        """Set the time that the present action may take from now on."""
         self._bound_s = time.monotonic() + bound_s
 
     def _note(self, state: AcquisitionState, fault: Exception) -> None:

@@ -119,7 +119,7 @@ class SweepEvaluation:
         )
 
     def _flags(self, power: CarrierPower, bands: CarrierBands, is_visible: BoolArray) -> NDArray[np.int64]:
-        """Return what the powers themselves say about their quality."""
+        """Return the quality flags that follow from the powers themselves."""
         power_mw = mw_from_dbm(np.where(is_visible, power.power_dbm, np.nan))
         leak = leaked_ratio(self._share, power_mw)
         offset = np.abs(power.centroid_hz - bands.center_hz) / bands.symbol_rate_hz

@@ -32,7 +32,7 @@ class AcquisitionOrders:
         self._has_heard = False
 
     def apply(self, *, is_enabled: bool, resets: int) -> None:
-        """Take what the service says: whether the link may measure, and how many resets were asked for so far.
+        """Apply the state that the service requests: link enabled or not, and number of resets so far.
 
         Resets asked for before the first answer were meant for an earlier start and are not carried out once more.
         """

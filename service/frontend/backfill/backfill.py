@@ -103,7 +103,7 @@ class _Foreign(NamedTuple):
 
 
 def check_archive(client: ServiceClient, order: ArchiveOrder) -> dict[str, Any]:
-    """Return what sending would meet: rows, span, columns, sources, and the first faults; nothing is sent."""
+    """Return a preview of sending: rows, span, columns, sources, and the first faults; nothing is sent."""
     with closing(order.open_file(order.path)) as archive:
         _, columns = _plan_columns(client, order, archive)
         rows, unreadable, in_order = 0, 0, True

@@ -59,7 +59,7 @@ class FileColumns(NamedTuple):
 
 
 def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> FileColumns:
-    """Return what the columns of a header are under a plan.
+    """Return the columns of a header under a plan.
 
     Raises
     ------

@@ -34,7 +34,7 @@ def dialect_of(identity: Identity, named: str = "auto") -> Dialect:
 
 
 def identify(session: VisaSession) -> Identity:
-    """Return what the analyzer says it is.
+    """Return the identity that the analyzer states.
 
     Raises
     ------

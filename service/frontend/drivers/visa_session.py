@@ -168,7 +168,7 @@ class VisaSession:
             return True
 
     def _interface(self) -> object:
-        """Return what pyvisa-py holds the connection in: a socket, or an instrument with two."""
+        """Return the object in which pyvisa-py holds the connection: a socket, or an instrument with two."""
         try:
             return getattr(self._visa.visalib.sessions.get(self._visa.session), "interface", None)
         except (pyvisa.Error, AttributeError):

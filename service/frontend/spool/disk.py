@@ -131,7 +131,7 @@ class SpoolDisk:
         return file
 
     def _is_removed(self) -> bool:
-        """Tell whether the name leads to another file by now, or to none."""
+        """Return whether the file was replaced or removed."""
         try:
             found = self._path.stat()
         except FileNotFoundError:
@@ -146,12 +146,12 @@ class SpoolDisk:
 
 
 def _is_spoiled(error: Exception) -> bool:
-    """Tell whether an error says that the file is spoiled."""
+    """Return whether an error means that the file is damaged."""
     return isinstance(error, SpoolDamagedError) or (isinstance(error, sqlite3.Error) and is_damage(error))
 
 
 def _is_no_room(error: Exception) -> bool:
-    """Tell whether an error says that the disk is full."""
+    """Return whether an error means that the disk is full."""
     if isinstance(error, sqlite3.Error):
         return primary_code(error) == sqlite3.SQLITE_FULL
     return isinstance(error, OSError) and error.errno in _NO_ROOM

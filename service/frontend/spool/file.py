@@ -128,7 +128,7 @@ class SpoolFile:
         return int(found[0]) if found else 0
 
     def tallies(self) -> dict[str, int]:
-        """Return what was counted since the file was begun."""
+        """Return the counters since the file was begun."""
         return dict(self.connection.execute("SELECT name, count FROM tally"))
 
     def store(

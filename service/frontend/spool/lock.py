@@ -60,7 +60,7 @@ class SpoolLock:
         os.close(self._file)
 
     def _read(self) -> dict[str, object]:
-        """Return what the file says, nothing when it is empty or spoiled."""
+        """Return the content of the lock file, nothing when it is empty or damaged."""
         try:
             said = json.loads(os.pread(self._file, 4096, 0))
         except (OSError, ValueError):

@@ -90,7 +90,7 @@ def decode_row(epoch_us: int, blobs: Sequence[bytes]) -> MeasuredRow:
 
 
 def size_of(blobs: Sequence[bytes]) -> int:
-    """Return what a row counts against the bound, bytes."""
+    """Return the size of a row for the bound of the spool, bytes."""
     return ROW_OVERHEAD + sum(map(len, blobs))
 
 

@@ -95,12 +95,12 @@ def primary_code(error: sqlite3.Error) -> int:
 
 
 def is_damage(error: sqlite3.Error) -> bool:
-    """Tell whether an error says that the file is spoiled."""
+    """Return whether an error means that the file is damaged."""
     return primary_code(error) in _DAMAGED
 
 
 def leaves_connection_good(error: sqlite3.Error) -> bool:
-    """Tell whether the connection may be used on after an error."""
+    """Return whether the connection can still be used after an error."""
     return primary_code(error) in _UNHARMED or getattr(error, "sqlite_errorcode", 0) in _UNHARMED_FURTHER
 
 

@@ -91,7 +91,7 @@ def sweep_time_s(sweep: SweepPart) -> float:
 
 
 def plan_task(task: MeasurementTask, period_s: float | None = None) -> TaskPlan:
-    """Return what speaks against a task, and the scatter to be expected of every carrier.
+    """Return the findings against a task, and the predicted scatter of every carrier.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def plan_task(task: MeasurementTask, period_s: float | None = None) -> TaskPlan:
 
 
 def recheck(task: MeasurementTask, sweep: SweepPart, actual: SweepSettings) -> list[TaskFinding]:
-    """Return what speaks against a sweep as the analyzer really takes it and did not speak against it as asked for."""
+    """Return the findings against a sweep as the analyzer takes it that did not hold against the requested one."""
     taken = sweep.model_copy(
         update={
             "points": actual.points,
@@ -134,7 +134,7 @@ def recheck(task: MeasurementTask, sweep: SweepPart, actual: SweepSettings) -> l
 
 
 def _of_sweep(task: MeasurementTask, sweep: SweepPart) -> list[TaskFinding]:
-    """Return what speaks against one sweep and the carriers in it."""
+    """Return the findings against one sweep and the carriers in it."""
     findings = _sweep(sweep)
     for carrier in task.carriers_of(sweep.id):
         findings += [*_carrier(carrier, sweep), *_goal(carrier, predict_sigma_db(carrier, sweep))]

@@ -42,7 +42,7 @@ class BatchReply(NamedTuple):
 
 
 def read_receipt(reply: Any, rows: int) -> BatchReply | None:
-    """Return what a 2xx says; None when it does not account for every row, once."""
+    """Return the content of a 2xx answer; None when it does not account for every row, once."""
     try:
         accepted, duplicates, late = int(reply["accepted"]), int(reply["duplicates"]), int(reply.get("late", 0))
         refused = {int(each["index"]): (str(each["code"]), str(each["detail"])) for each in reply["refused"]}

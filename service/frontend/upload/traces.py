@@ -73,7 +73,7 @@ class TraceSender:
         self._from_s = float("-inf")
 
     def is_due(self) -> bool:
-        """Tell whether there is something to send to a service that may take it."""
+        """Return whether a trace waits and the service may accept it."""
         return self._spool.traces_waiting > 0 and self._elapsed_s() >= self._from_s
 
     def patience_s(self) -> float:
@@ -139,7 +139,7 @@ def _as_json(trace: SpooledTrace) -> dict[str, Any]:
 
 
 def _accounts_for(reply: Any, traces: int) -> bool:
-    """Tell whether an answer accounts for every trace."""
+    """Return whether an answer accounts for every trace."""
     try:
         return int(reply["accepted"]) + int(reply["duplicates"]) + len(reply.get("refused", ())) == traces
     except (KeyError, TypeError, ValueError):

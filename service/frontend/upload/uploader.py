@@ -292,7 +292,7 @@ class Uploader:
         self._finishing.wait(wait_s)
 
     def _recovered(self) -> None:
-        """Say that the service answers again."""
+        """Log once that the service answers again."""
         if self._is_down:
             logger.info("the service answers again; %d rows wait to be sent", self._spool.waiting)
         self._is_down = False
@@ -300,7 +300,7 @@ class Uploader:
 
 
 def _log_binding(binding: PlanBinding) -> None:
-    """Say which plan is in use and what is missing on either side."""
+    """Log the plan in use and the carriers missing on either side."""
     logger.info("rows are sent by carrier plan %d with %d carriers", binding.plan_id, binding.positions.size)
     if binding.unknown:
         logger.warning("carriers of the task that the plan lacks are not sent: %s", ", ".join(binding.unknown))

@@ -108,7 +108,7 @@ class AlarmEngine:
         return self._context
 
     def watches(self) -> tuple[WatchMemory, ...]:
-        """Return what is watched, for the next start; newest values are told again by the next row."""
+        """Return the memory of the conditions, for the next start; the next row brings the newest values."""
         fresh = ValueMemory()
         return tuple(
             WatchMemory(condition, thing, replace(watch, value=fresh.value, newest_us=fresh.newest_us))

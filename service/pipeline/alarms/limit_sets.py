@@ -75,7 +75,7 @@ class AlarmContext(NamedTuple):
 def context(
     operations: Iterable[Operation], plan: CarrierPlan | None, epoch_us: int, *, is_raining: bool
 ) -> AlarmContext:
-    """Return what holds at an epoch, and for how long if no operation changes."""
+    """Return the context of alarms at an epoch, and its span if no operation changes."""
     wanted = {NORMAL, RAIN} if is_raining else {NORMAL}
     quiet: set[str] = set()
     since_us, until_us = AlarmContext().since_us, AlarmContext().until_us
@@ -116,7 +116,7 @@ def _changed(limits: ConditionLimits, name: str, stated: AlarmLimits, sets: Sequ
 
 
 def faults_of(conditions: Mapping[str, AlarmCondition], stated: AlarmLimits) -> tuple[FieldError, ...]:
-    """Return what is wrong with stated limits: unknown conditions, severities out of order."""
+    """Return the faults of stated limits: unknown conditions, severities out of order."""
     faults = []
     for chosen, statements in stated.sets.items():
         for name in statements:

@@ -76,7 +76,7 @@ class RowReader:
         self._nominal_dbm = nominal_dbm
 
     def read_row(self, facts: RowEvidence) -> list[AlarmChange]:
-        """Look at a row; one that is late or out of order changes nothing."""
+        """Read a row; a late row or one out of order changes nothing."""
         epoch_us = facts.measurement.epoch_us
         if facts.measurement.is_late or epoch_us <= (self._newest_us or 0):
             return []
@@ -115,7 +115,7 @@ class RowReader:
         return self._engine.enter(self._holds, epoch_us)
 
     def _of_carriers(self, facts: RowEvidence) -> Iterator[Readings]:
-        """Yield what is to be looked at carrier by carrier: rows as they should be cost a few extremes of arrays."""
+        """Yield the readings of single carriers; a row without findings costs a few extremes of arrays."""
         if facts.plan is not self._plan:
             self._use_plan(facts.plan)
         measurement, is_settled = facts.measurement, self._engine.is_settled
@@ -140,7 +140,7 @@ class RowReader:
             yield Readings(condition, levels.carrier_ids, away_db)
 
     def _of_attitude(self, facts: RowEvidence, driving: AttitudeRow) -> Iterator[Readings]:
-        """Yield what is to be looked at in the rows of the methods."""
+        """Yield the readings of the rows of the methods."""
         is_settled, is_told = self._engine.is_settled, driving.status is Status.ACQUIRED
         angles_deg = tuple(map(abs, driving.attitude_deg)) if is_told else (math.nan,) * 3
         if not is_settled("attitude_angle", max(angles_deg)):

@@ -94,7 +94,7 @@ def _limits_table(conditions: dict[str, AlarmCondition]) -> str:
 
 
 def _words(condition: AlarmCondition) -> str:
-    """Return what a condition says, what tells it, and what to do."""
+    """Return text, origin and next step of a condition."""
     says = condition.says.format(thing="*name*", value="*value*")
     says = f"* **`{condition.name}`**: {says}; checked at {condition.origin.value}."
     return _wrapped(f"{says} What to do: {condition.next_step}.")
@@ -113,7 +113,7 @@ def _wrapped(text: str, width: int = 118) -> str:
 
 
 def _sets_table() -> str:
-    """Return what the sets change by default."""
+    """Return the default changes by the limit sets."""
     rows = ["| set | condition | changes |", "|---|---|---|"]
     for name, statements in DEFAULT_SETS.items():
         for condition, statement in statements.items():

@@ -105,7 +105,7 @@ def _window(
     ephemeris: Ephemeris,
     config: AlignmentConfig,
 ) -> _Window:
-    """Return what the powers of the window say, the motion of the spacecraft over it taken away."""
+    """Return the levels of the window, corrected for the motion of the spacecraft over it."""
     fit = result.geometry
     assert fit is not None  # noqa: S101 the caller has asked
     expected = ExpectedLevel(model, fit, ephemeris)

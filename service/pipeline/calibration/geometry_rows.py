@@ -139,7 +139,7 @@ def plan_positions(plan: CarrierPlan, spacecraft: Spacecraft) -> PlanPositions:
 
 
 def orbit_motion(data: CalibrationInput, epochs_us: IntArray, positions: PlanPositions) -> OrbitMotion | None:
-    """Return what ballistics says at some epochs; None without a track."""
+    """Return the motion by ballistics at some epochs; None without a track."""
     reported, spacecraft = data.ephemeris.track, data.spacecraft
     if reported is None or spacecraft is None or len(reported.epochs_us) < 4:
         return None

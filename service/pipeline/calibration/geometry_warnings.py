@@ -41,7 +41,7 @@ def calibration_warnings(
 
 
 def _about_windows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConfig) -> Iterator[str]:
-    """Yield what is wrong with the windows and what was declared inside them."""
+    """Yield warnings on the windows and on operations declared inside them."""
     quiet = rows.rows.epoch_s[rows.is_quiet]
     span_s = float(quiet[-1] - quiet[0])
     if span_s < config.short_quiet_days * _DAY_S:
@@ -75,7 +75,7 @@ def _about_windows(data: CalibrationInput, rows: GeometryRows, config: Calibrati
 def _about_track(
     data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray, config: CalibrationConfig
 ) -> Iterator[str]:
-    """Yield what a missing track costs, and whether the daily change contradicts the one there is."""
+    """Yield warnings on a missing track, or on a daily change that contradicts it."""
     if not joint.fit.is_dish_law:
         yield (
             "no track of the satellite over the windows: two harmonics stand for the dishes; they age with the orbit's "
@@ -109,7 +109,7 @@ def _daily_excess(rows: GeometryRows, joint: JointFit, is_used: BoolArray, perio
 
 
 def _about_sensors(rows: GeometryRows, config: CalibrationConfig) -> Iterator[str]:
-    """Yield what the noise of the sensors costs."""
+    """Yield warnings on the noise of the sensors."""
     for name, sigma_deg, shrink in zip(_AXIS_NAMES, rows.angles.sensor_sigma_deg, slope_shrink(rows), strict=True):
         # yaw has no slope of its own to shrink
         if name != "yaw" and shrink > config.max_slope_shrink:
@@ -122,7 +122,7 @@ def _about_sensors(rows: GeometryRows, config: CalibrationConfig) -> Iterator[st
 def _about_carriers(
     data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray, config: CalibrationConfig
 ) -> Iterator[str]:
-    """Yield what is wrong with single carriers."""
+    """Yield warnings on single carriers."""
     names, is_lonely = data.plan.carrier_ids, small_groups(joint.group)
     for k, carrier in enumerate(data.plan.carriers):
         if not carrier.enabled:

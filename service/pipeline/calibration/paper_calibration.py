@@ -281,7 +281,7 @@ def _median_present(values: FloatArray) -> float:
 def _warnings(
     data: CalibrationInput, quiet: _Quiet, is_selected: BoolArray, config: CalibrationConfig
 ) -> tuple[str, ...]:
-    """Return what an operator should know before activating."""
+    """Return the warnings for the operator who activates it."""
     warnings = []
     needed_s = config.short_quiet_periods * data.ephemeris.nodal_period_s
     if quiet.span_s < needed_s:

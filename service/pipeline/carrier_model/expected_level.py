@@ -51,7 +51,7 @@ def expected_levels(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris
 
 
 def _motion(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, epochs_us: IntArray) -> OrbitMotion | None:
-    """Return what the track says at some epochs, None without a track."""
+    """Return the motion of the satellite by the track at some epochs, None without a track."""
     if ephemeris.track is None:
         return None
     reported = ephemeris.track
@@ -64,7 +64,7 @@ def _motion(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, epochs
 
 
 def daily_error_db(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, start_us: int) -> FloatArray:
-    """Return what a day's change of each carrier (N,) may have wrong by the calibration's own covariance, rms, dB.
+    """Return the error of each carrier's daily change (N,) by the calibration's own covariance, rms, dB.
 
     Small over the orbit of the quiet days; weeks later the satellite moves along another line, of which they told less.
     Zero where the ephemeris does not reach.

@@ -62,13 +62,13 @@ class MethodRunner(Protocol):
         """Return the row of a measurement; the state moves on unless the row is late."""
 
     def carrier_states(self) -> dict[str, CarrierState]:
-        """Return what is known of each carrier of the calibration after the newest row."""
+        """Return the state of each carrier of the calibration after the newest row."""
 
     def carrier_levels(self) -> CarrierLevels | None:
         """Return the figures of the newest row that was not late, None before it; they are not copied."""
 
     def command_evidence(self) -> CommandEvidence | None:
-        """Return what the newest row that was not late says of commands; None where the method cannot tell."""
+        """Return the evidence of the newest row in time on commands; None where the method has none."""
 
     def disturbance(self) -> Disturbance | None:
         """Return the torque that acts without being fed forward; None where the method knows of none."""

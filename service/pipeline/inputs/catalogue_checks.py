@@ -86,7 +86,7 @@ def check_positions(positions: Sequence[Position], satellite_longitude_deg: floa
 
 
 def check_carriers(carriers: Sequence[Carrier], satellite_longitude_deg: float) -> CatalogueFindings:
-    """Return what is wrong with the stations and frequencies of a carrier plan, and what is doubtful."""
+    """Return the errors and warnings on stations and frequencies of a carrier plan."""
     stations = [
         Position(f"/carriers/{k}/station", carrier.station.latitude_deg, carrier.station.longitude_deg)
         for k, carrier in enumerate(carriers)

@@ -20,7 +20,7 @@ _STATED_CONSTANT_SHARE = 0.2
 
 
 def residual_deg_h2(spacecraft: Spacecraft | None, unknown_n_m: float) -> tuple[float, float, float]:
-    """Return what the torque of unknown shape that is not fed forward does to yaw, roll and pitch.
+    """Return the accelerations of yaw, roll and pitch by the torque of unknown shape that is not fed forward.
 
     Where the catalogue does not state its size, `unknown_n_m` is the prior.
     """
@@ -63,7 +63,7 @@ def fed_forward(spacecraft: Spacecraft | None) -> FedForward | None:
 
 
 def _accelerations(torque_n_m: AxisTorques, spacecraft: Spacecraft) -> FloatArray:
-    """Return what a torque does to yaw, roll and pitch (3,), deg/h^2."""
+    """Return the accelerations of yaw, roll and pitch by a torque (3,), deg/h^2."""
     torque = np.array([torque_n_m.yaw, torque_n_m.roll, torque_n_m.pitch])
     return np.asarray(torque / DEG_H2_N_M / np.array(angle_inertia_kg_m2(spacecraft)))
 

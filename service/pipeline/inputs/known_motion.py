@@ -79,7 +79,7 @@ def heard(
 def motions_of_released(
     commanded: CommandedMotion, released: ReleasedCommand, record: Spacecraft | None, newest_us: int
 ) -> CommandedMotion:
-    """Return what a released command would change: its own pulses, and what is known to be under way without it."""
+    """Return the effect of a released command: its own pulses, and the known motion under way without it."""
     nothing = CommandedMotion(commanded.since_us)
     own = _with(nothing, _of_pulses(released.schedule, record, counter=released.counter), newest_us)
     start_us = first_us(released.schedule)
@@ -139,7 +139,7 @@ def _ended(
 
 
 def _rest(motion: _Motion, from_us: int) -> _Motion | None:
-    """Return what takes away the part of a pulse that lies after an instant; None where there is none."""
+    """Return the reverse of the part of a motion after an instant; None where there is none."""
     if motion.stop_us <= from_us:
         return None
     cut_us = max(motion.start_us, from_us)
@@ -162,7 +162,7 @@ def _with(
 
 
 def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[KnownMotion, CommandedMotion]:
-    """Return what was commanded between two epochs with all that is late, and the changes that are left."""
+    """Return the motion commanded between two epochs with all late ones, and the remaining changes."""
     correction, rate = np.zeros(3), np.array(commanded.late_rate_deg_h)
     late = np.array(commanded.late_deg)
     # the filter lets a gained rate act for half of the step: a late one acted for all of it, a pulse from its middle on

@@ -134,7 +134,7 @@ def judged_set(candidates: Candidates, chosen: IntArray) -> CarrierSet:
 
 
 def _shortcomings(figures: SetStatistics, transponders: list[str], share: float) -> tuple[str, ...]:
-    """Return what a set lacks, with its figures and what is asked for."""
+    """Return the requirements that a set misses, with its figures and the required ones."""
     count = len(transponders)
     fullest = max(sorted(set(transponders)), key=transponders.count, default="")
     texts = (
@@ -172,7 +172,7 @@ def _bound_deg(candidates: Candidates, chosen: IntArray) -> FloatArray:
 
 
 def _optimal_word(k: int, candidates: Candidates, chosen: IntArray, yaw_scale: float) -> CarrierWord:
-    """Return what the optimal rule says about the k-th carrier: what the bounds would be with the other answer."""
+    """Return the judgement of the optimal rule on the k-th carrier: the bounds with the other decision."""
     dominance_of = axis_dominance(candidates.sensitivity_db_per_deg[k : k + 1], yaw_scale=yaw_scale)[0]
     is_measured = bool(np.isfinite(candidates.sensitivity_db_per_deg[k]).all())
     name = _AXIS_NAMES[int(np.argmax(dominance_of))] if is_measured else None
@@ -198,7 +198,7 @@ def _changes(ratio: FloatArray) -> str:
 
 
 def _paper_word(k: int, candidates: Candidates, by_axis: AxisSelection) -> CarrierWord:
-    """Return what the paper's rule says about the k-th carrier, with figures."""
+    """Return the judgement of the paper's rule on the k-th carrier, with figures."""
     reason, axis = SelectionReason(int(by_axis.reason[k])), int(by_axis.axis[k])
     name = _AXIS_NAMES[axis] if axis >= 0 else None
     dominance = float(by_axis.dominance[k])

@@ -101,7 +101,7 @@ def is_plain_name(text: str) -> bool:
 
 
 def name_key(name: str) -> str:
-    """Return what two names must not have in common."""
+    """Return the form of a name that must be unique."""
     return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold()).strip()
 
 
@@ -131,7 +131,7 @@ def id_of(text: str) -> str | None:
 
 
 def digest_of(text: bytes) -> bytes:
-    """Return what is kept of a key."""
+    """Return the digest of a key, which is stored in its place."""
     return sha256(text).digest()
 
 

@@ -84,7 +84,7 @@ class CommandCheck:
 
 
 class Purpose(StrEnum):
-    """What a command is for."""
+    """Purpose of a command."""
 
     CONTROL = "control"
     #: a turn whose torque the filter does not get
@@ -163,7 +163,7 @@ class Command:
 
 
 class ProductForm(StrEnum):
-    """What an uplink product carries."""
+    """Content of an uplink product: torques or angles."""
 
     #: mode ground: a released schedule
     TORQUES = "torques"

@@ -99,12 +99,12 @@ class AlarmService:
         return self._notices
 
     def start(self) -> None:
-        """Look from now on."""
+        """Start the thread of the alarm checks."""
         self._notices.start()
         self._thread.start()
 
     def stop(self) -> None:
-        """Look at what has been handed over and end."""
+        """Process the rows that wait and end the thread."""
         self._is_stopping = True
         self._arrived.set()
         if self._thread.is_alive():
@@ -197,7 +197,7 @@ class AlarmService:
             return saved[-1].alarm
 
     def _run(self) -> None:
-        """Look until stopped, and a last time then."""
+        """Check alarms until stopped, and once more then."""
         next_check_s = time.monotonic()
         while not self._is_stopping:
             self._arrived.wait(max(0.0, next_check_s - time.monotonic()))
@@ -210,7 +210,7 @@ class AlarmService:
         self._check_clock()
 
     def _check_rows(self) -> None:
-        """Look at everything that was handed over."""
+        """Process all rows that wait."""
         with self._lock:
             if not self._is_on_duty():
                 self._queue.clear()
@@ -226,7 +226,7 @@ class AlarmService:
                         self._report(persisted.store(changes))
 
     def _check_clock(self) -> None:
-        """Look at what time makes true, and keep what is about to happen."""
+        """Check the conditions that depend on the clock, and store the memory of the alarm engine."""
         is_thorough = self._polls % _CHECKS_A_POLL == 0
         self._polls += 1
         with self._lock:
@@ -241,7 +241,7 @@ class AlarmService:
                 self._check(self._persisted(None), readings, self._clock.system_us())
 
     def _check_spacecraft(self, spacecraft_id: str, *, is_thorough: bool) -> None:
-        """Look at one spacecraft; one that has no present yet has nothing to look at."""
+        """Check one spacecraft by its clock; without a row its clock has no present and nothing is checked."""
         now_us = self._clock.now_us(spacecraft_id)
         if now_us is None:
             return

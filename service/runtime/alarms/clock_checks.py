@@ -62,7 +62,7 @@ class ClockChecks:
         self._down_since_us: dict[str, int] = {}
 
     def of_inputs(self, spacecraft_id: str, reader: RowReader, now_us: int) -> Iterator[Readings]:
-        """Yield what is looked at in what comes in: age of the newest row, missing rows, links and their warnings."""
+        """Yield the readings of the inputs: age of the newest row, missing rows, links and their warnings."""
         seen = self._seen.setdefault(spacecraft_id, _Seen(now_us))
         sources = self._storage.archive.sources(spacecraft_id)
         yield from self._age(sources, reader, seen, now_us)
@@ -70,7 +70,7 @@ class ClockChecks:
         yield from self._links(spacecraft_id)
 
     def of_release(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
-        """Yield what is looked at in the release of torques, as it is stored."""
+        """Yield the readings of the stored release of torques."""
         releases = self._storage.releases
         state = state_of(releases.stored(spacecraft_id).document, partial(releases.command, spacecraft_id))
         tripped_s = max((now_us - state.interlock.since_us) / US_PER_S, _LEAST_AGE_S)
@@ -85,7 +85,7 @@ class ClockChecks:
         yield Readings("report_late", tuple(f"command {each.counter}" for each in waiting), tuple(over_s))
 
     def of_foundations(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
-        """Yield what is looked at in what the estimate rests on: calibrations and ephemeris."""
+        """Yield the readings of calibrations and ephemeris."""
         active = self._storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
         ages = {f"{one.request.method} {one.id}": now_us - one.request.data_until_us for one in active}
         yield Readings("calibration_old", tuple(ages), tuple(age_us / _DAY_US for age_us in ages.values()))
@@ -96,7 +96,7 @@ class ClockChecks:
         yield Readings("ephemeris_ending", ("newest",), ((ephemeris.valid_stop_us - now_us) / _HOUR_US,))
 
     def of_service(self, now_us: int) -> Iterator[Readings]:
-        """Yield what is looked at in what the service lives on: disk and keys."""
+        """Yield the readings of disk and keys."""
         free_bytes = self._storage.state().free_bytes
         if free_bytes is not None:
             yield Readings("disk_full", ("archive",), (free_bytes / _MB,))

@@ -172,7 +172,7 @@ class NoticeChannels:
 
 
 def notice_of(change: AlarmChange, conditions: Mapping[str, AlarmCondition]) -> dict[str, Any]:
-    """Return what is told: JSON without NaN, epochs as the interface tells them."""
+    """Return a notice: JSON without NaN, epochs as in the interface."""
     alarm, condition = change.alarm, conditions.get(change.alarm.condition)
     return {
         "sequence": change.sequence,

@@ -93,7 +93,7 @@ class ReleaseLoop:
                 for stored in seen:
                     self._on_row(context, spacecraft_id, stored)
         except Exception:  # noqa: BLE001 rows go on; what was not stored does not hold, and old estimates inhibit
-            _LOG.exception("release of %s failed for new rows", spacecraft_id)
+            _LOG.exception("release of %s could not handle new rows; old estimates inhibit control", spacecraft_id)
 
     @contextmanager
     def steady(self, spacecraft_id: str) -> Iterator[bool]:
@@ -101,7 +101,7 @@ class ReleaseLoop:
         try:
             release = self._context(spacecraft_id).release
         except SooError:
-            _LOG.exception("the release of %s cannot be read", spacecraft_id)
+            _LOG.exception("release of %s cannot be read from the archive; check it with `soo doctor`", spacecraft_id)
             yield False
             return
         with release.lock:
@@ -128,7 +128,7 @@ class ReleaseLoop:
             try:
                 self.tick()
             except Exception:  # noqa: BLE001 time goes on; a state that grows old inhibits
-                _LOG.exception("release loop failed")
+                _LOG.exception("release loop failed; it runs again at the next tick")
 
     def _context(self, spacecraft_id: str) -> ReleaseContext:
         """Return the context of a spacecraft, loaded when this service has become the one that leads.

@@ -38,7 +38,7 @@ class ReleasePublisher:
             if isinstance(effect, AuditEffect):
                 self._append(effect.action, f"/spacecraft/{spacecraft_id}/{effect.target}", at)
             elif isinstance(effect, PublishEffect) and effect.warning:
-                _LOG.warning("release of %s: %s", spacecraft_id, effect.warning)
+                _LOG.warning("release warning of %s: %s", spacecraft_id, effect.warning)
         if PublishEffect in kinds and self.feed.has_subscribers(spacecraft_id):
             self.feed.publish(spacecraft_id, (FeedEvent("status", Cursor(0, 0), None),))
 
@@ -51,4 +51,4 @@ class ReleasePublisher:
         try:
             self.audit.append(event)
         except SooError as error:
-            _LOG.error("%s of %s is not in the audit log: %s", action, target, error)
+            _LOG.error("audit entry %s of %s could not be written: %s", action, target, error)

@@ -69,7 +69,7 @@ def _send(context: ReleaseContext, at: Instant) -> None:
         return
     step = context.release.handle(Automatic(at, proposal_of(computed, spacecraft, _REASON)))
     if step.refusal is not None:
-        _LOG.warning("release of %s: %s (%s)", spacecraft.id, step.refusal.detail, step.refusal.code)
+        _LOG.warning("automatic command of %s refused: %s (%s)", spacecraft.id, step.refusal.detail, step.refusal.code)
 
 
 def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None:

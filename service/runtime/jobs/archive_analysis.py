@@ -160,7 +160,7 @@ def _judging(storage: Storage, spacecraft_id: str) -> tuple[Calibration, Calibra
 
 
 def _notes(calibration: Calibration, result: CalibrationResult, plan: CarrierPlan) -> tuple[str, ...]:
-    """Return what to know before trusting the figures."""
+    """Return notes on the validity of the figures."""
     notes = []
     known = {carrier.id for carrier in result.carriers}
     fresh = [carrier.id for carrier in plan.carriers if carrier.id not in known and carrier.is_usable_for_attitude]

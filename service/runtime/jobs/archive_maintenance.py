@@ -73,7 +73,7 @@ class ArchiveMaintenance:
         self.failed_polls = 0
 
     def start(self) -> None:
-        """Look after the archive until stopped."""
+        """Start the maintenance thread, which runs until stopped."""
         self._thread = threading.Thread(target=self._run, name="soo-maintenance", daemon=True)
         self._thread.start()
 

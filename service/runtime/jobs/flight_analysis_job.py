@@ -76,7 +76,7 @@ class FlightAnalyses:
         return job
 
     def result(self, job_id: str) -> ClosedLoop | None:
-        """Return what a flight gave, None where it is not over, failed, or is no longer kept."""
+        """Return the result of a flight, None where it is not over, failed, or is no longer kept."""
         with self._lock:
             return self._results.get(job_id)
 

@@ -90,7 +90,7 @@ class Workers:
             raise BusyError("analysis.busy", detail)
 
     def run(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Found:
-        """Return what the work of a job gives, or raise what it raises.
+        """Return the result of a job's work, or raise its error.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class _Worker:
         self._is_ended = False
 
     def result(self, timeout_s: float, start: "_Start[Found]") -> Found:
-        """Return what a piece of work gives."""
+        """Return the result of one computation."""
         try:
             future = self._begun(start)
             if wait([future], timeout_s).done:

@@ -33,7 +33,7 @@ class Relay:
         self._positions.clear()
 
     def poll(self, spacecraft_id: str) -> None:
-        """Tell what has come since the last look."""
+        """Publish the entries since the last poll."""
         present = self._present(spacecraft_id)
         position = self._positions.setdefault(spacecraft_id, present)
         # who subscribes from here on finds in the archive what was stored up to this present

@@ -103,6 +103,6 @@ class Leading:
 
 
 def elsewhere() -> StorageError:
-    """Return what an order is answered with that only the leading service can carry out."""
+    """Return the error for an order that only the leading service can execute."""
     detail = "Another service of this archive leads: send the request to it, or retry when this one has taken over."
     return StorageError("lease.elsewhere", detail)

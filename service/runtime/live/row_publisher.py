@@ -34,7 +34,7 @@ class RowPublisher:
         self._reported: dict[str, int] = {}
 
     def begin(self, spacecraft_id: str, number: int) -> None:
-        """Say that a journal is followed from behind a number."""
+        """Start publishing the rows of a journal after a number."""
         with self._lock:
             self._reported[spacecraft_id] = max(number, self._reported.get(spacecraft_id, 0))
 
@@ -56,7 +56,7 @@ class RowPublisher:
         return None
 
     def followed(self, spacecraft_id: str, entries: Sequence[JournalEntry]) -> None:
-        """Tell of those rows among the next entries of a journal that were not told yet."""
+        """Publish those rows among the next entries of a journal that were not published yet."""
         with self._lock:
             reported = self._reported.get(spacecraft_id, 0)
             self._reported[spacecraft_id] = max(reported, entries[-1].number)
@@ -102,7 +102,7 @@ def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Meas
 
 
 def _details(details: CarrierDetails | None, position: int) -> CarrierDetails | None:
-    """Return what a row states beside its powers, None where it states nothing."""
+    """Return the details of a row beside its powers, None where it has none."""
     if details is None:
         return None
     statistics = details.row(position).astype(np.float64)

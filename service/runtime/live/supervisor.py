@@ -156,7 +156,7 @@ class Supervisor:
         return self._thread is not None and self._thread.is_alive()
 
     def notify(self, spacecraft_id: str, up_to: float = _UNKNOWN) -> None:
-        """Say that a journal has grown, up to a number where that is known; safe from any thread."""
+        """Notify the supervisor that a journal has grown, up to a number if known; safe from any thread."""
         with self._wake:
             self._due[spacecraft_id] = max(up_to, self._due.get(spacecraft_id, 0))
             self._wake.notify()
@@ -316,7 +316,7 @@ class Supervisor:
             self.notify(follower.spacecraft_id)
 
     def _publish(self, spacecraft_id: str, events: tuple[FeedEvent, ...]) -> None:
-        """Tell the feed what was stored, if anybody listens."""
+        """Publish stored events if the spacecraft has subscribers."""
         # asked after it was stored: a later subscriber finds it in the archive
         if events and self._feed.has_subscribers(spacecraft_id):
             self._feed.publish(spacecraft_id, events)
@@ -353,7 +353,7 @@ class Supervisor:
 
 
 def _seen(chain: Chain, entry: JournalEntry, outcomes: Sequence[Outcome]) -> tuple[Seen, ...]:
-    """Return what alarms look at in an entry; rows that came late, or that an alignment ran again, are none."""
+    """Return the input of alarms in an entry; late rows, and rows that an alignment recomputed, are none."""
     content = entry.content
     if isinstance(content, AttitudeReference):
         return (content,)

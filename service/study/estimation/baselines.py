@@ -3,7 +3,7 @@
 An estimator is worth something where it beats all of them: the answer that the spacecraft never moves, the sum of the
 announced corrections, and the alignment's attitude carried on by the exchange of roll and yaw with these corrections.
 
-A fourth answer reads each correction as a measurement: whoever commands it wants to remove the attitude that he sees,
+A fourth answer reads each correction as a measurement: its operator wants to remove the attitude that he sees,
 within the feedback time. An operator who knows more than the powers tell gives it away so; in roll and pitch an
 estimator from powers must be better than this reading, or the world is no test of it.
 """

@@ -58,6 +58,9 @@ KEPT = frozenset({"told_executed_us", "place_chi_square"})
 RETIRED_IN_DOCUMENTS = ("tidings", "anew", "whoever", "the craft", "other people's")
 #: nowhere in the code either: not in a comment, a docstring, a message or a test
 RETIRED_IN_TEXT = ("anew", "whoever")
+#: a docstring names its thing first; these circle it
+CIRCLING = ("What", "Who", "Whether", "Those")
+CIRCLING_CLASSES = (*CIRCLING, "How", "Where", "Which", "When", "Why")
 FOLDERS = ("service", "db", "analyzer_sim", "bench")
 #: one file for each resource or revision
 UNBOUNDED = ("service/api/routes", "service/api/schemas", "db/migrations/versions", "docs/explanations/decisions")
@@ -155,6 +158,19 @@ def test_code_is_free_of_retired_words() -> None:
         if re.search(rf"\b{word}\b", (ROOT / name).read_text(), re.IGNORECASE)
     }
     assert found == set()
+
+
+def test_docstrings_name_the_thing_first() -> None:
+    found = defaultdict(list)
+    for name in modules(*FOLDERS):
+        for node in ast.walk(ast.parse((ROOT / name).read_text())):
+            if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            if text := ast.get_docstring(node):
+                circling = CIRCLING_CLASSES if isinstance(node, ast.ClassDef) else CIRCLING
+                if text.startswith(tuple(f"{word} " for word in circling)):
+                    found[name].append(text.partition("\n")[0])
+    assert found == {}
 
 
 def test_folders_stay_small() -> None:

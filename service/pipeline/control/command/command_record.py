@@ -102,7 +102,7 @@ def impulse_of(pulses: Sequence[AxisPulse]) -> FloatArray:
 
 
 def predicted(pulses: Sequence[AxisPulse], inertia_kg_m2: FloatArray, period_s: float) -> Prediction:
-    """Return what pulses change when their span ends, exactly: each one's rate turns the body from its middle on."""
+    """Return the exact effect of pulses at the end of their span: each one's rate turns the body from its middle on."""
     turned = np.zeros(3)
     for pulse in pulses:
         turned[pulse.axis] += pulse.impulse_n_m_s * (period_s - pulse.start_s - 0.5 * pulse.duration_s)

@@ -91,7 +91,7 @@ def schedule_verdict(
 
 
 def swing_after(swing: PanelSwing | None, schedule: Sequence[Pulse], spacecraft: Spacecraft) -> PanelSwing | None:
-    """Return what the modes swing after a schedule that counts as carried out; None without modes."""
+    """Return the oscillation of the modes after a schedule that counts as executed; None without modes."""
     if not spacecraft.modes:
         return None
     if not schedule:
@@ -139,7 +139,7 @@ def _modes_by_axis(spacecraft: Spacecraft) -> dict[str, list[int]]:
 
 
 def _pulses(schedule: Sequence[Pulse], axis: str, start_us: int) -> tuple[TorquePulse, ...]:
-    """Return what acts about one axis."""
+    """Return the pulses about one axis."""
     position = _POSITIONS[axis]
     return ordered_schedule(
         tuple(
@@ -151,7 +151,7 @@ def _pulses(schedule: Sequence[Pulse], axis: str, start_us: int) -> tuple[Torque
 
 
 def _carried(swing: PanelSwing | None, spacecraft: Spacecraft, position: int, at_us: int) -> complex:
-    """Return what one mode still swings; a catalogue with other modes begins again, a schedule within another too."""
+    """Return the oscillation of one mode at an instant, not before the end of the last schedule; 0 for other modes."""
     if swing is None or len(swing.phasor_rad) != len(spacecraft.modes):
         return 0j
     elapsed_s = max(0.0, (at_us - swing.at_us) / US_PER_S)

@@ -50,7 +50,7 @@ class StoredRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why an event was illegal."""
+    """Refusal of an event: code and reason."""
 
     code: str
     detail: str
@@ -58,7 +58,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """What happens to a release at an instant."""
+    """Event of a release at an instant."""
 
     at: Instant
 

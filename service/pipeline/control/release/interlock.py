@@ -106,7 +106,7 @@ class Interlock:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why no torque may go, or which axis is withheld, in words that programs see."""
+        """Return the codes of the reasons that withhold torques or one axis."""
         words = [each.word for each in (*self.trips, *self.standing) if each is not Condition.DISAGREEMENT]
         words += () if self.row is None else self.row.inhibitions
         if self.state is State.INHIBITED and not self.is_armed and not self.inputs.is_automatic:

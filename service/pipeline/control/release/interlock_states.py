@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class State(Enum):
-    """Where the interlock stands."""
+    """State of the interlock."""
 
     #: a reason stands, control is not armed, or the good minutes are not over
     INHIBITED = "no torque may go"

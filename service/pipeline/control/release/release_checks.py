@@ -94,7 +94,7 @@ def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
 
 
 def _is_yaw_withheld(interlock: Interlock, command: Command) -> bool:
-    """Whether a yaw torque may not go; that the sign is not proven does not hold back the check that proves it."""
+    """Return whether a yaw torque is withheld; an unproven sign does not withhold the check that proves it."""
     standing = {each for each in interlock.standing if each.consequence is Consequence.YAW}
     return bool(standing - {Condition.YAW_SIGN} if command.is_sign_check else standing)
 

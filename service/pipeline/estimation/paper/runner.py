@@ -80,7 +80,7 @@ class PaperRunner:
         return outcome.row
 
     def carrier_states(self) -> dict[str, CarrierState]:
-        """Return what is known of each carrier of the calibration after the newest row."""
+        """Return the state of each carrier of the calibration after the newest row."""
         if self._last is None:
             return {}
         outcome, model = self._last

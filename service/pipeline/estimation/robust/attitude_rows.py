@@ -41,7 +41,7 @@ class Fixed(NamedTuple):
     is_without_ephemeris: bool
 
     def residual_db(self, model: RobustModel) -> FloatArray:
-        """Return what attitude and common level do not explain (N,), dB."""
+        """Return the residuals (N,) beside attitude and common level, dB."""
         return np.asarray(self.deviation_db - site_db(model.filter, self.announced.state.gaussian.mean))
 
 

@@ -183,7 +183,7 @@ def _is_torque_seen(found: FilterStep, model: RobustModel, shares: int) -> bool:
 def _unreported(
     released: tuple[tuple[int, CommandedMotion], ...], from_us: int, to_us: int
 ) -> tuple[FloatArray, tuple[tuple[int, CommandedMotion], ...]]:
-    """Return what each unreported command would do between two epochs (n, 2, 3), deg and deg/h, and what is left."""
+    """Return the effect of each unreported command between two epochs (n, 2, 3), deg and deg/h, and the rest."""
     effects, left = np.zeros((len(released), 2, 3)), []
     half_h = 0.5 * (to_us - from_us) / US_PER_S / 3600.0
     for position, (counter, motion) in enumerate(released):
@@ -219,7 +219,7 @@ def known_disturbance(state: RobustState, model: RobustModel) -> Disturbance | N
 def _declared(
     state: RobustState, model: RobustModel, knowledge: Knowledge, measurement: Measurement, config: ChainConfig
 ) -> Declared | None:
-    """Return what was declared about the step, a change of the measuring source included."""
+    """Return the declarations for the step, a change of the measuring source included."""
     declared = declared_between(
         knowledge.live_operations(state.filter.epoch_us),
         model.names,

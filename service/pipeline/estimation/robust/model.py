@@ -190,7 +190,7 @@ def _references(
 
 
 def signals(carrier_ids: Sequence[str], fit: GeometryFit) -> list[Signal]:
-    """Return what tells the signals of a calibration apart: an id may be given to another station's carrier later."""
+    """Return the identity of the signals of a calibration: an id may be given to another station's carrier later."""
     positions = zip(fit.station_latitude_deg, fit.station_longitude_deg, fit.transponder, strict=True)
     # a beacon has no place, and NaN is not equal to itself
     return [
@@ -222,7 +222,7 @@ def _window_levels(arrays: GeometryModel, level: ExpectedLevel, alignment: Align
 
 
 def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
-    """Return what is known of the spacecraft.
+    """Return the settings of the filter for the spacecraft.
 
     An exchange of roll and yaw that nobody knows of is drift of either by what the usual angle of the other makes.
     """

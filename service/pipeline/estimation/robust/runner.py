@@ -175,7 +175,7 @@ class RobustRunner:
         return outcome.row
 
     def carrier_states(self) -> dict[str, CarrierState]:
-        """Return what is known of each carrier of the calibration after the newest row."""
+        """Return the state of each carrier of the calibration after the newest row."""
         if self._last is None:
             return {}
         outcome, model = self._last
@@ -203,7 +203,7 @@ class RobustRunner:
         return CarrierLevels(model.carrier_ids, outcome.deviation_db, outcome.residual_db)
 
     def command_evidence(self) -> CommandEvidence | None:
-        """Return what the newest row that was not late says of commands, None before it."""
+        """Return the evidence of the newest row in time on commands, None before it."""
         if self._last is None or self._state is None:
             return None
         outcome, model = self._last
