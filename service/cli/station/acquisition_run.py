@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import typer
 
-from service.cli.station.check_task import PlannedAnalyzer, faults_of, plan_analyzer, show
+from service.cli.station.check_task import PlannedAnalyzer, faults_of, planned_analyzer, show
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.settings import AcquisitionSettings
 from service.frontend.link_report import LinkReporter
@@ -58,7 +58,7 @@ def entries_of(station_file: Path, task_file: Path | None) -> tuple[StationEntry
 def planned_of(entries: tuple[StationEntry, ...], *, is_quiet: bool) -> list[PlannedAnalyzer]:
     """Load, plan and show all tasks, or end with their faults."""
     try:
-        planned = [plan_analyzer(entry) for entry in entries]
+        planned = [planned_analyzer(entry) for entry in entries]
     except TaskError as error:
         refuse(str(error))
     for each in planned:

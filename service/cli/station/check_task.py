@@ -26,7 +26,7 @@ class PlannedAnalyzer(NamedTuple):
     period_s: float
 
 
-def plan_analyzer(entry: StationEntry) -> PlannedAnalyzer:
+def planned_analyzer(entry: StationEntry) -> PlannedAnalyzer:
     """Return an analyzer of a station with its plan.
 
     Raises

@@ -16,7 +16,13 @@ from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.operations.job import Job, Replay
 from service.runtime.jobs.job_runner import JobRunner, Progress
-from service.runtime.live.journal_consumer import DocumentCache, consume, prepare, trips_after, without_torque_after
+from service.runtime.live.journal_consumer import (
+    DocumentCache,
+    consume,
+    trips_after,
+    update_before,
+    without_torque_after,
+)
 
 _ENTRIES_AT_ONCE = 512
 _OUTCOMES_AT_ONCE = 500
@@ -110,7 +116,7 @@ class Replayer:
         """Yield progress and outcomes in the order of the journal from the alignment on."""
         archive = self._storage.archive
         first = self._storage.results.alignment_number(plan.spacecraft_id, plan.alignment.id)
-        prepare(chain, archive, plan.spacecraft_id, first, plan.alignment.epoch_us)
+        update_before(chain, archive, plan.spacecraft_id, first, plan.alignment.epoch_us)
         position, trips = first - 1, trips_after(archive, plan.spacecraft_id, first)
         while position < newest_number:
             entries = archive.journal(plan.spacecraft_id, position, _ENTRIES_AT_ONCE)
@@ -126,7 +132,7 @@ class Replayer:
     def _by_epoch(self, chain: Chain, plan: "_Plan", newest_number: int) -> Iterator[tuple[float, Outcome]]:
         """Yield progress and outcomes in order of epoch; what is known now holds from the alignment on."""
         archive = self._storage.archive
-        prepare(chain, archive, plan.spacecraft_id, newest_number + 1, plan.alignment.epoch_us)
+        update_before(chain, archive, plan.spacecraft_id, newest_number + 1, plan.alignment.epoch_us)
         chain.update(AlignmentSet(plan.alignment.id))
         rows = archive.measurements_after(plan.spacecraft_id, plan.alignment.epoch_us, newest_number + 1)
         for k, measurement in enumerate(rows):

@@ -115,8 +115,8 @@ def _step(chain: Chain, measurement: Measurement, *, is_catch_up: bool) -> Itera
         yield outcome
 
 
-def prepare(chain: Chain, archive: Archive, spacecraft_id: str, before_number: int, since_us: int | None) -> None:
-    """Tell the chain all that was said before a journal number.
+def update_before(chain: Chain, archive: Archive, spacecraft_id: str, before_number: int, since_us: int | None) -> None:
+    """Update a chain with the inputs that stand before a journal number.
 
     Standing inputs are told from the beginning, commanded motion as far as it ends after ``since_us``, the epoch from
     which rows will be run, and telemetry of the hours before it; None when no row will.

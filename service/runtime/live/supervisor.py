@@ -28,8 +28,8 @@ from service.runtime.live.journal_consumer import (
     DocumentCache,
     Trip,
     consume,
-    prepare,
     trips_after,
+    update_before,
     without_torque_after,
 )
 from service.runtime.live.leadership import Term, always
@@ -327,7 +327,7 @@ class Supervisor:
         head = archive.head(spacecraft_id)
         chain = Chain(DocumentCache(self._storage.catalogue, results, spacecraft_id), self._config)
         number, aligned_us = self._last_alignment(spacecraft_id, head.consumed_number)
-        prepare(chain, archive, spacecraft_id, number or head.consumed_number + 1, aligned_us)
+        update_before(chain, archive, spacecraft_id, number or head.consumed_number + 1, aligned_us)
         position = head.consumed_number if number is None else number - 1
         while position < head.consumed_number:
             entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)

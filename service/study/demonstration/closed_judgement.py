@@ -33,7 +33,7 @@ class FlightAlone(NamedTuple):
             **_figures(self.flown_deg),
             "hours": round(float(self.hours[-1]), 2),
             "hours_within_bounds": round(float(self.hours[is_beyond][0]), 2) if is_beyond.any() else None,
-            "missed": missed_truth(self.flown_deg),
+            "missed": missed_bounds(self.flown_deg),
         }
 
 
@@ -59,7 +59,7 @@ def judge_control(story: Story, log: ControlLog, alone: FlightAlone) -> dict[str
         "commands": log.counts(),
         "inhibited_share": round(log.inhibited_rows / max(log.rows, 1), 4),
         "inhibited_rows": dict(log.inhibitions),
-        "missed": missed_truth(flown),
+        "missed": missed_bounds(flown),
         "control_off": alone.statistics(),
     }
 
@@ -92,7 +92,7 @@ def missed_control(loop: dict[str, Any] | None) -> list[str]:
     return [*loop["missed"], *alone]
 
 
-def missed_truth(flown_deg: FloatArray) -> list[str]:
+def missed_bounds(flown_deg: FloatArray) -> list[str]:
     """Return which true angles (T, 3) leave their bounds, in words."""
     largest = np.abs(flown_deg).max(axis=0).tolist()
     return [
