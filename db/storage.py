@@ -94,7 +94,7 @@ class SqlStorage:
         self._database.fetch_one(select(head.c.spacecraft_key).limit(1))
 
     def state(self) -> StorageState:
-        """Return what the storage says of itself; StorageError unless the database answers."""
+        """Return the state of the storage; StorageError unless the database answers."""
         engines = self._database.engines
         free_bytes, is_writable = disk_of(engines.read)
         schema = present_revision(engines.read)

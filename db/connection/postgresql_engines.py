@@ -48,7 +48,7 @@ class BoundedConnection(PsycopgConnection[Any]):
     limit_s = math.inf
 
     def wait(self, gen: Generator[_Ready, _Ready, _Answer], *args: Any, **options: Any) -> _Answer:
-        """Return what an exchange with the server ends with; OperationalError when it takes too long."""
+        """Return the result of an exchange with the server; OperationalError when it takes too long."""
         try:
             answer: _Answer = super().wait(_bounded(gen, self.limit_s), *args, **options)
         except NoAnswerError:

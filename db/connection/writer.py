@@ -44,7 +44,7 @@ class _Task(Generic[Result]):
         self.fault: BaseException | None = None
 
     def settle(self) -> None:
-        """Tell the caller what became of it."""
+        """Resolve the caller's future with the result or the error."""
         if self.fault is not None:
             self.future.set_exception(_reported(self.fault))
             return
@@ -155,7 +155,7 @@ class Writer:
                 return
 
     def _taken_away(self) -> list[_Task[Any]]:
-        """Take what is queued now out of the queue."""
+        """Remove and return all queued tasks."""
         taken: list[_Task[Any]] = []
         for _ in range(self._queue.qsize()):
             task = self._queue.get()

@@ -70,7 +70,7 @@ def insert_details(
 
 
 def details_of(blob: bytes, carriers: int) -> CarrierDetails:
-    """Return what a blob holds, each figure (N,), read-only."""
+    """Return the details in a blob, each (N,), read-only."""
     mask, stored = blob[0], np.frombuffer(blob, dtype="<f4", offset=1).reshape(-1, carriers)
     found: dict[str, FloatArray] = {}
     for kind, name in enumerate(DETAIL_NAMES):

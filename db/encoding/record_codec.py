@@ -73,7 +73,7 @@ def _plain_paths(field: RecordField) -> dict[str, str]:
 
 
 def _encode(field: RecordField) -> Encode | None:
-    """Return what makes the columns of a value; None where they are the value itself."""
+    """Return the function from a value to its columns; None where they are the value itself."""
     if field.kind is FieldKind.AXES:
         return _optional_axes if field.is_optional else None
     if field.kind is FieldKind.AXIS_TRUTHS:
@@ -91,7 +91,7 @@ def _optional_axes(value: Axes | None) -> tuple[Any, ...]:
 
 
 def _text_of(field: RecordField) -> Callable[[Any], str] | None:
-    """Return what writes a value as JSON; None for values that columns hold."""
+    """Return the function that writes a value as JSON; None for values that columns hold."""
     content = field.content
     if field.kind is FieldKind.RECORD:
         return encode
@@ -101,7 +101,7 @@ def _text_of(field: RecordField) -> Callable[[Any], str] | None:
 
 
 def _decode(field: RecordField, positions: tuple[int, ...]) -> Decode | None:
-    """Return what makes the value from a row; None where the column holds it."""
+    """Return the function from a row to the value; None where the column holds it."""
     get, content, first = itemgetter(*positions), field.content, positions[0]
     match field.kind:
         case FieldKind.AXES if field.is_optional:
@@ -123,7 +123,7 @@ def _decode(field: RecordField, positions: tuple[int, ...]) -> Decode | None:
 
 
 def _value_of(field: RecordField) -> Callable[[str], Any] | None:
-    """Return what reads a value from JSON."""
+    """Return the function that reads a value from JSON."""
     content = field.content
     if field.kind is FieldKind.RECORD:
         return lambda text: decode(content, text)

@@ -39,7 +39,7 @@ class ArchiveTools:
         return create_backup(self.url, folder, self._clock.system_us(), report)
 
     def verify(self, folder: Path, report: Report) -> list[Diagnosis]:
-        """Return what is right and wrong with a backup; BackupError."""
+        """Return the findings on a backup; BackupError."""
         return verify_backup(folder, report)
 
     def restore(self, folder: Path, report: Report, *, may_replace: bool) -> Restored:
@@ -47,5 +47,5 @@ class ArchiveTools:
         return restore_backup(folder, self.url, self.stamp(), report, may_replace=may_replace)
 
     def diagnose(self, report: StepReport, announced: Sequence[JournalHead] = ()) -> list[Diagnosis]:
-        """Return what is right and wrong with the archive, beside heads of journals that were logged."""
+        """Return the findings on the archive, compared with logged heads of journals."""
         return diagnose(self.url, self._clock.system_us(), report, announced)

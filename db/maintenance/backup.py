@@ -66,7 +66,7 @@ def create_backup(url: str, folder: Path, made_at_us: int, report: Report) -> Ma
 
 
 def verify_backup(folder: Path, report: Report) -> list[Diagnosis]:
-    """Return what is right and wrong with a backup; the backup is not touched.
+    """Return the findings on a backup; the backup is not changed.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def _rows_of_tables(connection: Connection) -> dict[str, int]:
 
 
 def _rows_of_spacecraft(connection: Connection) -> dict[str, SpacecraftCount]:
-    """Return what each spacecraft has, whatever the schema."""
+    """Return the row counts of each spacecraft, in any schema."""
     inspector = inspect(connection)
     tables = [
         name

@@ -34,7 +34,7 @@ _CLOCK_IS_SET_US = 1_735_689_600 * US_PER_S
 
 
 def diagnose(url: str, now_us: int, report: Report, announced: Sequence[JournalHead] = ()) -> list[Diagnosis]:
-    """Return what is right and wrong with an archive.
+    """Return the findings on an archive.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def _examined(engine: Engine, now_us: int, report: Report, announced: Sequence[J
 
 
 def _file(path: Path) -> Iterator[Diagnosis]:
-    """Look at the file from outside."""
+    """Check the file from outside."""
     if not path.is_file():
         advice = "Correct --database; a backup is put back by `soo backup restore`."
         yield Diagnosis("file", "fault", f"there is no file {path}", advice)

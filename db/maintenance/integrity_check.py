@@ -39,7 +39,7 @@ _RESTORE = "Restore a backup that `soo backup verify` calls sound: `soo backup r
 
 
 def examine(connection: Connection, report: Report) -> list[Diagnosis]:
-    """Return what an archive looks like inside.
+    """Return the findings on the content of an archive.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def _counts(connection: Connection, state: Row[Any], name: str, ledger: Ledger) 
 
 
 def _details(connection: Connection, key: int) -> list[str]:
-    """Return what is wrong with figures that stand beside rows."""
+    """Return the faults of the details stored beside rows."""
     both = (measurement_detail.c.epoch_us == measurement.c.epoch_us) & (
         measurement_detail.c.source_key == measurement.c.source_key
     )

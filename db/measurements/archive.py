@@ -60,7 +60,7 @@ class SqlArchive:
         return self._database.submit(work, reported)
 
     def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
-        """Tell a listener of every batch right after its commit; None: nobody any more."""
+        """Notify a listener of every batch right after its commit; None removes it."""
         self._listener = listener
 
     def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:

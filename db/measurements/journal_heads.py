@@ -69,7 +69,7 @@ def _digest(connection: Connection, cache: SegmentCache, key: int, number: int) 
 
 
 def _content(row: Measurement) -> bytes:
-    """Return what a row says as bytes, the same for the table of rows and for a sealed day."""
+    """Return the content of a row as bytes, the same for the table of rows and for a sealed day."""
     plain = (row.epoch_us, row.received_at_us, row.number, row.source, row.plan_id, row.is_late, row.feeds_estimator)
     parts = [json.dumps([*plain, row.seq]).encode(), row.power_dbm.astype("<f4").tobytes()]
     parts.append(b"" if row.flags is None else row.flags.astype("<i4").tobytes())

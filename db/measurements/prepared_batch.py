@@ -30,7 +30,7 @@ class PreparedBatch:
     details: PreparedDetails | None = None
 
     def content(self, position: int) -> RowContent:
-        """Return what a row holds, to be compared with what is stored."""
+        """Return the content of a row, for comparison with the stored one."""
         batch, flags = self.batch, self.batch.flags[position]
         details = None if batch.details is None else batch.details.row(position)
         masks = None if flags is None else np.array(flags, dtype="<i4")

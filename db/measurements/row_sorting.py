@@ -142,7 +142,7 @@ def _with_moved(prepared: PreparedBatch, moved: Sequence[int]) -> PreparedBatch:
 
 
 def _contents(rows: Sequence[Row[Any]]) -> Iterator[tuple[int, RowContent]]:
-    """Yield what stored rows of (epoch, plan, powers, flags, details) hold."""
+    """Yield the contents of stored rows of (epoch, plan, powers, flags, details)."""
     for positions, power_dbm in unpack_parts([row.powers for row in rows]):
         for position, powers in zip(positions, power_dbm, strict=True):
             epoch_us, plan_id, _, flags, figures = tuple(rows[position])

@@ -69,12 +69,12 @@ class SqlAlarms(Repository):
         return [_with_id(decode(Alarm, row.document), row.alarm_id) for row in rows]
 
     def changes(self, alarm_id: int) -> list[AlarmChange]:
-        """Return what happened to one alarm, in order."""
+        """Return the changes of one alarm, in order."""
         query = select(alarm_change).where(alarm_change.c.alarm_id == alarm_id)
         return self._changes(query.order_by(alarm_change.c.sequence))
 
     def changes_after(self, spacecraft_id: str, sequence: int, limit: int) -> list[AlarmChange]:
-        """Return what happened to alarms of a spacecraft and of the service after a number, in order."""
+        """Return the changes of alarms of a spacecraft and of the service after a number, in order."""
         query = select(alarm_change).where(
             _concerns(alarm_change.c.spacecraft_id, spacecraft_id), alarm_change.c.sequence > sequence
         )
@@ -86,7 +86,7 @@ class SqlAlarms(Repository):
         return 0 if row is None or row[0] is None else int(row[0])
 
     def memory(self, spacecraft_id: str | None) -> EngineMemory:
-        """Return what the alarms of a spacecraft, or of the service, remember."""
+        """Return the memory of the alarms of a spacecraft, or of the service."""
         query = select(alarm_memory.c.document).where(alarm_memory.c.spacecraft_id == (spacecraft_id or ""))
         row = self._database.fetch_one(query)
         return EngineMemory() if row is None else decode(EngineMemory, row.document)

@@ -43,7 +43,7 @@ class SqlLinks(Repository):
         return _state_of(row)
 
     def set_enabled(self, link_id: str, *, enabled: bool) -> LinkState:
-        """Say whether a link shall work; it stays so until it is said otherwise."""
+        """Enable or disable a link until the next call."""
         return self._change(link_id, lambda state: replace(state, enabled=enabled))
 
     def request_reset(self, link_id: str) -> LinkState:

@@ -104,7 +104,7 @@ class AttitudeReader:
         return [attitude_of(row) for row in self._connection.execute(ordered)]
 
     def _consumed(self, window: Window) -> Chosen:
-        """Return what the chain has consumed."""
+        """Return the selection of the measurements that the chain has consumed."""
         number = self._connection.scalar(select(head.c.consumed_number).where(head.c.spacecraft_key == self._key))
         return Chosen(window, feeds_only=True, before_number=(number or 0) + 1)
 

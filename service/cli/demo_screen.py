@@ -98,7 +98,7 @@ class Presenter:
             self._console.print(tracking_table(scene))
 
     def _say_where(self, scene: Scene) -> None:
-        """Say how to reach the service from elsewhere."""
+        """Print the addresses of the service."""
         url = scene.client.service_url
         self._console.print(f"aligned after {time.monotonic() - self._began_at:.0f} s; tracking; Ctrl-C ends it")
         if self.key_file is not None:

@@ -181,7 +181,7 @@ class _Download:
             file.writelines(self._client.download(f"{self._path}:export", self._order.parameters))
 
     def _go_on(self, day: _Day, part: Path) -> None:
-        """Take what is missing of the file of a day."""
+        """Download the missing part of a day's file."""
         there = part.stat().st_size if part.exists() else 0
         if 0 < day.size <= there:
             return
@@ -200,7 +200,7 @@ class _Download:
             os.fsync(file.fileno())
 
     def _patiently(self, attempt: Callable[[], Any]) -> Any:
-        """Return what an attempt gives, again and again while the service is away."""
+        """Return the result of an attempt, retried while the service does not answer."""
         backoff, deadline_s = Backoff(), time.monotonic() + self._order.patience_s
         while True:
             try:

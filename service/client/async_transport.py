@@ -114,7 +114,7 @@ class AsyncTransport:
             await self._sleep(follower.wait_after(fault))
 
     async def _chunks(self, path: str, follower: Follower) -> AsyncGenerator[bytes, None]:
-        """Yield what comes over one connection."""
+        """Yield the events of one connection."""
         headers, timeout = follower.headers(), follower.timeout(self._http.timeout)
         try:
             async with self._http.stream("GET", BASE_PATH + path, headers=headers, timeout=timeout) as response:

@@ -66,7 +66,7 @@ class Follower:
         return httpx.Timeout(connect=usual.connect, write=usual.write, pool=usual.pool, read=SILENCE_S)
 
     def consume(self, chunk: bytes) -> Iterator[StreamEvent]:
-        """Take what came and yield the events that it completes.
+        """Consume received bytes and yield the events that they complete.
 
         Lines end with a line feed only: texts may hold other characters that some call ends of lines.
         """

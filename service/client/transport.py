@@ -173,7 +173,7 @@ class Transport:
             self._sleep(follower.wait_after(fault))
 
     def _chunks(self, path: str, follower: Follower) -> Generator[bytes, None, None]:
-        """Yield what comes over one connection."""
+        """Yield the events of one connection."""
         headers, timeout = follower.headers(), follower.timeout(self._http.timeout)
         try:
             with self._http.stream("GET", BASE_PATH + path, headers=headers, timeout=timeout) as response:

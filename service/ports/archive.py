@@ -24,7 +24,7 @@ class Archive(Protocol):
         """
 
     def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
-        """Tell a listener of every batch right after its commit, before its future resolves; None: nobody any more.
+        """Notify a listener of every batch right after its commit, before its future resolves; None removes it.
 
         Batches are told in the order of their commits. The listener holds up all writing, so it must be quick.
         """

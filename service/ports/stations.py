@@ -24,7 +24,7 @@ class Links(Protocol):
         """Return one link; NotFoundError ``link.unknown``."""
 
     def set_enabled(self, link_id: str, *, enabled: bool) -> LinkState:
-        """Say whether a link shall work; it stays so until it is said otherwise."""
+        """Enable or disable a link until the next call."""
 
     def request_reset(self, link_id: str) -> LinkState:
         """Count one more reset that is wanted of a link."""

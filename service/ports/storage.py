@@ -35,7 +35,7 @@ class Storage(Protocol):
         """Raise StorageError unless the database answers."""
 
     def state(self) -> StorageState:
-        """Return what the storage says of itself; StorageError unless the database answers."""
+        """Return the state of the storage; StorageError unless the database answers."""
 
     def close(self) -> None:
         """Commit what is queued and let go of the database."""

@@ -34,16 +34,16 @@ class Alarms(Protocol):
         """
 
     def changes(self, alarm_id: int) -> list[AlarmChange]:
-        """Return what happened to one alarm, in order."""
+        """Return the changes of one alarm, in order."""
 
     def changes_after(self, spacecraft_id: str, sequence: int, limit: int) -> list[AlarmChange]:
-        """Return what happened to alarms of a spacecraft and of the service after a number: what a stream missed."""
+        """Return the changes of alarms of a spacecraft and of the service after a number, for a stream."""
 
     def newest_sequence(self) -> int:
         """Return the number of the newest change, 0 before the first."""
 
     def memory(self, spacecraft_id: str | None) -> EngineMemory:
-        """Return what the alarms of a spacecraft, or of the service, remember."""
+        """Return the memory of the alarms of a spacecraft, or of the service."""
 
     def save_memory(self, spacecraft_id: str | None, memory: EngineMemory) -> None:
         """Store what they remember in place of what they did."""

@@ -107,11 +107,11 @@ class AccessHousekeeping:
             await asyncio.sleep(PERIOD_S)
 
     def _audit_lines(self) -> Iterator[str]:
-        """Yield what `soo audit verify --log` reads."""
+        """Yield the log lines that `soo audit verify --log` reads."""
         head = self._audit.head()
         yield f"audit head {head.number} {head.hash}"
 
     def _journal_lines(self) -> Iterator[str]:
-        """Yield what `soo doctor --log` reads."""
+        """Yield the log lines that `soo doctor --log` reads."""
         for head in self._journal_heads():
             yield f"journal head {head.spacecraft_id} {head.number} {head.digest}"

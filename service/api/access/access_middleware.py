@@ -158,7 +158,7 @@ def _context(scope: Scope) -> ApiContext:
 
 
 def _rate_headers(scope: Scope) -> list[tuple[bytes, bytes]]:
-    """Return what tells a client how much of its rate is left."""
+    """Return the headers of the remaining rate."""
     allowance: Allowance | None = scope["state"].get("allowance")
     if allowance is None:
         return []

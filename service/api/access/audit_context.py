@@ -36,7 +36,7 @@ def note_choice(scope: Scope, choice: str) -> None:
 
 
 def audit_event_of(scope: Scope, at_us: int, outcome: str = DONE) -> AuditEvent:
-    """Return what a request does, or wanted to do.
+    """Return the audit event of a request, also of a refused one.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ class Refusals:
             return self._is_first(audit_event)
 
     def settled(self, *, is_last: bool = False) -> list[AuditEvent]:
-        """Return what was counted, when its time is over or nothing more will come, and begin again."""
+        """Return the counted refusals at the end of their window or of the service, and clear the counters."""
         now_s = self._monotonic_s()
         if now_s < self._until_s and not is_last:
             return []

@@ -105,7 +105,7 @@ class _Unpacker:
         self._is_started = False
 
     def unpack(self, packed: bytes, *, is_last: bool) -> bytes:
-        """Return what a piece unpacks to."""
+        """Return the unpacked bytes of a chunk."""
         chunks, is_pending = [], False
         while packed or is_pending:
             if self._member.eof:

@@ -98,7 +98,7 @@ class Metrics:
             _LOG.warning("metrics answer lacks those of the archive: %s", error)
 
     def _process(self) -> Iterator[Sample]:
-        """Yield what the process takes."""
+        """Yield the samples of the process."""
         statistics = process_statistics()
         yield "soo_build_info", (_version(),), 1.0
         yield "soo_process_resident_memory_bytes", (), float(statistics.rss_bytes)
@@ -139,7 +139,7 @@ class Metrics:
         return family
 
     def _stored(self) -> Iterator[Sample]:
-        """Yield what the archive tells."""
+        """Yield the samples of the archive."""
         state = self._context.storage.state()
         yield "soo_writer_queue", (), float(state.queued_writes)
         if state.free_bytes is not None:

@@ -111,7 +111,7 @@ def optional_body(model: type[M]) -> Any:
 
 
 def accepts(model: type[BaseModel], *, is_csv: bool = False, is_required: bool = True) -> dict[str, Any]:
-    """Return what the OpenAPI document says about a body; ``openapi.py`` lifts the definitions out of it."""
+    """Return the OpenAPI description of a body; ``openapi.py`` lifts the definitions out of it."""
     schema = model.model_json_schema(ref_template=_REF_TEMPLATE)
     content: dict[str, Any] = {"application/json": {"schema": schema}}
     if is_csv:

@@ -72,7 +72,7 @@ def _definitions(schema: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _state_problems(operation: dict[str, Any], *, is_counted: bool) -> None:
-    """Say that every refusal is a problem, and name those that any request may meet."""
+    """Document every refusal as a problem, and name those that any request may get."""
     responses = operation["responses"]
     responses.pop("422", None)
     named = (["413", "422"] if "requestBody" in operation else []) + (["429"] if is_counted else [])

@@ -79,7 +79,7 @@ by_epoch: Callable[[Any], Position] = attrgetter("epoch_us", "number")
 
 
 def mark_of(request: Request) -> int:
-    """Return what tells one query from another: CRC-32 of path and parameters, whatever their order."""
+    """Return the identity of a query: CRC-32 of path and parameters, in any order."""
     pairs = sorted(pair for pair in request.query_params.multi_items() if pair[0] not in _FREE_PARAMETERS)
     return zlib.crc32(repr((request.url.path, pairs)).encode())
 

@@ -138,7 +138,7 @@ class StatementDocument(Document):
     enabled: bool = True
 
     def to_record(self) -> Statement:
-        """Return what was stated, and no more."""
+        """Return the stated fields alone."""
         return self.model_dump(exclude_unset=True)
 
 

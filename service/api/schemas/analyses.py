@@ -105,7 +105,7 @@ class LimitCycleAnswer(Answer):
 
     @classmethod
     def of(cls, found: LimitCycleAnalysis) -> Self:
-        """Return what an analysis found."""
+        """Return the answer for an analysis."""
         over_both = [
             {**cycle.motion._asdict(), "multiplier": cycle.multiplier, "is_stable": cycle.is_stable}
             for cycle in found.cycles_over_both_lines
@@ -233,5 +233,5 @@ class ScheduleAnswer(Answer):
 
     @classmethod
     def of(cls, found: ScheduleCheck) -> Self:
-        """Return what a check found."""
+        """Return the answer for a check."""
         return super().of(found, phasors=[{"re": phasor.real, "im": phasor.imag} for phasor in found.phasor_rad])

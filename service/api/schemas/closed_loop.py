@@ -227,7 +227,7 @@ class ClosedLoopDocument(Document):
     """Rows of the time series at most; figures are those of every period."""
 
     def to_request(self) -> SettlingRequest:
-        """Return what is to be flown."""
+        """Return the settling request."""
         return SettlingRequest(
             self._spacecraft(),
             self.start.to_start(),

@@ -99,7 +99,7 @@ class CarrierStateAnswer(members_of(CarrierState), Answer):
 
 
 def _statistics(details: CarrierDetails | None) -> dict[str, list[float | None] | None]:
-    """Return what a front end stated beside the powers of a row, under the names of answers, None = no such figure."""
+    """Return the details beside the powers of a row, under the names of answers, None = no such detail."""
     stated = {name: None if details is None else getattr(details, name) for name in DETAIL_NAMES}
     return {
         _REPORTED_AS.get(name, name): None if by is None or np.isnan(by).all() else shortest_float32(by)
@@ -110,7 +110,7 @@ def _statistics(details: CarrierDetails | None) -> dict[str, list[float | None] 
 def _stated(
     details: CarrierDetails | None, carrier_ids: Sequence[str], positions: Sequence[int]
 ) -> dict[str, dict[str, float | None] | None]:
-    """Return what a front end stated beside the powers of a row, by carrier."""
+    """Return the details beside the powers of a row, by carrier."""
     return {
         name: None if by is None else {carrier_ids[k]: by[k] for k in positions}
         for name, by in _statistics(details).items()

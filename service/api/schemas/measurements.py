@@ -59,14 +59,14 @@ class MeasurementBatchDocument(Document):
     measurements: Annotated[list[MeasurementDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
 
     def details(self) -> list[dict[str, list[float | None]]] | None:
-        """Return what each row states beside its powers, None when none states any."""
+        """Return the details of each row beside its powers, None when no row has any."""
         if all(row.keys() <= _PLAIN_FIELDS for row in self.measurements):
             return None
         return [_details(row) for row in self.measurements]
 
 
 def _details(row: MeasurementDocument) -> dict[str, list[float | None]]:
-    """Return what a row states beside its powers, by name."""
+    """Return the details of a row beside its powers, by name."""
     stated: dict[str, Any] = {name: row.get(name) for name in DETAIL_NAMES}
     return {name: statistics for name, statistics in stated.items() if statistics is not None}
 

@@ -142,7 +142,7 @@ class EventStream:
         return False
 
     async def _missed(self) -> AsyncIterator[bytes]:
-        """Yield what the archive holds beyond the place, page by page."""
+        """Yield the events of the archive after the position, page by page."""
         while not self._streams.is_closed:
             page = await run_in_threadpool(self._reader.next_page, self._position)
             if page.lost is not None:

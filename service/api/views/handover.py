@@ -30,7 +30,7 @@ _OPERATIONS = 200
 
 
 def handover_of(context: ApiContext, spacecraft_id: str) -> HandoverAnswer:
-    """Return what the next shift must know; NotFoundError ``spacecraft.unknown``."""
+    """Return the handover of a spacecraft; NotFoundError ``spacecraft.unknown``."""
     spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
     present_us = context.clock.now_us(spacecraft_id)
     now_us = context.clock.system_us() if present_us is None else present_us

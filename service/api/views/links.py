@@ -25,7 +25,7 @@ def link_answers(context: ApiContext, states: Iterable[LinkState]) -> list[LinkA
 
 
 def _rows_missing(context: ApiContext, spacecraft_id: str) -> dict[str, int | None]:
-    """Return what is missing of each source; nothing of a spacecraft that a link names and the catalogue does not."""
+    """Return the missing rows of each source; none for a spacecraft that the catalogue lacks."""
     try:
         return {source.id: source.rows_missing for source in context.storage.archive.sources(spacecraft_id)}
     except NotFoundError:

@@ -66,7 +66,7 @@ def _links(context: ApiContext, spacecraft_id: str) -> list[dict[str, Any]]:
 
 
 def _reported(link: LinkAnswer | None) -> dict[str, Any]:
-    """Return what a link reports; nulls where none does."""
+    """Return the report of a link; nulls where there is none."""
     names = ("id", "kind", "state", "enabled", "age_s", "last_good_age_s")
     warnings = [] if link is None else link.warnings
     return {**{name: getattr(link, name, None) for name in names}, "warnings": warnings}

@@ -76,7 +76,7 @@ def restore(
 
 
 def _report_damaged(manifest: Manifest) -> None:
-    """Say which rows were damaged when a backup was made."""
+    """Print the rows that were damaged when a backup was made."""
     for words in manifest.damaged:
         typer.echo(f"damaged: {words}; they were copied as they are, an older backup may have them sound", err=True)
 

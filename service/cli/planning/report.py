@@ -36,7 +36,7 @@ def print_planning(console: Console, planning: CarrierPlanning, *, with_turns: b
 
 
 def _sets_table(document: dict[str, Any]) -> Table:
-    """Return what each set sees, one figure a line."""
+    """Return the observability by each set, one figure a line."""
     sets = [document["sets"][name] for name in _SETS]
     table = Table("one row, level common to all carriers free", *_SETS, title="Sets of carriers", title_justify="left")
     table.add_row("carriers", *(str(len(one["selected"])) for one in sets))

@@ -41,7 +41,7 @@ class CarrierPlanning(NamedTuple):
 
 
 def planned_by_service(client: ServiceClient, spacecraft_id: str, request: PlanRequest) -> CarrierPlanning:
-    """Return what a service recommends by its calibration."""
+    """Return the recommendation of a service by its calibration."""
     spacecraft = client.spacecraft(spacecraft_id)
     wanted = {"count": request.count, "rule": request.rule, "turns": request.turns}
     stated = {name: value for name, value in wanted.items() if value is not None}
@@ -54,7 +54,7 @@ def planned_by_service(client: ServiceClient, spacecraft_id: str, request: PlanR
 def planned_by_assumption(
     spacecraft_path: Path, carriers_path: Path, beams: list[str], noise: str, request: PlanRequest
 ) -> CarrierPlanning:
-    """Return what planning recommends for files and assumed beams.
+    """Return the recommendation for files and assumed beams.
 
     Raises
     ------

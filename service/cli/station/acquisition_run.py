@@ -136,7 +136,7 @@ def _front_end_name() -> str:
 
 
 def log_summary(entry: StationEntry, summary: StationSummary) -> None:
-    """Say what the run came to."""
+    """Log the summary of a run."""
     upload, measured = summary.upload, summary.acquisition
     logger.info(
         "%s.%s ended: %d rows measured, %d accepted, %d duplicates, %d refused, %d left in the spool; "

@@ -41,7 +41,7 @@ def planned_analyzer(entry: StationEntry) -> PlannedAnalyzer:
 
 
 def faults_of(planned: PlannedAnalyzer) -> list[str]:
-    """Return what forbids to measure, in words."""
+    """Return the errors that forbid to measure, in words."""
     faults = [str(finding) for finding in planned.plan.errors]
     if planned.resource is None:
         faults.append("no analyzer: give --resource, or a resource in the task or the station file")

@@ -62,7 +62,7 @@ def estimation(
 
 
 def _scenarios(named: list[str] | None, group: str | None) -> tuple[str, ...]:
-    """Return what to run: what is named, a group, or both; everything where neither is."""
+    """Return the scenarios to run: those named, a group, or both; all where neither is given."""
     from service.study.estimation.scenarios import GROUPS
 
     if group is not None and group not in GROUPS:

@@ -113,7 +113,7 @@ def plan_command(
 
 
 def _request_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Request:
-    """Return what the pulses shall do: the law's slew, and what the torque would turn and leave until its end."""
+    """Return the request of the pulses: the law's slew, and the effect of the disturbance torque until its end."""
     slew = tracking_request(gains, situation.attitude_deg, situation.rates_deg_s, forecast.slew_s)
     pushed_rad_s2 = np.linalg.solve(gains.inertia_kg_m2, forecast.torque_n_m[0])
     change = np.radians(slew.angle_change_deg) + 0.5 * pushed_rad_s2 * forecast.slew_s**2

@@ -41,7 +41,7 @@ class Excess(NamedTuple):
 
 
 def envelope_excesses(effect: Effect, sent_n_m_s: Triple, envelope: Envelope) -> tuple[Excess, ...]:
-    """Return what of a command lies beyond the envelope; nothing: it may go.
+    """Return the limits of the envelope that a command exceeds; none: it may be released.
 
     Parameters
     ----------

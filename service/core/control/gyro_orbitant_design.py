@@ -96,7 +96,7 @@ def sampled_growth(
 
 
 def _motion(tensor_kg_m2: FloatArray, w0: float, period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return what a period makes of angles and rates (6, 6), and of a torque (6, 3); rates are angles a period."""
+    """Return the transition over a period of angles and rates (6, 6), and of a torque (6, 3); rates a period."""
     turn = np.zeros((9, 9))
     turn[:3, 3:6] = np.eye(3)
     turn[0, 1], turn[1, 0] = -w0 * period_s, w0 * period_s

@@ -157,7 +157,7 @@ def decide(evidence: SignLikelihoods, least_ratio: float = DECISIVE) -> SignDeci
 def wheel_decision(
     predicted_n_m_s: FloatArray, measured_n_m_s: FloatArray, sigma_n_m_s: float, least_ratio: float = DECISIVE
 ) -> SignDecision:
-    """Return what telemetry of the wheels says: whether their momentum changed as commanded.
+    """Return the verdict of the wheels' telemetry: whether their momentum changed as commanded.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def wheel_decision(
 
 
 def _signature(model: CarrierModel, attitude_deg: FloatArray, turn_deg: FloatArray) -> FloatArray:
-    """Return what turns (T, 3) from an attitude make of the levels (T, N), dB."""
+    """Return the change of the levels (T, N) by turns (T, 3) from an attitude, dB."""
     before = pattern_change(model, attitude_deg).deviation_db
     return np.array([pattern_change(model, attitude_deg + turn).deviation_db - before for turn in turn_deg])
 

@@ -167,7 +167,7 @@ def _shaped(impulse_n_m_s: FloatArray, drive: Drive, longest_s: float) -> list[t
 def predicted_effect(
     pulses: tuple[AxisPulse, ...], inertia_kg_m2: FloatArray, wheel_axes: FloatArray, horizon_s: float
 ) -> Effect:
-    """Return what a schedule does to angles, rates and wheels.
+    """Return the effect of a schedule on angles, rates and wheels.
 
     Parameters
     ----------

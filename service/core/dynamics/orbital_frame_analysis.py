@@ -152,7 +152,7 @@ def _largest_ratio(request: SettlingRequest) -> float:
 
 
 def _beyond_text(when: str, ratio: float, beyond: BeyondOrbitalRate) -> str:
-    """Return what is wrong with a roll rate and what to do."""
+    """Return the fault of a roll rate and its remedy."""
     why = "nu0 of the printed law is imaginary" if beyond is BeyondOrbitalRate.AS_PRINTED else "it tells no yaw"
     return (
         f"{when} the roll rate is {ratio:.3g} orbital rates and {why}: stop the roll first, "
@@ -199,7 +199,7 @@ def _largest_multiple(spacecraft: OrbitalFrameSpacecraft) -> float:
 
 
 def _warnings(merit: Merit, spacecraft: OrbitalFrameSpacecraft) -> tuple[tuple[str, str], ...]:
-    """Return what to beware of in a flight."""
+    """Return the warnings of a flight."""
     found = []
     shares = dict(zip(("roll", "pitch", "yaw"), merit.saturated_share, strict=True))
     full = [f"{axis} {share:.2%}" for axis, share in shares.items() if share > 0.0]

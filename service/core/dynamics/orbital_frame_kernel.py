@@ -164,7 +164,7 @@ def held_step(state: State, body: tuple[Inverse, Inverse, float, float], torque:
 
 
 def continuous_torque(spacecraft: OrbitalFrameSpacecraft, state: State, inverse: Inverse) -> Triple:
-    """Return what ideal sensors, a continuous computer and ideal wheels give, N m."""
+    """Return the torque of ideal sensors, a continuous computer and ideal wheels, N m."""
     roll, pitch = tilt(state)
     wanted = wanted_torque(spacecraft.law, roll, pitch, body_rate(state, inverse))
     limit = spacecraft.computer.torque_limit_n_m

@@ -160,7 +160,7 @@ def rigid_spacecraft(
 
 
 def refusals(spacecraft: OrbitalFrameSpacecraft) -> list[str]:
-    """Return what no craft can be, each with the value at fault; an empty list when it can fly."""
+    """Return the impossible parameters of a spacecraft, each with its value; an empty list when it can fly."""
     j, w = spacecraft.inertia, spacecraft.wheels
     minors = (
         j.xx,

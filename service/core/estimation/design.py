@@ -187,12 +187,12 @@ def _costs(normal: FloatArray, weights: FloatArray, level_prior: float) -> Float
 
 
 def _prior(unknowns: int, level_prior: float = _LEVEL_PRIOR) -> FloatArray:
-    """Return what is known before any carrier: next to nothing, unless levels are said to be known."""
+    """Return the prior information: next to none, unless levels are stated as known."""
     return np.diag([_ANGLE_PRIOR] * 3 + [level_prior] * (unknowns - 3))
 
 
 def _normals(rows: FloatArray) -> FloatArray:
-    """Return what each row adds to the normal matrix."""
+    """Return the contribution of each row to the normal matrix."""
     return rows[:, :, np.newaxis] * rows[:, np.newaxis]
 
 

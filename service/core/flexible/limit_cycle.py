@@ -230,7 +230,7 @@ def _fixed_speeds(motion: OneSided) -> list[float]:
 
 
 def _describe(speed: float, motion: OneSided, drive: WheelDrive) -> LimitCycle:
-    """Return what one visit from a fixed point tells."""
+    """Return the limit cycle of a fixed point, by one return from it."""
     visit = one_return(speed, motion)
     multiplier = cycle_multiplier(speed, motion)
     # outward is against the momentum: the body's rate is minus u times its sign

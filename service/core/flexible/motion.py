@@ -213,7 +213,7 @@ def _leg(state: BodyState, regulator: Regulator, drive: WheelDrive, mode: HubMod
 
 
 def _next_event(leg: MotionLeg, regulator: Regulator, drive: WheelDrive, law: SwitchingLaw, left_s: float) -> _Event:
-    """Return what ends a leg: the time asked for, a pulse's end, the momentum, or a line."""
+    """Return the event that ends a leg: the end of the run, a pulse's end, the momentum, or a line."""
     soonest = _Event(left_s, regulator._replace(timer_s=regulator.timer_s - left_s))
     if regulator.timer_s <= left_s:
         arm = arm_after_pulse(regulator.counter, law)

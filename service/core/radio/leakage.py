@@ -58,7 +58,7 @@ def leakage(bands: CarrierBands, rolloff: FloatArray, rbw_hz: float) -> FloatArr
 
 
 def leaked_ratio(share: FloatArray, power_mw: FloatArray) -> FloatArray:
-    """Return what leaks into every band over the carrier's own power.
+    """Return the leakage into every band over the carrier's own power.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ class GroundJournal:
     number: int = 0
 
     def update(self, row: PlantRow, controller: Controller) -> None:
-        """Take what the ground was told."""
+        """Hand the ground's new inputs to the chain and follow a change of the plan."""
         for content in slow_inputs(row.ground, self.documents, 1000 * self.number):
             if isinstance(content, PlanChange):
                 self.plan_id = content.plan_id

@@ -276,7 +276,7 @@ _FORWARD: dict[str, Callable[[ServiceClient, str, dict[str, Any]], Any]] = {
 
 
 def _is_turned(story: Story) -> bool:
-    """Tell whether the last row of the turns has been granted."""
+    """Return whether the last row of the turns has been granted."""
     period_us = round(1e6 * story.catalogue["task"]["period_s"])
     return "turns" in story.phases and story.granted_us + period_us >= parse_epoch(story.phases["turns"][1])
 

@@ -231,7 +231,7 @@ def _reported(
     cause: Cause | None,
     limits: IntegrityLimits,
 ) -> FilterStep:
-    """Return what is told about a state."""
+    """Return the step's result with the judgement of its integrity."""
     gaussian = state.gaussian
     evidence = IntegrityInputs(
         gaussian.attitude_sigma_deg,

@@ -62,7 +62,7 @@ def _rotation(value: complex, pitch: float) -> FloatArray:
 
 
 def _drift_to_attitude(hours: float, coupling_per_h: float, tau_h: float) -> FloatArray:
-    """Return what a drift of one at the start has done to the attitude after some hours."""
+    """Return the effect of a unit drift at the start on the attitude after some hours."""
     decay, turn = -1.0 / tau_h, complex(0.0, coupling_per_h)
     # the difference of the two exponentials, written so that a gap of months does not overflow
     moved = cmath.exp(turn * hours) * _quotient(decay - turn, hours)
@@ -198,7 +198,7 @@ def predict(
 
 
 def _push(hours: float, known: KnownMotion) -> FloatArray:
-    """Return what commands add to attitude, drift and rate (9,)."""
+    """Return the effect of commands on attitude, drift and rate (9,)."""
     # three numbers each: lists cost a third of arrays
     rates = known.rate_change_deg_h.tolist()
     angles = zip(known.correction_deg.tolist(), known.late_correction_deg.tolist(), rates, strict=True)

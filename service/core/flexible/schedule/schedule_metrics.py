@@ -77,7 +77,7 @@ class ScheduleMetrics(NamedTuple):
 def schedule_metrics(
     pulses: tuple[TorquePulse, ...], limits: ScheduleLimits, carried_rad: tuple[complex, ...]
 ) -> ScheduleMetrics:
-    """Return what a schedule does; ``carried_rad`` holds Z of each mode at time zero."""
+    """Return the metrics of a schedule; ``carried_rad`` holds Z of each mode at time zero."""
     spread = np.linspace(1.0 - FREQUENCY_REACH, 1.0 + FREQUENCY_REACH, FREQUENCY_COUNT)
     peaks, residuals, swings, omegas, nominal = [], [], [], [], []
     for mode, carried in zip(limits.modes, carried_rad, strict=True):

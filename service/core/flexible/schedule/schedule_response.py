@@ -79,7 +79,7 @@ def schedule_response(
     carried_rad: complex = 0j,
     omega_rad_s: FloatArray | None = None,
 ) -> ModeResponse:
-    """Return what a mode does under a schedule.
+    """Return the response of a mode to a schedule.
 
     Parameters
     ----------

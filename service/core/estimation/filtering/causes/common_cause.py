@@ -72,7 +72,7 @@ def common_innovation(model: CarrierModel, innovation: Innovation) -> CommonInno
 def find_cause(
     model: CarrierModel, rain: RainWatch, innovation: Innovation, common: CommonInnovation, chooser: Chooser
 ) -> LikeliestCause | None:
-    """Return what moved the carriers of a row together, None = nothing did.
+    """Return the common cause of changes of a row's carriers, None = there is none.
 
     Parameters
     ----------

@@ -78,7 +78,7 @@ def turn(
 
 
 def model_variance(coefficient_covariance: FloatArray, attitude_deg: FloatArray) -> FloatArray:
-    """Return what errors of the calibrated coefficients add at an attitude."""
+    """Return the variance by errors of the calibrated coefficients at an attitude."""
     yaw, roll, pitch = attitude_deg[0], attitude_deg[1], attitude_deg[2]
     slope = np.empty(9)
     slope[0], slope[1], slope[2] = yaw, roll, pitch

@@ -137,7 +137,7 @@ class PatternChange(NamedTuple):
 
 
 def pattern_change(model: CarrierModel, attitude_deg: FloatArray) -> PatternChange:
-    """Return what the quadratic patterns make of an attitude.
+    """Return the level changes of the quadratic patterns at an attitude.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ class Response(NamedTuple):
 
 @lru_cache(maxsize=64)
 def response_over(step_us: int, coupling_per_h: float, period_us: int) -> Response:
-    """Return what accelerations of one do over a step, us, under an exchange of roll and yaw, 1/h."""
+    """Return the response to unit accelerations over a step, us, under an exchange of roll and yaw, 1/h."""
     hours, period_h = step_us / _US_PER_H, period_us / _US_PER_H
     angular_rate_per_h = 2.0 * math.pi / period_h
     panels = max(1, math.ceil(hours / min(_PANEL_H, _PANEL_TURN * period_h)))
@@ -89,7 +89,7 @@ def _gained_h(hours: float, angular_rate_per_h: float) -> FloatArray:
 def hidden_transition(
     hidden: int, from_us: int, step_us: int, settings: FilterSettings, known: KnownMotion
 ) -> FloatArray:
-    """Return what the hidden states add to attitude, drift and rate over a step, (9, E).
+    """Return the effect of the hidden states on attitude, drift and rate over a step, (9, E).
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ def doubting_settings(settings: FilterSettings, watch: CommandWatch) -> FilterSe
 
 
 def believed_motion(watch: CommandWatch, known: KnownMotion) -> KnownMotion:
-    """Return what is believed of the commands of a step."""
+    """Return the known motion with its corrections scaled by the estimated share."""
     return known if watch.share == 1.0 else known._replace(correction_deg=watch.share * known.correction_deg)
 
 
@@ -188,7 +188,7 @@ def push_row(
 
 
 def _seen(model: CarrierModel, used: Innovation, change: FloatArray) -> FloatArray:
-    """Return what changes (D, 2) of the state do to the carriers used (n, 2), dB."""
+    """Return the effect of changes (D, 2) of the state on the carriers used (n, 2), dB."""
     core = used.core_jacobian.shape[1]
     own = change[core:].reshape(-1, model.carriers, 2).sum(axis=0)
     return np.asarray(used.core_jacobian @ change[:core] + own[used.carriers])
