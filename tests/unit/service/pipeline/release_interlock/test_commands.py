@@ -17,6 +17,7 @@ from service.pipeline.control.release.command_states import (
 )
 from service.pipeline.control.release.command_transitions import pulses_between
 from service.pipeline.control.release.events import (
+    Automatic,
     Cancel,
     Confirm,
     JournalEffect,
@@ -259,6 +260,14 @@ def test_a_command_from_an_estimate_that_was_used_is_refused():
     assert driver.automatic().refusal.code == "command.duplicate"
     driver.rows(1)
     assert driver.automatic().refusal is None
+
+
+def test_the_law_gets_no_time_to_look_at_an_estimate_and_persons_get_ten_minutes():
+    driver = ReleaseDriver().engaged()
+    old = driver.proposal()
+    driver.rows(4)
+    assert driver.send(Automatic(driver.at, old)).refusal.code == "command.estimate_stale"
+    assert driver.send(Prepare(driver.at, "ann", old)).refusal is None
 
 
 def test_the_same_events_lead_to_the_same_state(driver):

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from release_driver import GOOD, MINUTE_US, START_US, US, ReleaseDriver, slew
+from release_driver import GOOD, INPUTS, MINUTE_US, START_US, US, ReleaseDriver, slew
 
 from service.core.control.sign_check import SignState
 from service.pipeline.control.release.command_states import CommandTransition
@@ -11,6 +11,7 @@ from service.pipeline.control.release.events import (
     Applied,
     Cancel,
     Engage,
+    InputsChanged,
     OrderKind,
     Prepare,
     Report,
@@ -237,6 +238,18 @@ def test_beyond_the_range_while_inhibited_takes_the_authorisation_too():
     driver.rows(1, replace(GOOD, attitude_deg=Axes(0.0, 0.42, 0.0), is_fading=True))
     driver.rows(12)
     assert driver.name == "ARMED"
+
+
+def test_beyond_the_range_nothing_goes_unless_a_person_arms_after_ten_good_minutes():
+    driver = ReleaseDriver()
+    driver.send(InputsChanged(driver.at, INPUTS))
+    beyond = replace(GOOD, attitude_deg=Axes(0.0, 0.45, 0.0))
+    driver.rows(5, beyond)
+    assert driver.order(OrderKind.ARM).refusal.code == "interlock.inhibited"
+    driver.rows(10, beyond)
+    assert (driver.name, driver.prepare().refusal.code) == ("INHIBITED", "interlock.not_armed")
+    assert driver.order(OrderKind.ARM).refusal is None
+    assert driver.name == "RECOVERY"
 
 
 def test_a_new_spacecraft_version_forgets_the_signs():
