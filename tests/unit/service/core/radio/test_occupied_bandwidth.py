@@ -55,6 +55,15 @@ def test_the_width_of_a_mean_trace_is_that_of_the_shape() -> None:
     assert power.occupied_bandwidth_hz[0] == pytest.approx(true_width_hz(), rel=0.015)
 
 
+@pytest.mark.parametrize("eighth", range(8))
+def test_the_edges_of_the_band_count_by_their_part_of_a_point(eighth: int) -> None:
+    center_hz = CENTER_HZ + eighth * GRID.step_hz / 8
+    axis_hz = GRID.start_hz + GRID.step_hz * np.arange(GRID.points)
+    flat_mw = np.where(np.abs(axis_hz - center_hz) < 1e6, 1e-6, 0.0) + NOISE_MW_HZ * GRID.enbw_hz
+    power = measure_carriers(flat_mw, weigh_bands(GRID, BANDS._replace(center_hz=np.array([center_hz]))))
+    assert power.occupied_bandwidth_hz[0] == pytest.approx(0.99 * BANDS.integration_bw_hz[0], rel=1e-9)
+
+
 def test_the_trivial_answer_is_wrong_by_more() -> None:
     assert abs(1.25e6 / true_width_hz() - 1) > 0.05
 

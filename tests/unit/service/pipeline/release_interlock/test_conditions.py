@@ -136,6 +136,15 @@ def test_a_condition_alone_stops_every_release(condition, act):
     assert condition.word in refusal.detail
 
 
+@pytest.mark.parametrize(
+    "change", [{"redundancy": 2}, {"sigma_deg": Axes(0.1, 0.06, 0.03)}, {"sigma_deg": Axes(0.1, 0.02, 0.1)}]
+)
+def test_a_row_at_its_limit_stops_nothing(change):
+    driver = ReleaseDriver().armed()
+    driver.rows(1, replace(GOOD, **change))
+    assert driver.name == "ARMED"
+
+
 @pytest.mark.parametrize("act", [row(is_fading=True), row(redundancy=0), after_a_gap, row(inhibitions=("late",))])
 def test_an_inhibition_clears_itself_after_ten_good_minutes_and_no_sooner(act):
     driver = ReleaseDriver().engaged()

@@ -18,6 +18,7 @@ from service.pipeline.control.release.events import (
     SignJudged,
     UplinkEffect,
 )
+from service.pipeline.control.release.sign_checks import is_leg_due, profile_of
 from service.records.operations.release import CommandState, Purpose
 
 
@@ -52,6 +53,18 @@ def test_the_first_leg_is_a_command_that_two_persons_release_and_the_filter_does
     check = driver.state.sign_check
     assert (check.legs_done, check.leg, check.flown) == (1, None, (driver.command(1).schedule,))
     assert check.until_us == driver.command(1).start_us + 2700 * US
+
+
+def test_a_leg_is_due_when_none_is_under_way_and_its_side_had_its_time(driver):
+    check = begun(driver)
+    assert not is_leg_due(check, driver.now_us)
+    waiting = replace(check, leg=None)
+    assert is_leg_due(waiting, driver.now_us)
+    assert not is_leg_due(replace(waiting, state="open"), driver.now_us)
+    assert not is_leg_due(replace(waiting, legs_done=check.legs), driver.now_us)
+    flown = replace(waiting, legs_done=1, flown=(driver.command(1).schedule,))
+    due_us = driver.command(1).start_us + round(profile_of("roll").legs[1].start_s * US)
+    assert (is_leg_due(flown, due_us - 1), is_leg_due(flown, due_us)) == (False, True)
 
 
 def test_a_second_check_and_a_first_leg_that_may_not_go_are_refused_and_change_nothing(driver):
