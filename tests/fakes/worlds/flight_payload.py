@@ -28,6 +28,7 @@ from flight_geometry import (
     satellite_m,
     turn_rad,
 )
+from synthetic_payload import selected_carrier
 
 from service.records.calibration import (
     Alignment,
@@ -298,28 +299,8 @@ class FlightPayload:
         level = float(own.power_dbm([START_US], np.zeros(3))[0, 0])
         turned = own.power_dbm([START_US] * 6, 0.3 * np.vstack([np.eye(3), -np.eye(3)]))[:, 0]
         plus, minus = (turned[:3] - level) / 0.3, (level - turned[3:]) / 0.3
-        harmonic = self._harmonics[k]
-        return CarrierCalibration(
-            id=self.ids[k],
-            level_dbm=harmonic.offset_dbm,
-            sigma_white_db=0.05,
-            noise=(NoiseComponent(1200.0, 0.02), NoiseComponent(7200.0, 0.01)),
-            harmonic=harmonic,
-            sensitivity_db_per_deg=Axes(*(0.5 * (plus + minus)).tolist()),
-            sensitivity_plus_db_per_deg=Axes(*plus.tolist()),
-            sensitivity_minus_db_per_deg=Axes(*minus.tolist()),
-            residual_db=0.05,
-            stability_residual_rms_db=0.05,
-            drift_db_per_day=0.0,
-            deviation_at_0p5_deg_db=0.0,
-            nonlinearity_deg=0.0,
-            linear_range_deg=0.5,
-            axis="mixed",
-            axis_ratio=1.5,
-            criteria_met=("stable", "linear"),
-            rejected_because=(),
-            selected=True,
-        )
+        noise = (NoiseComponent(1200.0, 0.02), NoiseComponent(7200.0, 0.01))
+        return selected_carrier(self.ids[k], self._harmonics[k], plus, minus, noise)
 
     def harmonic(self) -> Harmonic:
         """Return the one wave that comes nearest to the first carrier's day."""

@@ -71,6 +71,33 @@ def turn_angles() -> FloatArray:
     return np.repeat(np.array(levels), 12, axis=0)
 
 
+def selected_carrier(
+    carrier_id: str, harmonic: Harmonic, plus: FloatArray, minus: FloatArray, noise: tuple[NoiseComponent, ...]
+) -> CarrierCalibration:
+    """Return the calibration of a carrier that the paper method uses, by its slopes (3,) of each sign in dB/deg."""
+    return CarrierCalibration(
+        id=carrier_id,
+        level_dbm=harmonic.offset_dbm,
+        sigma_white_db=0.05,
+        noise=noise,
+        harmonic=harmonic,
+        sensitivity_db_per_deg=Axes(*(0.5 * (plus + minus)).tolist()),
+        sensitivity_plus_db_per_deg=Axes(*plus.tolist()),
+        sensitivity_minus_db_per_deg=Axes(*minus.tolist()),
+        residual_db=0.05,
+        stability_residual_rms_db=0.05,
+        drift_db_per_day=0.0,
+        deviation_at_0p5_deg_db=0.0,
+        nonlinearity_deg=0.0,
+        linear_range_deg=0.5,
+        axis="mixed",
+        axis_ratio=1.5,
+        criteria_met=("stable", "linear"),
+        rejected_because=(),
+        selected=True,
+    )
+
+
 @dataclass(frozen=True)
 class SyntheticPayload:
     """Truth of some carriers, and makers of everything the service would know of them."""
@@ -192,30 +219,10 @@ class SyntheticPayload:
         return Calibration(calibration_id, 1, 1, CalibrationState.ACTIVE, self.request, START_US, "engineer", result)
 
     def _carrier(self, k: int) -> CarrierCalibration:
-        plus, minus = Axes(*self.plus[k].tolist()), Axes(*self.minus[k].tolist())
-        mean = Axes(*(0.5 * (self.plus[k] + self.minus[k])).tolist())
         level, amplitude, phase = float(self.level_dbm[k]), float(self.amplitude_db[k]), float(self.phase_rad[k])
-        return CarrierCalibration(
-            id=self.ids[k],
-            level_dbm=level,
-            sigma_white_db=0.05,
-            noise=(NoiseComponent(1200.0, 0.02),) if k % 2 else (),
-            harmonic=Harmonic(amplitude, phase, level, PERIOD_S, START_US, 0.05, 700, 3),
-            sensitivity_db_per_deg=mean,
-            sensitivity_plus_db_per_deg=plus,
-            sensitivity_minus_db_per_deg=minus,
-            residual_db=0.05,
-            stability_residual_rms_db=0.05,
-            drift_db_per_day=0.0,
-            deviation_at_0p5_deg_db=0.0,
-            nonlinearity_deg=0.0,
-            linear_range_deg=0.5,
-            axis="mixed",
-            axis_ratio=1.5,
-            criteria_met=("stable", "linear"),
-            rejected_because=(),
-            selected=True,
-        )
+        harmonic = Harmonic(amplitude, phase, level, PERIOD_S, START_US, 0.05, 700, 3)
+        noise = (NoiseComponent(1200.0, 0.02),) if k % 2 else ()
+        return selected_carrier(self.ids[k], harmonic, self.plus[k], self.minus[k], noise)
 
     def alignment(self, epoch_us: int, alignment_id: int = 1, calibration_id: int = 1) -> Alignment:
         """Return an alignment at zero attitude whose references are the true levels."""
