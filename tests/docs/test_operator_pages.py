@@ -47,6 +47,7 @@ def archive(tmp_path: Path) -> None:
     seed_archive(f"sqlite:///{tmp_path / 'archive.db'}", record("yamal-202"))
 
 
+@pytest.mark.slow
 @pytest.mark.system
 def test_first_shift(archive: None, service: Any, tmp_path: Path) -> None:
     headers = {"Authorization": f"Bearer {service.environment['SOO_KEY']}"}

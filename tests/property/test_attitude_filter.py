@@ -2,6 +2,7 @@
 
 import filter_models
 import numpy as np
+import pytest
 from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -40,6 +41,7 @@ def test_any_rows_leave_a_sound_state(seed):
     assert_sound(state)
 
 
+@pytest.mark.slow
 def test_two_weeks_of_rows_leave_a_sound_state():
     """14 days at five minutes a row, one carrier in ten absent at any time; seed 11."""
     rng = np.random.default_rng(11)

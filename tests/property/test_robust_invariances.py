@@ -2,6 +2,7 @@
 
 import hypothesis.strategies as st
 import numpy as np
+import pytest
 from example_counts import examples
 from hypothesis import given, settings
 
@@ -52,6 +53,7 @@ def test_the_order_of_the_carriers_does_not_matter(seed):
         np.testing.assert_allclose(shuffled_deg, found_deg, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_search_rarely_ends_with_other_carriers():
     """In 16 of the 10 001 worlds one order leaves out good carriers: a smaller set fits better than noise allows."""
     differ = sum(not np.array_equal(counts, other) for _, counts, _, other in map(solved_in_two_orders, range(500)))

@@ -236,6 +236,7 @@ def test_side_on_which_the_wheel_turns_is_that_of_the_product(fly: Fly) -> None:
     assert mean_over_orbits(flight, ORBITAL_RATE_RAD_S) == pytest.approx(0.28, abs=0.04)
 
 
+@pytest.mark.slow
 def test_eight_statements_without_a_figure_of_their_own(fly: Fly) -> None:
     """Transients of the smallest gains, constant yaw and its correction, noise, friction, tones, resonance."""
     rows = reproduce(compiled_fly())
@@ -311,6 +312,7 @@ def _equations(_time_s: float, y: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([turning, momentum, -u])
 
 
+@pytest.mark.slow
 def test_continuous_model_against_an_adaptive_integrator(fly: Fly) -> None:
     flight = fly(rigid_spacecraft(inertia=NOMINAL_INERTIA, steps=4), Start(roll_deg=2.0), 1000.0)
     half = math.radians(1.0)

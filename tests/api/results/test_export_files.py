@@ -27,7 +27,16 @@ from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cov
 pytestmark = pytest.mark.anyio
 
 DAY = 86_400_000_000
-CASES = [(series, file_format) for series, formats in OFFERED.items() for file_format in formats]
+#: every format of one series and every series in one format at each run
+CASES = [
+    pytest.param(
+        series,
+        file_format,
+        marks=() if series == "measurements" or file_format == "csv" else pytest.mark.slow,
+    )
+    for series, formats in OFFERED.items()
+    for file_format in formats
+]
 
 
 async def file_of(bench, series: str, **params: object) -> httpx.Response:

@@ -92,7 +92,11 @@ def test_bias_and_scatter(detail: Detail, rows: int, judged: int) -> None:
     assert all(row.epoch_us == 1_793_491_200_000_000 + 60_000_000 * k for k, row in enumerate(taken))
 
 
-@pytest.mark.parametrize(("is_hislip", "rows"), [(False, 200), (True, 40)], ids=["socket", "hislip"])
+@pytest.mark.parametrize(
+    ("is_hislip", "rows"),
+    [pytest.param(False, 200, marks=pytest.mark.slow), (True, 40)],
+    ids=["socket", "hislip"],
+)
 @pytest.mark.parametrize("dialect", list(DIALECTS))
 def test_bias_and_scatter_in_every_dialect(dialect: str, is_hislip: bool, rows: int) -> None:
     with measuring(Detail.FAST, dialect, is_hislip=is_hislip) as (_, driver, made):
@@ -103,7 +107,9 @@ def test_bias_and_scatter_in_every_dialect(dialect: str, is_hislip: bool, rows: 
     assert not any((row.flags[:MODULATED] & int(unexpected)).any() for row in taken)
 
 
-@pytest.mark.parametrize("dialect", list(DIALECTS))
+@pytest.mark.parametrize(
+    "dialect", [pytest.param(name, marks=() if name == "siglent" else pytest.mark.slow) for name in DIALECTS]
+)
 def test_the_generic_driver_measures_any_of_them_as_it_was_switched_on(dialect: str) -> None:
     print(f"seed {SEED}")
     spoken, made = DIALECTS[dialect], steady_task()

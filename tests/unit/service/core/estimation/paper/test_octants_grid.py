@@ -42,8 +42,8 @@ def polished(plus, minus, deviation_db):
     return min(fits, key=lambda pair: pair[0])
 
 
-@pytest.mark.parametrize("carriers", [5, 8, 16])
-@pytest.mark.parametrize("noise_db", [0.0, 0.05])
+@pytest.mark.parametrize("carriers", [5, 16, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("noise_db", [0.05, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_never_above_the_polished_grid(carriers, noise_db):
     seed = 1000 + 10 * carriers + round(100 * noise_db)
     print("seed", seed)
