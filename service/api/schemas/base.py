@@ -5,6 +5,9 @@ microseconds into RFC 3339 by themselves, so routes hand over records as they ar
 """
 
 import math
+from collections.abc import Callable
+from functools import cache
+from operator import attrgetter
 from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
@@ -81,17 +84,20 @@ class Answer(BaseModel):
     @classmethod
     def of(cls, record: Any, *_of_subclasses: Any, **others: Any) -> Self:
         """Return the answer for a record; ``others`` are the members that it does not have by name."""
-        return cls.model_validate(_Joined(record, others) if others else record)
+        if not others:
+            return cls.model_validate(record)
+        getters = _getters(cls, type(record))  # type: ignore[arg-type] # a class is hashable
+        members = {name: get(record) for name, get in getters.items() if name not in others}
+        return cls.model_validate(members | others)
 
 
-class _Joined:
-    """Record with further members."""
-
-    def __init__(self, record: object, others: dict[str, Any]) -> None:
-        self._record, self._others = record, others
-
-    def __getattr__(self, name: str) -> Any:
-        return self._others[name] if name in self._others else getattr(self._record, name)
+@cache
+def _getters(answer: type[Answer], record: type[object]) -> dict[str, Callable[[Any], Any]]:
+    """Return what reads the members of an answer that a record has; found once, asked of every record."""
+    held = {*dir(record), *getattr(record, "__dataclass_fields__", ())}
+    names = {member: _record_names(member).convert_to_aliases() for member in answer.model_fields}
+    paths = {member: next((path for path in choices if path[0] in held), None) for member, choices in names.items()}
+    return {member: attrgetter(".".join(map(str, path))) for member, path in paths.items() if path is not None}
 
 
 def _epoch_text(value: Any) -> Any:
