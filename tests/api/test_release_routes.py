@@ -145,8 +145,7 @@ async def test_what_stands_can_be_read(soo, service):
     }
     assert (control["since"], control["authorised_until"]) == ("2026-11-21T03:00:00.000000Z", None)
     assert control["envelope"]["impulse_n_m_s"] == 0.02
-    # a check with ratios is answered like any other; the interface has no member for plus, nothing and minus
-    assert (control["sign_check"]["axis"], control["sign_check"]["log_ratio"]) == ("roll", None)
+    assert control["sign_check"]["log_ratio"] == {"plus": 0.0, "nothing": -12.0, "minus": -40.0}
     command = (await soo.client.get(f"{URL}/torques/7", headers=viewer)).json()
     assert (command["prepared_by"], command["executed"]) == ("Anna", [])
     product = (await soo.client.get(f"{URL}/torques/7/uplink", headers=viewer)).json()

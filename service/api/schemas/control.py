@@ -1,11 +1,10 @@
 """Documents of control: state of the interlock, and orders of operators."""
 
-from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
-from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer
+from service.api.schemas.base import Answer, CommentText, Document, Epoch, EpochAnswer
 from service.api.schemas.record_answers import members_of
 from service.core.control.envelope import Envelope
 from service.pipeline.control.release.control_verdict import ControlReason, ControlVerdict, ControlView
@@ -65,8 +64,18 @@ class EnvelopeAnswer(members_of(Envelope, number=float), Answer):
     """Largest change of a command about each axis."""
 
 
+class SignRatiosAnswer(Answer):
+    """Log-likelihood of each answer of a spacecraft against the best of them, by the powers."""
+
+    plus: float
+    nothing: float
+    minus: float
+
+
 class SignCheckAnswer(
-    members_of(SignCheck, without=("leg", "leg_start_us", "flown"), types={"axis": _Axis, "log_ratio": AnglesAnswer}),
+    members_of(
+        SignCheck, without=("leg", "leg_start_us", "flown"), types={"axis": _Axis, "log_ratio": SignRatiosAnswer}
+    ),
     Answer,
 ):
     """The newest sign check, or the one that is under way."""
@@ -92,7 +101,6 @@ class ControlAnswer(
     @classmethod
     def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:
         """Return the answer for the state of the interlock."""
-        check = view.sign_check
         return super().of(
             view,
             control=VerdictAnswer.of(verdict),
@@ -100,6 +108,4 @@ class ControlAnswer(
             # before anything ever happened there is no instant
             since=view.since_us or None,
             reasons=[reason.code for reason in verdict.reasons],
-            # the interface has a member for each axis there, and none for plus, nothing and minus
-            sign_check=None if check is None else replace(check, log_ratio=None),
         )
