@@ -92,7 +92,7 @@ async def test_gains_that_saturate_are_told(bench):
         ({"wheels": {"momentum_limit_n_m_s": 0.0}}, "value.range", "greater than 0"),
         ({"law": {"gains": {"yaw_stiffness_n_m": -1.0}}}, "value.range", "greater than or equal to 0"),
         ({"points": 5001}, "value.range", "5000"),
-        ({"gravity": False}, "field.unknown", "not known"),
+        ({"gravity": False}, "field.unknown", "unknown field"),
     ],
 )
 async def test_what_cannot_fly_is_refused_with_a_code_and_never_clipped(bench, body, code, says):

@@ -37,9 +37,9 @@ def ran(monkeypatch):
     return run
 
 
-def test_everything_is_run_with_five_seeds_unless_something_is_named(ran):
+def test_everything_is_run_with_ten_seeds_unless_something_is_named(ran):
     _, plan = ran()
-    assert plan == CampaignPlan(GROUPS["all"], 5, 2, None)
+    assert plan == CampaignPlan(GROUPS["all"], 10, 2, None)
 
 
 def test_a_scenario_alone_is_run_alone(ran):
@@ -49,7 +49,7 @@ def test_a_scenario_alone_is_run_alone(ran):
 
 def test_a_group_and_scenarios_are_run_together_and_each_once(ran):
     _, plan = ran("--group", "quick", "--scenario", "white", "--scenario", "nominal", "--operation-days", "0.5")
-    assert plan == CampaignPlan((*GROUPS["quick"], "white"), 5, 2, 0.5)
+    assert plan == CampaignPlan((*GROUPS["quick"], "white"), 10, 2, 0.5)
 
 
 def test_an_unknown_group_is_refused(ran):
@@ -74,7 +74,7 @@ def test_a_missed_bound_ends_with_one(ran):
 def test_json_is_one_document(ran):
     result, _ = ran("--scenario", "maneuver", "--json")
     document = json.loads(result.stdout)
-    assert document["command"] == "soo study estimation --scenario maneuver --seeds 5"
+    assert document["command"] == "soo study estimation --scenario maneuver --seeds 10"
     assert document["figures"]["maneuver"]["robust"]["rms_deg.roll"] == 0.01
 
 
