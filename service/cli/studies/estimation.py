@@ -56,7 +56,8 @@ def estimation(
     elif as_markdown:
         typer.echo(markdown(campaign, command), nl=False)
     else:
-        print_tables(console_of(_FILE_WIDTH), tables(campaign), verdict_lines(campaign))
+        lines = [*verdict_lines(campaign), f"made by: {command}"]
+        print_tables(console_of(_FILE_WIDTH), tables(campaign), lines)
     if campaign.missed or campaign.idle or campaign.refusals:
         raise typer.Exit(EXIT_MISSED)
 
