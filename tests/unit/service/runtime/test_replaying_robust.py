@@ -27,7 +27,7 @@ from service.records.operations.job import JobState, Replay
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
-from service.runtime.live.journal_consumer import prepare
+from service.runtime.live.journal_consumer import update_before
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -328,7 +328,7 @@ def test_pages_of_anything_but_commanded_motion_are_refused(monkeypatch):
     archive.slow_inputs_before.return_value = []
     archive.inputs.return_value = [JournalEntry(7, PlanChange(1))]
     with pytest.raises(TypeError, match="journal entry 7 is no commanded motion"):
-        prepare(Mock(), archive, SC, 50, 0)
+        update_before(Mock(), archive, SC, 50, 0)
 
 
 def test_what_telemetry_told_before_an_alignment_holds_after_a_restart_and_in_a_replay(opened_archive, new_station):

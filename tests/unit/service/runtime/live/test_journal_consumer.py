@@ -11,7 +11,7 @@ from service.pipeline.config import ChainConfig
 from service.records.inputs import AlignmentSet, Correction, Operation, PlanChange, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
-from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, prepare
+from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, update_before
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def opened(payload):
     archive.slow_inputs_before.return_value = [JournalEntry(k, content) for k, content in enumerate(contents)]
     # a port that gave a row among the slow inputs would not confuse the chain
     archive.slow_inputs_before.return_value.append(JournalEntry(40, stored[0]))
-    prepare(chain, archive, "y", 50, None)
+    update_before(chain, archive, "y", 50, None)
     return SimpleNamespace(chain=chain, archive=archive, stored=stored, aligned_us=aligned_us)
 
 
@@ -66,7 +66,7 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
         "telemetry": [JournalEntry(6, reported), JournalEntry(61, reported)],
     }
     archive.inputs.side_effect = lambda _spacecraft, kind, _window, _limit, _after: pages.get(kind, [])
-    prepare(chain, archive, "y", 50, 150)
+    update_before(chain, archive, "y", 50, 150)
     assert [call.args[0] for call in chain.update.call_args_list] == [correction, reported, plan]
     starts_us = {call.args[1]: call.args[2].start_us for call in archive.inputs.call_args_list}
     # what telemetry told in the hours before may still hold
