@@ -37,7 +37,9 @@ def test_a_short_study_prints_figures_bounds_and_marks(compiled_environment, tmp
     document = json.loads(ran.stdout)
     assert document["command"] == "soo study estimation --scenario white --seeds 1 --operation-days 0.2"
     figures = document["figures"]["white"]
-    assert set(figures) == {"robust", "paper", "zero", "corrections", "coupling"}
+    trivial = {"never allow", "always allow", "three sigma"}
+    baselines = {"zero", "corrections", "corrections_read", "coupling"}
+    assert set(figures) == {"robust", "paper", "oracle"} | baselines | trivial
     for method in ("robust", "paper"):
         assert figures[method]["answered"] == 1.0
         # generous: a snapshot of one row has 0.05 deg of roll and 0.14 of pitch
