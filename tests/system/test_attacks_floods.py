@@ -95,7 +95,7 @@ def resident_mb(process_id: int) -> float:
     """Return the memory that a process holds; 0 for one that has ended."""
     try:
         lines = Path(f"/proc/{process_id}/status").read_text().splitlines()
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):
         return 0.0
     return next((int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS")), 0.0)
 

@@ -82,7 +82,7 @@ def has_ended(process_id: int) -> bool:
     stat = Path(f"/proc/{process_id}/stat")
     try:
         return stat.read_text().rpartition(")")[2].split()[0] == "Z"
-    except FileNotFoundError:
+    except (FileNotFoundError, ProcessLookupError):
         return True
 
 
