@@ -96,7 +96,7 @@ class ExclusionReply(TypedDict):
     """A carrier left out of the fix, and why."""
 
     carrier: str
-    #: uplink_fade, step, absent, interference, group or manual.
+    #: uplink_fade, step, absent, frozen, interference, group or manual.
     reason: str
 
 
@@ -151,6 +151,8 @@ class Attitude(TypedDict):
     alignment_id: int | None
     #: What the operator is advised while control goes on: `realign`.
     advice: list[str]
+    #: Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known.
+    protection_deg: Angles
     #: `live`, or the replay that made the row.
     version: str
     control: Verdict

@@ -53,6 +53,9 @@ class CalibrationConfig:
     flat_share: float = setting(
         0.5, "geometry: a carrier that turns move by less than this share of its noise is flat", TUNED
     )
+    max_turn_scatter: float = setting(
+        2.0, "geometry: squares left of the turns over those of the noise, else they are to be flown again", TUNED
+    )
     drift_db_per_day: float = setting(0.15, "geometry: a level that drifts faster is warned of, dB/day", TUNED)
     drift_sigmas: float = setting(4.0, "geometry: and by more than this many of its sigmas", TUNED)
     place_chi_square: float = setting(16.0, "geometry: a station's place is doubted above this chi-square", TUNED)
@@ -78,6 +81,8 @@ class AlignmentConfig:
         0.006, "wander of a level since calibration, dB per square root of hour", TUNED
     )
     changed_level_sigma: float = setting(4.0, "a level changed by more sigma is left out of that test", TUNED)
+    wet_level_sigma: float = setting(2.0, "a level lower by more sigma is wet: that of the calibration serves", TUNED)
+    wet_level_h: float = setting(72.0, "age of the quiet days up to which a lower level is taken for wet, h", TUNED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,6 +173,9 @@ class InterlockConfig:
     yaw_sigma_limit_deg: float = setting(0.20, "greatest sigma with which yaw is controlled, deg", TUNED)
     roll_sigma_limit_deg: float = setting(0.06, "greatest sigma of roll with which control is allowed, deg", TUNED)
     pitch_sigma_limit_deg: float = setting(0.10, "greatest sigma of pitch with which control is allowed, deg", TUNED)
+    alert_limit_deg: float = setting(
+        0.22, "greatest protection level of roll and of pitch with which control is allowed, deg", TUNED
+    )
     min_redundancy: int = setting(2, "fewest carriers beyond the three unknowns", TUNED)
 
 

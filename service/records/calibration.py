@@ -191,7 +191,9 @@ class Alignment:
     #: calibration that the references of each method were made with
     calibration_by_method: dict[str, int] = field(default_factory=dict)
     changed_carriers: Annotated[
-        tuple[str, ...], "Re-levelled since the calibration; their reference is that of the window alone."
+        tuple[str, ...],
+        "More than four sigma from the calibration. Their reference is that of the window alone; a level lower than "
+        "in\nquiet days of the last three days is taken for wet, and the reference stays the calibrated one.",
     ] = ()
     reference_rule: Annotated[
         ReferenceRule,

@@ -14,7 +14,7 @@ class ExclusionAnswer(Answer):
 
     carrier: str
     reason: str
-    """uplink_fade, step, absent, interference, group or manual."""
+    """uplink_fade, step, absent, frozen, interference, group or manual."""
 
 
 _MEMBERS = RecordMembers(

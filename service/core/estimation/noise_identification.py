@@ -34,6 +34,14 @@ MIN_ROWS = 100
 #: Fewest carriers in a row whose mean tells what they have in common.
 _MIN_COMMON = 4
 _MAD_TO_SIGMA = 1.4826
+#: Rows of a mean in which a shower shows, what it loses at least, dB and in spreads of such means, means left out
+#: before and after it.
+_BLOCK_ROWS = 10
+_FADE_DB, _FADE_SPREADS = 0.3, 4.0
+_MARGIN_BLOCKS = 3
+#: Rows of a mean of slow noise, and the share of what lies above the usual level below which rain lowers the rest.
+_SLOW_ROWS = 60
+_ASYMMETRIC = 0.8
 #: dB, a common part below this is none.
 _LEAST_COMMON_DB = 0.005
 #: dB, noise of a row when no carrier tells any.
@@ -94,18 +102,61 @@ def identify_noise(residual_db: FloatArray, epoch_s: FloatArray) -> IdentifiedNo
     """
     tau_s = np.array(LADDER_S)
     grid = regular_grid(epoch_s)
+    residual_db = _without_fades(residual_db)
     spread = _spread_db(residual_db)
     common, share = _common_db(residual_db, spread)
     own = grouped_spectra(residual_db - common.reshape(-1, 1), grid, tau_s, MIN_ROWS)
     own = own._replace(power=own.power / (1.0 - share).reshape(-1, 1))
     start = np.square(spread)[:, np.newaxis] * np.array([0.5, 0.125, 0.125, 0.125, 0.125])
     variance = _own_variances(own, start)
+    variance[:, 1:] *= _symmetric_share(residual_db - common.reshape(-1, 1))
     return IdentifiedNoise(
         np.sqrt(variance[:, 0]),
         np.sqrt(variance[:, 1:]),
         tau_s,
         _common_parts_db(grouped_spectra(common.reshape(-1, 1), grid, tau_s, MIN_ROWS), own, variance, share),
     )
+
+
+def _without_fades(residual_db: FloatArray) -> FloatArray:
+    """Return the residuals with NaN in showers and around them: what rain does to a carrier is not its noise."""
+    if not residual_db.size:
+        return residual_db
+    blocks = -(-len(residual_db) // _BLOCK_ROWS)
+    padded = np.full((blocks * _BLOCK_ROWS, residual_db.shape[1]), np.nan)
+    padded[: len(residual_db)] = residual_db
+    by_block = padded.reshape(blocks, _BLOCK_ROWS, residual_db.shape[1])
+    count = np.isfinite(by_block).sum(axis=1)
+    mean = np.where(count > 0, np.nansum(by_block, axis=1) / np.maximum(count, 1), np.nan)
+    limit = np.maximum(_FADE_DB, _FADE_SPREADS * _spread_db(mean))
+    is_faded = np.nan_to_num(mean) < -limit
+    is_out = is_faded.copy()
+    for shift in range(1, _MARGIN_BLOCKS + 1):
+        is_out[shift:] |= is_faded[:-shift]
+        is_out[:-shift] |= is_faded[shift:]
+    return np.where(np.repeat(is_out, _BLOCK_ROWS, axis=0)[: len(residual_db)], np.nan, residual_db)
+
+
+def _symmetric_share(residual_db: FloatArray) -> float:
+    """Return the share of the slow variance that stands above the usual level as well: below it there is rain too."""
+    hours = residual_db[: len(residual_db) // _SLOW_ROWS * _SLOW_ROWS]
+    hours = hours.reshape(len(hours) // _SLOW_ROWS, _SLOW_ROWS, residual_db.shape[1])
+    count = np.isfinite(hours).sum(axis=1)
+    mean = np.where(count > _SLOW_ROWS // 2, np.nansum(hours, axis=1) / np.maximum(count, 1), np.nan)
+    if not np.isfinite(mean).any():
+        return 1.0
+    apart = mean - _median(mean)
+    scale = _MAD_TO_SIGMA * _median(np.abs(apart))
+    apart = np.where(np.isfinite(apart), apart / np.maximum(scale, 1e-6), 0.0)
+    above, below = float(np.sum(np.maximum(apart, 0.0) ** 2)), float(np.sum(np.minimum(apart, 0.0) ** 2))
+    share = 2.0 * above / max(above + below, 1e-12)
+    return share if share < _ASYMMETRIC else 1.0
+
+
+def _median(values: FloatArray) -> FloatArray:
+    """Return the median of each column (T, N) without NaN, 0 where there is nothing."""
+    ordered, count = np.sort(values, axis=0), np.isfinite(values).sum(axis=0)
+    return np.where(count > 0, ordered[np.maximum(count - 1, 0) // 2, np.arange(values.shape[1])], 0.0)
 
 
 def _own_variances(own: Spectra, start: FloatArray) -> FloatArray:

@@ -3,7 +3,8 @@
 The reference of a carrier is its level at zero attitude with the daily change removed. The calibration knows it to its
 own error, grown with age; the window's mean of power minus daily change minus f(angles) knows it to the noise of an
 hour and the sensor's error. What all carriers have in common between the two belongs to the receiving chain and is
-taken from the window. A carrier for which both differ by more than four sigma was re-levelled: it takes the window.
+taken from the window. A carrier for which both differ by more than four sigma was re-levelled: it takes the window. One
+that is two sigma lower than a calibration of the last days is wet: it keeps the level of the calibration.
 """
 
 from dataclasses import dataclass
@@ -77,10 +78,16 @@ def robust_references(
     # what a level-controlled group has in common was taken from its members
     is_grouped = np.isin(np.arange(len(level_dbm)), [k for group in window.groups for k in group])
     common_db = np.where(is_grouped, 0.0, common_db)
-    is_changed = is_tested & (np.abs(change_db - common_db) > config.changed_level_sigma * both_db)
-    weight = np.where(is_changed, 0.0, window.sigma_db**2 / both_db**2)
+    surplus = (change_db - common_db) / both_db
+    is_wet = (
+        is_tested & (surplus < -config.wet_level_sigma) & (_age_h(calibration, stated.epoch_us) < config.wet_level_h)
+    )
+    is_changed = is_tested & (np.abs(surplus) > config.changed_level_sigma)
+    is_new_level = is_changed & ~is_wet
+    weight = np.where(is_wet, 1.0, np.where(is_new_level, 0.0, window.sigma_db**2 / both_db**2))
     reference_dbm = weight * (level_dbm + common_db) + (1.0 - weight) * window.level_dbm
-    reference_sigma_db = np.where(is_changed, window.sigma_db, sigma_db * window.sigma_db / both_db)
+    weighed_db = np.where(is_new_level, window.sigma_db, sigma_db * window.sigma_db / both_db)
+    reference_sigma_db = np.where(is_wet, sigma_db, weighed_db)
     references = tuple(
         CarrierReference(
             carrier.id,
@@ -153,8 +160,12 @@ def _noise_db(result: CalibrationResult, rows: int, span_s: float) -> FloatArray
 def _calibration_sigma_db(fit: GeometryFit, calibration: Calibration, epoch_us: int) -> FloatArray:
     """Return one standard deviation (N,) of the calibration's levels at an epoch."""
     variance = np.array([table[0][0] for table in fit.covariance])
-    hours = max(0.0, (epoch_us - calibration.request.quiet.stop_us) / _HOUR_US)
-    return np.asarray(np.sqrt(variance + np.array(fit.reference_walk_db) ** 2 * hours))
+    return np.asarray(np.sqrt(variance + np.array(fit.reference_walk_db) ** 2 * _age_h(calibration, epoch_us)))
+
+
+def _age_h(calibration: Calibration, epoch_us: int) -> float:
+    """Return how long ago the quiet days of a calibration ended, h."""
+    return max(0.0, (epoch_us - calibration.request.quiet.stop_us) / _HOUR_US)
 
 
 def _consistency(

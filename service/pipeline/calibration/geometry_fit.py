@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, fit_geometry
+from service.core.estimation.calibration.geometry_columns import BEAM_SIZE
 from service.core.estimation.calibration.geometry_prediction import response_of
 from service.core.estimation.calibration.level_drift import LevelDrift, level_drift
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse
@@ -18,6 +19,8 @@ from service.records.levels.attitude import FloatArray, IntArray
 
 #: rows of stretches below this weight say nothing about levels
 _GOOD_WEIGHT = 0.25
+#: rows of a mean of what is left of the turns, and the square, in those of the noise, beyond which none counts
+_SCATTER_ROWS, _GREATEST_SCATTER = 10, 25.0
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,8 @@ class JointFit:
     group: IntArray
     #: (N,) dB
     quantisation_db: FloatArray
+    #: (N,) variance of what the fit leaves of the turns over that of the noise, NaN = not seen there
+    turn_scatter: FloatArray
 
 
 def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConfig) -> JointFit:
@@ -52,6 +57,8 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
     quiet = np.flatnonzero(rows.is_quiet)
     residual_db = np.where(fit.weight > _GOOD_WEIGHT, fit.residual_db, np.nan)[quiet]
     noise = fit.identified or identify_noise(residual_db, rows.rows.epoch_s[quiet])
+    scatter = _turn_scatter(fit, rows, noise)
+    fit = _with_scatter(fit, scatter)
     return JointFit(
         fit,
         response_of(fit, geometry),
@@ -59,4 +66,25 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
         level_drift(residual_db, rows.rows.epoch_s[quiet], noise, config.reference_walk_db_sqrt_h),
         group,
         np.array([quantisation_step_db(column) for column in rows.rows.power_dbm[quiet].T]),
+        scatter,
     )
+
+
+def _turn_scatter(fit: GeometryCalibration, rows: GeometryRows, noise: IdentifiedNoise) -> FloatArray:
+    """Return by how much (N,) the squares of what is left of the turns exceed the noise; rain makes it many times."""
+    turns = np.flatnonzero(~rows.is_quiet)
+    turns = turns[: len(turns) // _SCATTER_ROWS * _SCATTER_ROWS]
+    left_db = fit.residual_db[turns].reshape(-1, _SCATTER_ROWS, fit.residual_db.shape[1])
+    count = np.isfinite(left_db).sum(axis=1)
+    mean_db = np.nansum(left_db, axis=1) / np.maximum(count, 1)
+    expected_db2 = noise.white_db**2 / np.maximum(count, 1) + np.square(noise.sigma_db).sum(axis=1)
+    ratio = np.where(count > 0, np.minimum(mean_db**2 / expected_db2, _GREATEST_SCATTER), np.nan)
+    stretches = np.isfinite(ratio).sum(axis=0)
+    return np.where(stretches > 0, np.nansum(ratio, axis=0) / np.maximum(stretches, 1), np.nan)
+
+
+def _with_scatter(fit: GeometryCalibration, scatter: FloatArray) -> GeometryCalibration:
+    """Return the fit with the covariance of the beams as large as the scatter of the turns makes it."""
+    scale = np.ones(fit.covariance.shape[:2])
+    scale[:, -BEAM_SIZE:] = np.sqrt(np.fmax(scatter, 1.0))[:, np.newaxis]
+    return fit._replace(covariance=fit.covariance * scale[:, :, np.newaxis] * scale[:, np.newaxis, :])

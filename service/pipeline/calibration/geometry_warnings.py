@@ -34,6 +34,7 @@ def calibration_warnings(
     """Return the warnings, those about the windows first."""
     return (
         *_about_windows(data, rows, config),
+        *_about_turns(data, joint, is_used, config),
         *_about_track(data, rows, joint, is_used, config),
         *_about_sensors(rows, config),
         *_about_carriers(data, rows, joint, is_used, config),
@@ -70,6 +71,21 @@ def _about_windows(data: CalibrationInput, rows: GeometryRows, config: Calibrati
             what = f"operation {operation.id} ({operation.kind}, {format_epoch(operation.start_us)})"
             after = ", and the track may not hold after it" if operation.kind in _MANOEUVRES else ""
             yield f"{what} lies inside the windows: the rows that it disturbs are left out{after}"
+
+
+def _about_turns(
+    data: CalibrationInput, joint: JointFit, is_used: BoolArray, config: CalibrationConfig
+) -> Iterator[str]:
+    """Yield the demand to fly the turns again where rain fell on many stations during them."""
+    scatter = np.where(is_used, joint.turn_scatter, np.nan)
+    if not np.isfinite(scatter).any() or np.nanmedian(scatter) <= config.max_turn_scatter:
+        return
+    turns = data.request.turns
+    wet = [name for name, ratio in zip(data.plan.carrier_ids, scatter, strict=True) if ratio > config.max_turn_scatter]
+    yield (
+        f"fly the turns of {format_epoch(turns.start_us)} to {format_epoch(turns.stop_us)} again when it is dry: what "
+        f"the beams leave of them is {np.nanmedian(scatter):.1f} times the noise, most on {', '.join(wet)}"
+    )
 
 
 def _about_track(

@@ -29,6 +29,9 @@ INHIBITIONS: dict[str, str] = {
     "beyond_validity": "roll or pitch lies beyond the range in which the model holds",
     "sigma_roll": "the roll estimate is too uncertain",
     "sigma_pitch": "the pitch estimate is too uncertain",
+    "integrity_unmonitored": "no protection level of roll and pitch is known: the references of the alignment have not "
+    "been asked for half an hour",
+    "protection_level": "the error of roll or pitch could be greater than the alert limit",
     "operation": "a declared operation forbids control",
     "internal_error": "the computation of this row failed; the service log says where",
 }

@@ -48,7 +48,7 @@ class Exclusion(NamedTuple):
     """One carrier left out of a fix, and why."""
 
     carrier: str
-    #: uplink_fade, step, absent, interference, group or manual
+    #: uplink_fade, step, absent, frozen, interference, group or manual
     reason: str
 
 
@@ -115,6 +115,9 @@ class AttitudeRow:
     calibration_id: int | None
     alignment_id: int | None
     advice: Annotated[tuple[str, ...], "What the operator is advised while control goes on: `realign`."] = ()
+    protection_deg: Annotated[
+        Axes, "Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known."
+    ] = NO_ANGLES
 
 
 def row_without_attitude(

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.filtering.anchor.anchor_watch import protection_now_deg
 from service.core.estimation.filtering.causes.carrier_faults import (
     SAME_LEVEL_DB,
     count_absence,
@@ -35,7 +36,14 @@ from service.core.estimation.filtering.model.filter_model import (
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
 from service.core.estimation.filtering.model.hidden_motion import with_doubted_torque
 from service.core.estimation.filtering.model.torque_prior import is_pushed
-from service.core.estimation.filtering.row_stages import common_first, is_shared, minute_update, moved, trusted
+from service.core.estimation.filtering.row_stages import (
+    common_first,
+    is_shared,
+    minute_update,
+    moved,
+    trusted,
+    with_anchor,
+)
 from service.core.estimation.filtering.watches.command_watch import (
     believed_motion,
     doubting_settings,
@@ -216,6 +224,9 @@ def _judged(
     if row.declared is not None and row.declared.chain_step_db > SAME_LEVEL_DB:
         # a fall that begins now is counted from where the chain stands now
         rain = rain._replace(base_chain_db=float(gaussian.mean[CHAIN]))
+    if values is not None:
+        after = with_anchor(model, after._replace(gaussian=gaussian), row.deviation_db, white_db2)
+        gaussian = after.gaussian
     drift, gaussian = push_drift(after.drift, settings, gaussian, row.minutes)
     after = after._replace(gaussian=gaussian, rain=rain, drift=drift)
     innovation_db = np.full(model.carriers, np.nan)
@@ -233,8 +244,10 @@ def _reported(
 ) -> FilterStep:
     """Return the step's result with the judgement of its integrity."""
     gaussian = state.gaussian
+    protection_deg = protection_now_deg(state.anchor, state.epoch_us, gaussian.attitude_sigma_deg)
     evidence = IntegrityInputs(
         gaussian.attitude_sigma_deg,
+        protection_deg,
         len(used),
         state.rain.is_raining,
         state.rain.hold_minutes > 0.0,
@@ -248,6 +261,7 @@ def _reported(
         state,
         gaussian.mean[ATTITUDE],
         gaussian.covariance[ATTITUDE, ATTITUDE],
+        protection_deg,
         innovation_db,
         used,
         cause,

@@ -7,6 +7,7 @@ know begins as wide as it is.
 
 import numpy as np
 
+from service.core.estimation.filtering.anchor.anchor_watch import calm_anchor
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.causes.common_change import Cusum
 from service.core.estimation.filtering.filter_records import FilterState
@@ -62,7 +63,7 @@ def carry_over(
     """
     is_kept = (position >= 0) & ~is_unknown
     source = np.where(is_kept, position, -1)
-    watch = _carried_watch(state.carriers, source, reference_db, is_unknown)
+    watch = _carried_watch(state.carriers, source, reference_db, reference_sigma_db, is_unknown)
     noise = state.noise._replace(
         white_scale=_picked(state.noise.white_scale, source, 1.0),
         running_mean=_picked(state.noise.running_mean, source, 0.0),
@@ -78,6 +79,7 @@ def carry_over(
         carriers=watch,
         noise=noise,
         minute=minute,
+        anchor=calm_anchor(new.carriers, state.anchor.since_us),
         model_variance_db2=_picked(state.model_variance_db2, source, 0.0),
         # sums over carriers that are gone mean nothing; what was found of the commands stands
         command=executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left),
@@ -90,7 +92,11 @@ def _picked(values: FloatArray, source: IntArray, fill: float) -> FloatArray:
 
 
 def _carried_watch(
-    watch: CarrierWatch, source: IntArray, reference_db: FloatArray, is_unknown: BoolArray
+    watch: CarrierWatch,
+    source: IntArray,
+    reference_db: FloatArray,
+    reference_sigma_db: FloatArray,
+    is_unknown: BoolArray,
 ) -> CarrierWatch:
     """Return the health of the carriers of the new plan; levels move with the references."""
     is_flagged = _picked(watch.is_flagged.astype(np.float64), source, 0.0) > 0.0
@@ -105,6 +111,8 @@ def _carried_watch(
         Cusum(_picked(watch.cusum.up, source, 0.0), _picked(watch.cusum.down, source, 0.0)),
         _picked(watch.absent_minutes, source, 0.0),
         _picked(watch.is_relearned.astype(np.float64), source, 0.0) > 0.0,
+        np.where(is_unknown, np.nan, _picked(watch.aligned_reference_db, source, 0.0) + reference_db),
+        np.where(source >= 0, _picked(watch.aligned_variance_db2, source, 0.0), reference_sigma_db**2),
     )
 
 

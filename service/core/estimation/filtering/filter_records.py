@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.filtering.anchor.anchor_watch import AnchorWatch, calm_anchor
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch, healthy
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause
 from service.core.estimation.filtering.causes.rain_state import RainWatch, dry_watch
@@ -32,6 +33,7 @@ class FilterState(NamedTuple):
     minute: MinuteSums
     motion: MotionWatch
     model_variance_db2: FloatArray
+    anchor: AnchorWatch
     drift: DriftWatch = usual_drift()
     command: CommandWatch = executed_commands()
 
@@ -43,6 +45,8 @@ class FilterStep(NamedTuple):
     #: (3,) deg and (3, 3) deg^2
     attitude_deg: FloatArray
     covariance_deg2: FloatArray
+    #: (3,) deg, levels that the error passes with a probability of 1e-4, NaN = not known
+    protection_deg: FloatArray
     #: (N,) dB, NaN = absent or flagged
     innovation_db: FloatArray
     #: (n,) carriers used
@@ -69,10 +73,11 @@ def start(model: CarrierModel, epoch_us: int, gaussian: Gaussian) -> FilterState
     return FilterState(
         epoch_us,
         gaussian,
-        healthy(count),
+        healthy(np.diagonal(gaussian.covariance)[-count:].copy()),
         dry_watch(),
         calm_watch(count),
         empty_minute(count + 1, epoch_us),
         still_watch(epoch_us),
         np.zeros(count),
+        calm_anchor(count, epoch_us),
     )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.filtering.anchor.anchor_watch import is_contradicted, push_anchor
 from service.core.estimation.filtering.causes.carrier_faults import (
     SKIPPED,
     release_quiet,
@@ -20,6 +21,7 @@ from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_update import Innovation, Updated, site_db
 from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray
 from service.core.estimation.filtering.model.filter_state import CHAIN
+from service.core.estimation.filtering.new_start import start_again
 from service.core.estimation.filtering.watches.minute_sums import empty_minute, push_minute
 from service.core.estimation.filtering.watches.motion_watch import MotionWatch, follow_all, forget_shifts, push_shift
 from service.core.estimation.filtering.watches.noise_watch import push_values
@@ -138,3 +140,22 @@ def minute_update(
     residual_db = deviation_db - site_db(model, state.gaussian.mean)
     gaussian, watch = release_quiet(model, state.gaussian, watch_flagged(state.carriers, residual_db, 1.0))
     return state._replace(gaussian=gaussian, carriers=watch, noise=noise)
+
+
+def with_anchor(
+    model: CarrierModel, state: FilterState, deviation_db: FloatArray, white_db2: FloatArray
+) -> FilterState:
+    """Return the state after the question to the references of the alignment, started again where they demand it."""
+    residual_db = deviation_db - site_db(model, state.gaussian.mean)
+    anchor, mixture = push_anchor(
+        model,
+        state.anchor,
+        state.carriers,
+        state.gaussian,
+        residual_db,
+        white_db2,
+        state.epoch_us,
+        is_raining=state.rain.is_raining,
+    )
+    state = state._replace(anchor=anchor)
+    return start_again(model, state, mixture) if mixture is not None and is_contradicted(mixture) else state

@@ -38,7 +38,9 @@ _OTHERS = {
 _NEXT_STEPS = {
     "Wait: it clears by itself.": "late catch_up settling no_rate gap good_minutes chain_step",
     "Check links and newest_measurement of GET .../status.": "estimate_old no_attitude expired",
-    "Check the excluded carriers of GET .../attitude.": "no_fix invalid redundancy sigma_roll sigma_pitch",
+    "Check the excluded carriers of GET .../attitude.": (
+        "no_fix invalid redundancy sigma_roll sigma_pitch protection_level integrity_unmonitored"
+    ),
     "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": "sigma_yaw",
     "Check the inhibitions of GET .../attitude.": "estimator",
     "Wait for the end of the rain; without rain check the receiving chain.": "fade downlink_fade",

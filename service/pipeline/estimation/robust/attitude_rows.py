@@ -34,6 +34,8 @@ class Fixed(NamedTuple):
     announced: FilterStep
     #: (N,) dB
     deviation_db: FloatArray
+    #: (N,) carriers whose reading stands still
+    is_frozen: BoolArray
     #: (3,) deg/s
     rates_deg_s: FloatArray
     declared: Declared | None
@@ -58,12 +60,11 @@ def filtered_row(
 ) -> AttitudeRow:
     """Return the archive's row of one step of the filter."""
     announced = fixed.announced
-    attitude = announced.attitude_deg
     conditions = {
         "catch_up": is_catch_up,
         "operation": has_inhibiting_operation,
         "no_ephemeris": fixed.is_without_ephemeris,
-        "beyond_validity": bool(np.abs(attitude[1:]).max() > validity_limit_deg),
+        "beyond_validity": bool(np.abs(announced.attitude_deg[1:]).max() > validity_limit_deg),
     }
     standing = {reason for reason, stands in conditions.items() if stands} | set(announced.integrity.reasons)
     # whatever the filter holds against control stands, in the usual order where it has one
@@ -77,7 +78,7 @@ def filtered_row(
         received_at_us=measurement.received_at_us,
         number=measurement.number,
         method=Method.ROBUST,
-        attitude_deg=named_axes(attitude),
+        attitude_deg=named_axes(announced.attitude_deg),
         sigma_deg=named_axes(np.sqrt(np.diag(announced.covariance_deg2))),
         rates_deg_s=named_axes(fixed.rates_deg_s),
         status=Status.ACQUIRED if len(announced.used) >= MIN_CARRIERS else Status.EXPIRED,
@@ -94,6 +95,7 @@ def filtered_row(
         residual_rms_db=_rms(residual_db),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
+        protection_deg=named_axes(announced.protection_deg),
         advice=tuple(code for code, is_given in advice.items() if is_given),
     )
 
@@ -160,6 +162,8 @@ def _reason(model: RobustModel, fixed: Fixed, residual_db: FloatArray, moved: se
     watch = fixed.announced.state.carriers
     if fixed.declared is not None and fixed.declared.is_masked[k]:
         return "manual"
+    if fixed.is_frozen[k]:
+        return "frozen"
     if np.isnan(fixed.deviation_db[k]):
         return "absent"
     if watch.is_flagged[k] and int(model.filter.transponder[k]) in moved:

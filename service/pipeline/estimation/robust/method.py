@@ -30,6 +30,7 @@ from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row
+from service.pipeline.estimation.robust.frozen_readings import LastReadings, frozen, no_readings, push_readings
 from service.pipeline.estimation.robust.model import RobustModel, signals
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
 from service.pipeline.inputs.knowledge import Knowledge
@@ -49,6 +50,7 @@ class RobustState:
 
     filter: FilterState
     commanded: CommandedMotion
+    readings: LastReadings
     #: effect of each unreported command, by counter; one share each in the filter's state
     released: tuple[tuple[int, CommandedMotion], ...] = ()
     #: source of the newest row, None before the first
@@ -81,11 +83,14 @@ def initial_state(
     )
     state = start(model.filter, alignment.epoch_us, with_torque(model.filter, gaussian, model.settings))
     # a carrier that nobody knows has no level to come back to
-    saved_db = np.where(model.is_referenced, state.carriers.saved_reference_db, np.nan)
+    known_db = np.where(model.is_referenced, 0.0, np.nan)
     watch = state.carriers._replace(
-        is_flagged=state.carriers.is_flagged | ~model.is_referenced, saved_reference_db=saved_db
+        is_flagged=state.carriers.is_flagged | ~model.is_referenced,
+        saved_reference_db=known_db,
+        aligned_reference_db=known_db,
     )
-    return RobustState(state._replace(carriers=watch), replace(commanded, since_us=alignment.epoch_us))
+    commanded = replace(commanded, since_us=alignment.epoch_us)
+    return RobustState(state._replace(carriers=watch), commanded, no_readings(len(model.carrier_ids)))
 
 
 def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> RobustState:
@@ -106,7 +111,7 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
         np.where(new.is_referenced, new.reference_sigma_db, np.sqrt(FREE_REFERENCE_DB2)),
         ~new.is_referenced,
     )
-    return replace(state, filter=carried)
+    return replace(state, filter=carried, readings=no_readings(len(position)))
 
 
 def _torque_of(settings: FilterSettings) -> tuple[object, ...]:
@@ -126,15 +131,15 @@ def step_robust(
 ) -> RobustStep:
     """Take one row whose powers stand in the calibration's order and return its outcome and the next state."""
     expected_dbm = model.expected_dbm(measurement.epoch_us)
-    deviation_db = np.where(model.is_used, power_dbm - expected_dbm, np.nan)
-    deviation_db = without_group_gain(deviation_db, site_db(model.filter, state.filter.gaussian.mean), model.groups)
+    readings = state.readings if is_late else push_readings(state.readings, power_dbm, measurement.epoch_us)
+    is_frozen = frozen(readings, measurement.epoch_us)
+    deviation_db = _deviation_db(state, model, np.where(is_frozen, np.nan, power_dbm), expected_dbm)
     if is_late:
         fixes = _snapshot(model, deviation_db)
         row = late_row(measurement, model, fixes, is_absent=np.isnan(deviation_db))
         return RobustStep(row, expected_dbm, deviation_db, fixes.residual_db[0], state)
-    from_us = state.filter.epoch_us
-    known, commanded = consume(state.commanded, from_us, measurement.epoch_us)
-    unreported, released = _unreported(state.released, from_us, measurement.epoch_us)
+    known, commanded = consume(state.commanded, state.filter.epoch_us, measurement.epoch_us)
+    unreported, released = _unreported(state.released, state.filter.epoch_us, measurement.epoch_us)
     declared = _declared(state, model, knowledge, measurement, config)
     found = step(
         model.filter,
@@ -150,7 +155,8 @@ def step_robust(
     if not (np.isfinite(found.attitude_deg).all() and np.isfinite(found.covariance_deg2).all()):
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
-    fixed = Fixed(found, deviation_db, rates_deg_s(model, found), declared, not bool(np.isfinite(expected_dbm).any()))
+    rates, is_without_orbit = rates_deg_s(model, found), not np.isfinite(expected_dbm).any()
+    fixed = Fixed(found, deviation_db, is_frozen, rates, declared, is_without_orbit)
     row = filtered_row(
         measurement,
         model,
@@ -161,8 +167,16 @@ def step_robust(
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
         is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(found, model, len(released)),
     )
-    after = RobustState(found.state, commanded, released, measurement.source)
+    after = RobustState(found.state, commanded, readings, released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
+
+
+def _deviation_db(
+    state: RobustState, model: RobustModel, power_dbm: FloatArray, expected_dbm: FloatArray
+) -> FloatArray:
+    """Return measured minus expected of the carriers used (N,), dB, groups under level control by their differences."""
+    deviation_db = np.where(model.is_used, power_dbm - expected_dbm, np.nan)
+    return without_group_gain(deviation_db, site_db(model.filter, state.filter.gaussian.mean), model.groups)
 
 
 def rates_deg_s(model: RobustModel, found: FilterStep) -> FloatArray:

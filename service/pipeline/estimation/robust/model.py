@@ -256,6 +256,7 @@ def _limits(
         sigma_yaw_deg=pushed_deg if is_pushed(settings) else config.yaw_sigma_limit_deg,
         sigma_roll_deg=interlock.roll_sigma_limit_deg,
         sigma_pitch_deg=interlock.pitch_sigma_limit_deg,
+        alert_deg=interlock.alert_limit_deg,
         redundancy=interlock.min_redundancy,
         nis_ratio=config.innovation_limit,
         relearned_share=config.relearned_share,

@@ -3,11 +3,12 @@
 u = |innovation| / sigma: above 2 a carrier is trusted less (Huber), above 4 it is skipped; four skips in a row, or a
 cumulative sum beyond its threshold (slow fades never reach 4 sigma at once), flag it. A flagged carrier is out for a
 quarter of an hour at least; when its last 12 rows are quiet and within 0.2 dB of what it was its reference is restored.
-At another level it must have stood for an hour before its reference is learned again: an antenna that dries looks quiet
-long before it is, and a reference learned meanwhile turns the attitude while it dries on. A carrier without a reference
-shows 20 quiet rows after half an hour. A carrier that was off for half an hour is flagged too: users who switch on
-again often do so at another level, too near for 4 sigma and far enough to turn the attitude. The law of this file:
-times are minutes of data, never rows or clocks.
+At a higher level it must have stood for an hour before its reference is learned again, at a lower one for six: rain and
+wet antennas only lower, an antenna that dries looks quiet long before it is, and a reference learned meanwhile turns
+the attitude while it dries on. The reference of the alignment is kept for good: a carrier that comes back to it has it
+again, whatever was learned since. A carrier without a reference shows 20 quiet rows after half an hour. A carrier that
+was off for half an hour is flagged too: users who switch on again often do so at another level, too near for 4 sigma
+and far enough to turn the attitude. The law of this file: times are minutes of data, never rows or clocks.
 """
 
 from typing import NamedTuple
@@ -42,6 +43,8 @@ MIN_BACK_MINUTES = 15.0
 BACK_ROWS = 12
 QUIET_STD_DB = 0.32
 QUIET_SHIFT_DB = 0.22
+#: a lower level is rain or a wet antenna as long as one may last, minutes
+WET_MINUTES = 360.0
 #: rows after which another level is believed, and what its halves may differ by, dB
 STANDING_ROWS = 60
 STANDING_SHIFT_DB = 0.12
@@ -54,7 +57,7 @@ _ROUNDING = 1e-6
 
 
 class CarrierWatch(NamedTuple):
-    """State of the fault detection of N carriers."""
+    """State of the fault detection of N carriers, with their references by the alignment."""
 
     #: (N,) minutes of skips in a row
     skip_minutes: FloatArray
@@ -71,10 +74,14 @@ class CarrierWatch(NamedTuple):
     absent_minutes: FloatArray
     #: (N,) whether the reference was learned again since the alignment
     is_relearned: BoolArray
+    #: (N,) reference error and its variance by the alignment, dB and dB^2; they are kept for good
+    aligned_reference_db: FloatArray
+    aligned_variance_db2: FloatArray
 
 
-def healthy(carriers: int) -> CarrierWatch:
-    """Return the watch of carriers that have not failed yet."""
+def healthy(reference_variance_db2: FloatArray) -> CarrierWatch:
+    """Return the watch of carriers (N,) that have not failed since the alignment."""
+    carriers = len(reference_variance_db2)
     zeros, never = np.zeros(carriers), np.zeros(carriers, dtype=np.bool_)
     return CarrierWatch(
         zeros,
@@ -86,6 +93,8 @@ def healthy(carriers: int) -> CarrierWatch:
         quiet_cusum(carriers),
         zeros,
         never,
+        zeros,
+        reference_variance_db2,
     )
 
 
@@ -155,20 +164,46 @@ def flag_failed(
     is_failed &= ~watch.is_flagged
     if not is_failed.any():
         return state, watch
-    failed = np.flatnonzero(is_failed)
-    positions = reference_states(model, failed, hidden_count(model, len(state.mean)))
-    saved, variance = watch.saved_reference_db.copy(), watch.saved_variance_db2.copy()
-    saved[failed], variance[failed] = before.mean[positions], before.covariance[positions, positions]
+    positions = reference_states(model, np.arange(model.carriers), hidden_count(model, len(state.mean)))
+    return set_aside(model, state, watch, is_failed, before.mean[positions], np.diagonal(before.covariance)[positions])
+
+
+def set_aside(
+    model: CarrierModel,
+    state: Gaussian,
+    watch: CarrierWatch,
+    is_out: BoolArray,
+    reference_db: FloatArray,
+    variance_db2: FloatArray,
+) -> tuple[Gaussian, CarrierWatch]:
+    """Return the state without some carriers (N,), whose references (N,) are kept; their own states begin again."""
+    out = np.flatnonzero(is_out)
     return (
-        reset_carriers(model, state, failed, np.zeros(len(failed)), np.full(len(failed), FREE_REFERENCE_DB2)),
+        reset_carriers(model, state, out, np.zeros(len(out)), np.full(len(out), FREE_REFERENCE_DB2)),
         watch._replace(
-            skip_minutes=np.where(is_failed, 0.0, watch.skip_minutes),
-            is_flagged=watch.is_flagged | is_failed,
-            flagged_minutes=np.where(is_failed, 0.0, watch.flagged_minutes),
-            saved_reference_db=saved,
-            saved_variance_db2=variance,
-            residuals_db=np.where(is_failed, np.nan, watch.residuals_db),
-            cusum=reset_cusum(watch.cusum, is_failed),
+            skip_minutes=np.where(is_out, 0.0, watch.skip_minutes),
+            is_flagged=watch.is_flagged | is_out,
+            flagged_minutes=np.where(is_out, 0.0, watch.flagged_minutes),
+            saved_reference_db=np.where(is_out, reference_db, watch.saved_reference_db),
+            saved_variance_db2=np.where(is_out, variance_db2, watch.saved_variance_db2),
+            residuals_db=np.where(is_out, np.nan, watch.residuals_db),
+            cusum=reset_cusum(watch.cusum, is_out),
+        ),
+    )
+
+
+def give_back(
+    model: CarrierModel, state: Gaussian, watch: CarrierWatch, is_back: BoolArray, more_db2: float
+) -> tuple[Gaussian, CarrierWatch]:
+    """Return the state in which some carriers (N,) have the aligned reference again, by ``more_db2`` less sure."""
+    back = np.flatnonzero(is_back)
+    variance = watch.aligned_variance_db2[back] + more_db2
+    return (
+        reset_carriers(model, state, back, watch.aligned_reference_db[back], variance),
+        watch._replace(
+            is_flagged=watch.is_flagged & ~is_back,
+            cusum=reset_cusum(watch.cusum, is_back),
+            is_relearned=watch.is_relearned & ~is_back,
         ),
     )
 
@@ -215,18 +250,25 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
         return state, watch
     level_db, is_quiet = _quiet(watch, QUIET_ROWS, MIN_FLAGGED_MINUTES)
     back_db, is_back = _quiet(watch, BACK_ROWS, MIN_BACK_MINUTES)
-    is_back &= np.abs(back_db - watch.saved_reference_db) < SAME_LEVEL_DB
+    # the level before the flag may have been a wet one
+    known_db = np.array([watch.saved_reference_db, watch.aligned_reference_db])
+    variance_db2 = np.array([watch.saved_variance_db2, watch.aligned_variance_db2])
+    distance_db = np.abs(back_db - known_db)
+    nearest = np.nan_to_num(distance_db, nan=np.inf).argmin(axis=0), np.arange(model.carriers)
+    is_back &= distance_db[nearest] < SAME_LEVEL_DB
     is_new = np.isnan(watch.saved_reference_db)
-    is_quiet &= is_new | (halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB)
+    is_standing = halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB
+    is_dry = (level_db > np.fmax(*known_db)) | (watch.flagged_minutes >= WET_MINUTES)
+    is_quiet &= is_new | (is_standing & is_dry)
     is_quiet |= is_back
     if not is_quiet.any():
         return state, watch
     chosen = np.flatnonzero(is_quiet)
     is_back = is_back[chosen]
-    reference_db = np.where(is_back, watch.saved_reference_db[chosen], level_db[chosen])
-    variance = np.where(is_back, watch.saved_variance_db2[chosen] + _RESTORED_SIGMA_DB**2, FREE_REFERENCE_DB2)
+    reference_db = np.where(is_back, known_db[nearest][chosen], level_db[chosen])
+    variance = np.where(is_back, variance_db2[nearest][chosen] + _RESTORED_SIGMA_DB**2, FREE_REFERENCE_DB2)
     relearned = watch.is_relearned.copy()
-    relearned[chosen] |= ~is_back
+    relearned[chosen] = np.where(is_back, relearned[chosen] & (nearest[0][chosen] == 0), True)
     return (
         reset_carriers(model, state, chosen, reference_db, variance),
         watch._replace(

@@ -5,6 +5,8 @@ The law of this file: every condition that fails is named; nothing is latched, e
 
 from typing import NamedTuple
 
+import numpy as np
+
 from service.core.estimation.filtering.model.filter_model import FloatArray
 
 #: unknowns of a row beside the carriers' own: three angles and the common level
@@ -19,6 +21,8 @@ class IntegrityLimits(NamedTuple):
     sigma_yaw_deg: float = 0.10
     sigma_roll_deg: float = 0.06
     sigma_pitch_deg: float = 0.10
+    #: greatest protection level of roll and of pitch, deg
+    alert_deg: float = 0.22
     redundancy: int = 2
     #: largest running mean of normalised innovation squared a degree of freedom
     nis_ratio: float = 2.0
@@ -31,6 +35,8 @@ class IntegrityInputs(NamedTuple):
 
     #: (3,) deg
     sigma_deg: FloatArray
+    #: (3,) protection levels, deg, NaN = not known
+    protection_deg: FloatArray
     carriers_used: int
     is_raining: bool
     is_chain_held: bool
@@ -72,16 +78,21 @@ def assess(evidence: IntegrityInputs, limits: IntegrityLimits) -> Integrity:
     Examples
     --------
     >>> import numpy as np
-    >>> calm = IntegrityInputs(np.array([0.3, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
+    >>> sigma, level = np.array([0.3, 0.01, 0.02]), np.array([1.2, 0.09, 0.12])
+    >>> calm = IntegrityInputs(sigma, level, 16, False, False, 1.0, (False, False, False), 0, 16)
     >>> assess(calm, IntegrityLimits()).is_axis_allowed
     (False, True, True)
     """
     yaw, roll, pitch = evidence.sigma_deg.tolist()
+    level_deg = max(evidence.protection_deg[1:].tolist())
+    is_monitored = bool(np.isfinite(evidence.protection_deg[1:]).all())
     checks = (
         ("downlink_fade", evidence.is_raining),
         ("chain_step", evidence.is_chain_held),
         ("sigma_roll", not roll < limits.sigma_roll_deg),
         ("sigma_pitch", not pitch < limits.sigma_pitch_deg),
+        ("integrity_unmonitored", not is_monitored),
+        ("protection_level", is_monitored and level_deg > limits.alert_deg),
         ("redundancy", evidence.carriers_used - _UNKNOWNS < limits.redundancy),
         ("innovations", evidence.nis_ratio > limits.nis_ratio),
         # a command that is not carried out as announced is a motion that nobody announced

@@ -1,0 +1,194 @@
+"""Watch of the anchor: the references of the alignment, asked every ten minutes what the attitude has wrong.
+
+The anchor never forgets: every carrier takes part with the reference that the alignment gave it, grown by its random
+walk, whatever the filter learned since. Its answer is the error of the filter's attitude as a mixture over the
+hypotheses of the carriers (`carrier_mixture`), and with it protection levels. Where the references contradict the
+attitude the filter starts again from them (`filtering.new_start`); a smaller difference is left to the filter.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.anchor.carrier_mixture import Branches, Mixture, solve_mixture
+from service.core.estimation.filtering.anchor.protection import protection_levels_deg
+from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
+from service.core.estimation.filtering.model.filter_model import (
+    BoolArray,
+    CarrierModel,
+    FloatArray,
+    pattern_change,
+)
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
+
+#: error of yaw, roll and pitch that the filter may have beyond its own sigma, deg
+ERROR_SIGMA_DEG = (0.15, 0.10, 0.10)
+#: minutes of a mean, rows from which a carrier has one
+_MEAN_MINUTES, _LEAST_ROWS = 20, 5
+#: what all carriers may have wrong together, dB, in the dry and while it rains over the receiving site
+_CHAIN_DB, _RAIN_DB = 0.15, 1.0
+#: between two questions, and so long an answer holds, us
+_PERIOD_US, _VALID_US = 600_000_000, 1_800_000_000
+#: a level grows with sigma by this factor until the next question
+_LEVEL_SIGMAS = 4.0
+#: what a reference may have wrong beyond its own sigma, dB
+_OWN_ERROR_DB = 0.04
+#: mean and sigma of light and of heavy rain; wet antennas are light, dB
+_LIGHT_DB, _HEAVY_DB = (-0.35, 0.20), (-1.3, 0.9)
+#: sigma of a level that changed, and of one that the filter learned again, dB
+_CHANGED_DB, _LEARNED_DB = 1.0, 0.1
+#: probability that a carrier in use, and one that is set aside, is wet or at another level
+_WET, _WET_ASIDE = 0.08, 0.6
+_CHANGED, _CHANGED_ASIDE = 0.01, 0.2
+#: probability of a storm, and that a carrier is wet in it
+_STORM, _WET_IN_STORM = 0.3, 0.45
+#: reference error of the filter from which the carrier has another level, dB; probabilities that it is right, where the
+#: alignment tells another and where it tells none
+_MOVED_DB, _RIGHT, _RIGHT_ALONE = 0.3, 0.5, 0.8
+#: sigmas and degrees of yaw, roll and pitch from which the references contradict the attitude
+_CONTRADICTION_SIGMAS = 3.0
+_CONTRADICTION_DEG = (np.inf, 0.04, 0.05)
+_LEAST_PROBABILITY = 1e-12
+_HOUR_US = 3.6e9
+
+
+class AnchorWatch(NamedTuple):
+    """Rows for the next question and the answer to the last one."""
+
+    #: (_MEAN_MINUTES, N) newest last, measured minus what the site explains, dB, NaN = absent
+    residuals_db: FloatArray
+    #: (_MEAN_MINUTES, N) dB^2, white noise of these rows
+    white_db2: FloatArray
+    #: closed minutes since the alignment
+    minutes: int
+    #: epoch of the alignment and of the last answer, microseconds UTC
+    since_us: int
+    answered_us: int
+    #: (3,) deg, protection levels by the last answer, NaN = there is none, and sigma of the filter then
+    level_deg: FloatArray
+    sigma_deg: FloatArray
+
+
+def calm_anchor(carriers: int, since_us: int) -> AnchorWatch:
+    """Return the watch at an alignment."""
+    unknown = np.full(3, np.nan)
+    nothing = np.full((_MEAN_MINUTES, carriers), np.nan)
+    return AnchorWatch(nothing, nothing, 0, since_us, since_us, unknown, unknown)
+
+
+def protection_now_deg(watch: AnchorWatch, epoch_us: int, sigma_deg: FloatArray) -> FloatArray:
+    """Return the protection levels (3,) of yaw, roll and pitch at an epoch, deg, NaN = not known."""
+    if epoch_us - watch.answered_us > _VALID_US:
+        return np.full(3, np.nan)
+    return np.asarray(watch.level_deg + _LEVEL_SIGMAS * np.maximum(sigma_deg - watch.sigma_deg, 0.0))
+
+
+def push_anchor(
+    model: CarrierModel,
+    watch: AnchorWatch,
+    carriers: CarrierWatch,
+    state: Gaussian,
+    residual_db: FloatArray,
+    white_db2: FloatArray,
+    epoch_us: int,
+    *,
+    is_raining: bool,
+) -> tuple[AnchorWatch, Mixture | None]:
+    """Return the watch one minute later, and the answer where it is time for one.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        The carriers.
+    watch : AnchorWatch
+        Before the minute.
+    carriers : CarrierWatch
+        Which are set aside, their references by the alignment.
+    state : Gaussian
+        State of the filter.
+    residual_db : ndarray, shape (N,), dB
+        Measured minus what attitude, chain and rain of the state explain; NaN = absent.
+    white_db2 : ndarray, shape (N,), dB^2
+        White noise of the row.
+    epoch_us : int, microseconds UTC
+        Of the minute.
+    is_raining : bool
+        Whether rain over the receiving site takes from all carriers.
+    """
+    rows = np.concatenate([watch.residuals_db[1:], residual_db[None, :]])
+    white = np.concatenate([watch.white_db2[1:], white_db2[None, :]])
+    watch = watch._replace(residuals_db=rows, white_db2=white, minutes=watch.minutes + 1)
+    if watch.minutes > _MEAN_MINUTES and epoch_us - watch.answered_us < _PERIOD_US:
+        return watch, None
+    is_there = np.isfinite(rows)
+    count = is_there.sum(axis=0)
+    mean_db = np.nansum(rows, axis=0) / np.maximum(count, 1) - np.nan_to_num(carriers.aligned_reference_db)
+    gradient = pattern_change(model, state.mean[ATTITUDE]).gradient_db_deg
+    # what is left of rain over the site stands in the bands as rain does, an error of the chain in all alike
+    share = model.rain_share if is_raining else np.ones(model.carriers)
+    mixture = solve_mixture(
+        np.column_stack([gradient, share]),
+        np.where(count >= min(_LEAST_ROWS, watch.minutes), mean_db, np.nan),
+        _branches(
+            carriers,
+            state.mean[-model.carriers :],
+            _dry_variance_db2(model, carriers, (epoch_us - watch.since_us) / _HOUR_US)
+            + np.where(is_there, white, 0.0).sum(axis=0) / np.maximum(count, 1) ** 2,
+        ),
+        np.append(np.hypot(ERROR_SIGMA_DEG, state.attitude_sigma_deg), _RAIN_DB if is_raining else _CHAIN_DB),
+    )
+    levels = protection_levels_deg(mixture)
+    return watch._replace(answered_us=epoch_us, level_deg=levels, sigma_deg=state.attitude_sigma_deg), mixture
+
+
+def is_contradicted(mixture: Mixture) -> bool:
+    """Return whether the references of the alignment contradict roll or pitch."""
+    error = np.abs(mixture.error_deg)
+    return bool(((error > _CONTRADICTION_SIGMAS * mixture.sigma_deg) & (error > _CONTRADICTION_DEG)).any())
+
+
+def moved_anchor(model: CarrierModel, watch: AnchorWatch, attitude_deg: FloatArray, mixture: Mixture) -> AnchorWatch:
+    """Return the watch of a filter whose attitude (3,) is moved by the error that the anchor found."""
+    gradient = pattern_change(model, attitude_deg).gradient_db_deg
+    left = mixture._replace(mean_deg=mixture.mean_deg - mixture.error_deg)
+    return watch._replace(
+        residuals_db=watch.residuals_db - gradient @ mixture.error_deg,
+        level_deg=protection_levels_deg(left),
+        sigma_deg=np.array(ERROR_SIGMA_DEG),
+    )
+
+
+def _branches(carriers: CarrierWatch, reference_db: FloatArray, dry_db2: FloatArray) -> Branches:
+    """Return the hypotheses of the carriers beside the reference of the alignment."""
+    is_aside, is_known = carriers.is_flagged, np.isfinite(carriers.aligned_reference_db)
+    moved_db = reference_db - np.nan_to_num(carriers.aligned_reference_db)
+    # a transponder's step moves references that were never learned again
+    is_learned = ~is_aside & (carriers.is_relearned | (np.abs(moved_db) > _MOVED_DB))
+    zeros = np.zeros(len(dry_db2))
+    spread_db = np.array([0.0, _LIGHT_DB[1], _HEAVY_DB[1], _CHANGED_DB, _LEARNED_DB])
+    wet, changed = np.where(is_aside, _WET_ASIDE, _WET), np.where(is_aside, _CHANGED_ASIDE, _CHANGED)
+    regimes = (wet, np.maximum(wet, _WET_IN_STORM))
+    return Branches(
+        np.column_stack([zeros, zeros + _LIGHT_DB[0], zeros + _HEAVY_DB[0], zeros, is_learned * moved_db]),
+        dry_db2[:, None] + spread_db**2,
+        np.log(np.stack([_probabilities(each, changed, is_learned, is_known) for each in regimes])),
+        np.log([1.0 - _STORM, _STORM]),
+    )
+
+
+def _probabilities(wet: FloatArray, changed: FloatArray, is_learned: BoolArray, is_known: BoolArray) -> FloatArray:
+    """Return the probabilities (N, B) of the branches of carriers whose aligned reference is known or not."""
+    learned = np.where(is_learned, np.where(is_known, _RIGHT, _RIGHT_ALONE), 0.0)
+    wet = np.where(is_known, wet * (1.0 - learned), 0.0)
+    changed = np.where(is_known, changed * (1.0 - learned), 1.0 - learned)
+    dry = 1.0 - wet - changed - learned
+    each = np.column_stack([dry, 0.5 * wet, 0.5 * wet, changed, learned])
+    return np.asarray(np.maximum(each, _LEAST_PROBABILITY))
+
+
+def _dry_variance_db2(model: CarrierModel, carriers: CarrierWatch, hours: float) -> FloatArray:
+    """Return the variance (N,) of the mean of a carrier with which nothing is wrong, without its white noise."""
+    span = 60.0 * _MEAN_MINUTES / model.coloured_tau_s
+    kept = 2.0 * (span - 1.0 + np.exp(-span)) / span**2
+    slow_db2 = (model.coloured_sigma_db**2 * kept).sum(axis=1)
+    return np.asarray(slow_db2 + carriers.aligned_variance_db2 + model.reference_walk_db**2 * hours + _OWN_ERROR_DB**2)
