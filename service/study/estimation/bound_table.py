@@ -168,4 +168,46 @@ def _snapshot() -> list[Bound]:
     ]
 
 
-BOUNDS: tuple[Bound, ...] = tuple(_skill() + _accuracy() + _control() + _faults() + _snapshot())
+#: in the weather of real links: wrong torque, minutes in two days; rms over sigma of roll and pitch, must and goal;
+#: share of dry rows with control; rms yaw, roll, pitch, must and goal
+_WEATHER: dict[str, tuple[float, tuple[float, float], tuple[float, float] | None, tuple[tuple[float, ...], ...]]] = {
+    "weather_far": (40.0, (1.3, 1.1), (0.93, 0.97), ((0.115, 0.050, 0.058), (0.10, 0.035, 0.045))),
+    "weather_near": (60.0, (1.5, 1.5), (0.75, 0.75), ((0.13, 0.07, 0.07), (0.13, 0.07, 0.07))),
+    "weather_turns": (40.0, (1.4, 1.4), None, ()),
+    "weather_alignment": (40.0, (1.4, 1.4), None, ()),
+    "flicker_hard": (10.0, (1.3, 1.3), None, ()),
+}
+_ORDINARY = ("nominal", "mixed", "steps_heavy", "octants", "downlink_rain", "yaw_hold")
+
+
+def _integrity() -> list[Bound]:
+    """Return the bounds of being confident and wrong, over all rows of operation."""
+    bounds = []
+    for scenario, (wrong_min, ratio, dry, rms) in _WEATHER.items():
+        bounds.append(Bound(scenario, "yardstick.wrong_min", at_most(wrong_min), at_most(0.0), ASKED))
+        bounds += _misleading(scenario, 1e-3, 2.0)
+        for axis in _AXES[1:]:
+            must, goal = at_most(ratio[0]), at_most(ratio[1])
+            bounds.append(Bound(scenario, f"yardstick.rms_over_sigma.{axis}", must, goal, ASKED))
+        if dry is not None:
+            bounds.append(Bound(scenario, "yardstick.allowed_dry", at_least(dry[0]), at_least(dry[1]), ASKED))
+        if rms:
+            bounds += _angles(scenario, "yardstick.rms_deg", *rms, source=ASKED)
+    for scenario in _ORDINARY:
+        bounds.append(Bound(scenario, "yardstick.wrong_min", at_most(0.0), None, ASKED))
+        bounds += _misleading(scenario, 0.0, 0.0)
+        bounds += _angles(scenario, "rms_over_oracle", (1.12, 1.10, 1.10), source=ASKED)
+    bounds += _angles("nominal", "yardstick.level_deg", (None, 0.12, 0.15), (None, 0.10, 0.12), source=ASKED)
+    return bounds
+
+
+def _misleading(scenario: str, share: float, episodes: float) -> list[Bound]:
+    """Return the bounds of rows whose error passes the protection level; every level must be there nearly always."""
+    return [
+        Bound(scenario, "yardstick.misleading_share", at_most(share), at_most(0.0), ASKED),
+        Bound(scenario, "yardstick.episodes", at_most(episodes), at_most(0.0), ASKED),
+        Bound(scenario, "yardstick.without_share", at_most(0.05), None, ASKED),
+    ]
+
+
+BOUNDS: tuple[Bound, ...] = tuple(_skill() + _accuracy() + _control() + _faults() + _snapshot() + _integrity())

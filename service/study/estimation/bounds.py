@@ -116,6 +116,8 @@ OPTIONAL_STATISTICS = (
     "group_shift",
     "dark_rms",
     "after_dark",
+    "yardstick",
+    "rms_over_oracle",
 )
 
 

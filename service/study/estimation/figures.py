@@ -8,6 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from service.pipeline.config import InterlockConfig
+from service.records.levels.attitude import FloatArray
 from service.study.estimation.accuracy import AXES
 from service.study.estimation.baselines import BASELINES
 from service.study.estimation.campaign import METHODS, Campaign
@@ -24,6 +26,9 @@ _COLORS = {
 _MARKERS = {"zero": "x", "corrections": "+", "coupling": "1", "corrections_read": "2"}
 #: half the height of a plot of errors, yaw, roll, pitch, deg: larger errors leave it, so that the others are seen
 _REACH_DEG = (0.5, 0.15, 0.15)
+#: greatest error and level of a Stanford diagram, deg; what is greater stands at the edge
+_STANFORD_DEG = 0.4
+ALERT_DEG = InterlockConfig().alert_limit_deg
 
 
 def draw_campaign(campaign: Campaign, folder: Path) -> list[Path]:
@@ -38,6 +43,11 @@ def draw_campaign(campaign: Campaign, folder: Path) -> list[Path]:
             if result.course is not None:
                 paths.append(folder / f"{scenario}.png")
                 _draw_errors(result.course, f"{scenario}, seed {result.unit.seed}", paths[-1])
+        for scenario in first:
+            answers = _with_levels(campaign, scenario)
+            if answers:
+                paths.append(folder / f"stanford_{scenario}.png")
+                _draw_stanford(answers, scenario, paths[-1])
         scenarios = [name for name in first if (name, "zero") in campaign.statistics]
         if scenarios:
             paths.append(folder / "overview.png")
@@ -66,6 +76,38 @@ def _draw_errors(course: Course, title: str, path: Path) -> None:
     plots[-1].set_xlabel("hours of operation")
     figure.suptitle(title)
     figure.legend(*plots[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    figure.savefig(path, dpi=110)
+
+
+def _with_levels(campaign: Campaign, scenario: str) -> list[tuple[FloatArray, FloatArray]]:
+    """Return absolute errors and protection levels (T, 3) of the robust method in each seed that states levels."""
+    courses = [one.course for one in campaign.results if one.unit.scenario == scenario]
+    drawn = [(one.methods["robust"], one.truth_deg) for one in courses if one is not None and "robust" in one.methods]
+    return [
+        (np.abs(each.estimate_deg - truth_deg), np.asarray(each.protection_deg, dtype=np.float64))
+        for each, truth_deg in drawn
+        if each.protection_deg is not None
+    ]
+
+
+def _draw_stanford(answers: Sequence[tuple[FloatArray, FloatArray]], scenario: str, path: Path) -> None:
+    """Draw how many rows have which error and which protection level."""
+    figure = Figure(figsize=(8.0, 4.4), layout="constrained")
+    plots: Sequence[Axes] = figure.subplots(1, 2, sharey=True)
+    edges = np.linspace(0.0, _STANFORD_DEG, 81)
+    for k, plot in zip((1, 2), plots, strict=True):
+        both = np.concatenate([np.column_stack([one[0][:, k], one[1][:, k]]) for one in answers])
+        both = both[np.isfinite(both).all(axis=1)]
+        error, level = np.minimum(both, 0.999 * _STANFORD_DEG).T
+        counts = np.histogram2d(error, level, bins=(edges, edges))[0]
+        plot.pcolormesh(edges, edges, np.ma.masked_equal(counts.T, 0), norm="log", cmap="viridis")
+        plot.plot(edges, edges, color="#d62728", linewidth=1.0)
+        plot.axhline(ALERT_DEG, color="#555555", linewidth=0.8, linestyle="--")
+        misleading = int(np.count_nonzero(both[:, 0] > both[:, 1]))
+        plot.set_title(f"{AXES[k]}: {misleading} of {len(both)} rows below the line mislead", fontsize=9)
+        plot.set_xlabel("error, deg")
+    plots[0].set_ylabel("protection level, deg")
+    figure.suptitle(f"{scenario}, {len(answers)} seeds; dashed: alert limit")
     figure.savefig(path, dpi=110)
 
 

@@ -327,14 +327,20 @@ def _bounds(campaign: Campaign) -> ReportTable:
     return ReportTable("Bounds", ("scenario", "method", "figure", "value", "must", "goal", "mark"), tuple(rows))
 
 
+def _without_axis(figure: str) -> tuple[str, str]:
+    """Return the name of a figure and its axis, empty where it has none."""
+    name, _, axis = figure.rpartition(".")
+    return (name, axis) if axis in AXES else (figure, "")
+
+
 def _figure_of(judged: Judged) -> tuple[str, str, str]:
     """Return what the axes of one figure have in common."""
-    return judged.bound.scenario, judged.bound.method, judged.bound.figure.partition(".")[0]
+    return judged.bound.scenario, judged.bound.method, _without_axis(judged.bound.figure)[0]
 
 
 def _named_axes(axes: Sequence[Judged]) -> str:
     """Return the names of the axes of a row, nothing where they are all three or none."""
-    names = [judged.bound.figure.partition(".")[2] for judged in axes]
+    names = [_without_axis(judged.bound.figure)[1] for judged in axes]
     return "" if not any(names) or tuple(names) == AXES else f" {'/'.join(names)}"
 
 

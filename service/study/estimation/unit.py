@@ -40,6 +40,8 @@ class Drawn(NamedTuple):
     sigma_deg: Float32Array
     #: (T,)
     is_control_allowed: BoolArray
+    #: (T, 3) deg, NaN = none stated
+    protection_deg: Float32Array | None = None
 
 
 class Course(NamedTuple):
@@ -123,7 +125,10 @@ def _course(world: World, driven: Driven) -> Course:
         np.asarray(world.truth.has_flag("eclipse")[rows].any(axis=1)),
         {
             name: Drawn(
-                series.estimate_deg.astype(np.float32), series.sigma_deg.astype(np.float32), series.is_control_allowed
+                series.estimate_deg.astype(np.float32),
+                series.sigma_deg.astype(np.float32),
+                series.is_control_allowed,
+                None if series.protection_deg is None else series.protection_deg.astype(np.float32),
             )
             for name, series in driven.methods.items()
         },

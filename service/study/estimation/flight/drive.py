@@ -212,6 +212,7 @@ def _series(rows: list[AttitudeRow | None], carrier_ids: tuple[str, ...], is_car
     def claims(reported: list[bool]) -> BoolArray:
         return np.array(reported, dtype=np.bool_)
 
+    protection_deg = np.array([nothing if row is None else row.protection_deg for row in rows]).reshape(-1, 3)
     return MethodSeries(
         np.array([nothing if row is None else row.attitude_deg for row in rows]).reshape(-1, 3),
         np.array([nothing if row is None else row.sigma_deg for row in rows]).reshape(-1, 3),
@@ -221,4 +222,5 @@ def _series(rows: list[AttitudeRow | None], carrier_ids: tuple[str, ...], is_car
         claims([row is not None and not ALARMS.isdisjoint(row.inhibitions + row.advice) for row in rows]),
         is_excluded,
         is_carrier_used,
+        protection_deg if np.isfinite(protection_deg).any() else None,
     )
