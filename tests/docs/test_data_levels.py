@@ -26,7 +26,7 @@ def rows(header: str) -> list[str]:
         ("status | meaning", sorted(Status)),
         ("inhibition | method | meaning", sorted(INHIBITIONS)),
         ("inhibition | meaning", sorted(CONTROL_INHIBITIONS)),
-        ("reason | method | meaning", ["absent", "group", "interference", "manual", "step", "uplink_fade"]),
+        ("reason | method | meaning", ["absent", "frozen", "group", "interference", "manual", "step", "uplink_fade"]),
     ],
 )
 def test_a_table_names_what_the_code_has(header: str, names: list[str]) -> None:

@@ -45,6 +45,8 @@ EVERY_TIME = ("white", "nominal", "mixed", "flicker", "yaw_hold", "nominal_drift
 #: rms over sigma by axis; 1 = honest
 HONEST = {"white": (0.6, 1.3)}
 USUALLY_HONEST = (0.5, 1.5)
+#: noise beyond what real links show raises protection levels to the alert limit
+AVAILABLE = {"flicker": 0.85, "flicker_storm": 0.85}
 FALSE_REPORTS = ("flipped", "halved", "lost", "doubled")
 #: hours at which a slew that is not carried out as announced begins, and minutes for which it is judged
 SLEWS_H, SLEW_MINUTES = (9, 30), 240
@@ -71,7 +73,7 @@ def assert_bounds(name, figures):
     low, high = HONEST.get(name, USUALLY_HONEST)
     assert (ratio < high).all(), "sigma must be honest"
     assert (ratio > low).all()
-    assert np.mean([row["available"] for row in figures]) >= 0.98
+    assert np.mean([row["available"] for row in figures]) >= AVAILABLE.get(name, 0.98)
     assert sum(row["wrong_roll_pitch"] for row in figures) == 0
     # the must of mixed is 60 min; a yaw turn that nobody announced takes its time to be seen
     assert np.mean(wrong_yaw) <= {"flicker": 10, "yaw_hold": 100}.get(name, 60)

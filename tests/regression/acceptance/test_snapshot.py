@@ -129,12 +129,6 @@ def test_rain_on_uplinks_costs_little_more_than_to_an_oracle(wrong, onset_h):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="measured 3.2/2.0 of the oracle in roll and pitch on seed 5, 5.1/7.2 and 23 min of wrong torque on seed 1: "
-    "six of sixteen in one and the same row, which has .18 dB of noise, are taken for a turn in one event of four; the "
-    "snapshot of a mean of 15 rows stands it, and so does the filter where they come within 20 min",
-)
 def test_rain_on_six_uplinks_in_one_and_the_same_row():
     world = shared_world("nominal", SEED)
     is_wrong, loss_db = wrong_uplinks(world, 6, 76, 0.0)

@@ -29,9 +29,9 @@ def stated(angles=ZERO, rates=ZERO, sigma=(0.01, 0.005, 0.005)):
     return StatedAngles(ALIGNED_US, Axes(*angles), Axes(*sigma), Axes(*rates))
 
 
-def align(payload, series, reported=None, calibration=None):
+def align(payload, series, reported=None, calibration=None, config=CONFIG):
     return robust_references(
-        series, reported or stated(), calibration or payload.calibration(), payload.ephemeris(), CONFIG
+        series, reported or stated(), calibration or payload.calibration(), payload.ephemeris(), config
     )
 
 
@@ -113,7 +113,7 @@ def test_what_all_carriers_have_in_common_is_the_receiving_chains_and_comes_from
 
 def test_a_user_who_re_levelled_takes_the_window_and_is_named(payload):
     change = np.zeros(12)
-    change[3], change[8] = 0.8, -1.1
+    change[3], change[8] = 0.8, 1.1
     powers = align(payload, moved(payload.series(WINDOW), change))
     assert powers.changed == ("c03", "c08")
     np.testing.assert_allclose(told_of(powers), payload.level_dbm + change, atol=1e-4)
@@ -122,6 +122,15 @@ def test_a_user_who_re_levelled_takes_the_window_and_is_named(payload):
     assert sigma[3] > 0.01
     assert powers.consistency.probability > 0.01
     assert powers.consistency.carriers_tested == 10
+
+
+def test_a_lower_level_is_wet_while_the_calibration_is_young(payload):
+    change = np.where(np.arange(12) == 8, -1.1, 0.0)
+    powers = align(payload, moved(payload.series(WINDOW), change))
+    assert powers.changed == ("c08",)
+    np.testing.assert_allclose(told_of(powers), payload.level_dbm, atol=1e-3)
+    old = align(payload, moved(payload.series(WINDOW), change), config=replace(CONFIG, wet_level_h=0.0))
+    np.testing.assert_allclose(told_of(old), payload.level_dbm + change, atol=1e-3)
 
 
 def test_powers_of_another_attitude_contradict(payload):

@@ -8,6 +8,7 @@ from service.core.estimation.filtering.causes.carrier_faults import (
     MIN_BACK_MINUTES,
     QUIET_ROWS,
     STANDING_ROWS,
+    WET_MINUTES,
     count_skips,
     flag_failed,
     healthy,
@@ -32,7 +33,7 @@ def state(model):
 
 
 def flagged(model, state, carrier=2):
-    watch = healthy(6)
+    watch = healthy(np.full(6, 0.05**2))
     watch = watch._replace(skip_minutes=np.where(carrier == EVERYONE, 4.0, 0.0))
     return flag_failed(model, state, watch, state)
 
@@ -44,7 +45,7 @@ def test_huber_trusts_less_beyond_two_sigma():
 
 def test_four_minutes_of_skips_flag_and_a_good_row_forgives(model, state):
     excess = np.array([0.0, 0.0, 5.0, 0.0, 5.0, 0.0])
-    watch = healthy(6)
+    watch = healthy(np.full(6, 0.05**2))
     for row in range(4):
         assert flag_failed(model, state, watch, state)[1] is watch
         watch = count_skips(watch, EVERYONE, excess if row != 2 else excess * [1, 1, 1, 1, 0, 1], 1.0)
@@ -57,7 +58,7 @@ def test_four_minutes_of_skips_flag_and_a_good_row_forgives(model, state):
 
 
 def test_rows_of_ten_seconds_take_the_same_minutes(model, state):
-    watch = healthy(6)
+    watch = healthy(np.full(6, 0.05**2))
     for _ in range(24):
         assert not flag_failed(model, state, watch, state)[1].is_flagged.any()
         watch = count_skips(watch, np.array([1]), np.array([9.0]), 10.0 / 60.0)
@@ -65,7 +66,7 @@ def test_rows_of_ten_seconds_take_the_same_minutes(model, state):
 
 
 def test_a_slow_fade_that_is_never_skipped_is_flagged_by_its_sum(model, state):
-    watch = healthy(6)
+    watch = healthy(np.full(6, 0.05**2))
     minute = 0
     while not watch.is_flagged.any():
         watch = push_carrier_values(watch, np.array([0.0, 0.0, 0.0, -1.8, 0.0, np.nan]))
@@ -77,7 +78,7 @@ def test_a_slow_fade_that_is_never_skipped_is_flagged_by_its_sum(model, state):
 
 
 def test_one_impulse_is_no_fault(model, state):
-    watch = push_carrier_values(healthy(6), np.full(6, 40.0))
+    watch = push_carrier_values(healthy(np.full(6, 0.05**2)), np.full(6, 40.0))
     assert flag_failed(model, state, watch, state)[1] is watch
 
 
@@ -94,6 +95,30 @@ def test_a_flagged_carrier_at_another_level_returns_when_it_has_stood_for_an_hou
     assert after.mean[position] == 1.5
     assert after.covariance[position, position] == 9.0
     assert watch.is_relearned.tolist() == [False, False, True, False, False, False]
+
+
+def test_a_lower_level_is_weather_for_six_hours_and_the_reference_of_the_alignment_is_kept_for_good(model, state):
+    """Nine of sixteen references were learned wet within a day; then all agreed on a roll that was wrong by 0.2 deg."""
+    gaussian, watch = flagged(model, state)
+    position = reference_states(model, np.array([2]))[0]
+    minute = 0
+    while watch.is_flagged.any():
+        watch = watch_flagged(watch, np.array([0.0, 0.0, -1.5, 0.0, 0.0, 0.0]), 1.0)
+        gaussian, watch = release_quiet(model, gaussian, watch)
+        minute += 1
+    assert minute == WET_MINUTES
+    assert watch.is_relearned[2]
+    assert gaussian.mean[position] == -1.5
+    # it dries after all: what was learned is forgotten
+    watch = watch._replace(skip_minutes=np.array([0.0, 0.0, 4.0, 0.0, 0.0, 0.0]))
+    gaussian, watch = flag_failed(model, gaussian, watch, gaussian)
+    for _ in range(int(MIN_BACK_MINUTES)):
+        assert watch.is_flagged[2]
+        watch = watch_flagged(watch, np.full(6, 0.1), 1.0)
+        gaussian, watch = release_quiet(model, gaussian, watch)
+    assert not watch.is_flagged.any()
+    assert not watch.is_relearned.any()
+    assert gaussian.mean[position] == 0.0
 
 
 def test_an_antenna_that_dries_comes_back_to_its_reference_and_is_not_learned_wet(model, state):

@@ -5,7 +5,8 @@ import pytest
 
 from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess
 
-CALM = IntegrityInputs(np.array([0.09, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
+SIGMA, LEVEL = np.array([0.09, 0.01, 0.02]), np.array([0.4, 0.08, 0.12])
+CALM = IntegrityInputs(SIGMA, LEVEL, 16, False, False, 1.0, (False, False, False), 0, 16)
 
 
 def test_a_calm_row_allows_all_axes():
@@ -24,6 +25,9 @@ def test_a_calm_row_allows_all_axes():
         ({"sigma_deg": np.array([0.09, 0.06, 0.02])}, "sigma_roll"),
         ({"sigma_deg": np.array([0.09, 0.01, 0.1])}, "sigma_pitch"),
         ({"sigma_deg": np.array([0.09, 0.01, np.nan])}, "sigma_pitch"),
+        ({"protection_deg": np.array([0.4, 0.08, 0.23])}, "protection_level"),
+        ({"protection_deg": np.array([0.4, 0.23, 0.12])}, "protection_level"),
+        ({"protection_deg": np.array([0.4, np.nan, 0.12])}, "integrity_unmonitored"),
         ({"carriers_used": 5}, "redundancy"),
         ({"nis_ratio": 2.1}, "innovations"),
         ({"is_unannounced": (False, True, False)}, "unannounced_motion"),
