@@ -38,6 +38,11 @@ def test_steps_of_a_decibel_are_coarse_and_those_of_real_links_are_not():
     assert answers[60:, 1].all()
 
 
+def test_six_readings_far_apart_make_a_carrier_coarse_and_a_fade_does_not():
+    rows = [[-40.0], [-40.0], [-35.0], [-40.0], [-39.0], [-40.0], [-38.0], [-40.0]]
+    assert np.flatnonzero(run(rows)[:, 0]).tolist() == [6, 7]
+
+
 def test_one_step_of_a_user_leaves_the_carrier_out_for_a_row():
     levels = -40.0 + 0.1 * np.random.default_rng(12).normal(size=60)
     levels[30:] += 2.0
