@@ -8,6 +8,7 @@ the same result at once wait for the one that computes it. ``make clean`` remove
 import fcntl
 import hashlib
 import pickle
+import shutil
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -44,9 +45,8 @@ def folder_of_sources() -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     folder.touch()
     for old in sorted(FOLDER.iterdir(), key=lambda one: one.stat().st_mtime, reverse=True)[KEPT_SETS:]:
-        for path in old.iterdir():
-            path.unlink(missing_ok=True)
-        old.rmdir()
+        # another process may remove it at the same time
+        shutil.rmtree(old, ignore_errors=True)
     return folder
 
 
