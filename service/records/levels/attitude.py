@@ -159,3 +159,9 @@ class CarrierState:
     sigma_db: Annotated[float, "Scatter of one row, one sigma, in the model of the method that gives these values."]
     flags: int
     state: Annotated[str, "used, absent, excluded, unselected or uncalibrated."]
+    hypothesis: Annotated[
+        str | None,
+        "What the references of the alignment make of the carrier: dry, wet, level_changed or level_learned.",
+    ] = None
+    hypothesis_probability: float = math.nan
+    hypothesis_since_us: int | None = None

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from service.core.estimation.filtering.anchor.anchor_watch import carrier_hypotheses
 from service.core.estimation.filtering.model.filter_state import core_size
 from service.core.estimation.filtering.model.hidden_motion import SHARE_SIGMA
 from service.core.estimation.filtering.watches.command_watch import missed_log_ratio, share_log_ratio
@@ -181,6 +182,7 @@ class RobustRunner:
         outcome, model = self._last
         out = {item.carrier for item in outcome.row.excluded}
         sigma_db = np.sqrt(model.filter.white_sigma_db**2 + (model.filter.coloured_sigma_db**2).sum(axis=1))
+        hypotheses = carrier_hypotheses(outcome.state.filter.anchor)
         return {
             name: CarrierState(
                 carrier=name,
@@ -191,6 +193,9 @@ class RobustRunner:
                 sigma_db=float(sigma_db[k]),
                 flags=0,
                 state="unselected" if not model.is_used[k] else ("excluded" if name in out else "used"),
+                hypothesis=hypotheses[k].name,
+                hypothesis_probability=hypotheses[k].probability,
+                hypothesis_since_us=hypotheses[k].since_us,
             )
             for k, name in enumerate(model.carrier_ids)
         }

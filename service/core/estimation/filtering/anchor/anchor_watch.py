@@ -6,17 +6,19 @@ hypotheses of the carriers (`carrier_mixture`), and with it protection levels. W
 attitude the filter starts again from them (`filtering.new_start`); a smaller difference is left to the filter.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.anchor.carrier_mixture import Branches, Mixture, solve_mixture
+from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES, Branches, Mixture, solve_mixture
 from service.core.estimation.filtering.anchor.protection import protection_levels_deg
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.model.filter_model import (
     BoolArray,
     CarrierModel,
     FloatArray,
+    IntArray,
     pattern_change,
 )
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
@@ -67,13 +69,38 @@ class AnchorWatch(NamedTuple):
     #: (3,) deg, protection levels by the last answer, NaN = there is none, and sigma of the filter then
     level_deg: FloatArray
     sigma_deg: FloatArray
+    #: (N,) likeliest of `HYPOTHESES`, its probability, NaN before an answer, and since when it is, microseconds UTC
+    hypothesis: IntArray
+    probability: FloatArray
+    hypothesis_since_us: IntArray
+
+
+class CarrierHypothesis(NamedTuple):
+    """Likeliest hypothesis of one carrier; None and NaN before it was asked."""
+
+    name: str | None
+    probability: float
+    #: microseconds UTC
+    since_us: int | None
 
 
 def calm_anchor(carriers: int, since_us: int) -> AnchorWatch:
     """Return the watch at an alignment."""
     unknown = np.full(3, np.nan)
     nothing = np.full((_MEAN_MINUTES, carriers), np.nan)
-    return AnchorWatch(nothing, nothing, 0, since_us, since_us, unknown, unknown)
+    likeliest = np.zeros(carriers, dtype=np.int64)
+    return AnchorWatch(
+        nothing,
+        nothing,
+        0,
+        since_us,
+        since_us,
+        unknown,
+        unknown,
+        likeliest,
+        np.full(carriers, np.nan),
+        likeliest + since_us,
+    )
 
 
 def protection_now_deg(watch: AnchorWatch, epoch_us: int, sigma_deg: FloatArray) -> FloatArray:
@@ -138,7 +165,32 @@ def push_anchor(
         np.append(np.hypot(ERROR_SIGMA_DEG, state.attitude_sigma_deg), _RAIN_DB if is_raining else _CHAIN_DB),
     )
     levels = protection_levels_deg(mixture)
-    return watch._replace(answered_us=epoch_us, level_deg=levels, sigma_deg=state.attitude_sigma_deg), mixture
+    watch = watch._replace(answered_us=epoch_us, level_deg=levels, sigma_deg=state.attitude_sigma_deg)
+    return _with_hypotheses(watch, mixture, np.isfinite(mean_db) & (count > 0), epoch_us), mixture
+
+
+def _with_hypotheses(watch: AnchorWatch, mixture: Mixture, is_there: BoolArray, epoch_us: int) -> AnchorWatch:
+    """Return the watch with the likeliest hypothesis of each carrier (N,) that was there; the others keep theirs."""
+    summed = [mixture.branch_probability[:, branches].sum(axis=1) for branches in HYPOTHESES.values()]
+    probability = np.column_stack(summed)
+    likeliest = np.where(is_there, probability.argmax(axis=1), watch.hypothesis)
+    return watch._replace(
+        hypothesis=likeliest,
+        probability=np.where(is_there, probability.max(axis=1), watch.probability),
+        hypothesis_since_us=np.where(likeliest == watch.hypothesis, watch.hypothesis_since_us, epoch_us),
+    )
+
+
+def carrier_hypotheses(watch: AnchorWatch) -> list[CarrierHypothesis]:
+    """Return the likeliest hypothesis of each carrier by the last answer."""
+    names = tuple(HYPOTHESES)
+    each = zip(watch.hypothesis.tolist(), watch.probability.tolist(), watch.hypothesis_since_us.tolist(), strict=True)
+    return [
+        CarrierHypothesis(None, probability, None)
+        if math.isnan(probability)
+        else CarrierHypothesis(names[likeliest], probability, since_us)
+        for likeliest, probability, since_us in each
+    ]
 
 
 def is_contradicted(mixture: Mixture) -> bool:

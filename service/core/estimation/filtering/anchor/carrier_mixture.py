@@ -19,6 +19,8 @@ from service.core.estimation.filtering.model.filter_model import FloatArray, Int
 KEPT = 32
 #: places of two branches: nothing is wrong with the carrier, and it has the level that the filter learned again
 DRY, LEARNED = 0, 4
+#: hypotheses by name, as sums of branches
+HYPOTHESES = {"dry": (0,), "wet": (1, 2), "level_changed": (3,), "level_learned": (4,)}
 
 
 class Branches(NamedTuple):

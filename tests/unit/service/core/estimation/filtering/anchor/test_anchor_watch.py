@@ -6,6 +6,7 @@ import pytest
 
 from service.core.estimation.filtering.anchor.anchor_watch import (
     calm_anchor,
+    carrier_hypotheses,
     is_contradicted,
     protection_now_deg,
     push_anchor,
@@ -22,7 +23,7 @@ def model():
     return filter_models.carrier_model(carriers=12)
 
 
-def run(model, minutes, error_deg=(0.0, 0.0, 0.0), *, watch=None, change=None, noise_db=0.1):
+def run(model, minutes, error_deg=(0.0, 0.0, 0.0), *, watch=None, change=None, noise_db=0.1, loss_db=0.0):
     """Return the watch and the answers of some minutes in which the attitude of the filter has an error."""
     rng, state = np.random.default_rng(3), filter_models.aligned(model)
     watch = calm_anchor(12, 0) if watch is None else watch
@@ -30,7 +31,7 @@ def run(model, minutes, error_deg=(0.0, 0.0, 0.0), *, watch=None, change=None, n
     carriers = carriers if change is None else change(carriers)
     answers = []
     for minute in range(1, minutes + 1):
-        residual_db = model.gradient_db_deg @ error_deg + rng.normal(0.0, noise_db, 12)
+        residual_db = model.gradient_db_deg @ error_deg + rng.normal(0.0, noise_db, 12) - loss_db
         watch, answer = push_anchor(
             model, watch, carriers, state, residual_db, np.full(12, noise_db**2), minute * MINUTE_US, is_raining=False
         )
@@ -88,6 +89,19 @@ def test_noise_of_rows_that_is_declared_raises_the_level(model):
     _, answers = run(model, 20, noise_db=2.0)
     assert not is_contradicted(answers[-1])
     assert (run(model, 20, noise_db=2.0)[0].level_deg[1:] > 1.5 * run(model, 20)[0].level_deg[1:]).all()
+
+
+def test_each_carrier_has_its_likeliest_hypothesis_and_since_when(model):
+    assert {each.name for each in carrier_hypotheses(calm_anchor(12, 0))} == {None}
+    dry, _ = run(model, 30)
+    wet, _ = run(model, 60, watch=dry._replace(minutes=0), loss_db=np.where(np.arange(12) == 5, 0.8, 0.0))
+    before, after = carrier_hypotheses(dry), carrier_hypotheses(wet)
+    assert {each.name for each in before} == {"dry"}
+    assert [k for k, each in enumerate(after) if each.name != "dry"] == [5]
+    assert after[5].name == "wet"
+    assert 0.5 < after[5].probability <= 1.0
+    assert 0 < after[5].since_us < 30 * MINUTE_US
+    assert after[0].since_us == before[0].since_us == 0
 
 
 def test_old_references_are_less_sure(model):
