@@ -35,7 +35,7 @@ BLOCK_PAGE_ROWS = 32_768
 #: blocks of a longer span would drive out of memory what others read again and again
 _SCAN_US = 15 * DAY_US
 #: kinds of slow inputs that stand at one epoch
-_POINT_KINDS = ("reference", "telemetry")
+_POINT_KINDS = ("reference", "telemetry", "weather")
 
 
 class SqlArchive:

@@ -1,4 +1,4 @@
-"""Storing slow inputs: references, corrections, telemetry, reported commands and operations."""
+"""Storing slow inputs: references, corrections, telemetry, weather, reported commands and operations."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ from db.database import EpochSpan, add_entries, lock_head, next_id
 from db.encoding.json_documents import encode, is_same_input, kind_of
 from db.schema.tables import journal, operation
 from service.errors import InvalidInputError, NotFoundError
-from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord
+from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord, WeatherReport
 from service.records.journal import SlowInput
 from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.levels.measurement import RowRefusal
@@ -22,6 +22,7 @@ KEYED = (
     AttitudeReference
     | Correction
     | TelemetryRecord
+    | WeatherReport
     | AppliedCommand
     | ReleasedCommand
     | ReportedCommand

@@ -108,6 +108,11 @@ class Endpoints:
         return _batch(spacecraft_id, "attitude-references", {"source": source, "references": list(references)})
 
     @endpoint
+    def post_weather(self, spacecraft_id: str, source: str, reports: Rows) -> Call[Json]:
+        """Send reports of rain over uplink stations."""
+        return _batch(spacecraft_id, "weather", {"source": source, "reports": list(reports)})
+
+    @endpoint
     def post_corrections(self, spacecraft_id: str, corrections: Rows) -> Call[Json]:
         """Send attitude changes commanded through other channels."""
         return _batch(spacecraft_id, "corrections", {"corrections": list(corrections)})

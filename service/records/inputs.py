@@ -59,6 +59,25 @@ class TelemetryRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class WeatherReport:
+    """Rain over an uplink station, by a gauge, a radar or a forecast centre."""
+
+    #: gauge, radar or whatever tells
+    source: Annotated[str, "Name of the gauge, radar or service that tells."]
+    #: name of the station in the carrier plan
+    station: Annotated[str, "Name of the station in the carrier plan."]
+    epoch_us: int
+    rain_rate_mm_h: float | None = None
+    #: of the uplink path by the rain alone
+    attenuation_db: Annotated[float | None, "Of the uplink path, by the rain alone."] = None
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return f"{self.source}/{self.station}/{self.epoch_us}"
+
+
+@dataclass(frozen=True, slots=True)
 class Operation:
     """A declared operation that explains or inhibits."""
 

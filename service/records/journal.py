@@ -14,6 +14,7 @@ from service.records.inputs import (
     SourceSelection,
     SpacecraftChange,
     TelemetryRecord,
+    WeatherReport,
 )
 from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.levels.measurement import Measurement
@@ -24,6 +25,7 @@ SlowInput = (
     AttitudeReference
     | Correction
     | TelemetryRecord
+    | WeatherReport
     | Operation
     | PlanChange
     | EphemerisChange
@@ -42,6 +44,7 @@ KINDS: dict[str, type[SlowInput]] = {
     "reference": AttitudeReference,
     "correction": Correction,
     "telemetry": TelemetryRecord,
+    "weather": WeatherReport,
     "operation": Operation,
     "spacecraft": SpacecraftChange,
     "plan": PlanChange,

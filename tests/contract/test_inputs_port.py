@@ -20,6 +20,7 @@ from service.records.inputs import (
     PlanChange,
     SourceSelection,
     TelemetryRecord,
+    WeatherReport,
 )
 from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.command import AppliedCommand
@@ -43,9 +44,10 @@ def test_slow_inputs_come_back_equal_in_the_order_of_the_journal(setting):
             15, "FORECAST", (1.0, -2.0), None, thrusters_active=True, body_rate_deg_s=Axes(1e-300, 0.0, 5e-324)
         ),
         TelemetryRecord(16),
+        WeatherReport("radar", "Kyiv / Київ", 17, 0.1, None),
     ]
     receipt = setting.storage.archive.append_inputs(setting.id, sent)
-    assert (receipt.accepted, receipt.duplicates, receipt.refused) == (3, 0, ())
+    assert (receipt.accepted, receipt.duplicates, receipt.refused) == (4, 0, ())
     assert contents(setting) == sent
 
 

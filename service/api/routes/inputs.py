@@ -1,13 +1,15 @@
-"""Slow inputs in batches: attitude references, corrections, telemetry; and the archive of each."""
+"""Slow inputs in batches: attitude references, corrections, telemetry, weather; and the archive of each."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Protocol, TypeVar
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
+from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel
 
 from service.api.access.auth import MAY_SEND
 from service.api.context.dependencies import ApiContext, Context, SpacecraftId
+from service.api.context.epoch_limits import EpochLimits
 from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.paging import Page, PageQuery, Position
 from service.api.routes.measurements_ingest import check_batch_size
@@ -25,7 +27,12 @@ from service.api.schemas.inputs import (
     TelemetryAnswer,
     TelemetryBatchDocument,
     TelemetryPage,
+    WeatherAnswer,
+    WeatherBatchDocument,
+    WeatherDocument,
+    WeatherPage,
 )
+from service.records.epoch import format_epoch
 from service.records.journal import JournalEntry, SlowInput
 from service.records.levels.series import InputReceipt
 
@@ -83,6 +90,24 @@ def send_telemetry(
     return _append(spacecraft_id, context, body.records, lambda row: row.to_record())
 
 
+@router.post("/weather:batch", dependencies=[MAY_SEND], openapi_extra=accepts(WeatherBatchDocument))
+async def send_weather(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[WeatherBatchDocument, body_of(WeatherBatchDocument)],
+    context: Context,
+    request: Request,
+) -> InputReceiptAnswer:
+    """Store reports of rain over uplink stations, which make "wet" likelier or less likely for their carriers.
+
+    The robust method asks them every ten minutes; a report holds for half an hour, and two hours after rain an antenna
+    still counts as wet. A wrong report costs certainty, not truth: the powers decide.
+    """
+    check_batch_size(len(body.reports), context, "/reports")
+    limits: EpochLimits = request.app.state.epoch_limits
+    latest_us = (await limits.present(spacecraft_id)).latest_us
+    return await run_in_threadpool(_append_weather, spacecraft_id, context, body, latest_us)
+
+
 @router.get("/attitude-references")
 def list_references(spacecraft_id: SpacecraftId, page: Page, context: Context) -> ReferencePage:
     """List attitude references in order of epoch."""
@@ -101,11 +126,39 @@ def list_telemetry(spacecraft_id: SpacecraftId, page: Page, context: Context) ->
     return input_page(spacecraft_id, "telemetry", page, context, TelemetryPage, TelemetryAnswer)
 
 
-def _append(
-    spacecraft_id: str, context: ApiContext, rows: Sequence[R], to_record: Callable[[R], SlowInput]
+@router.get("/weather")
+def list_weather(spacecraft_id: SpacecraftId, page: Page, context: Context) -> WeatherPage:
+    """List weather reports in order of epoch."""
+    return input_page(spacecraft_id, "weather", page, context, WeatherPage, WeatherAnswer)
+
+
+def _append_weather(
+    spacecraft_id: str, context: ApiContext, body: WeatherBatchDocument, latest_us: int
 ) -> InputReceiptAnswer:
-    """Store the valid rows and return the receipt of all."""
-    faults = [row.fault() for row in rows]
+    """Store the reports about stations of the newest plan; a forecast is no report."""
+    carriers = context.storage.catalogue.plan(spacecraft_id).carriers
+    stations = {carrier.station.name for carrier in carriers if carrier.station and carrier.station.name}
+
+    def fault(row: WeatherDocument) -> Fault | None:
+        if row.station not in stations:
+            known = ", ".join(sorted(stations)) or "none has a name"
+            return "station.unknown", f"the newest carrier plan has no station {row.station!r}; it has: {known}"
+        if row.epoch > latest_us:
+            return "time.future", f"the epoch lies after {format_epoch(latest_us)}; a forecast is no report"
+        return row.fault()
+
+    return _append(spacecraft_id, context, body.reports, lambda row: row.to_record(body.source), fault)
+
+
+def _append(
+    spacecraft_id: str,
+    context: ApiContext,
+    rows: Sequence[R],
+    to_record: Callable[[R], SlowInput],
+    fault_of: Callable[[R], Fault | None] = lambda row: row.fault(),
+) -> InputReceiptAnswer:
+    """Store the rows without a fault and return the receipt of all."""
+    faults = [fault_of(row) for row in rows]
     kept = [index for index, fault in enumerate(faults) if fault is None]
     refused = [(index, *fault) for index, fault in enumerate(faults) if fault is not None]
     # an unknown spacecraft is a 404 whatever the rows say

@@ -1,4 +1,4 @@
-"""Documents of slow inputs, sent in batches: attitude references, corrections, telemetry.
+"""Documents of slow inputs, sent in batches: attitude references, corrections, telemetry, weather.
 
 A row that says nothing or something impossible is refused by itself; ``fault`` tells why. What does not fit the form
 at all refuses the batch.
@@ -15,6 +15,7 @@ from service.api.schemas.base import (
     Answer,
     AnyEpoch,
     Document,
+    Name,
     RowPage,
     Text,
     axes_of,
@@ -22,13 +23,15 @@ from service.api.schemas.base import (
 )
 from service.api.schemas.record_answers import members_of
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch
-from service.records.inputs import AttitudeReference, Correction, TelemetryRecord
+from service.records.inputs import AttitudeReference, Correction, TelemetryRecord, WeatherReport
 from service.records.levels.attitude import NO_ANGLES
 
 #: code and detail of a refused row
 Fault = tuple[str, str]
 _NO_ANGLE: Fault = ("value.absent", "the row states no angle at all; leave it out")
 _MAX_ANGLE_DEG = 180.0
+#: more rain than was ever measured, and more than any link survives
+_MAX_RAIN_MM_H, _MAX_RAIN_DB = 2000.0, 100.0
 #: any wheel and any rate; beyond lies a fault of units or of telemetry, not a spacecraft
 _Telemetered = Annotated[float, Field(ge=-1e6, le=1e6)]
 Wheels = Annotated[tuple[_Telemetered, ...], Field(min_length=1, max_length=16)]
@@ -140,6 +143,42 @@ class TelemetryBatchDocument(Document):
     records: Annotated[list[TelemetryDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
 
 
+class WeatherDocument(Document):
+    """Rain over an uplink station at one epoch, as rain rate, as attenuation of the uplink, or both; 0 = dry."""
+
+    epoch: AnyEpoch
+    station: Text
+    """Name of the station in the carrier plan."""
+    rain_rate_mm_h: float | None = None
+    attenuation_db: float | None = None
+    """Of the uplink path, by the rain alone."""
+
+    def fault(self) -> Fault | None:
+        """Return why the row is refused, None when it is not."""
+        fault = _epoch_fault(self.epoch)
+        if fault is not None:
+            return fault
+        if self.rain_rate_mm_h is None and self.attenuation_db is None:
+            return "value.absent", "the row states neither rain_rate_mm_h nor attenuation_db; a dry station states 0"
+        if not 0.0 <= (self.rain_rate_mm_h or 0.0) <= _MAX_RAIN_MM_H:
+            return "value.out_of_range", f"rain_rate_mm_h lies outside 0..{_MAX_RAIN_MM_H:g} mm/h"
+        if not 0.0 <= (self.attenuation_db or 0.0) <= _MAX_RAIN_DB:
+            return "value.out_of_range", f"attenuation_db lies outside 0..{_MAX_RAIN_DB:g} dB; a loss is positive"
+        return None
+
+    def to_record(self, source: str) -> WeatherReport:
+        """Return the record that this row states."""
+        return WeatherReport(source, self.station, self.epoch, self.rain_rate_mm_h, self.attenuation_db)
+
+
+class WeatherBatchDocument(Document):
+    """Weather reports of one source."""
+
+    source: Name
+    """Name of the gauge, radar or service that tells."""
+    reports: Annotated[list[WeatherDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
+
+
 class InputRefusalAnswer(Answer):
     """A refused row."""
 
@@ -169,6 +208,10 @@ class TelemetryAnswer(members_of(TelemetryRecord, number=float), Answer):
     """A stored telemetry record."""
 
 
+class WeatherAnswer(members_of(WeatherReport), Answer):
+    """A stored weather report."""
+
+
 class ReferencePage(RowPage):
     """References in order of epoch."""
 
@@ -185,3 +228,9 @@ class TelemetryPage(RowPage):
     """Telemetry in order of epoch."""
 
     rows: list[TelemetryAnswer]
+
+
+class WeatherPage(RowPage):
+    """Weather reports in order of epoch."""
+
+    rows: list[WeatherAnswer]

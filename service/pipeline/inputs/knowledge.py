@@ -5,9 +5,11 @@ calibrations, alignments) are immutable in the archive, so looking them up keeps
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from service.pipeline.inputs.weather_reports import WeatherReports, reported_wet, with_report
 from service.records.calibration import Alignment, Calibration, CalibrationMethod
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
 from service.records.epoch import US_PER_S
@@ -19,9 +21,10 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
     TelemetryRecord,
+    WeatherReport,
 )
 from service.records.journal import SlowInput
-from service.records.levels.attitude import Axes
+from service.records.levels.attitude import Axes, FloatArray
 from service.records.operations.release import InterlockHold
 
 
@@ -57,6 +60,8 @@ class Knowledge:
     telemetry: TelemetryRecord | None = None
     #: newest record that told the rate of the body about every axis
     rated: TelemetryRecord | None = None
+    #: reports of rain, by station and source
+    weather: WeatherReports = field(default_factory=dict)
     #: newest word of the interlock; none: it never withheld anything
     hold: InterlockHold | None = None
 
@@ -78,6 +83,16 @@ class Knowledge:
         if reported is None or abs(epoch_us - reported.epoch_us) > age_s * US_PER_S:
             return None
         return reported.body_rate_deg_s
+
+    def reported_wet(self, carrier_ids: Sequence[str], epoch_us: int) -> FloatArray | None:
+        """Return for carriers (N,) 1 where rain over the station is reported, 0 where none is, NaN where nobody says.
+
+        None where nothing is reported of any station.
+        """
+        if self.plan is None or not self.weather:
+            return None
+        station_of = {carrier.id: carrier.station.name for carrier in self.plan.carriers if carrier.station}
+        return reported_wet(self.weather, [station_of.get(name, "") for name in carrier_ids], epoch_us)
 
     def calibration_for(self, method: Method) -> Calibration | None:
         """Return the calibration of a method; a ``geometry`` one serves ``paper`` while no ``paper`` one is active."""
@@ -121,14 +136,16 @@ def update(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledg
             return replace(knowledge, alignment=lookup.alignment(content.alignment_id))
         case Operation():
             return replace(knowledge, operations={**knowledge.operations, content.id: content})
-        case TelemetryRecord() | InterlockHold():
+        case TelemetryRecord() | WeatherReport() | InterlockHold():
             return _with_word(knowledge, content)
         case _:
             return knowledge
 
 
-def _with_word(knowledge: Knowledge, reported: TelemetryRecord | InterlockHold) -> Knowledge:
-    """Return the knowledge with a word of the interlock, or the newest of the wheels' momentum and the body's rate."""
+def _with_word(knowledge: Knowledge, reported: TelemetryRecord | WeatherReport | InterlockHold) -> Knowledge:
+    """Return the knowledge with a word of the interlock, a report of the weather or the newest of the telemetry."""
+    if isinstance(reported, WeatherReport):
+        return replace(knowledge, weather=with_report(knowledge.weather, reported))
     if isinstance(reported, InterlockHold):
         return replace(knowledge, hold=reported)
     if reported.wheel_momentum_n_m_s is not None and _is_newest(reported, knowledge.telemetry):

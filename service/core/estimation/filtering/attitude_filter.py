@@ -71,6 +71,8 @@ class _Row(NamedTuple):
     is_accounted: BoolArray
     minutes: float
     declared: Declared | None
+    #: (N,) 1 where rain over the station is reported, 0 where none is, NaN where nobody says; None = of no station
+    reported_wet: FloatArray | None = None
 
 
 def step(
@@ -84,6 +86,7 @@ def step(
     limits: IntegrityLimits | None = None,
     chooser: Chooser = choose_cause,
     declared: Declared | None = None,
+    reported_wet: FloatArray | None = None,
     kernels: Kernels = ARRAYS,
 ) -> FilterStep:
     """Return the filter after one row.
@@ -108,6 +111,8 @@ def step(
         ``chooser(model, innovation) -> Choice`` decides what moved several carriers at once.
     declared : Declared, optional
         What the ground declared about the time since the state's epoch.
+    reported_wet : ndarray, shape (N,), optional
+        1 where rain over the carrier's station is reported, 0 where none is, NaN where nobody says.
     kernels : Kernels
         Who does the arithmetic.
 
@@ -123,7 +128,7 @@ def step(
     step_us = epoch_us - state.epoch_us
     minutes = min(step_us / 60e6, 1.0)
     ahead = _ahead(model, settings, state, step_us, known, declared, kernels)
-    row = _row(ahead, deviation_db, minutes, declared)
+    row = _row(ahead, deviation_db, minutes, declared)._replace(reported_wet=reported_wet)
     if len(row.present) < MIN_CARRIERS:
         return _reported(model, ahead, nothing, row.present[:0], None, limits)
     return _judged(model, settings, ahead, row, limits, chooser, kernels)
@@ -225,7 +230,7 @@ def _judged(
         # a fall that begins now is counted from where the chain stands now
         rain = rain._replace(base_chain_db=float(gaussian.mean[CHAIN]))
     if values is not None:
-        after = with_anchor(model, after._replace(gaussian=gaussian), row.deviation_db, white_db2)
+        after = with_anchor(model, after._replace(gaussian=gaussian), row.deviation_db, white_db2, row.reported_wet)
         gaussian = after.gaussian
     drift, gaussian = push_drift(after.drift, settings, gaussian, row.minutes)
     after = after._replace(gaussian=gaussian, rain=rain, drift=drift)

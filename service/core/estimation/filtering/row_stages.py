@@ -143,7 +143,11 @@ def minute_update(
 
 
 def with_anchor(
-    model: CarrierModel, state: FilterState, deviation_db: FloatArray, white_db2: FloatArray
+    model: CarrierModel,
+    state: FilterState,
+    deviation_db: FloatArray,
+    white_db2: FloatArray,
+    reported_wet: FloatArray | None,
 ) -> FilterState:
     """Return the state after the question to the references of the alignment, started again where they demand it."""
     residual_db = deviation_db - site_db(model, state.gaussian.mean)
@@ -156,6 +160,7 @@ def with_anchor(
         white_db2,
         state.epoch_us,
         is_raining=state.rain.is_raining,
+        reported_wet=reported_wet,
     )
     state = state._replace(anchor=anchor)
     return start_again(model, state, mixture) if mixture is not None and is_contradicted(mixture) else state

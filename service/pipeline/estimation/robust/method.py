@@ -150,6 +150,7 @@ def step_robust(
         known._replace(unreported=unreported),
         limits=model.limits,
         declared=declared,
+        reported_wet=knowledge.reported_wet(model.carrier_ids, measurement.epoch_us),
         kernels=kernels_named(config.kernels),
     )
     if not (np.isfinite(found.attitude_deg).all() and np.isfinite(found.covariance_deg2).all()):

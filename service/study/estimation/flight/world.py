@@ -17,7 +17,7 @@ import numpy as np
 
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Ephemeris, Spacecraft
-from service.records.inputs import Correction, Operation, SourceSelection, TelemetryRecord
+from service.records.inputs import Correction, Operation, SourceSelection, TelemetryRecord, WeatherReport
 from service.records.levels.attitude import Axes, BoolArray, FloatArray, IntArray
 from service.records.levels.series import MeasurementSeries, ReferenceSeries
 from service.study.estimation.flight.catalogue_lines import (
@@ -41,7 +41,7 @@ class GroundEvent(NamedTuple):
     """Something of which the ground learns after the start."""
 
     reported_us: int
-    content: tuple[Carrier, ...] | Ephemeris | Operation | TelemetryRecord | SourceSelection | Correction
+    content: tuple[Carrier, ...] | Ephemeris | Operation | TelemetryRecord | WeatherReport | SourceSelection | Correction
 
 
 @dataclass(frozen=True)

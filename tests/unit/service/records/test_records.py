@@ -17,6 +17,7 @@ from service.records.inputs import (
     SourceSelection,
     SpacecraftChange,
     TelemetryRecord,
+    WeatherReport,
 )
 from service.records.journal import KIND_OF, KINDS
 from service.records.levels.attitude import Axes, Status, row_without_attitude
@@ -55,6 +56,7 @@ def command(number):
         (AttitudeReference("earth_sensor", 17, ZERO, ZERO), "earth_sensor/17"),
         (Correction(3, 9, ZERO), "3/9"),
         (TelemetryRecord(5), "5"),
+        (WeatherReport("radar", "Kyiv", 5, 1.0), "radar/Kyiv/5"),
         (Operation(4, "other", 1, None, revision=2), "4/2"),
         (PlanChange(6), "6"),
         (EphemerisChange(7), "7"),

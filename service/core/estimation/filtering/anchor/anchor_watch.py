@@ -42,6 +42,9 @@ _CHANGED_DB, _LEARNED_DB = 1.0, 0.1
 #: probability that a carrier in use, and one that is set aside, is wet or at another level
 _WET, _WET_ASIDE = 0.08, 0.6
 _CHANGED, _CHANGED_ASIDE = 0.01, 0.2
+#: probability that a carrier is wet over whose station rain is reported, and factor of its probabilities where a report
+#: says dry; reports may be wrong
+_WET_REPORTED, _DRY_REPORTED = 0.5, 0.4
 #: probability of a storm, and that a carrier is wet in it
 _STORM, _WET_IN_STORM = 0.3, 0.45
 #: reference error of the filter from which the carrier has another level, dB; probabilities that it is right, where the
@@ -120,6 +123,7 @@ def push_anchor(
     epoch_us: int,
     *,
     is_raining: bool,
+    reported_wet: FloatArray | None = None,
 ) -> tuple[AnchorWatch, Mixture | None]:
     """Return the watch one minute later, and the answer where it is time for one.
 
@@ -141,6 +145,8 @@ def push_anchor(
         Of the minute.
     is_raining : bool
         Whether rain over the receiving site takes from all carriers.
+    reported_wet : ndarray, shape (N,), optional
+        1 where rain over the station is reported, 0 where none is, NaN where nobody says.
     """
     rows = np.concatenate([watch.residuals_db[1:], residual_db[None, :]])
     white = np.concatenate([watch.white_db2[1:], white_db2[None, :]])
@@ -161,6 +167,7 @@ def push_anchor(
             state.mean[-model.carriers :],
             _dry_variance_db2(model, carriers, (epoch_us - watch.since_us) / _HOUR_US)
             + np.where(is_there, white, 0.0).sum(axis=0) / np.maximum(count, 1) ** 2,
+            np.full(model.carriers, np.nan) if reported_wet is None else reported_wet,
         ),
         np.append(np.hypot(ERROR_SIGMA_DEG, state.attitude_sigma_deg), _RAIN_DB if is_raining else _CHAIN_DB),
     )
@@ -210,7 +217,9 @@ def moved_anchor(model: CarrierModel, watch: AnchorWatch, attitude_deg: FloatArr
     )
 
 
-def _branches(carriers: CarrierWatch, reference_db: FloatArray, dry_db2: FloatArray) -> Branches:
+def _branches(
+    carriers: CarrierWatch, reference_db: FloatArray, dry_db2: FloatArray, reported_wet: FloatArray
+) -> Branches:
     """Return the hypotheses of the carriers beside the reference of the alignment."""
     is_aside, is_known = carriers.is_flagged, np.isfinite(carriers.aligned_reference_db)
     moved_db = reference_db - np.nan_to_num(carriers.aligned_reference_db)
@@ -219,13 +228,19 @@ def _branches(carriers: CarrierWatch, reference_db: FloatArray, dry_db2: FloatAr
     zeros = np.zeros(len(dry_db2))
     spread_db = np.array([0.0, _LIGHT_DB[1], _HEAVY_DB[1], _CHANGED_DB, _LEARNED_DB])
     wet, changed = np.where(is_aside, _WET_ASIDE, _WET), np.where(is_aside, _CHANGED_ASIDE, _CHANGED)
-    regimes = (wet, np.maximum(wet, _WET_IN_STORM))
+    regimes = [_with_reports(each, reported_wet) for each in (wet, np.maximum(wet, _WET_IN_STORM))]
     return Branches(
         np.column_stack([zeros, zeros + _LIGHT_DB[0], zeros + _HEAVY_DB[0], zeros, is_learned * moved_db]),
         dry_db2[:, None] + spread_db**2,
         np.log(np.stack([_probabilities(each, changed, is_learned, is_known) for each in regimes])),
         np.log([1.0 - _STORM, _STORM]),
     )
+
+
+def _with_reports(wet: FloatArray, reported_wet: FloatArray) -> FloatArray:
+    """Return the probabilities (N,) that carriers are wet, with what the weather service reports."""
+    wet = np.where(reported_wet == 1.0, np.maximum(wet, _WET_REPORTED), wet)
+    return np.asarray(np.where(reported_wet == 0.0, _DRY_REPORTED * wet, wet))
 
 
 def _probabilities(wet: FloatArray, changed: FloatArray, is_learned: BoolArray, is_known: BoolArray) -> FloatArray:

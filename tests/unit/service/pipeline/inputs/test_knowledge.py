@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import synthetic_payload as synthetic
 
 from service.pipeline.inputs.knowledge import Knowledge, update
 from service.records.calibration import CalibrationMethod
-from service.records.catalogue import Method
-from service.records.inputs import CalibrationActivation, Correction, Operation, SourceSelection
+from service.records.catalogue import Method, Station
+from service.records.inputs import CalibrationActivation, Correction, Operation, SourceSelection, WeatherReport
 from service.records.levels.attitude import Axes
 
 
@@ -59,6 +60,20 @@ def test_nothing_is_known_before_the_first_input():
 @pytest.mark.parametrize("content", [Correction(1, 2, Axes(0.1, 0.1, 0.1)), SourceSelection("sa-2", 1)])
 def test_inputs_that_no_method_uses_yet_change_nothing(knowledge, documents, content):
     assert update(knowledge, content, documents) is knowledge
+
+
+def test_reported_rain_belongs_to_the_carriers_of_the_station(knowledge, documents, payload):
+    assert knowledge.reported_wet(payload.ids, 0) is None
+    carriers = tuple(
+        replace(carrier, station=Station(0.0, 0.0, name))
+        for carrier, name in zip(
+            knowledge.plan.carriers, ["Kyiv", "Kyiv", "Minsk", ""] * len(payload.ids), strict=False
+        )
+    )
+    named = replace(knowledge, plan=replace(knowledge.plan, carriers=carriers))
+    for report in (WeatherReport("radar", "Kyiv", 0, 4.0), WeatherReport("radar", "Minsk", 0, 0.0)):
+        named = update(named, report, documents)
+    np.testing.assert_array_equal(named.reported_wet([*payload.ids[:4], "c99"], 0), [1.0, 1.0, 0.0, np.nan, np.nan])
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,9 @@ def model():
     return filter_models.carrier_model(carriers=12)
 
 
-def run(model, minutes, error_deg=(0.0, 0.0, 0.0), *, watch=None, change=None, noise_db=0.1, loss_db=0.0):
+def run(
+    model, minutes, error_deg=(0.0, 0.0, 0.0), *, watch=None, change=None, noise_db=0.1, loss_db=0.0, reported=None
+):
     """Return the watch and the answers of some minutes in which the attitude of the filter has an error."""
     rng, state = np.random.default_rng(3), filter_models.aligned(model)
     watch = calm_anchor(12, 0) if watch is None else watch
@@ -33,7 +35,15 @@ def run(model, minutes, error_deg=(0.0, 0.0, 0.0), *, watch=None, change=None, n
     for minute in range(1, minutes + 1):
         residual_db = model.gradient_db_deg @ error_deg + rng.normal(0.0, noise_db, 12) - loss_db
         watch, answer = push_anchor(
-            model, watch, carriers, state, residual_db, np.full(12, noise_db**2), minute * MINUTE_US, is_raining=False
+            model,
+            watch,
+            carriers,
+            state,
+            residual_db,
+            np.full(12, noise_db**2),
+            minute * MINUTE_US,
+            is_raining=False,
+            reported_wet=reported,
         )
         answers.append(answer)
     return watch, answers
@@ -102,6 +112,24 @@ def test_each_carrier_has_its_likeliest_hypothesis_and_since_when(model):
     assert 0.5 < after[5].probability <= 1.0
     assert 0 < after[5].since_us < 30 * MINUTE_US
     assert after[0].since_us == before[0].since_us == 0
+
+
+def test_reports_of_the_weather_make_wet_likelier_or_less_likely(model):
+    loss_db = np.where(np.arange(12) == 5, 0.3, 0.0)
+
+    def dry_probability(reported):
+        answers = run(model, 20, loss_db=loss_db, reported=reported)[1]
+        return answers[-1].branch_probability[5, 0]
+
+    nobody = dry_probability(None)
+    assert dry_probability(np.full(12, np.nan)) == nobody
+    assert dry_probability(np.ones(12)) < nobody < dry_probability(np.zeros(12))
+
+
+def test_reports_of_rain_that_is_none_raise_the_level_and_turn_nothing(model):
+    told, answers = run(model, 20, reported=np.ones(12))
+    assert not is_contradicted(answers[-1])
+    assert (told.level_deg > run(model, 20)[0].level_deg).all()
 
 
 def test_old_references_are_less_sure(model):
