@@ -205,6 +205,9 @@ class AlarmConfig:
 
     attitude_warning_deg: float = setting(0.3, "an angle beyond this is a warning, deg", PUBLISHED)
     attitude_critical_deg: float = setting(0.4, "an angle beyond this is critical, deg", PUBLISHED)
+    protection_warning_deg: float = setting(
+        0.22, "a protection level of roll or pitch beyond this for ten minutes is a warning, deg", CHOSEN
+    )
     stale_periods: float = setting(3.0, "no row for so many row periods is a warning", CHOSEN)
     disk_warning_mb: float = setting(1024.0, "less room than this beside the archive's file is a warning, MB", CHOSEN)
     disk_critical_mb: float = setting(256.0, "less room than this is critical, MB", CHOSEN)

@@ -73,6 +73,13 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
             ),
         ),
         _condition(
+            ("protection_level", Kind.ABOVE, "deg", "axis", Origin.ROW),
+            "protection level of {thing} is {value}: two answers are possible",
+            "control waits by itself; see the carriers' hypotheses in GET .../measurements; in rain wait, in the dry "
+            "align again",
+            ConditionLimits(warning=alarms.protection_warning_deg, deadband=0.02, on_s=600.0, off_s=600.0),
+        ),
+        _condition(
             ("attitude_lost", Kind.LASTING, "s", "method", Origin.ROW),
             "method {thing} has given no attitude for {value}",
             "see the inhibitions and the excluded carriers of GET .../attitude",

@@ -135,9 +135,7 @@ def step_robust(
     is_frozen = frozen(readings, measurement.epoch_us)
     deviation_db = _deviation_db(state, model, np.where(is_frozen, np.nan, power_dbm), expected_dbm)
     if is_late:
-        fixes = _snapshot(model, deviation_db)
-        row = late_row(measurement, model, fixes, is_absent=np.isnan(deviation_db))
-        return RobustStep(row, expected_dbm, deviation_db, fixes.residual_db[0], state)
+        return _late_step(state, model, measurement, expected_dbm, deviation_db)
     known, commanded = consume(state.commanded, state.filter.epoch_us, measurement.epoch_us)
     unreported, released = _unreported(state.released, state.filter.epoch_us, measurement.epoch_us)
     declared = _declared(state, model, knowledge, measurement, config)
@@ -156,8 +154,8 @@ def step_robust(
     if not (np.isfinite(found.attitude_deg).all() and np.isfinite(found.covariance_deg2).all()):
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
-    rates, is_without_orbit = rates_deg_s(model, found), not np.isfinite(expected_dbm).any()
-    fixed = Fixed(found, deviation_db, is_frozen, rates, declared, is_without_orbit)
+    is_without_orbit = not np.isfinite(expected_dbm).any()
+    fixed = Fixed(found, deviation_db, is_frozen, rates_deg_s(model, found), declared, is_without_orbit)
     row = filtered_row(
         measurement,
         model,
@@ -170,6 +168,19 @@ def step_robust(
     )
     after = RobustState(found.state, commanded, readings, released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
+
+
+def _late_step(
+    state: RobustState,
+    model: RobustModel,
+    measurement: Measurement,
+    expected_dbm: FloatArray,
+    deviation_db: FloatArray,
+) -> RobustStep:
+    """Return the outcome of a row that is late: the fix of the row alone; the state stays."""
+    fixes = _snapshot(model, deviation_db)
+    row = late_row(measurement, model, fixes, is_absent=np.isnan(deviation_db))
+    return RobustStep(row, expected_dbm, deviation_db, fixes.residual_db[0], state)
 
 
 def _deviation_db(

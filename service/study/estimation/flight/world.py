@@ -41,7 +41,9 @@ class GroundEvent(NamedTuple):
     """Something of which the ground learns after the start."""
 
     reported_us: int
-    content: tuple[Carrier, ...] | Ephemeris | Operation | TelemetryRecord | WeatherReport | SourceSelection | Correction
+    content: (
+        tuple[Carrier, ...] | Ephemeris | Operation | TelemetryRecord | WeatherReport | SourceSelection | Correction
+    )
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,7 @@ def test_a_row_as_it_should_be_alarms_nothing():
         ({"levels": levels(residual_db=(1.6, 0.0, 0.0))}, {("carrier_residual", "c0")}),
         ({"c_n0_db_hz": (65.5, NAN, 66.5)}, {("carrier_c_n0", "c0")}),
         ({"rows": (attitude(1, angles=(0.1, -0.31, 0.0)),)}, {("attitude_angle", "roll")}),
+        ({"rows": (attitude(1, protection_deg=Axes(0.9, 0.1, 0.23)),)}, {("protection_level", "pitch")}),
         ({"rows": (attitude(1, angles=NO_ANGLES, status=Status.EXPIRED),)}, {("attitude_lost", "robust")}),
         ({"rows": (attitude(1, downlink_fade=True, downlink_fade_db=2.0),)}, {("downlink_fade", "receiving site")}),
         ({"rows": (attitude(1, downlink_fade=True, downlink_fade_db=NAN),)}, {("downlink_fade", "receiving site")}),
