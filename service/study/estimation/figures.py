@@ -6,14 +6,16 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
+from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
 from service.pipeline.config import InterlockConfig
 from service.records.levels.attitude import FloatArray
 from service.study.estimation.accuracy import AXES
 from service.study.estimation.baselines import BASELINES
 from service.study.estimation.campaign import METHODS, Campaign
-from service.study.estimation.unit import Course, UnitResult
+from service.study.estimation.unit import Course, Rain, UnitResult
 
 _COLORS = {
     "robust": "#1f77b4",
@@ -26,6 +28,10 @@ _COLORS = {
 _MARKERS = {"zero": "x", "corrections": "+", "coupling": "1", "corrections_read": "2"}
 #: half the height of a plot of errors, yaw, roll, pitch, deg: larger errors leave it, so that the others are seen
 _REACH_DEG = (0.5, 0.15, 0.15)
+#: loss from which a station is wet, dB, and how much is drawn before and after the worst of a storm, h
+_WET_DB, _STORM_HOURS = 0.3, 8.0
+#: stations that are wet at once without being a storm
+_FEW_WET = 2
 #: greatest error and level of a Stanford diagram, deg; what is greater stands at the edge
 _STANFORD_DEG = 0.4
 ALERT_DEG = InterlockConfig().alert_limit_deg
@@ -44,6 +50,7 @@ def draw_campaign(campaign: Campaign, folder: Path) -> list[Path]:
                 paths.append(folder / f"{scenario}.png")
                 _draw_errors(result.course, f"{scenario}, seed {result.unit.seed}", paths[-1])
         for scenario in first:
+            paths += _draw_worst_storm(campaign, scenario, folder)
             answers = _with_levels(campaign, scenario)
             if answers:
                 paths.append(folder / f"stanford_{scenario}.png")
@@ -76,6 +83,54 @@ def _draw_errors(course: Course, title: str, path: Path) -> None:
     plots[-1].set_xlabel("hours of operation")
     figure.suptitle(title)
     figure.legend(*plots[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    figure.savefig(path, dpi=110)
+
+
+def _draw_worst_storm(campaign: Campaign, scenario: str, folder: Path) -> list[Path]:
+    """Draw the storm over most stations of all seeds, if there was one; return the file."""
+    courses = {one.unit.seed: one.course for one in campaign.results if one.unit.scenario == scenario}
+    wet = {
+        seed: (course, course.rain, (course.rain.loss_db > _WET_DB).sum(axis=1).max())
+        for seed, course in courses.items()
+        if course is not None and course.rain is not None
+    }
+    seed, (course, rain, stations) = max(wet.items(), key=lambda each: each[1][2], default=(0, (None, None, 0)))
+    if course is None or rain is None or stations <= _FEW_WET:
+        return []
+    path = folder / f"storm_{scenario}.png"
+    _draw_storm(course, rain, f"{scenario}, seed {seed}", path)
+    return [path]
+
+
+def _draw_storm(course: Course, rain: Rain, title: str, path: Path) -> None:
+    """Draw the hours around the time when most stations are wet: level against error, and carriers against the rain."""
+    robust, is_wet = course.methods["robust"], rain.loss_db > _WET_DB
+    middle_h = course.hours[is_wet.sum(axis=1).argmax()]
+    shown = np.abs(course.hours - middle_h) <= _STORM_HOURS
+    hours, carriers = course.hours[shown], np.arange(is_wet.shape[1])
+    figure = Figure(figsize=(9.0, 7.5), layout="constrained")
+    angles, believed, rained = figure.subplots(3, 1, sharex=True)
+    for k, color in ((1, "#1f77b4"), (2, "#2ca02c")):
+        angles.plot(hours, (robust.estimate_deg - course.truth_deg)[shown, k], color=color, label=f"error of {AXES[k]}")
+        if robust.protection_deg is not None:
+            level_deg = robust.protection_deg[shown, k]
+            angles.plot(hours, level_deg, color=color, linestyle=":", label=f"level of {AXES[k]}")
+    angles.axhline(ALERT_DEG, color="#555555", linewidth=0.8, linestyle="--")
+    held = np.where(robust.is_control_allowed[shown], np.nan, -0.1)
+    angles.plot(hours, held, color="#d62728", linewidth=4.0, label="no control")
+    angles.set_ylim(-0.12, _STANFORD_DEG)
+    angles.set_ylabel("deg")
+    angles.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, frameon=False)
+    names = ("not asked", *HYPOTHESES)
+    colors = ListedColormap(["#ffffff", "#e8e8e8", "#1f77b4", "#ff7f0e", "#bcbd22"])
+    drawn = believed.pcolormesh(hours, carriers, rain.hypothesis[shown].T, cmap=colors, vmin=-1.5, vmax=3.5)
+    figure.colorbar(drawn, ax=believed, ticks=range(-1, 4)).ax.set_yticklabels(names)
+    lost = rained.pcolormesh(hours, carriers, rain.loss_db[shown].T, cmap="Blues", vmin=0.0, vmax=2.0)
+    figure.colorbar(lost, ax=rained, label="loss, dB")
+    believed.set_ylabel("carrier: believed")
+    rained.set_ylabel("carrier: true rain")
+    rained.set_xlabel("hours of operation")
+    figure.suptitle(f"{title}: {is_wet.sum(axis=1).max()} of {len(carriers)} stations wet at once")
     figure.savefig(path, dpi=110)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.records.catalogue import Method
-from service.records.levels.attitude import BoolArray
+from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import Accuracy, measure_accuracy
 from service.study.estimation.baselines import baseline_answers
@@ -44,6 +44,15 @@ class Drawn(NamedTuple):
     protection_deg: Float32Array | None = None
 
 
+class Rain(NamedTuple):
+    """True rain, and the hypotheses of the carriers."""
+
+    #: (T, N) loss by rain and wet antennas, dB
+    loss_db: Float32Array
+    #: (T, N) likeliest hypothesis by position, -1 = none
+    hypothesis: IntArray
+
+
 class Course(NamedTuple):
     """Operation phase of one world as it is drawn; T rows."""
 
@@ -54,6 +63,7 @@ class Course(NamedTuple):
     #: (T,) whether the spacecraft is in the shadow or has not warmed yet
     is_night: BoolArray
     methods: dict[str, Drawn]
+    rain: Rain | None = None
 
 
 @dataclass(frozen=True)
@@ -132,4 +142,7 @@ def _course(world: World, driven: Driven) -> Course:
             )
             for name, series in driven.methods.items()
         },
+        None
+        if driven.hypothesis is None
+        else Rain(world.truth.station_loss_db[rows].astype(np.float32), driven.hypothesis),
     )

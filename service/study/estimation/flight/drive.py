@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
@@ -35,6 +36,9 @@ from service.study.estimation.flight.world import Ground
 #: what a row says, among its inhibitions or as advice, when the spacecraft moves other than it was told to, or the
 #: powers do not fit the model
 ALARMS = frozenset({"unannounced_motion", "commands_doubted", "innovations"})
+
+#: rows after which the carriers are asked again for their hypotheses
+_ASKED_ROWS = 10
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,8 @@ class Driven:
     alignment_deg: FloatArray
     #: keyed by the name of the method
     methods: dict[str, MethodSeries]
+    #: (T, N) likeliest of `HYPOTHESES` by the answer of the last ten rows, -1 = none
+    hypothesis: IntArray | None = None
     #: per carrier: change with roll, dB/deg
     roll_slopes_db_per_deg: tuple[float, ...] = ()
 
@@ -172,8 +178,12 @@ def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries:
     """Run the chain over the rows of operation and keep what every method says."""
     rows = np.flatnonzero(ground.is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
     reported: list[tuple[AttitudeRow, ...]] = []
+    hypothesis: list[list[int]] = []
     for measurement in measurements(chain, ground, documents, entries, rows):
         outcome = chain.step(measurement)
+        hypothesis.append(
+            _hypotheses(chain, ground.carrier_ids) if len(reported) % _ASKED_ROWS == 0 else hypothesis[-1]
+        )
         reported.append(() if outcome is None else outcome.rows)
     names = sorted({row.method.value for some in reported for row in some})
     by_method = {name: [next((row for row in some if row.method == name), None) for some in reported] for name in names}
@@ -184,8 +194,17 @@ def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries:
         alignment.epoch_us,
         np.array(alignment.attitude_deg),
         {name: _series(of_method, ground.carrier_ids, used[name]) for name, of_method in by_method.items()},
+        np.array(hypothesis, dtype=np.int64).reshape(-1, len(ground.carrier_ids)),
         tuple(carrier.sensitivity_db_per_deg.roll for carrier in calibrated.carriers) if calibrated else (),
     )
+
+
+def _hypotheses(chain: Chain, carrier_ids: tuple[str, ...]) -> list[int]:
+    """Return the likeliest hypothesis of each carrier (N,), -1 where none is stated."""
+    newest = chain.carrier_states()
+    reported = {} if newest is None else {state.carrier: state.hypothesis for state in newest[1]}
+    names = tuple(HYPOTHESES)
+    return [names.index(one) if (one := reported.get(name)) else -1 for name in carrier_ids]
 
 
 def _used(calibration: Calibration, method: Method, carrier_ids: tuple[str, ...]) -> BoolArray:
