@@ -1,0 +1,55 @@
+"""Sigma of the slopes that a calibration states, against the truth of the simulator: in the dry and in a storm."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kept_results import kept
+
+from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.study.estimation.flight.drive import calibrate
+from service.study.estimation.flight.journal import JournalDocuments
+from service.study.estimation.flight.world import export_world, read_world
+
+#: the calibration ends before the operation phase
+OPERATION_DAYS = 0.05
+DRAWS, FEW = range(1, 21), range(1, 6)
+
+
+def normalised_errors(scenario, seed):
+    """Return errors of the slopes over their sigmas (n, 3), yaw, roll, pitch, of the carriers used."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "world.npz"
+        export_world(scenario, seed, path, OPERATION_DAYS)
+        world = read_world(path)
+    documents = JournalDocuments()
+    documents.add_plan(world.ground.carriers)
+    documents.add_ephemeris(world.ground.ephemeris)
+    result = calibrate(world.ground, documents.plans[1], documents.ephemerides[1]).result
+    response = geometry_model(result.geometry, result.carriers).response
+    column = [world.ground.carrier_ids.index(carrier.id) for carrier in result.carriers]
+    error = response.slope - world.truth.sensitivity_db_per_deg[column]
+    sigma = np.sqrt(np.einsum("nii->ni", response.covariance)[:, :3])
+    return (error / sigma)[np.array(result.geometry.is_used)]
+
+
+def pooled(scenario, seeds):
+    every = np.concatenate([kept(normalised_errors, scenario, seed) for seed in seeds])
+    rms = np.sqrt((every**2).mean(axis=0))
+    print(f"{scenario}, {len(seeds)} draws: normalised errors of yaw, roll, pitch {np.round(rms, 2)}, n {len(every)}")
+    return rms
+
+
+@pytest.mark.slow
+def test_slopes_are_as_sure_as_they_say():
+    # carriers of a draw share a downlink and a sensor: the rms of a draw itself lies between 0.5 and 1.3
+    rms = pooled("nominal", FEW)
+    assert ((rms > 0.6) & (rms < 1.5)).all()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("scenario", ["nominal", "weather_far", "weather_turns"])
+def test_slopes_are_as_sure_as_they_say_over_draws(scenario):
+    rms = pooled(scenario, DRAWS)
+    assert ((rms > 0.8) & (rms < 1.2)).all()
