@@ -1,6 +1,7 @@
 """The joint fit of a calibration by geometry as a stage, carriers under level control included."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,17 @@ _SCATTER_ROWS, _GREATEST_SCATTER = 10, 25.0
 _SCATTER_POWER = 0.75
 
 
+class TurnScatter(NamedTuple):
+    """Squares of what the fit leaves of the turns over those of the noise, in S stretches of ten rows."""
+
+    #: (S, N), NaN = not seen
+    stretches: FloatArray
+    #: (S, 2) first and last epoch, microseconds UTC
+    epochs_us: IntArray
+    #: (N,) mean of the stretches, NaN = not seen
+    mean: FloatArray
+
+
 @dataclass(frozen=True)
 class JointFit:
     """Result of the joint fit."""
@@ -39,8 +51,7 @@ class JointFit:
     group: IntArray
     #: (N,) dB
     quantisation_db: FloatArray
-    #: (N,) variance of what the fit leaves of the turns over that of the noise, NaN = not seen there
-    turn_scatter: FloatArray
+    turn_scatter: TurnScatter
 
 
 def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConfig) -> JointFit:
@@ -62,7 +73,7 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
     residual_db = np.where(fit.weight > _GOOD_WEIGHT, fit.residual_db, np.nan)[quiet]
     noise = fit.identified or identify_noise(residual_db, rows.rows.epoch_s[quiet])
     scatter = _turn_scatter(fit, rows, noise)
-    fit = _with_scatter(fit, scatter)
+    fit = _with_scatter(fit, scatter.mean)
     return JointFit(
         fit,
         response_of(fit, geometry),
@@ -74,8 +85,8 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
     )
 
 
-def _turn_scatter(fit: GeometryCalibration, rows: GeometryRows, noise: IdentifiedNoise) -> FloatArray:
-    """Return by how much (N,) the squares of what is left of the turns exceed the noise; rain makes it many times."""
+def _turn_scatter(fit: GeometryCalibration, rows: GeometryRows, noise: IdentifiedNoise) -> TurnScatter:
+    """Return by how much the squares of what is left of the turns exceed the noise; rain makes it many times."""
     turns = np.flatnonzero(~rows.is_quiet)
     turns = turns[: len(turns) // _SCATTER_ROWS * _SCATTER_ROWS]
     left_db = fit.residual_db[turns].reshape(-1, _SCATTER_ROWS, fit.residual_db.shape[1])
@@ -83,8 +94,9 @@ def _turn_scatter(fit: GeometryCalibration, rows: GeometryRows, noise: Identifie
     mean_db = np.nansum(left_db, axis=1) / np.maximum(count, 1)
     expected_db2 = noise.white_db**2 / np.maximum(count, 1) + np.square(noise.sigma_db).sum(axis=1)
     ratio = np.where(count > 0, np.minimum(mean_db**2 / expected_db2, _GREATEST_SCATTER), np.nan)
-    stretches = np.isfinite(ratio).sum(axis=0)
-    return np.where(stretches > 0, np.nansum(ratio, axis=0) / np.maximum(stretches, 1), np.nan)
+    seen = np.isfinite(ratio).sum(axis=0)
+    mean = np.where(seen > 0, np.nansum(ratio, axis=0) / np.maximum(seen, 1), np.nan)
+    return TurnScatter(ratio, rows.epochs_us[turns].reshape(-1, _SCATTER_ROWS)[:, [0, -1]], mean)
 
 
 def _with_scatter(fit: GeometryCalibration, scatter: FloatArray) -> GeometryCalibration:

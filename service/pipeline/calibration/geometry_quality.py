@@ -46,7 +46,7 @@ def quality_metrics(rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> 
         "common_noise_db": float(np.sqrt(np.square(joint.noise.common_db).sum())),
         "reference_walk_db_sqrt_h": _median(joint.drift.walk_db[is_used]),
         "quantisation_db": _median(joint.quantisation_db[is_used]),
-        "turn_scatter": _median(joint.turn_scatter[is_used]),
+        "turn_scatter": _median(joint.turn_scatter.mean[is_used]),
     }
     shrink = slope_shrink(rows)
     for axis, name in enumerate(_AXIS_NAMES):

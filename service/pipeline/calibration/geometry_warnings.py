@@ -9,13 +9,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import predict_deviation
-from service.pipeline.calibration.geometry_fit import JointFit
+from service.pipeline.calibration.geometry_fit import JointFit, TurnScatter
 from service.pipeline.calibration.geometry_quality import slope_shrink
 from service.pipeline.calibration.geometry_rows import DISTURBING, GeometryRows
 from service.pipeline.calibration.windows import CalibrationInput, unturned_sides
 from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
-from service.records.epoch import format_epoch
+from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import BoolArray
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
@@ -26,6 +26,8 @@ _GOOD_WEIGHT = 0.25
 _LEAST_PERIODS = 2.5
 #: kinds of operation after which the track of before does not hold
 _MANOEUVRES = ("station_keeping", "momentum_unloading")
+#: stretches of the turns this near are one span, us; spans that are named
+_SPAN_GAP_US, _SPANS = 3600 * US_PER_S, 3
 
 
 def calibration_warnings(
@@ -77,15 +79,31 @@ def _about_turns(
     data: CalibrationInput, joint: JointFit, is_used: BoolArray, config: CalibrationConfig
 ) -> Iterator[str]:
     """Yield the demand to fly the turns again where rain fell on many stations during them."""
-    scatter = np.where(is_used, joint.turn_scatter, np.nan)
+    scatter = np.where(is_used, joint.turn_scatter.mean, np.nan)
     if not np.isfinite(scatter).any() or np.nanmedian(scatter) <= config.max_turn_scatter:
         return
     turns = data.request.turns
+    spans = _wet_spans(joint.turn_scatter, is_used, config.max_turn_scatter) or [(turns.start_us, turns.stop_us)]
+    when = ", ".join(f"{format_epoch(start_us)} to {format_epoch(stop_us)}" for start_us, stop_us in spans)
     wet = [name for name, ratio in zip(data.plan.carrier_ids, scatter, strict=True) if ratio > config.max_turn_scatter]
     yield (
-        f"fly the turns of {format_epoch(turns.start_us)} to {format_epoch(turns.stop_us)} again when it is dry: what "
-        f"the beams leave of them is {np.nanmedian(scatter):.1f} times the noise, most on {', '.join(wet)}"
+        f"fly the turns of {when} again when it is dry: what the beams leave of all turns is "
+        f"{np.nanmedian(scatter):.1f} times the noise, most on {', '.join(wet)}"
     )
+
+
+def _wet_spans(scatter: TurnScatter, is_used: BoolArray, limit: float) -> list[tuple[int, int]]:
+    """Return the spans of the turns in which the carriers used scatter beyond a limit, the longest first."""
+    # a carrier that is off says nothing of a stretch
+    ratio = np.where(is_used & np.isfinite(scatter.stretches), scatter.stretches, 0.0)
+    seen = (is_used & np.isfinite(scatter.stretches)).sum(axis=1)
+    spans: list[tuple[int, int]] = []
+    for start_us, stop_us in scatter.epochs_us[ratio.sum(axis=1) > limit * seen].tolist():
+        if spans and start_us - spans[-1][1] <= _SPAN_GAP_US:
+            spans[-1] = spans[-1][0], stop_us
+        else:
+            spans.append((start_us, stop_us))
+    return sorted(spans, key=lambda span: span[0] - span[1])[:_SPANS]
 
 
 def _about_track(
