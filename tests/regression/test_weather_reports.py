@@ -20,10 +20,10 @@ STORM = ("weather_far", 6)
 NIGHTLY = [("weather_far", seed) for seed in range(1, 11)] + [("weather_near", seed) for seed in range(1, 11)]
 
 
-def made(scenario, seed):
+def made(scenario, seed, days):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "world.npz"
-        export_world(scenario, seed, path)
+        export_world(scenario, seed, path, days)
         return read_world(path)
 
 
@@ -63,8 +63,9 @@ def flown(world, attenuation):
     return measure_yardsticks(world, drive(ground), Method.ROBUST)["robust"]
 
 
-def assert_honest(scenario, seed, *attenuations):
-    world = kept(made, scenario, seed)
+def with_reports(scenario, seed, days, *attenuations):
+    """Return the yardsticks without reports and with each kind of them, by name."""
+    world = kept(made, scenario, seed, days)
     found = {}
     for each in (None, *attenuations):
         name = "no reports" if each is None else each.__name__
@@ -79,7 +80,7 @@ def assert_honest(scenario, seed, *attenuations):
 
 @pytest.mark.slow
 def test_reports_change_levels_and_wrong_ones_bring_no_wrong_torque():
-    found = assert_honest(*STORM, reported, reported_everywhere, reported_nowhere, reported_inverted)
+    found = with_reports(*STORM, 0.8, reported, reported_everywhere, reported_inverted)
     assert all(one.wrong_min == 0.0 for one in found.values())
     assert found["reported"].allowed_dry >= found["no reports"].allowed_dry - 0.01
     assert found["reported_everywhere"].allowed_dry < found["reported"].allowed_dry
@@ -88,7 +89,7 @@ def test_reports_change_levels_and_wrong_ones_bring_no_wrong_torque():
 @pytest.mark.nightly
 @pytest.mark.parametrize(("scenario", "seed"), NIGHTLY)
 def test_reports_over_worlds(scenario, seed):
-    found = assert_honest(
-        scenario, seed, reported, reported_everywhere, reported_nowhere, reported_elsewhere, reported_inverted
+    found = with_reports(
+        scenario, seed, None, reported, reported_everywhere, reported_nowhere, reported_elsewhere, reported_inverted
     )
     assert all(one.wrong_min <= 40.0 for one in found.values())
