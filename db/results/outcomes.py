@@ -8,10 +8,12 @@ from sqlalchemy import ColumnElement, Connection, Row, Table, select, tuple_, up
 from db.database import insert_new, lock_head
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
+from db.results.checkpoints import store_checkpoint
 from db.schema.tables import attitude, head, torque
 from service.ports import LIVE, Outcome
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
+from service.records.storage.checkpoint import Checkpoint
 
 #: key tuples in one query; SQLite before 3.32 binds 999 values at most
 _LOOKUP_CHUNK = 250
@@ -28,7 +30,12 @@ class Consumed(NamedTuple):
 
 
 def store_outcomes(
-    connection: Connection, key: int, version: str, outcomes: Sequence[Outcome], consumed: Consumed
+    connection: Connection,
+    key: int,
+    version: str,
+    outcomes: Sequence[Outcome],
+    consumed: Consumed,
+    checkpoint: Checkpoint | None = None,
 ) -> int:
     """Store outcomes and return the last result sequence; runs in the writer's transaction."""
     state = lock_head(connection, key)
@@ -41,6 +48,8 @@ def store_outcomes(
     applied = [outcome.applied for outcome in outcomes if outcome.applied is not None]
     if applied:
         store_inputs(connection, key, applied)
+    if checkpoint is not None:
+        store_checkpoint(connection, key, checkpoint)
     sequence = int(state.result_sequence) + len(fresh)
     _advance(connection, key, state, consumed, sequence)
     return sequence

@@ -1,6 +1,6 @@
 """Results: everything the service computed; implements ``service.ports.Results``."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, not_, select
@@ -9,6 +9,7 @@ from db.database import Database, beyond, within
 from db.encoding.row_mapping import attitude_of, torque_of
 from db.results.attitude_reader import AttitudeReader, newest_computed
 from db.results.calibrations import SqlCalibrations
+from db.results.checkpoints import checkpoints
 from db.results.jobs import SqlJobs
 from db.results.outcomes import Consumed, Result, store_outcomes
 from db.results.pending import PendingCount
@@ -18,6 +19,7 @@ from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
+from service.records.storage.checkpoint import Checkpoint
 
 
 class SqlResults(SqlCalibrations, SqlJobs):
@@ -34,15 +36,20 @@ class SqlResults(SqlCalibrations, SqlJobs):
         outcomes: Sequence[Outcome],
         consumed_number: int,
         consumed_epoch_us: int | None,
+        checkpoint: Checkpoint | None = None,
     ) -> int:
         """Store outcomes in one transaction and return the last result sequence."""
         key = self._database.key(spacecraft_id)
         consumed = Consumed(consumed_number, consumed_epoch_us)
 
         def store(connection: Connection) -> int:
-            return store_outcomes(connection, key, version, outcomes, consumed)
+            return store_outcomes(connection, key, version, outcomes, consumed, checkpoint)
 
         return self._database.write(self._database.lease.under(store) if version == LIVE else store)
+
+    def checkpoints(self, spacecraft_id: str, fingerprint: str, until_number: int) -> Iterator[Checkpoint]:
+        """Yield the sound checkpoints of a fingerprint up to a journal number, newest first."""
+        return checkpoints(self._database, self._database.key(spacecraft_id), fingerprint, until_number)
 
     def attitude_rows(
         self,

@@ -229,6 +229,17 @@ torque = Table(
 #: tables with rows of versions before checksums, which get theirs in the background
 checksum_backlog = Table("checksum_backlog", metadata, Column("table_name", Text, primary_key=True))
 
+checkpoint = Table(
+    "checkpoint",
+    metadata,
+    spacecraft_key(is_referencing=False),
+    *keys(BigInteger, "number"),
+    *needed(BigInteger, "epoch_us"),
+    *needed(Text, "fingerprint"),
+    *needed(LargeBinary, "content"),
+    checksum_column(),
+)
+
 job = Table(
     "job",
     metadata,

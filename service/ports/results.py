@@ -1,7 +1,7 @@
 """The port of everything the service computed."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -18,6 +18,7 @@ from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.disturbance import Disturbance
 from service.records.operations.job import Job, JobState, Replay
+from service.records.storage.checkpoint import Checkpoint
 
 #: version under which the live chain writes
 LIVE = "live"
@@ -90,12 +91,16 @@ class Results(Protocol):
         outcomes: Sequence[Outcome],
         consumed_number: int,
         consumed_epoch_us: int | None,
+        checkpoint: Checkpoint | None = None,
     ) -> int:
-        """Store outcomes in one transaction and return the last result sequence.
+        """Store outcomes, and the state after them, in one transaction and return the last result sequence.
 
         Attitude rows that exist already under (version, method, measurement) stay as they are. For the live version
         applied commands enter the journal and the consumer's head moves to ``consumed_number``.
         """
+
+    def checkpoints(self, spacecraft_id: str, fingerprint: str, until_number: int) -> Iterator[Checkpoint]:
+        """Yield the sound checkpoints of a fingerprint up to a journal number, newest first."""
 
     def attitude_rows(
         self,

@@ -1,4 +1,4 @@
 """Records about the archive itself: maintenance, backups, diagnoses.
 
-Public: archive_maintenance, backup, diagnosis, storage_state.
+Public: archive_maintenance, backup, checkpoint, diagnosis, storage_state.
 """
