@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.pipeline.checkpoints.chain_state import ChainState
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
@@ -138,6 +139,41 @@ class Chain:
         self._remember_epoch(measurement.epoch_us)
         self._disagreement = compare(self._disagreement, rows, self._config.robust)
         return replace(self._with_command(rows), disagreement_deg=self._disagreement.apart_deg)
+
+    def saved(self) -> ChainState | None:
+        """Return the state after the newest entry; None where the chain cannot be saved now.
+
+        Nothing runs, another calibration than the journal's is used, or a released command is not reported.
+        """
+        alignment = self._knowledge.alignment
+        if alignment is None or self._override is not None or not self.is_running:
+            return None
+        if any(runner.is_waiting for runner in self._runners):
+            return None
+        kept = {runner.method: runner.saved() for runner in self._runners}
+        return ChainState(
+            alignment.id,
+            kept.get(Method.ROBUST),
+            kept.get(Method.PAPER),
+            self._carry_n_m_s,
+            self._swing,
+            self._newest_us,
+            self._recent_us,
+            self._disagreement,
+            self._last,
+        )
+
+    def restore(self, state: ChainState) -> None:
+        """Go on from a saved state; the slow inputs of before, but for the alignment, are known already."""
+        alignment = self._lookup.alignment(state.alignment_id)
+        self._knowledge = replace(self._knowledge, alignment=alignment)
+        for runner in self._runners:
+            saved = state.robust if runner.method is Method.ROBUST else state.paper
+            if saved is not None:
+                runner.restore(saved, self._knowledge)
+        self._carry_n_m_s, self._swing = state.carry_n_m_s, state.swing
+        self._newest_us, self._recent_us = state.newest_us, state.recent_us
+        self._disagreement, self._last = state.disagreement, state.last
 
     def carrier_states(self) -> tuple[Measurement, tuple[CarrierState, ...]] | None:
         """Return the newest consumed row and what is known of each of its carriers; None before the first."""

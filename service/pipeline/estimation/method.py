@@ -1,6 +1,6 @@
 """Port of an estimation method: start, changes of its inputs, and steps row by row."""
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -60,6 +60,16 @@ class MethodRunner(Protocol):
         self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
     ) -> AttitudeRow:
         """Return the row of a measurement; the state moves on unless the row is late."""
+
+    @property
+    def is_waiting(self) -> bool:
+        """Return whether the state is not all on which the next row depends, so that it cannot be saved now."""
+
+    def saved(self) -> Any:
+        """Return the method's own record of its state, from which `restore` goes on; None while nothing runs."""
+
+    def restore(self, saved: Any, knowledge: Knowledge) -> None:
+        """Go on from a saved state under the knowledge of then."""
 
     def carrier_states(self) -> dict[str, CarrierState]:
         """Return the state of each carrier of the calibration after the newest row."""

@@ -1,5 +1,7 @@
 """The paper method in the chain: its model, its state, and what is known of each carrier."""
 
+from typing import NamedTuple
+
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.estimation.paper.method import (
@@ -13,8 +15,17 @@ from service.pipeline.estimation.paper.method import (
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
 from service.records.catalogue import CarrierPlan, Method
 from service.records.journal import SlowInput
-from service.records.levels.attitude import AttitudeRow, CarrierState
+from service.records.levels.attitude import AttitudeFix, AttitudeRow, CarrierState, Deviation
 from service.records.levels.measurement import Measurement
+
+
+class SavedPaper(NamedTuple):
+    """State of the method between two rows, and its newest row."""
+
+    state: PaperState
+    row: AttitudeRow | None
+    deviation: Deviation | None
+    fix: AttitudeFix | None
 
 
 class PaperRunner:
@@ -78,6 +89,27 @@ class PaperRunner:
         if not is_late:
             self._last = (outcome, self._model)
         return outcome.row
+
+    @property
+    def is_waiting(self) -> bool:
+        """Return False: no row is ever taken again."""
+        return False
+
+    def saved(self) -> SavedPaper | None:
+        """Return what `restore` goes on from; None while nothing runs."""
+        if self._state is None:
+            return None
+        if self._last is None or self._last[1] is not self._model:
+            return SavedPaper(self._state, None, None, None)
+        last, _ = self._last
+        return SavedPaper(self._state, last.row, last.deviation, last.fix)
+
+    def restore(self, saved: SavedPaper, knowledge: Knowledge) -> None:
+        """Go on from a saved state under the knowledge of then."""
+        self._model, self._columns = self._model_of(knowledge)
+        self._state = saved.state
+        if saved.row is not None and saved.deviation is not None and saved.fix is not None and self._model is not None:
+            self._last = PaperStep(saved.row, saved.deviation, saved.fix, saved.state), self._model
 
     def carrier_states(self) -> dict[str, CarrierState]:
         """Return the state of each carrier of the calibration after the newest row."""

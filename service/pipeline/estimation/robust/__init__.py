@@ -1,4 +1,4 @@
 """Robust method: attitude filter over all carriers.
 
-Public: attitude_rows, runner.
+Public: attitude_rows, runner, saved_state.
 """

@@ -20,6 +20,7 @@ from service.pipeline.estimation.robust.method import (
     step_robust,
 )
 from service.pipeline.estimation.robust.model import RobustModel, robust_model
+from service.pipeline.estimation.robust.saved_state import SavedRobust, newest_row, saved_robust
 from service.pipeline.estimation.robust.unreported_commands import (
     MAX_ROWS,
     Branch,
@@ -174,6 +175,23 @@ class RobustRunner:
             self._last = (outcome, self._model)
             self._applied(partial(_again, consume))
         return outcome.row
+
+    @property
+    def is_waiting(self) -> bool:
+        """Return whether rows are kept to be taken again when a command is reported."""
+        return self._branch is not None
+
+    def saved(self) -> SavedRobust | None:
+        """Return what `restore` goes on from; None while nothing runs."""
+        last = self._last[0] if self._last is not None and self._last[1] is self._model else None
+        return None if self._state is None else saved_robust(self._state, self._aligned_under, last)
+
+    def restore(self, saved: SavedRobust, knowledge: Knowledge) -> None:
+        """Go on from a saved state under the knowledge of then."""
+        under = saved.aligned_under_id
+        self._aligned_under = None if under is None else self._lookup.ephemeris(under)
+        self._model, self._columns = self._model_of(knowledge)
+        self._state, self._last = saved.state, newest_row(saved, self._model)
 
     def carrier_states(self) -> dict[str, CarrierState]:
         """Return the state of each carrier of the calibration after the newest row."""

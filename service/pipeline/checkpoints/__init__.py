@@ -1,0 +1,4 @@
+"""Checkpoints: the state of a chain as bytes, from which another chain goes on bit for bit.
+
+Public: chain_state.
+"""
