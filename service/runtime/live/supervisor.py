@@ -2,7 +2,7 @@
 
 It reads like the diagram: entry <- journal; outcome = chain(entry); results.save(outcome); feed.publish(outcome). What
 was accepted is archived before it comes here, so a fault here can delay an answer but lose nothing: after a restart
-the chain is brought back by replaying the journal from the last alignment, silently, to where results were stored.
+the chain is brought back from its last checkpoint (`chain_restart`), silently, to where results were stored.
 """
 
 import logging
@@ -23,15 +23,10 @@ from service.records.journal import JournalEntry
 from service.records.levels.attitude import AttitudeRow, CarrierState
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.storage.checkpoint import Checkpoint
+from service.runtime.live.chain_restart import PERIOD_US, brought_back, checkpoint_of
 from service.runtime.live.follower_relay import Relay
-from service.runtime.live.journal_consumer import (
-    DocumentCache,
-    Trip,
-    consume,
-    trips_after,
-    update_before,
-    without_torque_after,
-)
+from service.runtime.live.journal_consumer import Trip, consume, trips_after, without_torque_after
 from service.runtime.live.leadership import Term, always
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.live.row_cache import FreshRows
@@ -68,6 +63,8 @@ class _Follower:
     consumed_epoch_us: int | None
     #: sequence of the newest stored result
     sequence: int
+    #: newest epoch of the last checkpoint
+    kept_us: int | None
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -184,11 +181,12 @@ class Supervisor:
                 if not self._due and not self._is_stopping:
                     self._wake.wait(_POLL_S)
                 if self._is_stopping:
-                    return
+                    break
                 due, self._due = self._due, {}
             for spacecraft_id, up_to in sorted((due or dict.fromkeys(self._grown(), _UNKNOWN)).items()):
                 self._follow_guarded(spacecraft_id, up_to)
             time.sleep(_PAUSE_S)
+        self._keep_states()
 
     def _stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
         """Take over a batch that was committed just now, on the writer's thread."""
@@ -239,6 +237,8 @@ class Supervisor:
         follower = self._followers.get(spacecraft_id)
         if follower is None or follower.turn != turn:
             follower = self._rebuild(spacecraft_id, turn)
+            if follower is None:
+                return
         while not self._is_stopping and self._turn() == turn and follower.consumed_number < up_to:
             index = (spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
             fresh = self._fresh.after(*index)
@@ -306,10 +306,14 @@ class Supervisor:
         epochs_us = [row.epoch_us for row in rows if row.feeds_estimator]
         if epochs_us:
             follower.consumed_epoch_us = max(follower.consumed_epoch_us or epochs_us[0], *epochs_us)
+        number, epoch_us = entries[-1].number, follower.consumed_epoch_us
+        checkpoint = self._checkpoint(follower, number, PERIOD_US)
         sequence = self._storage.results.save_outcomes(
-            follower.spacecraft_id, LIVE, outcomes, entries[-1].number, follower.consumed_epoch_us
+            follower.spacecraft_id, LIVE, outcomes, number, epoch_us, checkpoint
         )
-        follower.consumed_number = entries[-1].number
+        follower.consumed_number = number
+        if checkpoint is not None:
+            follower.kept_us = epoch_us
         self._publish(follower.spacecraft_id, _result_events(entries, outcomes, follower.sequence, sequence))
         follower.sequence = sequence
         if any(outcome.applied is not None for outcome in outcomes):
@@ -321,35 +325,41 @@ class Supervisor:
         if events and self._feed.has_subscribers(spacecraft_id):
             self._feed.publish(spacecraft_id, events)
 
-    def _rebuild(self, spacecraft_id: str, turn: int) -> _Follower:
-        """Bring a chain to where its results were stored, without storing or publishing anything."""
-        archive, results = self._storage.archive, self._storage.results
-        head = archive.head(spacecraft_id)
-        chain = Chain(DocumentCache(self._storage.catalogue, results, spacecraft_id), self._config)
-        number, aligned_us = self._last_alignment(spacecraft_id, head.consumed_number)
-        update_before(chain, archive, spacecraft_id, number or head.consumed_number + 1, aligned_us)
-        position = head.consumed_number if number is None else number - 1
-        while position < head.consumed_number:
-            entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)
-            for entry in entries:
-                if entry.number <= head.consumed_number:
-                    for _ in consume(chain, entry, archive, spacecraft_id):
-                        pass
-            position = entries[-1].number if entries else head.consumed_number
+    def _rebuild(self, spacecraft_id: str, turn: int) -> _Follower | None:
+        """Bring a chain to where its results were stored; None if the service is stopped meanwhile."""
+        head = self._storage.archive.head(spacecraft_id)
+        chain = brought_back(
+            self._storage, spacecraft_id, self._config, head.consumed_number, lambda: self._is_stopping
+        )
+        if chain is None:
+            return None
         stood = (head.consumed_number, head.consumed_epoch_us, head.result_sequence)
-        follower = _Follower(spacecraft_id, chain, turn, *stood)
+        follower = _Follower(spacecraft_id, chain, turn, *stood, kept_us=head.consumed_epoch_us)
         self._followers[spacecraft_id] = follower
         self._publisher.begin(spacecraft_id, follower.consumed_number)
         return follower
 
-    def _last_alignment(self, spacecraft_id: str, consumed_number: int) -> tuple[int | None, int | None]:
-        """Return journal number and epoch of the newest consumed alignment."""
-        entries = self._storage.archive.slow_inputs_before(spacecraft_id, consumed_number + 1, ("alignment",))
-        for entry in reversed(entries):
-            if isinstance(entry.content, AlignmentSet):
-                alignment = self._storage.results.alignment(spacecraft_id, entry.content.alignment_id)
-                return entry.number, alignment.epoch_us
-        return None, None
+    def _checkpoint(self, follower: _Follower, number: int, after_us: int) -> Checkpoint | None:
+        """Return the state of a chain after an entry if the last checkpoint is so much older."""
+        epoch_us = follower.consumed_epoch_us
+        if epoch_us is None or epoch_us - (follower.kept_us or 0) < after_us:
+            return None
+        return checkpoint_of(follower.chain, self._config, number, epoch_us)
+
+    def _keep_states(self) -> None:
+        """Store the state of every chain that has moved on since its last checkpoint, at a clean stop."""
+        turn = self._turn()
+        for spacecraft_id, follower in self._followers.items():
+            number = follower.consumed_number
+            checkpoint = self._checkpoint(follower, number, 1) if turn and follower.turn == turn else None
+            if checkpoint is None:
+                continue
+            try:
+                self._storage.results.save_outcomes(
+                    spacecraft_id, LIVE, [], number, follower.consumed_epoch_us, checkpoint
+                )
+            except Exception:  # noqa: BLE001 a stop goes on; the next start takes an older checkpoint
+                _LOG.warning("the state of %s was not stored at the stop", spacecraft_id, exc_info=True)
 
 
 def _seen(chain: Chain, entry: JournalEntry, outcomes: Sequence[Outcome]) -> tuple[Seen, ...]:

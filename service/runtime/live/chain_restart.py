@@ -1,0 +1,88 @@
+"""Restart of a live chain: from its newest checkpoint, or from the last alignment where that is later or none fits.
+
+From either on the journal is consumed again, silently, to where results were stored. Both ways give the same chain, bit
+for bit.
+"""
+
+import logging
+import zipfile
+from collections.abc import Callable
+
+from service.pipeline.chain import Chain
+from service.pipeline.checkpoints.chain_state import fingerprint, pack_state, unpack_state
+from service.pipeline.config import ChainConfig
+from service.ports import Storage
+from service.records.epoch import US_PER_S
+from service.records.inputs import AlignmentSet
+from service.records.storage.checkpoint import Checkpoint
+from service.runtime.live.journal_consumer import DocumentCache, consume, update_before
+
+_LOG = logging.getLogger("soo.restart")
+
+#: of data between two checkpoints, us
+PERIOD_US = 3600 * US_PER_S
+#: an alignment may reach back so far before a checkpoint, us
+_KNOWN_US = 7 * 86_400 * US_PER_S
+_ENTRIES_AT_ONCE = 256
+
+
+def checkpoint_of(chain: Chain, config: ChainConfig, number: int, epoch_us: int) -> Checkpoint | None:
+    """Return the state of a chain after an entry of the journal; None where it cannot be saved now."""
+    state = chain.saved()
+    return None if state is None else Checkpoint(number, epoch_us, fingerprint(config), pack_state(state))
+
+
+def brought_back(
+    storage: Storage,
+    spacecraft_id: str,
+    config: ChainConfig,
+    consumed_number: int,
+    is_stopping: Callable[[], bool],
+) -> Chain | None:
+    """Return the chain as it was after a journal number, without storing anything; None if it was stopped before."""
+    archive = storage.archive
+    number, aligned_us = _last_alignment(storage, spacecraft_id, consumed_number)
+    chain, position = _from_checkpoint(storage, spacecraft_id, config, number or 0, consumed_number)
+    if chain is None:
+        chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), config)
+        update_before(chain, archive, spacecraft_id, number or consumed_number + 1, aligned_us)
+        position = consumed_number if number is None else number - 1
+    while position < consumed_number:
+        if is_stopping():
+            return None
+        entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)
+        for entry in entries:
+            if entry.number <= consumed_number:
+                for _ in consume(chain, entry, archive, spacecraft_id):
+                    pass
+        position = entries[-1].number if entries else consumed_number
+    return chain
+
+
+def _from_checkpoint(
+    storage: Storage, spacecraft_id: str, config: ChainConfig, after_number: int, consumed_number: int
+) -> tuple[Chain | None, int]:
+    """Return a chain of the newest checkpoint that can be read, if it is later than a number, and its own number."""
+    for found in storage.results.checkpoints(spacecraft_id, fingerprint(config), consumed_number):
+        if found.number <= after_number:
+            break
+        try:
+            state = unpack_state(found.content)
+        except (ArithmeticError, LookupError, OSError, TypeError, ValueError, zipfile.BadZipFile) as fault:
+            _LOG.warning("checkpoint %d of %s cannot be read: %s", found.number, spacecraft_id, fault)
+            continue
+        chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), config)
+        update_before(chain, storage.archive, spacecraft_id, found.number + 1, found.epoch_us - _KNOWN_US)
+        chain.restore(state)
+        return chain, found.number
+    return None, 0
+
+
+def _last_alignment(storage: Storage, spacecraft_id: str, consumed_number: int) -> tuple[int | None, int | None]:
+    """Return journal number and epoch of the newest consumed alignment."""
+    entries = storage.archive.slow_inputs_before(spacecraft_id, consumed_number + 1, ("alignment",))
+    for entry in reversed(entries):
+        if isinstance(entry.content, AlignmentSet):
+            alignment = storage.results.alignment(spacecraft_id, entry.content.alignment_id)
+            return entry.number, alignment.epoch_us
+    return None, None
