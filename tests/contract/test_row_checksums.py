@@ -14,7 +14,7 @@ from db.maintenance.doctor import diagnose
 from db.maintenance.restore import restore_backup
 from db.schema.row_checksum import CHECKSUM_BYTES, checksum_of
 from db.schema.tables import attitude, checksum_backlog, measurement, metadata
-from service.ports import Outcome
+from service.ports import LIVE, Outcome
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.measurement import CarrierDetails
@@ -23,6 +23,7 @@ from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cov
 from service.records.operations.note import Note
 from service.records.operations.release import ProductForm, ReleaseChange, UplinkProduct
 from service.records.storage.backup import BackupError
+from service.records.storage.checkpoint import Checkpoint
 from service.records.storage.diagnosis import worst
 from service.runtime.clock import system_now_us
 
@@ -87,6 +88,7 @@ def filled(setting, make):
         "s",
         "€",
     )
+    setting.storage.results.save_outcomes(setting.id, LIVE, [], 1, 10, Checkpoint(1, 10, "1/numpy", b"\x00state"))
     setting.storage.alarms.save([AlarmChange(ChangeKind.RAISED, alarm, 7, is_told=True)])
     return setting
 

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import synthetic_payload as synthetic
 from alarm_rig import CARRIERS, INERTIA, Rig
+from busy_station import Station, morning
 from set_clock import SetClock
 
 from db.storage import SqlStorage
@@ -294,3 +295,48 @@ def rig(alarm_archive, tmp_path):
     rig = Rig(tmp_path / "soo.db")
     yield rig
     rig.storage.close()
+
+
+@pytest.fixture(scope="module")
+def opened_archive(tmp_path_factory):
+    """Directory of an archive with a calibration and no alignment."""
+    directory = tmp_path_factory.mktemp("opened")
+    station = Station(directory)
+    station.open()
+    station.close()
+    return directory
+
+
+@pytest.fixture(scope="module")
+def lived_archive(opened_archive, tmp_path_factory):
+    """Directory of an archive in which a morning was lived."""
+    directory = tmp_path_factory.mktemp("lived") / "archive"
+    shutil.copytree(opened_archive, directory)
+    station = Station(directory)
+    with station.supervised() as settle:
+        for _ in morning(station):
+            settle()
+    station.close()
+    return directory
+
+
+@pytest.fixture
+def new_station(tmp_path):
+    """Maker of stations over copies of an archive."""
+    made = []
+
+    def make(directory):
+        copy = tmp_path / f"copy-{len(made)}"
+        shutil.copytree(directory, copy)
+        made.append(Station(copy))
+        return made[-1]
+
+    yield make
+    for station in made:
+        station.close()
+
+
+@pytest.fixture
+def busy(lived_archive, new_station):
+    """A station after the morning."""
+    return new_station(lived_archive)

@@ -1,0 +1,190 @@
+"""A station whose spacecraft both methods follow, and a morning in which everything happens that a journal can tell."""
+
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
+
+from db.storage import SqlStorage
+from service.pipeline.config import AlignmentConfig, ChainConfig
+from service.ports import LIVE
+from service.records.calibration import Window
+from service.records.catalogue import Method, Release
+from service.records.inputs import AttitudeReference, Correction, Operation
+from service.records.levels.attitude import Axes
+from service.records.levels.measurement import MeasurementBatch
+from service.records.operations.job import JobState, Replay
+from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
+from service.runtime.jobs.job_runner import JobRunner
+from service.runtime.jobs.replay_job import Replayer
+from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.supervisor import Supervisor
+
+PAYLOAD = FlightPayload.make(10)
+SC = "yamal-test"
+OPERATION_US = START_US + 2 * HOUR
+NOISE_DB = 0.05
+BOTH = (Method.ROBUST, Method.PAPER)
+
+
+def wait_for(is_done, timeout_s=120.0):
+    deadline = time.monotonic() + timeout_s
+    while not is_done():
+        assert time.monotonic() < deadline, "did not happen in time"
+        time.sleep(0.005)
+
+
+def at(minute):
+    return OPERATION_US + round(minute * MINUTE)
+
+
+def angles(minutes):
+    """Return the true attitude (T, 3): a slow swing."""
+    turn = 2.0 * np.pi * np.asarray(minutes, dtype=np.float64)[:, None] / 900.0
+    return np.array([0.1, 0.06, -0.06]) * np.sin(turn + np.array([0.0, 1.0, 2.0]))
+
+
+class Station:
+    """The service's runtime over one archive with a calibration by geometry that knows the truth."""
+
+    def __init__(self, directory):
+        self.storage = SqlStorage(f"sqlite:///{directory / 'soo.db'}")
+        self.jobs = JobRunner(self.storage.results, self)
+        self.replayer = Replayer(self.storage, self, self.jobs, ChainConfig())
+        self.aligner = Aligner(self.storage, self, AlignmentConfig())
+
+    def system_us(self):
+        return 1_900_000_000_000_000
+
+    def close(self):
+        self.jobs.stop()
+        self.storage.close()
+
+    def open(self):
+        """Lay down catalogue, calibration and the half hour before operation."""
+        self.storage.migrate()
+        record = PAYLOAD.spacecraft(release=Release.AUTOMATIC, coupling=True)
+        self.storage.catalogue.add_spacecraft(record)
+        self.storage.catalogue.put_plan(SC, PAYLOAD.carriers(), "sha")
+        self.storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris())
+        self.calibrate(PAYLOAD.calibration())
+        self.send(range(-30, 1))
+        self.refer(range(-30, 1))
+
+    def calibrate(self, calibration):
+        request = calibration.request
+        draft = self.storage.results.add_calibration(SC, request, 1, 1, 0, "engineer")
+        self.storage.results.finish_calibration(SC, draft.id, calibration.result, None)
+        self.storage.results.activate_calibration(SC, draft.id)
+
+    def refer(self, minutes):
+        sigma = Axes(0.01, 0.005, 0.005)
+        reported = [AttitudeReference("st", at(k), Axes(*angles([k])[0]), sigma) for k in minutes]
+        self.storage.archive.append_inputs(SC, reported)
+
+    def align(self, start, stop):
+        request = AlignmentRequest(Window(at(start), at(stop) + 1), ("st",) * 3, None, None, "operator")
+        return self.aligner.align(SC, request)
+
+    def powers(self, minutes):
+        """Return powers (T, N), the noise of each minute its own."""
+        noise = [np.random.default_rng(round(1000 * minute) + 100_000_000).normal(size=10) for minute in minutes]
+        return PAYLOAD.power_dbm([at(minute) for minute in minutes], angles(minutes)) + NOISE_DB * np.array(noise)
+
+    def send(self, minutes, power_dbm=None, **changes):
+        minutes = list(minutes)
+        power = self.powers(minutes) if power_dbm is None else power_dbm
+        batch = MeasurementBatch(
+            SC,
+            "sa-1",
+            1,
+            at(10_000),
+            np.arange(len(minutes)),
+            np.array([at(minute) for minute in minutes], dtype=np.int64),
+            np.asarray(power, dtype=np.float32),
+            (None,) * len(minutes),
+            np.zeros(len(minutes), dtype=bool),
+        )
+        return self.storage.archive.append_measurements(replace(batch, **changes)).result(timeout=120)
+
+    def tell(self, *records):
+        return self.storage.archive.append_inputs(SC, records)
+
+    @contextmanager
+    def supervised(self):
+        supervisor = self.supervisor = Supervisor(self.storage, LiveFeed(), ChainConfig())
+        supervisor.start()
+        try:
+            yield lambda: self.settle(supervisor)
+        finally:
+            supervisor.stop()
+
+    def settle(self, supervisor):
+        supervisor.notify(SC)
+        wait_for(self.is_settled)
+
+    def is_settled(self):
+        head = self.storage.archive.head(SC)
+        return head.consumed_number == head.newest_number
+
+    def rows(self, method, version=LIVE, start=1, stop=100_000):
+        window = Window(at(start), at(stop))
+        return self.storage.results.attitude_rows(SC, version, method, window, 100_000, None)
+
+    def commands(self, version=LIVE, start=1, stop=100_000):
+        return self.storage.results.commands(SC, version, Window(at(start), at(stop)), 100_000, None)
+
+    def replay(self, start, stop, **changes):
+        wanted = Replay(0, at(start), at(stop), None, None, 0, "journal", "", 0)
+        replay, job = self.replayer.start(SC, replace(wanted, **changes))
+        wait_for(lambda: self.storage.results.job(job.id).state in (JobState.DONE, JobState.FAILED))
+        assert self.storage.results.job(job.id).error is None
+        return replay.version
+
+
+def morning(station):
+    """Yield after each of some pieces of a morning; all that a piece tells stands in the journal."""
+    station.align(-30, 0)
+    station.tell(Correction(at(10), at(30), Axes(0.0, 0.0, 0.0)), Correction(at(-20), at(20), Axes(0.02, 0.0, 0.0)))
+    station.send([minute for minute in range(1, 25) if minute not in (7, 12)])
+    yield
+    station.send([7, 12])
+    # one in time, one that is over, one within its interval
+    station.tell(Correction(at(26), at(40), Axes(0.0, 0.02, 0.0)), Correction(at(15), at(20), Axes(0.0, 0.0, 0.01)))
+    station.tell(Correction(at(20), at(44), Axes(0.0, 0.0, -0.01)))
+    station.send(range(20, 40))
+    yield
+    faded = station.powers(range(40, 56))
+    faded[:, 2] -= 5.0
+    faded[4:7] = np.nan
+    station.send(range(40, 56), faded)
+    station.storage.archive.add_operation(SC, Operation(0, "momentum_unloading", at(58), at(64), inhibit_control=True))
+    station.send(range(56, 70))
+    yield
+    station.storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris(start_us=at(0) - HOUR // 2))
+    other = replace(PAYLOAD, level_dbm=PAYLOAD.level_dbm + 0.1, gradient=1.02 * PAYLOAD.gradient)
+    station.calibrate(other.calibration())
+    station.send(range(70, 80))
+    yield
+    plan = station.storage.catalogue.put_plan(SC, PAYLOAD.carriers()[::-1], "turned round")
+    station.send(range(80, 95), station.powers(range(80, 95))[:, ::-1], plan_id=plan.id)
+    station.send(range(95, 97), source="sa-2")
+    station.storage.archive.select_source(SC, "sa-2")
+    station.send(range(97, 110), source="sa-2")
+    yield
+    station.refer(range(80, 105))
+    station.tell(Correction(at(100), at(140), Axes(0.0, 0.0, 0.02)))
+    station.align(80, 104)
+    station.send(range(110, 130), source="sa-2")
+    yield
+    station.tell(Correction(at(90), at(120), Axes(0.01, 0.0, 0.0)))
+    station.send([60.5, 96.5], source="sa-2")
+    station.send(range(130, 140), source="sa-2")
+    yield
+
+
+def text(results):
+    """Return results as text, which holds every digit of every float and tells NaN and -0.0."""
+    return [repr(result) for result in results]

@@ -1,0 +1,50 @@
+"""Processor time of a restart, from a checkpoint and from the alignment, after few and after many rows."""
+
+import statistics
+import time
+from contextlib import closing
+
+from busy_station import SC, Station
+
+from db.schema.tables import checkpoint
+from service.pipeline.config import ChainConfig
+from service.runtime.live.chain_restart import brought_back
+
+FEW, MANY = 500, 8_000
+
+
+def restart_s(station, restarts=5):
+    """Return the median processor time of some restarts."""
+    taken, consumed = [], station.storage.archive.head(SC).consumed_number
+    for _ in range(restarts):
+        began = time.process_time()
+        assert brought_back(station.storage, SC, ChainConfig(), consumed, lambda: False) is not None
+        taken.append(time.process_time() - began)
+    return statistics.median(taken)
+
+
+def test_a_restart_costs_the_same_after_many_rows(tmp_path):
+    with closing(Station(tmp_path)) as station:
+        station.open()
+        times = {}
+        with station.supervised() as settle:
+            station.align(-30, 0)
+            settle()
+        for rows, first in ((FEW, 1), (MANY, FEW + 1)):
+            with station.supervised() as settle:
+                for start in range(first, rows + 1, 500):
+                    station.send(range(start, start + 500))
+                    settle()
+            times[rows] = restart_s(station)
+        station.storage._database.write(lambda connection: connection.execute(checkpoint.delete()))
+        began = time.process_time()
+        brought_back(
+            station.storage, SC, ChainConfig(), station.storage.archive.head(SC).consumed_number, lambda: False
+        )
+        from_alignment_s = time.process_time() - began
+    ratio = times[MANY] / times[FEW]
+    print(
+        f"restart after {FEW} rows {1e3 * times[FEW]:.0f} ms, after {MANY} {1e3 * times[MANY]:.0f} ms: {ratio:.2f}; "
+        f"from the alignment {from_alignment_s:.1f} s"
+    )
+    assert ratio < 1.5

@@ -1,0 +1,157 @@
+"""Restarts from checkpoints: whatever was stored of the state, the rows are those of an undisturbed run."""
+
+import random
+
+import numpy as np
+import pytest
+from busy_station import BOTH, SC, at, morning, text, wait_for
+from sqlalchemy import update
+
+from db.results.checkpoints import LATEST
+from db.schema.tables import checkpoint as table
+from service.pipeline.checkpoints.chain_state import fingerprint
+from service.pipeline.config import ChainConfig
+from service.ports import LIVE
+from service.records.storage.checkpoint import Checkpoint
+from service.runtime.live import chain_restart, supervisor
+
+MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
+FITS = fingerprint(ChainConfig())
+
+
+def kept(station, until=1 << 62):
+    return list(station.storage.results.checkpoints(SC, FITS, until))
+
+
+def run_sql(station, statement):
+    """Change checkpoints of a station as nobody does."""
+    station.storage._database.write(lambda connection: connection.execute(statement))
+
+
+@pytest.fixture
+def often(monkeypatch):
+    """Checkpoints after each minute of data, and services that end as if they were killed."""
+    monkeypatch.setattr(supervisor, "PERIOD_US", MINUTE_US)
+    monkeypatch.setattr(supervisor.Supervisor, "_keep_states", lambda _self: None)
+
+
+@pytest.fixture
+def steps(monkeypatch):
+    """Numbers of the journal's entries that restarts consume again."""
+    again = []
+
+    def noted(chain, entry, *rest):
+        again.append(entry.number)
+        return consume(chain, entry, *rest)
+
+    consume = chain_restart.consume
+    monkeypatch.setattr(chain_restart, "consume", noted)
+    return again
+
+
+def lived_again(station):
+    """Live a morning with a new service after each of its pieces."""
+    pieces, is_over = morning(station), False
+    while not is_over:
+        with station.supervised() as settle:
+            is_over = next(pieces, pieces) is pieces
+            settle()
+
+
+def assert_same(station, through):
+    for method in BOTH:
+        assert text(station.rows(method)) == text(through.rows(method))
+    assert text(station.commands()) == text(through.commands())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_services_that_are_killed_anywhere_change_no_row(
+    seed, lived_archive, opened_archive, new_station, often, monkeypatch
+):
+    through, broken, rng = new_station(lived_archive), new_station(opened_archive), random.Random(seed)
+    print(f"seed {seed}")
+    # what is stored in one go ends anywhere
+    monkeypatch.setattr(supervisor, "_STEP_S", 0.0)
+    monkeypatch.setattr(supervisor, "_ENTRIES_AT_ONCE", rng.randint(1, 9))
+    lived_again(broken)
+    assert len(kept(broken)) >= LATEST
+    assert_same(broken, through)
+
+
+def test_a_clean_stop_leaves_nothing_to_be_consumed_again(lived_archive, opened_archive, new_station, steps):
+    through, broken = new_station(lived_archive), new_station(opened_archive)
+    lived_again(broken)
+    assert_same(broken, through)
+    # the first piece aligns; its checkpoint is taken at the stop, and so are those of the others
+    assert steps == []
+    with broken.supervised() as settle:
+        broken.send(range(140, 142), source="sa-2")
+        settle()
+    assert steps == []
+    assert broken.storage.archive.head(SC).consumed_number - kept(broken)[0].number == 0
+
+
+def test_carriers_are_known_before_the_next_row(busy):
+    def states():
+        with busy.supervised():
+            busy.supervisor.notify(SC)
+            wait_for(lambda: busy.supervisor.carrier_states(SC) is not None)
+            return busy.supervisor.carrier_states(SC)
+
+    with busy.supervised() as settle:
+        busy.send(range(140, 142), source="sa-2")
+        settle()
+        before = busy.supervisor.carrier_states(SC)
+    assert kept(busy)[0].epoch_us == at(141)
+    assert repr(states()) == repr(before)
+
+
+DAMAGES = {
+    "cut off": lambda content: {"content": content[: len(content) // 2]},
+    "a bit flipped, checksum of before": lambda content: {"content": bytes([content[0] ^ 1]) + content[1:]},
+    "another layout": lambda _content: {"fingerprint": "0/of-a-newer-version/numpy/1"},
+    "ahead of the journal": lambda _content: {"number": 1 << 40},
+    "no state at all, with its checksum": None,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_checkpoint_that_does_not_fit_is_left_out(damage, lived_archive, opened_archive, new_station, steps, caplog):
+    through, broken = new_station(lived_archive), new_station(opened_archive)
+    pieces = morning(broken)
+    for _ in range(3):
+        with broken.supervised() as settle:
+            next(pieces)
+            settle()
+    newest = kept(broken)[0]
+    if (change := DAMAGES[damage]) is None:
+        save = broken.storage.results.save_outcomes
+        nonsense = Checkpoint(newest.number, newest.epoch_us, FITS, b"PK\x03\x04 nonsense")
+        save(SC, LIVE, [], newest.number, newest.epoch_us, nonsense)
+    else:
+        run_sql(broken, table.delete().where(table.c.number != newest.number))
+        run_sql(broken, update(table).values(**change(newest.content)))
+        assert [one for one in kept(broken, newest.number) if one == newest] == []
+    is_over = False
+    while not is_over:
+        with broken.supervised() as settle:
+            is_over = next(pieces, pieces) is pieces
+            settle()
+    assert_same(broken, through)
+    assert steps, "the state was computed again"
+    assert ("cannot be read" in caplog.text) is (change is None)
+
+
+def test_the_latest_and_one_of_each_day_are_kept(busy):
+    first = busy.storage.archive.head(SC).consumed_number
+    epochs_us = np.arange(20) * DAY_US // 4 + at(0) // DAY_US * DAY_US + DAY_US
+    for k, epoch_us in enumerate(epochs_us.tolist()):
+        made = Checkpoint(first + k, epoch_us, FITS, b"state %d" % k)
+        busy.storage.results.save_outcomes(SC, LIVE, [], first + k, epoch_us, made)
+    numbers = [one.number - first for one in kept(busy) if one.content.startswith(b"state")]
+    # four a day: the last of each day, and the latest three
+    assert numbers == [19, 18, 17, 15, 11, 7, 3]
+
+
+def test_other_kernels_take_no_state_of_these():
+    assert fingerprint(ChainConfig(kernels="numba")) != FITS
