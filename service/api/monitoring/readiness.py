@@ -99,7 +99,9 @@ def _consumers(context: ApiContext) -> Iterator[Part]:
     archive, limit = context.storage.archive, context.monitoring.ready_lag
     heads = {spacecraft.id: archive.head(spacecraft.id) for spacecraft in context.storage.catalogue.all_spacecraft()}
     lags = {name: head.newest_number - head.consumed_number for name, head in heads.items()}
-    behind = [f"{name} by {lag}" for name, lag in lags.items() if lag > limit]
+    restarting = context.supervisor.restarts.under_way
+    # a restart ends by itself, what is sent meanwhile is kept; others wait for the same thread
+    behind = [] if restarting else [f"{name} by {lag}" for name, lag in lags.items() if lag > limit]
     if behind:
         detail = f"the estimator is behind the journal of {', '.join(behind[:10])} entries; {limit} are allowed"
         yield Part("consumers", "consumers.behind", detail)

@@ -30,11 +30,21 @@ class PartHealth(BaseModel):
     detail: str
 
 
+class CatchingUp(BaseModel):
+    """Chain that consumes its journal again after a restart: its newest row grows old meanwhile, rows are kept."""
+
+    spacecraft: str
+    rows_left: int
+    seconds_left: float | None
+    """At the pace so far; null at the beginning."""
+
+
 class ReadinessAnswer(BaseModel):
     """State of a service that is ready; one that is not answers 503 with a problem that names the parts."""
 
     status: Literal["ready"] = "ready"
     parts: list[PartHealth]
+    catching_up: CatchingUp | None = None
 
 
 @router.get("/healthz")
@@ -44,12 +54,24 @@ async def get_health() -> HealthAnswer:
 
 
 @router.get("/readyz")
-async def get_readiness(request: Request) -> ReadinessAnswer:
-    """Tell whether every part is ready: database, migration, disk, consumers; 503 names those that are not."""
+async def get_readiness(request: Request, context: Context) -> ReadinessAnswer:
+    """Tell whether every part is ready: database, migration, disk, consumers; 503 names those that are not.
+
+    A service that catches up after a restart is ready: it keeps what it is sent.
+    """
     readiness: SharedReadiness = request.app.state.readiness
     parts = await readiness.parts()
     require_ready(parts)
-    return ReadinessAnswer(parts=[PartHealth(name=part.name, detail=part.detail) for part in parts])
+    restarting = context.supervisor.restarts.under_way
+    return ReadinessAnswer(
+        parts=[PartHealth(name=part.name, detail=part.detail) for part in parts],
+        catching_up=restarting
+        and CatchingUp(
+            spacecraft=restarting.spacecraft_id,
+            rows_left=restarting.entries_left,
+            seconds_left=restarting.seconds_left,
+        ),
+    )
 
 
 @router.get(

@@ -5,8 +5,10 @@ for bit.
 """
 
 import logging
+import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 from service.pipeline.chain import Chain
 from service.pipeline.checkpoints.chain_state import fingerprint, pack_state, unpack_state
@@ -32,14 +34,61 @@ def checkpoint_of(chain: Chain, config: ChainConfig, number: int, epoch_us: int)
     return None if state is None else Checkpoint(number, epoch_us, fingerprint(config), pack_state(state))
 
 
-def brought_back(
-    storage: Storage,
-    spacecraft_id: str,
-    config: ChainConfig,
-    consumed_number: int,
-    is_stopping: Callable[[], bool],
-) -> Chain | None:
-    """Return the chain as it was after a journal number, without storing anything; None if it was stopped before."""
+class Restarting(NamedTuple):
+    """Restart under way."""
+
+    spacecraft_id: str
+    #: entries of the journal that are still to be consumed again
+    entries_left: int
+    #: at the pace so far; None = nothing is consumed yet
+    seconds_left: float | None
+
+
+class ChainRestarts:
+    """Restarts of the chains of a service, one at a time.
+
+    Parameters
+    ----------
+    storage : Storage
+        Journal and checkpoints.
+    config : ChainConfig
+        Configuration of every chain.
+    is_stopping : callable
+        Whether the service stops: a restart then ends before its time.
+    """
+
+    def __init__(self, storage: Storage, config: ChainConfig, is_stopping: Callable[[], bool]) -> None:
+        self._storage = storage
+        self._config = config
+        self._is_stopping = is_stopping
+        self._under_way: Restarting | None = None
+
+    @property
+    def under_way(self) -> Restarting | None:
+        """Return the restart that is under way."""
+        return self._under_way
+
+    def chain(self, spacecraft_id: str, consumed_number: int) -> Chain | None:
+        """Return the chain as it was after a journal number; None if the service stops before."""
+        began_s, first = time.monotonic(), None
+        try:
+            for chain, left in _brought_back(self._storage, spacecraft_id, self._config, consumed_number):
+                first, passed_s = left if first is None else first, time.monotonic() - began_s
+                seconds_left = passed_s * left / (first - left) if left < first else None
+                self._under_way = Restarting(spacecraft_id, left, seconds_left)
+                if left == 0:
+                    return chain
+                if self._is_stopping():
+                    return None
+        finally:
+            self._under_way = None
+        return None
+
+
+def _brought_back(
+    storage: Storage, spacecraft_id: str, config: ChainConfig, consumed_number: int
+) -> Iterator[tuple[Chain, int]]:
+    """Yield a chain and how many entries it still has to consume, until there is none; nothing is stored."""
     archive = storage.archive
     number, aligned_us = _last_alignment(storage, spacecraft_id, consumed_number)
     chain, position = _from_checkpoint(storage, spacecraft_id, config, number or 0, consumed_number)
@@ -48,15 +97,14 @@ def brought_back(
         update_before(chain, archive, spacecraft_id, number or consumed_number + 1, aligned_us)
         position = consumed_number if number is None else number - 1
     while position < consumed_number:
-        if is_stopping():
-            return None
+        yield chain, consumed_number - position
         entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)
         for entry in entries:
             if entry.number <= consumed_number:
                 for _ in consume(chain, entry, archive, spacecraft_id):
                     pass
         position = entries[-1].number if entries else consumed_number
-    return chain
+    yield chain, 0
 
 
 def _from_checkpoint(

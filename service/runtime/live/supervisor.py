@@ -24,7 +24,7 @@ from service.records.levels.attitude import AttitudeRow, CarrierState
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.storage.checkpoint import Checkpoint
-from service.runtime.live.chain_restart import PERIOD_US, brought_back, checkpoint_of
+from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
 from service.runtime.live.follower_relay import Relay
 from service.runtime.live.journal_consumer import Trip, consume, trips_after, without_torque_after
 from service.runtime.live.leadership import Term, always
@@ -121,6 +121,7 @@ class Supervisor:
         self._relay = Relay(storage, feed)
         self._publisher = RowPublisher(feed)
         self._fresh = FreshRows()
+        self.restarts = ChainRestarts(storage, config, lambda: self._is_stopping)
         self._watcher = watcher
         self._feed = feed
         self._config = config
@@ -328,9 +329,7 @@ class Supervisor:
     def _rebuild(self, spacecraft_id: str, turn: int) -> _Follower | None:
         """Bring a chain to where its results were stored; None if the service is stopped meanwhile."""
         head = self._storage.archive.head(spacecraft_id)
-        chain = brought_back(
-            self._storage, spacecraft_id, self._config, head.consumed_number, lambda: self._is_stopping
-        )
+        chain = self.restarts.chain(spacecraft_id, head.consumed_number)
         if chain is None:
             return None
         stood = (head.consumed_number, head.consumed_epoch_us, head.result_sequence)

@@ -142,6 +142,24 @@ def test_a_checkpoint_that_does_not_fit_is_left_out(damage, lived_archive, opene
     assert ("cannot be read" in caplog.text) is (change is None)
 
 
+def test_a_restart_says_how_far_it_is_and_ends_when_the_service_stops(busy, monkeypatch):
+    monkeypatch.setattr(chain_restart, "_ENTRIES_AT_ONCE", 20)
+    run_sql(busy, table.delete())
+    consumed, seen = busy.storage.archive.head(SC).consumed_number, []
+
+    def stops():
+        seen.append(restarts.under_way)
+        return len(seen) == 3
+
+    restarts = chain_restart.ChainRestarts(busy.storage, ChainConfig(), stops)
+    assert restarts.chain(SC, consumed) is None
+    assert restarts.under_way is None
+    assert [one.entries_left for one in seen] == [seen[0].entries_left - 20 * k for k in range(3)]
+    assert seen[0].seconds_left is None
+    assert seen[2].seconds_left > 0.0
+    assert chain_restart.ChainRestarts(busy.storage, ChainConfig(), lambda: False).chain(SC, consumed).is_running
+
+
 def test_the_latest_and_one_of_each_day_are_kept(busy):
     first = busy.storage.archive.head(SC).consumed_number
     epochs_us = np.arange(20) * DAY_US // 4 + at(0) // DAY_US * DAY_US + DAY_US
