@@ -5,7 +5,7 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from sqlalchemy import Connection, delete, select
+from sqlalchemy import Connection, delete, select, true
 
 from db.database import Database
 from db.measurements.checksum_check import agrees
@@ -44,11 +44,14 @@ def store_checkpoint(connection: Connection, key: int, made: Checkpoint) -> None
     connection.execute(table.insert().values(values))
 
 
-def checkpoints(database: Database, key: int, fingerprint: str, until_number: int) -> Iterator[Checkpoint]:
+def checkpoints(
+    database: Database, key: int, fingerprint: str, until_number: int, before_us: int | None
+) -> Iterator[Checkpoint]:
     """Yield the checkpoints of a fingerprint up to a journal number, newest first; damaged ones are left out."""
     table, number = checkpoint_table, until_number + 1
+    is_before = true() if before_us is None else table.c.epoch_us < before_us
     while True:
-        is_fit = (table.c.spacecraft_key == key, table.c.fingerprint == fingerprint, table.c.number < number)
+        is_fit = (table.c.spacecraft_key == key, table.c.fingerprint == fingerprint, table.c.number < number, is_before)
         row = database.fetch_one(select(table).where(*is_fit).order_by(table.c.number.desc()).limit(1))
         if row is None:
             return

@@ -47,9 +47,11 @@ class SqlResults(SqlCalibrations, SqlJobs):
 
         return self._database.write(self._database.lease.under(store) if version == LIVE else store)
 
-    def checkpoints(self, spacecraft_id: str, fingerprint: str, until_number: int) -> Iterator[Checkpoint]:
-        """Yield the sound checkpoints of a fingerprint up to a journal number, newest first."""
-        return checkpoints(self._database, self._database.key(spacecraft_id), fingerprint, until_number)
+    def checkpoints(
+        self, spacecraft_id: str, fingerprint: str, until_number: int, before_us: int | None = None
+    ) -> Iterator[Checkpoint]:
+        """Yield the sound checkpoints of a fingerprint up to a journal number, before an epoch, newest first."""
+        return checkpoints(self._database, self._database.key(spacecraft_id), fingerprint, until_number, before_us)
 
     def attitude_rows(
         self,

@@ -99,8 +99,10 @@ class Results(Protocol):
         applied commands enter the journal and the consumer's head moves to ``consumed_number``.
         """
 
-    def checkpoints(self, spacecraft_id: str, fingerprint: str, until_number: int) -> Iterator[Checkpoint]:
-        """Yield the sound checkpoints of a fingerprint up to a journal number, newest first."""
+    def checkpoints(
+        self, spacecraft_id: str, fingerprint: str, until_number: int, before_us: int | None = None
+    ) -> Iterator[Checkpoint]:
+        """Yield the sound checkpoints of a fingerprint up to a journal number, before an epoch, newest first."""
 
     def attitude_rows(
         self,

@@ -16,6 +16,7 @@ from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.operations.job import Job, Replay
 from service.runtime.jobs.job_runner import JobRunner, Progress
+from service.runtime.live.chain_restart import taken_up
 from service.runtime.live.journal_consumer import (
     DocumentCache,
     consume,
@@ -116,8 +117,11 @@ class Replayer:
         """Yield progress and outcomes in the order of the journal from the alignment on."""
         archive = self._storage.archive
         first = self._storage.results.alignment_number(plan.spacecraft_id, plan.alignment.id)
-        update_before(chain, archive, plan.spacecraft_id, first, plan.alignment.epoch_us)
-        position, trips = first - 1, trips_after(archive, plan.spacecraft_id, first)
+        position = self._taken_up(chain, plan, first, newest_number)
+        if position is None:
+            update_before(chain, archive, plan.spacecraft_id, first, plan.alignment.epoch_us)
+            position = first - 1
+        trips = trips_after(archive, plan.spacecraft_id, first)
         while position < newest_number:
             entries = archive.journal(plan.spacecraft_id, position, _ENTRIES_AT_ONCE)
             if not entries:
@@ -128,6 +132,17 @@ class Replayer:
                     found = consume(chain, entry, archive, plan.spacecraft_id)
                     yield from ((progress, without_torque_after(trips, outcome)) for outcome in found)
             position = entries[-1].number
+
+    def _taken_up(self, chain: Chain, plan: "_Plan", first: int, newest_number: int) -> int | None:
+        """Let the chain take up the newest state before the span, and return its journal number.
+
+        None where the replay is not that of the live run: no state of it holds under other documents.
+        """
+        if plan.calibration is not None or plan.is_fixed_alignment:
+            return None
+        return taken_up(
+            self._storage, plan.spacecraft_id, chain, self._config, first, newest_number, plan.replay.start_us
+        )
 
     def _by_epoch(self, chain: Chain, plan: "_Plan", newest_number: int) -> Iterator[tuple[float, Outcome]]:
         """Yield progress and outcomes in order of epoch; what is known now holds from the alignment on."""

@@ -90,10 +90,10 @@ def _brought_back(
 ) -> Iterator[tuple[Chain, int]]:
     """Yield a chain and how many entries it still has to consume, until there is none; nothing is stored."""
     archive = storage.archive
+    chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), config)
     number, aligned_us = _last_alignment(storage, spacecraft_id, consumed_number)
-    chain, position = _from_checkpoint(storage, spacecraft_id, config, number or 0, consumed_number)
-    if chain is None:
-        chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), config)
+    position = taken_up(storage, spacecraft_id, chain, config, number or 0, consumed_number)
+    if position is None:
         update_before(chain, archive, spacecraft_id, number or consumed_number + 1, aligned_us)
         position = consumed_number if number is None else number - 1
     while position < consumed_number:
@@ -101,17 +101,35 @@ def _brought_back(
         entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)
         for entry in entries:
             if entry.number <= consumed_number:
-                for _ in consume(chain, entry, archive, spacecraft_id):
-                    pass
+                for row, _ in enumerate(consume(chain, entry, archive, spacecraft_id), start=1):
+                    if row % _ENTRIES_AT_ONCE == 0:
+                        # an alignment brings all rows after its epoch
+                        yield chain, consumed_number - position
         position = entries[-1].number if entries else consumed_number
     yield chain, 0
 
 
-def _from_checkpoint(
-    storage: Storage, spacecraft_id: str, config: ChainConfig, after_number: int, consumed_number: int
-) -> tuple[Chain | None, int]:
-    """Return a chain of the newest checkpoint that can be read, if it is later than a number, and its own number."""
-    for found in storage.results.checkpoints(spacecraft_id, fingerprint(config), consumed_number):
+def taken_up(
+    storage: Storage,
+    spacecraft_id: str,
+    chain: Chain,
+    config: ChainConfig,
+    after_number: int,
+    until_number: int,
+    before_us: int | None = None,
+) -> int | None:
+    """Let a new chain take up the newest checkpoint that fits and can be read, and return its journal number.
+
+    Parameters
+    ----------
+    storage, spacecraft_id, chain, config
+        Where it is kept, and what takes it up.
+    after_number, until_number : int
+        It must be later than the first and not later than the second.
+    before_us : int, optional
+        Its newest epoch must be earlier, microseconds UTC.
+    """
+    for found in storage.results.checkpoints(spacecraft_id, fingerprint(config), until_number, before_us):
         if found.number <= after_number:
             break
         try:
@@ -119,11 +137,10 @@ def _from_checkpoint(
         except (ArithmeticError, LookupError, OSError, TypeError, ValueError, zipfile.BadZipFile) as fault:
             _LOG.warning("checkpoint %d of %s cannot be read: %s", found.number, spacecraft_id, fault)
             continue
-        chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), config)
         update_before(chain, storage.archive, spacecraft_id, found.number + 1, found.epoch_us - _KNOWN_US)
         chain.restore(state)
-        return chain, found.number
-    return None, 0
+        return found.number
+    return None
 
 
 def _last_alignment(storage: Storage, spacecraft_id: str, consumed_number: int) -> tuple[int | None, int | None]:

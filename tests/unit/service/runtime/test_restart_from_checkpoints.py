@@ -7,12 +7,14 @@ import pytest
 from busy_station import BOTH, SC, at, morning, text, wait_for
 from sqlalchemy import update
 
+from db.results import checkpoints
 from db.results.checkpoints import LATEST
 from db.schema.tables import checkpoint as table
 from service.pipeline.checkpoints.chain_state import fingerprint
 from service.pipeline.config import ChainConfig
 from service.ports import LIVE
 from service.records.storage.checkpoint import Checkpoint
+from service.runtime.jobs import replay_job
 from service.runtime.live import chain_restart, supervisor
 
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
@@ -158,6 +160,31 @@ def test_a_restart_says_how_far_it_is_and_ends_when_the_service_stops(busy, monk
     assert seen[0].seconds_left is None
     assert seen[2].seconds_left > 0.0
     assert chain_restart.ChainRestarts(busy.storage, ChainConfig(), lambda: False).chain(SC, consumed).is_running
+
+
+def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, new_station, often, monkeypatch):
+    monkeypatch.setattr(checkpoints, "LATEST", 1000)
+    monkeypatch.setattr(supervisor, "_STEP_S", 0.0)
+    monkeypatch.setattr(supervisor, "_ENTRIES_AT_ONCE", 5)
+    station, begun = new_station(opened_archive), []
+
+    def noted(*order):
+        begun.append(chain_restart.taken_up(*order))
+        return begun[-1]
+
+    monkeypatch.setattr(replay_job, "taken_up", noted)
+    with station.supervised() as settle:
+        for _ in morning(station):
+            settle()
+    for start, stop in ((30, 60), (75, 100), (100, 140), (125, 140)):
+        version = station.replay(start, stop)
+        for method in BOTH:
+            assert text(station.rows(method, version)) == text(station.rows(method, start=start, stop=stop))
+    assert None not in begun
+    assert begun == sorted(set(begun))
+    station.replay(125, 140, alignment_id=1)
+    station.replay(125, 140, calibration_id=1)
+    assert len(begun) == 4, "other documents hold in none of the states"
 
 
 def test_the_latest_and_one_of_each_day_are_kept(busy):
