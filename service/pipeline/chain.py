@@ -11,7 +11,7 @@ that fails on a row says so in its row and goes on with the next; the other meth
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,8 +38,9 @@ from service.records.levels.measurement import Measurement
 
 _LOG = logging.getLogger("soo.chain")
 
+_RUNNERS: dict[Method, type[RobustRunner | PaperRunner]] = {Method.ROBUST: RobustRunner, Method.PAPER: PaperRunner}
 #: in the order in which their rows are written
-METHODS = (Method.ROBUST, Method.PAPER)
+METHODS = tuple(_RUNNERS)
 
 
 class Chain:
@@ -54,7 +55,9 @@ class Chain:
     calibration : Calibration, optional
         Calibration that a replay uses in place of those the journal activates.
     methods : sequence of Method
-        Methods to run; commands are computed where the one that drives control is among them.
+        Methods to run.
+    has_commands : bool
+        Whether torques are computed; the method that drives control must be among the methods.
     """
 
     def __init__(
@@ -63,16 +66,15 @@ class Chain:
         config: ChainConfig,
         calibration: Calibration | None = None,
         methods: Sequence[Method] = METHODS,
+        *,
+        has_commands: bool = True,
     ) -> None:
         self._lookup = lookup
         self._config = config
         self._override = calibration
+        self._has_commands = has_commands
         self._knowledge = Knowledge()
-        kinds: dict[Method, Callable[[Lookup, ChainConfig], MethodRunner]] = {
-            Method.ROBUST: RobustRunner,
-            Method.PAPER: PaperRunner,
-        }
-        self._runners: tuple[MethodRunner, ...] = tuple(kinds[m](lookup, config) for m in METHODS if m in methods)
+        self._runners: tuple[MethodRunner, ...] = tuple(_RUNNERS[m](lookup, config) for m in METHODS if m in methods)
         self._carry_n_m_s = NO_CARRY
         self._swing: PanelSwing | None = None
         self._newest_us: int | None = None
@@ -256,7 +258,7 @@ class Chain:
     def _with_command(self, rows: tuple[AttitudeRow, ...]) -> Outcome:
         """Return the outcome of a row with the torque command that follows from it."""
         spacecraft = self._knowledge.spacecraft
-        if spacecraft is None:
+        if spacecraft is None or not self._has_commands:
             return Outcome(rows, None)
         wanted = spacecraft.control.method
         if all(runner.method is not wanted for runner in self._runners):

@@ -99,7 +99,7 @@ class Replayer:
         replay, results = plan.replay, self._storage.results
         documents = DocumentCache(self._storage.catalogue, results, plan.spacecraft_id)
         methods = METHODS if replay.method is None else (replay.method,)
-        chain = Chain(documents, self._config, plan.calibration, methods)
+        chain = Chain(documents, self._config, plan.calibration, methods, has_commands=replay.commands)
         newest_number = self._storage.archive.head(plan.spacecraft_id).newest_number
         outcomes = self._by_epoch if replay.order == "epoch" else self._by_journal
         chosen: list[Outcome] = []

@@ -1,4 +1,4 @@
 """Live chain: leadership, journal consumer, row publisher.
 
-Public: journal_consumer, leadership, live_feed, row_watchers, supervisor.
+Public: chain_restart, journal_consumer, leadership, live_feed, row_watchers, supervisor.
 """

@@ -231,6 +231,7 @@ async def test_replay_needs_an_alignment(bench, make):
         "calibration_id": None,
         "alignment_id": 1,
         "order": "epoch",
+        "commands": True,
         "created_at": format_epoch(make.now_us),
     }
     assert (await bench.get("/attitude/history", version="replay-1"))["rows"] == []

@@ -60,6 +60,14 @@ def test_a_replay_of_one_method_is_that_methods_live_run(busy, method):
     assert (busy.commands(version) == []) == (method is Method.PAPER)
 
 
+def test_a_replay_without_torques_has_the_same_angles(busy):
+    version = busy.replay(1, 140, commands=False)
+    for method in BOTH:
+        assert text(busy.rows(method, version)) == text(busy.rows(method))
+    assert busy.commands(version) == []
+    assert busy.commands()
+
+
 def test_in_order_of_epoch_late_rows_stand_in_their_place(busy):
     version = busy.replay(1, 300, order="epoch", alignment_id=1)
     for method in BOTH:
