@@ -224,6 +224,12 @@ class SqlArchive:
             runs = self._pages(connection, key).read_all(chosen)
             return [row for run in runs for row in run.records()]
 
+    def last_number(self, spacecraft_id: str, window: Window) -> int:
+        """Return a journal number behind which no row lies in a window; 0 where none does at all."""
+        key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            return self._pages(connection, key).last_number(window)
+
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
         """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
         key = self._database.key(spacecraft_id)

@@ -190,6 +190,19 @@ class MeasurementPages:
                 best = found if best is None else max(best, found)
         return best
 
+    def last_number(self, window: Window) -> int:
+        """Return a journal number behind which no row lies in a window; 0 where none does at all."""
+        segment = measurement_segment.c
+        rows = select(func.max(measurement.c.number)).where(
+            measurement.c.spacecraft_key == self._key, within(measurement.c.epoch_us, window)
+        )
+        days = select(func.max(segment.last_number)).where(
+            segment.spacecraft_key == self._key,
+            segment.first_epoch_us < window.stop_us,
+            segment.last_epoch_us >= window.start_us,
+        )
+        return max(self._connection.scalar(query) or 0 for query in (rows, days))
+
     def plan_ids(self, window: Window) -> set[int]:
         """Return the plans of the rows of a window."""
         held = select(measurement.c.plan_id).where(

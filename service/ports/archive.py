@@ -93,6 +93,9 @@ class Archive(Protocol):
     def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
         """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
 
+    def last_number(self, spacecraft_id: str, window: Window) -> int:
+        """Return a journal number behind which no row lies in a window; 0 where none does at all."""
+
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
         """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
 

@@ -11,7 +11,7 @@ from service.errors import ConflictError, InvalidInputError
 from service.pipeline.chain import METHODS, Chain
 from service.pipeline.config import ChainConfig
 from service.ports import Clock, Outcome, Storage
-from service.records.calibration import Alignment, Calibration
+from service.records.calibration import Alignment, Calibration, Window
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.operations.job import Job, Replay
@@ -114,8 +114,8 @@ class Replayer:
         results.save_outcomes(plan.spacecraft_id, replay.version, chosen, 0, None)
 
     def _by_journal(self, chain: Chain, plan: "_Plan", newest_number: int) -> Iterator[tuple[float, Outcome]]:
-        """Yield progress and outcomes in the order of the journal from the alignment on."""
-        archive = self._storage.archive
+        """Yield progress and outcomes in the order of the journal, as far as it can give a row of the span."""
+        archive, newest_number = self._storage.archive, min(newest_number, self._last_number(plan))
         first = self._storage.results.alignment_number(plan.spacecraft_id, plan.alignment.id)
         position = self._taken_up(chain, plan, first, newest_number)
         if position is None:
@@ -132,6 +132,14 @@ class Replayer:
                     found = consume(chain, entry, archive, plan.spacecraft_id)
                     yield from ((progress, without_torque_after(trips, outcome)) for outcome in found)
             position = entries[-1].number
+
+    def _last_number(self, plan: "_Plan") -> int:
+        """Return the journal number of the last entry that can give a row of the span: a row or an alignment."""
+        results, spacecraft_id = self._storage.results, plan.spacecraft_id
+        window = Window(plan.replay.start_us, plan.replay.stop_us)
+        aligned = [each.id for each in results.alignments(spacecraft_id) if each.epoch_us < window.stop_us]
+        numbers = [results.alignment_number(spacecraft_id, alignment_id) for alignment_id in aligned]
+        return max(self._storage.archive.last_number(spacecraft_id, window), *numbers, 0)
 
     def _taken_up(self, chain: Chain, plan: "_Plan", first: int, newest_number: int) -> int | None:
         """Let the chain take up the newest state before the span, and return its journal number.
@@ -150,6 +158,7 @@ class Replayer:
         update_before(chain, archive, plan.spacecraft_id, newest_number + 1, plan.alignment.epoch_us)
         chain.update(AlignmentSet(plan.alignment.id))
         rows = archive.measurements_after(plan.spacecraft_id, plan.alignment.epoch_us, newest_number + 1)
+        rows = [row for row in rows if row.epoch_us < plan.replay.stop_us]
         for k, measurement in enumerate(rows):
             entry = JournalEntry(measurement.number, replace(measurement, is_late=False))
             yield from ((k / len(rows), o) for o in consume(chain, entry, archive, plan.spacecraft_id))
