@@ -1,4 +1,4 @@
-"""Processor time of a restart, from a checkpoint and from the alignment, after few and after many rows."""
+"""Processor time of restarts after few and after many rows, and of replays of an hour and of everything."""
 
 import statistics
 import time
@@ -23,6 +23,13 @@ def restart_s(station, restarts=5):
     return statistics.median(taken)
 
 
+def replay_s(station, start, stop):
+    """Return the processor time of a replay of both methods."""
+    began = time.process_time()
+    station.replay(start, stop)
+    return time.process_time() - began
+
+
 def test_a_restart_costs_the_same_after_many_rows(tmp_path):
     with closing(Station(tmp_path)) as station:
         station.open()
@@ -32,10 +39,11 @@ def test_a_restart_costs_the_same_after_many_rows(tmp_path):
             settle()
         for rows, first in ((FEW, 1), (MANY, FEW + 1)):
             with station.supervised() as settle:
-                for start in range(first, rows + 1, 500):
-                    station.send(range(start, start + 500))
+                for start in range(first, rows + 1, 100):
+                    station.send(range(start, start + 100))
                     settle()
             times[rows] = restart_s(station)
+        whole_s, hours_s = replay_s(station, 1, MANY), [replay_s(station, at, at + 60) for at in (1, MANY - 60)]
         station.storage._database.write(lambda connection: connection.execute(checkpoint.delete()))
         from_alignment_s = restart_s(station, 1)
     ratio = times[MANY] / times[FEW]
@@ -43,4 +51,10 @@ def test_a_restart_costs_the_same_after_many_rows(tmp_path):
         f"restart after {FEW} rows {1e3 * times[FEW]:.0f} ms, after {MANY} {1e3 * times[MANY]:.0f} ms: {ratio:.2f}; "
         f"from the alignment {from_alignment_s:.1f} s"
     )
+    shares = [hour_s / whole_s for hour_s in hours_s]
+    print(
+        f"replay of {MANY} rows {whole_s:.1f} s; of the first hour {shares[0]:.4f}, of the last {shares[1]:.4f} of it"
+    )
     assert ratio < 1.5
+    # an hour of 133, and what every replay costs
+    assert max(shares) < 1 / 20

@@ -143,7 +143,7 @@ def test_the_time_to_deliver_after_a_stop_is_bounded(rows: Spool) -> None:
 
 def test_requests_that_follow_closely_wait_for_company(rows: Spool) -> None:
     service = Service()
-    made = uploader(service, rows, batch_s=0.3)
+    made = uploader(service, rows, batch_s=30.0)
     loop = threading.Thread(target=made.run)
     loop.start()
     fill(rows, 1)
