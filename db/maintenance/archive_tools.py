@@ -23,11 +23,14 @@ class ArchiveTools:
         The archive.
     clock : Clock
         Tells the present.
+    fingerprint : str
+        Of the states that this program takes up at a start.
     """
 
-    def __init__(self, url: str, clock: Clock) -> None:
+    def __init__(self, url: str, clock: Clock, fingerprint: str) -> None:
         self.url = url
         self._clock = clock
+        self._fingerprint = fingerprint
 
     def stamp(self) -> str:
         """Return the present as part of a name, to the second: 20261122T040302Z."""
@@ -48,4 +51,4 @@ class ArchiveTools:
 
     def diagnose(self, report: StepReport, announced: Sequence[JournalHead] = ()) -> list[Diagnosis]:
         """Return the findings on the archive, compared with logged heads of journals."""
-        return diagnose(self.url, self._clock.system_us(), report, announced)
+        return diagnose(self.url, self._clock.system_us(), report, announced, self._fingerprint)

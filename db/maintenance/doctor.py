@@ -16,6 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.connection.engines import open_engines, translated_faults
 from db.connection.sqlite_files import COMPANIONS, reading_engine, sqlite_path
 from db.maintenance.integrity_check import Report, examine, guarded
+from db.maintenance.restart_forecast import restart_forecasts
 from db.measurements.journal_heads import compared_heads
 from db.schema.tables import head, measurement
 from service.errors import StorageError
@@ -33,7 +34,9 @@ CLOCK_TOLERANCE_US = 5 * US_PER_S
 _CLOCK_IS_SET_US = 1_735_689_600 * US_PER_S
 
 
-def diagnose(url: str, now_us: int, report: Report, announced: Sequence[JournalHead] = ()) -> list[Diagnosis]:
+def diagnose(
+    url: str, now_us: int, report: Report, announced: Sequence[JournalHead] = (), fingerprint: str | None = None
+) -> list[Diagnosis]:
     """Return the findings on an archive.
 
     Parameters
@@ -46,6 +49,8 @@ def diagnose(url: str, now_us: int, report: Report, announced: Sequence[JournalH
         Told what is looked at next.
     announced : sequence of JournalHead
         Heads of journals that the service has logged.
+    fingerprint : str, optional
+        Of the states that this program takes up at a start.
 
     Raises
     ------
@@ -55,16 +60,18 @@ def diagnose(url: str, now_us: int, report: Report, announced: Sequence[JournalH
     engines = open_engines(url)
     path = sqlite_path(url)
     if path is None:
-        return _examined(engines.read, now_us, report, announced)
+        return _examined(engines.read, now_us, report, announced, fingerprint)
     engines.dispose()
     report("file")
     found = list(_file(path))
     if any(diagnosis.check == "file" and diagnosis.state == "fault" for diagnosis in found):
         return found
-    return found + _examined(reading_engine(path), now_us, report, announced)
+    return found + _examined(reading_engine(path), now_us, report, announced, fingerprint)
 
 
-def _examined(engine: Engine, now_us: int, report: Report, announced: Sequence[JournalHead]) -> list[Diagnosis]:
+def _examined(
+    engine: Engine, now_us: int, report: Report, announced: Sequence[JournalHead], fingerprint: str | None
+) -> list[Diagnosis]:
     """Connect and look inside."""
     try:
         with translated_faults(), engine.connect() as connection:
@@ -73,6 +80,8 @@ def _examined(engine: Engine, now_us: int, report: Report, announced: Sequence[J
                 report("clock")
                 found += guarded("clock", partial(_clock, connection, now_us))
                 found += guarded("log", partial(compared_heads, connection, announced))
+                if fingerprint is not None:
+                    found += guarded("restart", partial(restart_forecasts, connection, fingerprint))
             return found
     except (StorageError, SQLAlchemyError) as fault:
         said = fault.detail if isinstance(fault, StorageError) else str(fault)

@@ -17,6 +17,7 @@ from service.api.context.monitoring_settings import MonitoringSettings
 from service.composition.settings import Settings
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.checkpoints.chain_state import fingerprint
 from service.ports import Clock, Storage
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarm import Severity
@@ -273,4 +274,5 @@ def open_archive_tools(database_url: str | None) -> "ArchiveTools":
     # brings the migrations along, which serving needs at its start only
     from db.maintenance.archive_tools import ArchiveTools
 
-    return ArchiveTools(database_url or Settings.model_validate({}).database_url, SystemClock())
+    settings = Settings.model_validate({})
+    return ArchiveTools(database_url or settings.database_url, SystemClock(), fingerprint(settings.chain_config()))

@@ -16,11 +16,12 @@ from db.maintenance.integrity_check import examine
 from db.migrations.migrate import upgrade
 from db.schema.schema_version import known_versions
 from service.cli.app import app
-from service.ports import Outcome
+from service.ports import LIVE, Outcome
 from service.records.inputs import Correction
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
 from service.records.operations.audit import AuditEvent
 from service.records.storage.archive_maintenance import SealedPart
+from service.records.storage.checkpoint import Checkpoint
 from service.records.storage.diagnosis import worst
 from service.runtime.clock import system_now_us
 
@@ -66,6 +67,21 @@ FSYNC_IS_OFF = "fsync=off"
 def of_archive(url, now_us=None):
     """Return what is wrong with the archive, not with the server of the tests."""
     return [(check, detail) for check, detail in faults(url, now_us) if FSYNC_IS_OFF not in detail]
+
+
+def test_it_says_how_long_the_next_start_takes(filled, url, make, monkeypatch):
+    def said():
+        found = diagnose(url, system_now_us(), ignore, (), "1/these")
+        return [(each.state, each.detail) for each in found if each.check == "restart"]
+
+    assert said() == []
+    results, consumed = filled.storage.results, filled.storage.archive.head(filled.id).consumed_number
+    for number, fingerprint in ((consumed - 30, "1/these"), (consumed - 5, "0/of others"), (consumed + 9, "1/these")):
+        results.save_outcomes(filled.id, LIVE, [], consumed, 1, Checkpoint(number, 1, fingerprint, b""))
+    entries = f"the next start of {filled.id} consumes 30 entries since its last state, 0 s"
+    assert said() == [("ok", entries)]
+    monkeypatch.setattr("db.maintenance.restart_forecast.LONG_S", 0.01)
+    assert [state for state, _ in said()] == ["warning"]
 
 
 def test_a_sound_archive_is_called_sound_while_it_is_open(filled, url):

@@ -181,7 +181,12 @@ def test_limits_and_checks_are_those_of_the_code() -> None:
     assert "less than 1 GiB free (fault below 64 MiB); more than 256 MiB" in TEXT
     assert CLOCK_TOLERANCE_US == 5_000_000
     root = PAGE.parents[2]
-    files = ("maintenance/integrity_check", "maintenance/doctor", "measurements/journal_heads")
+    files = (
+        "maintenance/integrity_check",
+        "maintenance/doctor",
+        "maintenance/restart_forecast",
+        "measurements/journal_heads",
+    )
     code = "".join((root / f"db/{name}.py").read_text() for name in files)
     made = set(re.findall(r'Diagnosis\("(\w+)"', code))
     reported = {
