@@ -15,6 +15,7 @@ from service.records.calibration import Alignment, Calibration, Window
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.operations.job import Job, Replay
+from service.records.storage.checkpoint import Checkpoint
 from service.runtime.jobs.job_runner import JobRunner, Progress
 from service.runtime.live.chain_restart import taken_up
 from service.runtime.live.journal_consumer import (
@@ -117,10 +118,10 @@ class Replayer:
         """Yield progress and outcomes in the order of the journal, as far as it can give a row of the span."""
         archive, newest_number = self._storage.archive, min(newest_number, self._last_number(plan))
         first = self._storage.results.alignment_number(plan.spacecraft_id, plan.alignment.id)
-        position = self._taken_up(chain, plan, first, newest_number)
-        if position is None:
+        kept = self._taken_up(chain, plan, first, newest_number)
+        if kept is None:
             update_before(chain, archive, plan.spacecraft_id, first, plan.alignment.epoch_us)
-            position = first - 1
+        position = first - 1 if kept is None else kept.number
         trips = trips_after(archive, plan.spacecraft_id, first)
         while position < newest_number:
             entries = archive.journal(plan.spacecraft_id, position, _ENTRIES_AT_ONCE)
@@ -141,8 +142,8 @@ class Replayer:
         numbers = [results.alignment_number(spacecraft_id, alignment_id) for alignment_id in aligned]
         return max(self._storage.archive.last_number(spacecraft_id, window), *numbers, 0)
 
-    def _taken_up(self, chain: Chain, plan: "_Plan", first: int, newest_number: int) -> int | None:
-        """Let the chain take up the newest state before the span, and return its journal number.
+    def _taken_up(self, chain: Chain, plan: "_Plan", first: int, newest_number: int) -> Checkpoint | None:
+        """Let the chain take up the newest state before the span, and return it.
 
         None where the replay is not that of the live run: no state of it holds under other documents.
         """

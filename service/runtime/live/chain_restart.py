@@ -44,6 +44,16 @@ class Restarting(NamedTuple):
     seconds_left: float | None
 
 
+class BroughtBack(NamedTuple):
+    """Chain on its way back to where results were stored."""
+
+    chain: Chain
+    #: newest epoch of the checkpoint that it began with, microseconds UTC; None = it began at an alignment
+    kept_us: int | None
+    #: entries of the journal that are still to be consumed again
+    entries_left: int
+
+
 class ChainRestarts:
     """Restarts of the chains of a service, one at a time.
 
@@ -68,16 +78,17 @@ class ChainRestarts:
         """Return the restart that is under way."""
         return self._under_way
 
-    def chain(self, spacecraft_id: str, consumed_number: int) -> Chain | None:
+    def chain(self, spacecraft_id: str, consumed_number: int) -> BroughtBack | None:
         """Return the chain as it was after a journal number; None if the service stops before."""
         began_s, first = time.monotonic(), None
         try:
-            for chain, left in _brought_back(self._storage, spacecraft_id, self._config, consumed_number):
-                first, passed_s = left if first is None else first, time.monotonic() - began_s
+            for back in _brought_back(self._storage, spacecraft_id, self._config, consumed_number):
+                left, passed_s = back.entries_left, time.monotonic() - began_s
+                first = left if first is None else first
                 seconds_left = passed_s * left / (first - left) if left < first else None
                 self._under_way = Restarting(spacecraft_id, left, seconds_left)
                 if left == 0:
-                    return chain
+                    return back
                 if self._is_stopping():
                     return None
         finally:
@@ -87,26 +98,29 @@ class ChainRestarts:
 
 def _brought_back(
     storage: Storage, spacecraft_id: str, config: ChainConfig, consumed_number: int
-) -> Iterator[tuple[Chain, int]]:
-    """Yield a chain and how many entries it still has to consume, until there is none; nothing is stored."""
+) -> Iterator[BroughtBack]:
+    """Yield a chain until it has consumed every entry; nothing is stored."""
     archive = storage.archive
     chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), config)
     number, aligned_us = _last_alignment(storage, spacecraft_id, consumed_number)
-    position = taken_up(storage, spacecraft_id, chain, config, number or 0, consumed_number)
-    if position is None:
+    kept = taken_up(storage, spacecraft_id, chain, config, number or 0, consumed_number)
+    if kept is None:
         update_before(chain, archive, spacecraft_id, number or consumed_number + 1, aligned_us)
         position = consumed_number if number is None else number - 1
+    else:
+        position = kept.number
+    back = BroughtBack(chain, None if kept is None else kept.epoch_us, 0)
     while position < consumed_number:
-        yield chain, consumed_number - position
+        yield back._replace(entries_left=consumed_number - position)
         entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)
         for entry in entries:
             if entry.number <= consumed_number:
                 for row, _ in enumerate(consume(chain, entry, archive, spacecraft_id), start=1):
                     if row % _ENTRIES_AT_ONCE == 0:
                         # an alignment brings all rows after its epoch
-                        yield chain, consumed_number - position
+                        yield back._replace(entries_left=consumed_number - position)
         position = entries[-1].number if entries else consumed_number
-    yield chain, 0
+    yield back
 
 
 def taken_up(
@@ -117,8 +131,8 @@ def taken_up(
     after_number: int,
     until_number: int,
     before_us: int | None = None,
-) -> int | None:
-    """Let a new chain take up the newest checkpoint that fits and can be read, and return its journal number.
+) -> Checkpoint | None:
+    """Let a new chain take up the newest checkpoint that fits and can be read, and return it.
 
     Parameters
     ----------
@@ -139,7 +153,7 @@ def taken_up(
             continue
         update_before(chain, storage.archive, spacecraft_id, found.number + 1, found.epoch_us - _KNOWN_US)
         chain.restore(state)
-        return found.number
+        return found
     return None
 
 

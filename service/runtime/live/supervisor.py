@@ -329,11 +329,11 @@ class Supervisor:
     def _rebuild(self, spacecraft_id: str, turn: int) -> _Follower | None:
         """Bring a chain to where its results were stored; None if the service is stopped meanwhile."""
         head = self._storage.archive.head(spacecraft_id)
-        chain = self.restarts.chain(spacecraft_id, head.consumed_number)
-        if chain is None:
+        back = self.restarts.chain(spacecraft_id, head.consumed_number)
+        if back is None:
             return None
         stood = (head.consumed_number, head.consumed_epoch_us, head.result_sequence)
-        follower = _Follower(spacecraft_id, chain, turn, *stood, kept_us=head.consumed_epoch_us)
+        follower = _Follower(spacecraft_id, back.chain, turn, *stood, back.kept_us)
         self._followers[spacecraft_id] = follower
         self._publisher.begin(spacecraft_id, follower.consumed_number)
         return follower
