@@ -76,3 +76,8 @@ def test_no_line_is_wider_than_a_screen(page: Path) -> None:
 def test_readme_is_short(page: Path) -> None:
     if page.name == "README.md":
         assert len(page.read_text().splitlines()) <= 120
+
+
+def test_a_page_of_the_documents_stands_in_the_navigation(page: Path) -> None:
+    if page.is_relative_to(ROOT / "docs"):
+        assert page.relative_to(ROOT / "docs").as_posix() in (ROOT / "mkdocs.yml").read_text()
