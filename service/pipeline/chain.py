@@ -57,7 +57,7 @@ class Chain:
     methods : sequence of Method
         Methods to run.
     has_commands : bool
-        Whether torques are computed; the method that drives control must be among the methods.
+        False leaves out the torques; with them the method that drives control must be among the methods.
     """
 
     def __init__(

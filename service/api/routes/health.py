@@ -13,6 +13,7 @@ from service.api.context.dependencies import Context
 from service.api.monitoring.metrics import MEDIA_TYPE, Metrics
 from service.api.monitoring.readiness import SharedReadiness, require_ready
 from service.api.protocol.reference_page import render_page
+from service.runtime.live.chain_restart import Restarting
 
 router = APIRouter(tags=["health"])
 
@@ -65,12 +66,14 @@ async def get_readiness(request: Request, context: Context) -> ReadinessAnswer:
     restarting = context.supervisor.restarts.under_way
     return ReadinessAnswer(
         parts=[PartHealth(name=part.name, detail=part.detail) for part in parts],
-        catching_up=restarting
-        and CatchingUp(
-            spacecraft=restarting.spacecraft_id,
-            rows_left=restarting.entries_left,
-            seconds_left=restarting.seconds_left,
-        ),
+        catching_up=None if restarting is None else _catching_up(restarting),
+    )
+
+
+def _catching_up(restarting: Restarting) -> CatchingUp:
+    """Return what is told of a restart under way."""
+    return CatchingUp(
+        spacecraft=restarting.spacecraft_id, rows_left=restarting.entries_left, seconds_left=restarting.seconds_left
     )
 
 

@@ -21,7 +21,7 @@ class ReplayDocument(WindowDocument):
     order: Literal["journal", "epoch"] = "journal"
     """As it was, or as it would have been with late rows in their place."""
     commands: bool = True
-    """Whether torques are computed, which costs as much as the angles."""
+    """False leaves out the torques."""
 
     def to_replay(self) -> Replay:
         """Return the replay that this document asks for; number, job and time are given later."""

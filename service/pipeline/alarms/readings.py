@@ -146,9 +146,9 @@ class RowReader:
         if not is_settled("attitude_angle", max(angles_deg)):
             yield Readings("attitude_angle", _AXES, angles_deg)
         # yaw is controlled by its sigma
-        levels_deg = driving.protection_deg[1:]
+        levels_deg = (driving.protection_deg.roll, driving.protection_deg.pitch)
         if not is_settled("protection_level", max(levels_deg)):
-            yield Readings("protection_level", _AXES[1:], levels_deg)
+            yield Readings("protection_level", ("roll", "pitch"), levels_deg)
         # a method whose means are still filling is not lost
         lost = math.nan if _SETTLING in driving.inhibitions else float(not is_told)
         if not is_settled("attitude_lost", lost):

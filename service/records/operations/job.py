@@ -43,7 +43,7 @@ class Replay:
     order: str
     job_id: str
     created_at_us: int
-    commands: Annotated[bool, "Whether torques are computed."] = True
+    commands: Annotated[bool, "False: without torques."] = True
 
     @property
     def version(self) -> str:

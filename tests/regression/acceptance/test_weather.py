@@ -1,4 +1,4 @@
-"""What a mistaken user, a storm or a broken instrument does to the powers: never a confident wrong angle."""
+"""Wrong powers of eight kinds (storms, changed levels, frozen readings): control is never allowed at a wrong angle."""
 
 from collections import Counter
 

@@ -48,6 +48,12 @@ def client(handle: Callable[[httpx.Request], httpx.Response]) -> ServiceClient:
             {"source": "sa-1", "traces": [{"epoch": "e"}]},
         ),
         (lambda c: c.post_corrections("x", []), "POST", "/spacecraft/x/corrections:batch", {"corrections": []}),
+        (
+            lambda c: c.post_weather("x", "radar", []),
+            "POST",
+            "/spacecraft/x/weather:batch",
+            {"source": "radar", "reports": []},
+        ),
         (lambda c: c.post_operation("x", {"kind": "other"}), "POST", "/spacecraft/x/operations", {"kind": "other"}),
         (lambda c: c.start_calibration("x", {}), "POST", "/spacecraft/x/calibrations", {}),
         (lambda c: c.calibration("x", 7), "GET", "/spacecraft/x/calibrations/7", None),

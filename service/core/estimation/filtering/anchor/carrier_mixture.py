@@ -3,9 +3,9 @@
     r_i = J_i d + s_i c + m_ib + n_ib,   n_ib normal with variance v_ib,   branch b of carrier i with probability p_ib
 
 r is what an attitude leaves of the deviations, d its error, c what all carriers share. A branch says what may be wrong
-with a carrier: nothing, rain or a wet antenna, another level. All combinations of branches are N hypotheses to the
-power of B; carrier by carrier the likeliest are kept, and the rest goes on as one normal distribution of their mean and
-covariance, so that no probability is lost. Combinations begin in two regimes, calm and storm, which differ in the
+with a carrier: nothing, rain or a wet antenna, another level. N carriers of B branches have B to the power of N
+combinations; carrier by carrier the likeliest are kept, and the rest goes on as one normal distribution of their mean
+and covariance, so that no probability is lost. Combinations begin in two regimes, calm and storm, which differ in the
 probability of the branches: under one weather system many stations are wet at once.
 """
 
