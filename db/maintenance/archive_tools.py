@@ -24,7 +24,7 @@ class ArchiveTools:
     clock : Clock
         Tells the present.
     fingerprint : str
-        Of the states that this program takes up at a start.
+        Of the checkpoints that fit this program.
     """
 
     def __init__(self, url: str, clock: Clock, fingerprint: str) -> None:

@@ -50,7 +50,7 @@ def diagnose(
     announced : sequence of JournalHead
         Heads of journals that the service has logged.
     fingerprint : str, optional
-        Of the states that this program takes up at a start.
+        Of the checkpoints that fit this program.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How long the next start takes: entries of a journal since the state, or the alignment, from which it goes on."""
+"""Forecast of the next start: entries of each journal since the checkpoint, or the alignment, from which it goes on."""
 
 from collections.abc import Iterator
 
@@ -14,20 +14,22 @@ LONG_S = 60.0
 
 
 def restart_forecasts(connection: Connection, fingerprint: str) -> Iterator[Diagnosis]:
-    """Yield how long the next start brings back the chain of each spacecraft, with states of a fingerprint alone."""
+    """Yield how long the chain of each spacecraft is computed again; checkpoints of other fingerprints do not count."""
     heads = select(spacecraft.c.id, head.c.spacecraft_key, head.c.consumed_number).join(
         spacecraft, spacecraft.c.spacecraft_key == head.c.spacecraft_key
     )
-    # an archive of before has none
-    has_states = inspect(connection).has_table(checkpoint.name)
+    # an archive of an older schema has none
+    has_checkpoints = inspect(connection).has_table(checkpoint.name)
     for name, key, consumed in connection.execute(heads.order_by(head.c.spacecraft_key)).all():
-        state = (
-            _newest(connection, checkpoint, key, consumed, checkpoint.c.fingerprint == fingerprint) if has_states else 0
+        kept = (
+            _newest(connection, checkpoint, key, consumed, checkpoint.c.fingerprint == fingerprint)
+            if has_checkpoints
+            else 0
         )
         aligned = _newest(connection, alignment, key, consumed)
-        if not (state or aligned):
+        if not (kept or aligned):
             continue
-        entries, since = consumed - max(state, aligned), "state" if state > aligned else "alignment"
+        entries, since = consumed - max(kept, aligned), "checkpoint" if kept > aligned else "alignment"
         detail = (
             f"the next start of {name} consumes {entries} entries since its last {since}, {entries * ENTRY_S:.0f} s"
         )

@@ -78,7 +78,7 @@ def test_it_says_how_long_the_next_start_takes(filled, url, make, monkeypatch):
     results, consumed = filled.storage.results, filled.storage.archive.head(filled.id).consumed_number
     for number, fingerprint in ((consumed - 30, "1/these"), (consumed - 5, "0/of others"), (consumed + 9, "1/these")):
         results.save_outcomes(filled.id, LIVE, [], consumed, 1, Checkpoint(number, 1, fingerprint, b""))
-    entries = f"the next start of {filled.id} consumes 30 entries since its last state, 0 s"
+    entries = f"the next start of {filled.id} consumes 30 entries since its last checkpoint, 0 s"
     assert said() == [("ok", entries)]
     monkeypatch.setattr("db.maintenance.restart_forecast.LONG_S", 0.01)
     assert [state for state, _ in said()] == ["warning"]

@@ -37,7 +37,7 @@ _LAYOUT = Layout(ChainState)
 
 
 def fingerprint(config: ChainConfig) -> str:
-    """Return what must be the same where a state is taken up: layout, kernels and configuration."""
+    """Return what a checkpoint must share with the program that restores it: layout, kernels and configuration."""
     settings = hashlib.sha256(repr(config).encode()).hexdigest()[:16]
     return f"{LAYOUT_NUMBER}/{_LAYOUT.digest}/{config.kernels}/{settings}"
 

@@ -17,7 +17,7 @@ from service.records.journal import JournalEntry
 from service.records.operations.job import Job, Replay
 from service.records.storage.checkpoint import Checkpoint
 from service.runtime.jobs.job_runner import JobRunner, Progress
-from service.runtime.live.chain_restart import taken_up
+from service.runtime.live.chain_restart import restored_checkpoint
 from service.runtime.live.journal_consumer import (
     DocumentCache,
     consume,
@@ -118,7 +118,7 @@ class Replayer:
         """Yield progress and outcomes in the order of the journal, as far as it can give a row of the span."""
         archive, newest_number = self._storage.archive, min(newest_number, self._last_number(plan))
         first = self._storage.results.alignment_number(plan.spacecraft_id, plan.alignment.id)
-        kept = self._taken_up(chain, plan, first, newest_number)
+        kept = self._restored_checkpoint(chain, plan, first, newest_number)
         if kept is None:
             update_before(chain, archive, plan.spacecraft_id, first, plan.alignment.epoch_us)
         position = first - 1 if kept is None else kept.number
@@ -142,14 +142,14 @@ class Replayer:
         numbers = [results.alignment_number(spacecraft_id, alignment_id) for alignment_id in aligned]
         return max(self._storage.archive.last_number(spacecraft_id, window), *numbers, 0)
 
-    def _taken_up(self, chain: Chain, plan: "_Plan", first: int, newest_number: int) -> Checkpoint | None:
-        """Let the chain take up the newest state before the span, and return it.
+    def _restored_checkpoint(self, chain: Chain, plan: "_Plan", first: int, newest_number: int) -> Checkpoint | None:
+        """Restore the chain from the newest checkpoint before the span, and return the checkpoint.
 
-        None where the replay is not that of the live run: no state of it holds under other documents.
+        None where the replay has another calibration or alignment than the live run: no checkpoint holds for it.
         """
         if plan.calibration is not None or plan.is_fixed_alignment:
             return None
-        return taken_up(
+        return restored_checkpoint(
             self._storage, plan.spacecraft_id, chain, self._config, first, newest_number, plan.replay.start_us
         )
 

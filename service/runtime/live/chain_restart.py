@@ -103,7 +103,7 @@ def _brought_back(
     archive = storage.archive
     chain = Chain(DocumentCache(storage.catalogue, storage.results, spacecraft_id), config)
     number, aligned_us = _last_alignment(storage, spacecraft_id, consumed_number)
-    kept = taken_up(storage, spacecraft_id, chain, config, number or 0, consumed_number)
+    kept = restored_checkpoint(storage, spacecraft_id, chain, config, number or 0, consumed_number)
     if kept is None:
         update_before(chain, archive, spacecraft_id, number or consumed_number + 1, aligned_us)
         position = consumed_number if number is None else number - 1
@@ -123,7 +123,7 @@ def _brought_back(
     yield back
 
 
-def taken_up(
+def restored_checkpoint(
     storage: Storage,
     spacecraft_id: str,
     chain: Chain,
@@ -132,12 +132,12 @@ def taken_up(
     until_number: int,
     before_us: int | None = None,
 ) -> Checkpoint | None:
-    """Let a new chain take up the newest checkpoint that fits and can be read, and return it.
+    """Restore a new chain from the newest checkpoint that fits and can be read, and return the checkpoint.
 
     Parameters
     ----------
     storage, spacecraft_id, chain, config
-        Where it is kept, and what takes it up.
+        Where it is kept, and the chain that goes on from it.
     after_number, until_number : int
         It must be later than the first and not later than the second.
     before_us : int, optional

@@ -1,4 +1,4 @@
-"""State of the robust method as it is saved between two rows, and taken up again."""
+"""State of the robust method as it is saved between two rows and restored."""
 
 from typing import NamedTuple
 

@@ -179,10 +179,10 @@ def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, 
     station, begun = new_station(opened_archive), []
 
     def noted(*order):
-        begun.append(chain_restart.taken_up(*order))
+        begun.append(chain_restart.restored_checkpoint(*order))
         return begun[-1]
 
-    monkeypatch.setattr(replay_job, "taken_up", noted)
+    monkeypatch.setattr(replay_job, "restored_checkpoint", noted)
     with station.supervised() as settle:
         for _ in morning(station):
             settle()
