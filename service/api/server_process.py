@@ -6,6 +6,7 @@ uvicorn waits for answers in progress, and a stream is one that never ends by it
 import asyncio
 import gc
 import socket
+import ssl
 from functools import partial
 
 import uvicorn
@@ -84,6 +85,8 @@ class StreamingServer(uvicorn.Server):
         """Listen; a connection that does not finish its TLS handshake ends as soon as one without a head."""
         loop = asyncio.get_running_loop()
         if self.config.ssl is not None:
+            # some builds of Python leave it to the system's library
+            self.config.ssl.minimum_version = ssl.TLSVersion.TLSv1_2
             # uvicorn passes no such option on
             create = partial(loop.create_server, ssl_handshake_timeout=HEAD_TIMEOUT_S)
             loop.create_server = create  # type: ignore[method-assign]
