@@ -20,6 +20,7 @@ from typing import Any
 import chaos_clients as chaos
 import httpx
 import pytest
+from child_processes import children_of
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(900)]
 
@@ -81,9 +82,7 @@ class Memory(threading.Thread):
         while not self._over.wait(0.1):
             self.service_mb = max(self.service_mb, resident_mb(self._process_id))
             # a worker is the child of the thread that waits for it
-            tasks = Path(f"/proc/{self._process_id}/task").glob("*/children")
-            children = [child for task in tasks for child in task.read_text().split()]
-            self.workers_mb = max(self.workers_mb, sum(resident_mb(int(child)) for child in children))
+            self.workers_mb = max(self.workers_mb, sum(map(resident_mb, children_of(self._process_id))))
 
     def stop(self) -> None:
         """End looking."""

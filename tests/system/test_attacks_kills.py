@@ -10,6 +10,7 @@ from typing import Any
 import chaos_clients as chaos
 import httpx
 import pytest
+from child_processes import children_of
 
 from db.storage import SqlStorage
 from service.records.calibration import (
@@ -62,10 +63,9 @@ def align(database: Path) -> None:
 
 def worker_of(service_id: int) -> int:
     """Return the process that computes for a service."""
-    children = [
-        int(child) for task in Path(f"/proc/{service_id}/task").glob("*/children") for child in task.read_text().split()
-    ]
-    (worker,) = (child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes())
+    (worker,) = (
+        child for child in children_of(service_id) if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
+    )
     return worker
 
 

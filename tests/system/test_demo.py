@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from child_processes import children_of
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -152,9 +153,3 @@ def test_a_signal_ends_it_with_all_its_processes(number, compiled_environment, t
     assert not [child for child in children if Path(f"/proc/{child}").exists()]
     assert "stopped" in (tmp_path / "out").read_text()
     assert "Traceback" not in (tmp_path / "out").read_text()
-
-
-def children_of(pid: int) -> list[int]:
-    """Return the ids of the processes that a process has started."""
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for task in tasks for child in task.read_text().split()]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from child_processes import descendants_of
 
 from service.study.estimation.bounds import Mark
 from service.study.estimation.flight.catalogue_lines import read_carriers
@@ -91,17 +92,6 @@ def test_a_signal_ends_the_study_with_all_its_processes(number, compiled_environ
     assert [child for child in children if Path(f"/proc/{child}").exists()] == []
     assert "stopped" in log.read_text()
     assert "Traceback" not in log.read_text()
-
-
-def descendants_of(pid: int) -> list[int]:
-    """Return the ids of the processes that a process has started, and of theirs."""
-    try:
-        own = [
-            int(child) for task in Path(f"/proc/{pid}/task").glob("*/children") for child in task.read_text().split()
-        ]
-    except OSError:
-        return []
-    return own + [below for child in own for below in descendants_of(child)]
 
 
 def test_a_world_is_read_as_it_was_written(tmp_path):
