@@ -1,6 +1,7 @@
-"""Validity of what is newest: under the system clock an old row is no longer the present.
+"""Validity of what is newest: an old row, or one behind which others wait for a restarted chain, is not the present.
 
-History is not rewritten: only the newest answer says EXPIRED, from the limit on and until a newer row comes.
+History is not rewritten: only the newest answer says EXPIRED, under the system clock from the limit on and until a
+newer row comes, and catch_up while the chain is brought back.
 """
 
 from dataclasses import replace
@@ -15,12 +16,18 @@ from service.records.levels.command import TorqueCommand
 
 #: the reason of an answer that outlived its row
 EXPIRED = "expired"
+#: the reason of an answer while the chain is brought back after a restart
+CATCH_UP = "catch_up"
 
 
 def newest_attitude(context: ApiContext, spacecraft_id: str, method: Method) -> AttitudeRow | None:
     """Return the newest live row of a method as it holds now; None before the first."""
     row = context.storage.results.newest_attitude(spacecraft_id, LIVE, method)
-    return row if row is None or not _is_expired(context, spacecraft_id, row) else _expired(row)
+    if row is None:
+        return None
+    if context.supervisor.is_catching_up(spacecraft_id):
+        row = _not_present(row, row.status, CATCH_UP)
+    return _not_present(row, Status.EXPIRED, EXPIRED) if _is_expired(context, spacecraft_id, row) else row
 
 
 def newest_command(
@@ -36,7 +43,8 @@ def newest_command(
     if command is None or row is None:
         return command
     is_ended = command.attitude_epoch_us < row.epoch_us and bool(row.inhibitions)
-    if not is_ended and EXPIRED not in row.inhibitions and not (is_withheld and command.control_allowed):
+    is_present = {EXPIRED, CATCH_UP}.isdisjoint(row.inhibitions)
+    if is_present and not is_ended and not (is_withheld and command.control_allowed):
         return command
     return ended_command(row, spacecraft, command.command_period_s, is_withheld=is_withheld)
 
@@ -49,12 +57,12 @@ def _is_expired(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> bo
     return now_us is not None and now_us - row.epoch_us > context.limits.expired_after_s * US_PER_S
 
 
-def _expired(row: AttitudeRow) -> AttitudeRow:
-    """Return a row as it holds after its time."""
+def _not_present(row: AttitudeRow, status: Status, reason: str) -> AttitudeRow:
+    """Return a row as it holds when it is not the present."""
     return replace(
         row,
-        status=Status.EXPIRED,
+        status=status,
         control_allowed=False,
         control_allowed_axes=(False, False, False),
-        inhibitions=(*row.inhibitions, EXPIRED),
+        inhibitions=tuple(dict.fromkeys((*row.inhibitions, reason))),
     )

@@ -17,7 +17,7 @@ INHIBITIONS: dict[str, str] = {
     "no_calibration": "no calibration serves this method",
     "not_aligned": "no alignment was made with this calibration",
     "late": "the row came late or out of order; its fix stands alone",
-    "catch_up": "the row was stored before the alignment that gave it angles",
+    "catch_up": "rows stored before are worked off: after an alignment, or while a restarted chain is brought back",
     "settling": "fewer rows than the mean needs since the alignment or the last gap",
     "no_fix": "too few carriers present for an attitude",
     "redundancy": "too few carriers beyond the unknowns to detect a wrong one",

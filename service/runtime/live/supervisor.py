@@ -18,17 +18,18 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.release.events import StoredRow
 from service.ports import LIVE, Outcome, Storage
-from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation
+from service.records.inputs import AttitudeReference
 from service.records.journal import JournalEntry
-from service.records.levels.attitude import AttitudeRow, CarrierState
-from service.records.levels.command import AppliedCommand, TorqueCommand
+from service.records.levels.attitude import CarrierState
+from service.records.levels.command import AppliedCommand
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.storage.checkpoint import Checkpoint
 from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
 from service.runtime.live.follower_relay import Relay
 from service.runtime.live.journal_consumer import Trip, consume, trips_after, without_torque_after
 from service.runtime.live.leadership import Term, always
-from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
+from service.runtime.live.live_feed import FeedEvent, LiveFeed
+from service.runtime.live.result_events import result_events
 from service.runtime.live.row_cache import FreshRows
 from service.runtime.live.row_publisher import RowPublisher
 from service.runtime.live.row_watchers import ReleaseWatcher, Seen, Watcher
@@ -45,8 +46,6 @@ _POLL_S = 0.5
 _PAUSE_S = 0.005
 #: rows that stream in are consumed so long before what came of them is stored, in one go
 _STEP_S = 0.02
-#: what makes results of another kind than those before
-_RESTARTING = (AlignmentSet, CalibrationActivation)
 #: a journal may have grown by anything
 _UNKNOWN = math.inf
 
@@ -158,6 +157,13 @@ class Supervisor:
         with self._wake:
             self._due[spacecraft_id] = max(up_to, self._due.get(spacecraft_id, 0))
             self._wake.notify()
+
+    def is_catching_up(self, spacecraft_id: str) -> bool:
+        """Return whether this service leads and the chain is still brought back to where results were stored."""
+        turn, follower = self._turn(), self._followers.get(spacecraft_id)
+        if turn == 0 or not self.is_running or (follower is not None and follower.turn == turn):
+            return False
+        return self._storage.archive.head(spacecraft_id).consumed_number > 0
 
     def carrier_states(self, spacecraft_id: str) -> tuple[Measurement, tuple[CarrierState, ...]] | None:
         """Return the newest consumed row and the state of its carriers; None before the first."""
@@ -315,7 +321,7 @@ class Supervisor:
         follower.consumed_number = number
         if checkpoint is not None:
             follower.kept_us = epoch_us
-        self._publish(follower.spacecraft_id, _result_events(entries, outcomes, follower.sequence, sequence))
+        self._publish(follower.spacecraft_id, result_events(entries, outcomes, follower.sequence, sequence))
         follower.sequence = sequence
         if any(outcome.applied is not None for outcome in outcomes):
             self.notify(follower.spacecraft_id)
@@ -369,31 +375,3 @@ def _seen(chain: Chain, entry: JournalEntry, outcomes: Sequence[Outcome]) -> tup
     if not isinstance(content, Measurement) or content.is_late or not content.feeds_estimator:
         return ()
     return (chain.facts(content, outcomes[0] if outcomes else None),)
-
-
-def _result_events(
-    entries: list[JournalEntry], outcomes: list[Outcome], first: int, last: int
-) -> tuple[FeedEvent, ...]:
-    """Return the events of the results of a batch, stored under the sequences after ``first``.
-
-    Of rows that an alignment ran again some results may have been stored before. Which ones the archive knows alone, so
-    subscribers are told, by a status event without content, to read there; the same says that a new alignment or
-    calibration holds.
-    """
-    number = entries[-1].number
-    events: list[FeedEvent] = []
-    results = [result for outcome in outcomes for result in (*outcome.rows, outcome.command) if result is not None]
-    is_whole = len(results) == last - first
-    if is_whole:
-        events += [
-            FeedEvent(_kind(result), Cursor(number, sequence), result)
-            for sequence, result in enumerate(results, start=first + 1)
-        ]
-    if not is_whole or any(isinstance(entry.content, _RESTARTING) for entry in entries):
-        events.append(FeedEvent("status", Cursor(number, last), None))
-    return tuple(events)
-
-
-def _kind(result: AttitudeRow | TorqueCommand) -> str:
-    """Return the kind of event that tells a result."""
-    return "attitude" if isinstance(result, AttitudeRow) else "torque"

@@ -7,6 +7,7 @@ import pytest
 from service.ports import Outcome
 from service.records.catalogue import ControlMode, ControlSettings, Method, Release
 from service.records.epoch import format_epoch
+from service.runtime.live.supervisor import Supervisor
 
 pytestmark = pytest.mark.anyio
 
@@ -73,6 +74,20 @@ async def test_command_of_an_expired_row_is_zero(bench, make):
     assert (newest["control"]["allowed"], newest["control"]["state"]) == (False, "INHIBITED")
     assert {"code": "expired", "since": None}.items() <= newest["control"]["reasons"][-1].items()
     assert (await bench.get("/status"))["control"] == newest["control"]
+
+
+async def test_no_torque_goes_while_a_chain_is_brought_back(bench, make, monkeypatch):
+    (row,) = bench.append([make.now_us])
+    bench.consume([Outcome((make.row(row),), make.command(row))])
+    monkeypatch.setattr(Supervisor, "is_catching_up", lambda *_: True)
+    torque, attitude = await bench.get("/torques"), await bench.get("/attitude")
+    assert (torque["roll_n_m"], torque["control_allowed"], torque["inhibitions"]) == (0.0, False, ["catch_up"])
+    assert (attitude["epoch"], attitude["status"]) == (format_epoch(row.epoch_us), "ACQUIRED"), "the row is still told"
+    assert (attitude["control_allowed"], attitude["inhibitions"]) == (False, ["catch_up"])
+    for answer in (torque, attitude, await bench.get("/status"), await bench.get("/control")):
+        assert answer["control"]["allowed"] is False
+        assert answer["control"]["reasons"][-1]["code"] == "catch_up"
+    assert (await bench.get("/torques/history"))["rows"][0]["control_allowed"], "what is stored stays"
 
 
 async def test_history_pages(bench, make):

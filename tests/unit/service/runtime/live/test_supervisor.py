@@ -1,6 +1,7 @@
 """The supervisor over a real archive: whatever happens on the way, the rows are those of an undisturbed run."""
 
 import asyncio
+import threading
 from dataclasses import replace
 from unittest.mock import patch
 
@@ -14,6 +15,7 @@ from service.records.catalogue import Release
 from service.records.inputs import Operation
 from service.records.levels.attitude import Status
 from service.records.levels.command import AppliedCommand
+from service.runtime.live.chain_restart import ChainRestarts
 from service.runtime.live.live_feed import LiveFeed
 
 
@@ -343,3 +345,26 @@ def test_a_spacecraft_that_is_deleted_is_followed_no_more(new_ground, wait, capl
         wait(lambda: "empty" not in supervisor._followers)
         ground.settle(supervisor)
     assert "its state is rebuilt" not in caplog.text
+
+
+def test_a_chain_that_is_brought_back_is_catching_up_until_it_stands(ground):
+    gate = threading.Event()
+
+    def slow(restarts, spacecraft_id, consumed_number):
+        assert gate.wait(60)
+        return chain(restarts, spacecraft_id, consumed_number)
+
+    with ground.supervised() as supervisor:
+        # nothing is stored yet: there is nothing to be behind of
+        assert not supervisor.is_catching_up(ground.id)
+        ground.append(range(1, 20))
+        ground.settle(supervisor)
+        assert not supervisor.is_catching_up(ground.id)
+    chain = ChainRestarts.chain
+    with patch.object(ChainRestarts, "chain", slow), ground.supervised() as supervisor:
+        assert supervisor.is_catching_up(ground.id)
+        ground.append(range(20, 30))
+        gate.set()
+        ground.settle(supervisor)
+        assert not supervisor.is_catching_up(ground.id)
+    assert not supervisor.is_catching_up(ground.id), "a service that has stopped brings nothing back"

@@ -1,4 +1,4 @@
-"""What the supervisor publishes of a batch: sequences that are those of the archive, or a word to read there."""
+"""What subscribers get of a batch: sequences that are those of the archive, or a word to read there."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from service.records.journal import JournalEntry
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
 from service.records.levels.measurement import Measurement
 from service.runtime.live.live_feed import Cursor
-from service.runtime.live.supervisor import _result_events
+from service.runtime.live.result_events import result_events
 
 
 def entry(number: int) -> JournalEntry:
@@ -24,7 +24,7 @@ def row(number: int) -> AttitudeRow:
 
 def reported(*batch: object) -> list[tuple[str, Cursor]]:
     """Return kind and cursor of each event of a batch."""
-    return [(event.kind, event.cursor) for event in _result_events(*batch)]  # type: ignore[arg-type]
+    return [(event.kind, event.cursor) for event in result_events(*batch)]  # type: ignore[arg-type]
 
 
 def test_results_stand_under_their_sequences_and_the_newest_row():
