@@ -24,11 +24,12 @@ sys.dont_write_bytecode = False
 FAST_EXAMPLES = 25
 
 if importlib.util.find_spec("hypothesis") is not None:  # the environment of tests/clients does without
-    from hypothesis import settings
+    from hypothesis import HealthCheck, settings
 
-    # a time limit of an example judges the machine; the one of pytest bounds hangs
-    settings.register_profile("fast", deadline=None, max_examples=FAST_EXAMPLES)
-    settings.register_profile("ci", deadline=None)
+    # the time that an example, or the drawing of one, takes judges the machine; the limit of pytest bounds hangs
+    untimed = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+    settings.register_profile("fast", **untimed, max_examples=FAST_EXAMPLES)
+    settings.register_profile("ci", **untimed)
     settings.load_profile(os.environ.get("SOO_TEST_PROFILE", "fast"))
 
 

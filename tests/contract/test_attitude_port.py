@@ -35,7 +35,7 @@ SINGLES = ("downlink_fade_db", "common_db", "residual_rms_db")
 @settings(
     derandomize=True,
     deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
     max_examples=examples(40),
 )
 @given(

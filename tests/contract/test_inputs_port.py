@@ -54,7 +54,7 @@ def test_slow_inputs_come_back_equal_in_the_order_of_the_journal(setting):
 @settings(
     derandomize=True,
     deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
     max_examples=examples(40),
 )
 @given(figures=st.lists(st.floats(), min_size=6, max_size=6), epoch_us=st.integers(0, 1 << 53))

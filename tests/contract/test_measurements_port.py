@@ -18,7 +18,7 @@ EXAMPLES = settings(
     derandomize=True,
     deadline=None,
     max_examples=examples(25),
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 

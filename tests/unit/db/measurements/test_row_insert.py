@@ -71,7 +71,9 @@ def rows_of(run):
     ]
 
 
-@settings(derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 @given(run=runs())
 def test_a_run_is_stored_as_its_rows(engine, run):
     stored = []
@@ -84,7 +86,9 @@ def test_a_run_is_stored_as_its_rows(engine, run):
     assert len(stored[0]) == len(run.epochs_us)
 
 
-@settings(derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 @given(
     epochs_us=st.lists(st.integers(-(1 << 63), (1 << 63) - 1), min_size=1, max_size=6, unique=True),
     width=st.integers(1, 9),

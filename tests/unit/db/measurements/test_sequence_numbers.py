@@ -33,7 +33,9 @@ def intervals(connection, tail: Tail) -> dict[int, list[tuple[int, int]]]:
     return {run: sorted(parts) for run, parts in found.items()}
 
 
-@settings(derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
 @given(drawn=BLOCKS)
 def test_the_count_is_what_the_intervals_leave_out(engine, drawn):
     with engine.begin() as connection:
