@@ -95,7 +95,7 @@ def test_a_full_disk_is_a_storage_error_and_keeps_what_was_acknowledged(setting)
     fault = None
     while fault is None:
         batch = setting.batch(range(stored, stored + 100))
-        fault = setting.storage.archive.append_measurements(batch).exception(10)
+        fault = setting.storage.archive.append_measurements(batch).exception(120)
         stored += 0 if fault else 100
     with pytest.raises(StorageError) as caught:
         raise fault

@@ -1,11 +1,7 @@
 """No wait has no end: a server that stopped, a lock that is held, a transaction that was ended for another one."""
 
-import os
-import signal
 import time
 from concurrent.futures import wait
-from contextlib import suppress
-from pathlib import Path
 
 import pytest
 from psycopg import Connection
@@ -80,35 +76,15 @@ def test_readers_do_not_wait_for_a_lock(impatient, url):
     held.engine.dispose()
 
 
-def processes(cluster):
-    """Return the process of a server and its children."""
-    postmaster = int((cluster.data / "postmaster.pid").read_text().split()[0])
-    children = Path(f"/proc/{postmaster}/task/{postmaster}/children").read_text().split()
-    return [postmaster, *map(int, children)]
-
-
-@pytest.fixture
-def stopped(server, postgresql_cluster):
-    """Stop all processes of the server; they go on at the end."""
+def test_a_server_that_stopped_is_not_waited_for_without_end(server, postgresql_cluster):
     if postgresql_cluster.folder is None:
         pytest.skip("only a server of our own can be stopped")
     server.append([1000])
-    pids = processes(postgresql_cluster)
-    for pid in pids:
-        os.kill(pid, signal.SIGSTOP)
-    yield pids
-    for pid in pids:
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGCONT)
-
-
-def test_a_server_that_stopped_is_not_waited_for_without_end(server, stopped):
-    began = time.monotonic()
-    futures = [server.storage.archive.append_measurements(server.batch([epoch])) for epoch in range(100)]
-    assert {failed(future) for future in futures} == {"storage.unavailable"}
-    assert time.monotonic() - began < BOUND_S
-    for pid in stopped:
-        os.kill(pid, signal.SIGCONT)
+    with postgresql_cluster.stopped():
+        began = time.monotonic()
+        futures = [server.storage.archive.append_measurements(server.batch([epoch])) for epoch in range(100)]
+        assert {failed(future) for future in futures} == {"storage.unavailable"}
+        assert time.monotonic() - began < BOUND_S
     # what was given up may have been carried out, a part of it, after all
     receipts = [server.append([epoch]) for epoch in range(100)]
     assert [receipt.accepted + receipt.duplicates for receipt in receipts] == [1] * 100

@@ -8,11 +8,15 @@ folder, without a port. A server named by TEST_DATABASE_URL is used instead wher
 import importlib.util
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
+from child_processes import children_of
 from sqlalchemy import create_engine, delete
 from sqlalchemy.engine import URL, make_url
 
@@ -117,6 +121,19 @@ class PostgresqlCluster:
         options = f"-k {self.folder} -c listen_addresses='' -c fsync={'on' if fsync else 'off'} -c max_connections=200"
         self.program("pg_ctl", "start", "-w", "-D", str(self.data), "-l", str(self.data / "log"), "-o", options)
 
+    @contextmanager
+    def stopped(self) -> Iterator[None]:
+        """Stop every process of the server as SIGSTOP does: it takes connections and answers nobody."""
+        postmaster = int((self.data / "postmaster.pid").read_text().split()[0])
+        os.kill(postmaster, signal.SIGSTOP)
+        # from here on no child is added; one may still end
+        every = [*children_of(postmaster), postmaster]
+        try:
+            _signal_all(every, signal.SIGSTOP)
+            yield
+        finally:
+            _signal_all(every, signal.SIGCONT)
+
     def program(self, name: str, *arguments: str) -> None:
         """Run one of the server's programs as a user who may."""
         command = [str(self._binaries / name), *arguments]
@@ -157,6 +174,13 @@ class PostgresqlCluster:
         with engine.connect() as connection:
             connection.exec_driver_sql(statement, values)
         engine.dispose()
+
+
+def _signal_all(process_ids: list[int], number: signal.Signals) -> None:
+    """Send a signal to those processes that have not ended."""
+    for process_id in process_ids:
+        with suppress(ProcessLookupError):
+            os.kill(process_id, number)
 
 
 def _installed() -> Path:

@@ -3,11 +3,7 @@
 The clients and the comparison are those of ``tests/system/storage/test_storage_faults.py``.
 """
 
-import os
-import signal
 import time
-from contextlib import contextmanager, suppress
-from pathlib import Path
 
 import pytest
 from sqlalchemy import create_engine
@@ -30,28 +26,13 @@ def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster):
     cluster.drop(url)
 
 
-@contextmanager
-def stopped_server(cluster):
-    """Stop every process of a server as SIGSTOP does: it takes connections and answers nobody."""
-    postmaster = int((cluster.data / "postmaster.pid").read_text().split()[0])
-    pids = [postmaster, *map(int, Path(f"/proc/{postmaster}/task/{postmaster}/children").read_text().split())]
-    for pid in pids:
-        os.kill(pid, signal.SIGSTOP)
-    try:
-        yield
-    finally:
-        for pid in pids:
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGCONT)
-
-
 def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_postgresql_cluster):
     cluster = durable_postgresql_cluster
     url = cluster.new_database()
     one = trial(options=("--database", url), settings=IMPATIENT)
     # an answer (0.7 s and 1 s of grace), a connection (at least 2 s), for keys and for the rows themselves, and load
     bound_s = 60.0
-    with stopped_server(cluster):
+    with cluster.stopped():
         one.await_code("storage.unavailable", more=1)
         began = time.monotonic()
         assert one.read() == (503, "storage.unavailable")
