@@ -59,7 +59,7 @@ class Truth:
     def exported(cls, path: Path) -> "Truth":
         """Ask the simulator for its world as arrays."""
         command = [PROGRAM, "export", *STORY, "--sweep-noise", "0", "--out", str(path)]
-        subprocess.run(command, check=True, capture_output=True, timeout=60)
+        subprocess.run(command, check=True, capture_output=True, timeout=120)
         arrays = np.load(path)
         lines = json.loads(str(arrays["catalogue_json"]))
         task = next(line["body"] for line in lines if line["kind"] == "task")
@@ -121,7 +121,7 @@ class Analyzer:
     def ask(self, question: str) -> str:
         """Ask on a line of the judge's own."""
         if not self._lines:
-            self._lines.append(socket.create_connection(("127.0.0.1", self.scpi_port), timeout=5.0))
+            self._lines.append(socket.create_connection(("127.0.0.1", self.scpi_port), timeout=120.0))
         self._lines[0].sendall(question.encode() + b"\n")
         answer = b""
         while not answer.endswith(b"\n"):
@@ -167,7 +167,7 @@ def running(dialect: str, truth: Truth, *options: str) -> Iterator[Analyzer]:
             simulator.close()
         finally:
             process.terminate()
-            complaints = process.communicate(timeout=10)[1]
+            complaints = process.communicate(timeout=120)[1]
     assert complaints == "", "the simulator complained"
     assert process.returncode == 0
 
@@ -208,7 +208,7 @@ def version_of(name: str) -> str:
     program = shutil.which("lxi")
     if program is None:
         return "not installed"
-    reported = subprocess.run([program, "--version"], capture_output=True, text=True, check=False, timeout=10)
+    reported = subprocess.run([program, "--version"], capture_output=True, text=True, check=False, timeout=120)
     found = re.search(r"\d[\w.]*", reported.stdout)
     return found.group() if found else "?"
 

@@ -18,7 +18,7 @@ def dialects(work):
 def test_easy_scpi(analyzer, transport):
     name = analyzer.resource_name(transport)
     client = easy_scpi.Instrument(
-        port=name, port_match=False, backend="@py", read_termination="\n", write_termination="\n", timeout=5000
+        port=name, port_match=False, backend="@py", read_termination="\n", write_termination="\n", timeout=120_000
     )
     client.rid = name
     client.connect()

@@ -14,7 +14,7 @@ FREQUENCY_HZ = np.linspace(954e6, 990e6, 2401)
     "socketscpi", transport="socket", dialect="keysight", work="sweep, REAL,32 swapped and normal, INT,32, errors"
 )
 def test_socketscpi(analyzer):
-    client = SocketInstrument("127.0.0.1", analyzer.scpi_port, timeout=5, globalErrCheck=True)
+    client = SocketInstrument("127.0.0.1", analyzer.scpi_port, timeout=120, globalErrCheck=True)
     assert client.instId.startswith("Keysight Technologies,N90")
     client.write(SETUP)
     assert client.query("INIT;*OPC?") == "1"

@@ -13,8 +13,8 @@ pytestmark = pytest.mark.skipif(
 
 def lxi(analyzer, message):
     """Run one message through the program; return its exit code and what it printed."""
-    command = ["lxi", "scpi", "-a", "127.0.0.1", "-p", str(analyzer.scpi_port), "-r", "-t", "3", message]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=15, check=False)
+    command = ["lxi", "scpi", "-a", "127.0.0.1", "-p", str(analyzer.scpi_port), "-r", "-t", "60", message]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     return done.returncode, done.stdout.strip()
 
 

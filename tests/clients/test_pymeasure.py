@@ -15,7 +15,7 @@ def adapter(analyzer, transport):
         visa_library="@py",
         read_termination="\n",
         write_termination="\n",
-        timeout=5000,
+        timeout=120_000,
     )
 
 

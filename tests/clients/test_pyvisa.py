@@ -87,7 +87,7 @@ def test_pyvisa_rs_hislip(analyzer):
 
 def opened(backend, name, **options):
     return pyvisa.ResourceManager(backend).open_resource(
-        name, read_termination="\n", write_termination="\n", timeout=5000, **options
+        name, read_termination="\n", write_termination="\n", timeout=120_000, **options
     )
 
 
@@ -97,7 +97,7 @@ def sweep_times_out(line):
     line.timeout = 300
     with pytest.raises(pyvisa.VisaIOError, match="VI_ERROR_TMO"):
         line.query("INIT;*OPC?")
-    line.timeout = 5000
+    line.timeout = 120_000
 
 
 @pytest.mark.client(
@@ -123,11 +123,12 @@ def test_pyvisa_py_clears_the_device_on_hislip(slow_analyzer):
     line.write("*OPC")
     began_s = time.monotonic()
     while not line.read_stb() & 32:
-        assert time.monotonic() - began_s < 3.0
+        assert time.monotonic() - began_s < 120.0
     assert line.query("*ESR?") == "1"
     line.write("*IDN?")
-    time.sleep(0.1)
-    assert line.read_stb() & 16
+    began_s = time.monotonic()
+    while not line.read_stb() & 16:
+        assert time.monotonic() - began_s < 120.0
     assert line.read().startswith("Rohde&Schwarz,")
     assert line.read_stb() & 16 == 0
     assert line.query("SYST:ERR?") == '0,"No error"'

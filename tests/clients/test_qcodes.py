@@ -55,7 +55,7 @@ def test_keysight_n9030b(analyzer, opened):
     work="FSV 3013: settings, trace, channel power; its FORM:TRAC is no header of R&S",
 )
 def test_rohde_schwarz_fsv_3013(analyzer, opened):
-    instrument = RFSpectrumAnalyzer("fsv", analyzer.socket_name, visalib="@py", terminator="\n", timeout=5)
+    instrument = RFSpectrumAnalyzer("fsv", analyzer.socket_name, visalib="@py", terminator="\n", timeout=120)
     opened(instrument)
     instrument.reset()
     instrument.frequency(972e6)
