@@ -110,7 +110,7 @@ async def test_a_short_sweep_does_not_wait_for_the_long_one_that_was_aborted() -
 
 async def test_the_first_of_endless_sweeps_wakes_who_waits_for_it() -> None:
     async with two_sessions(progress=SweepProgress(Pace.REAL)) as (party, first, second):
-        await party.ask(first, "INIT:CONT OFF;:SWE:POIN 201;TIME 0.05;:INIT:CONT ON")
+        await party.ask(first, "INIT:CONT OFF;:SWE:POIN 201;TIME 1;:INIT:CONT ON")
         traces = [party.asking(session, "TRAC? TRACE1") for session in (first, second)]
         assert not await settled(traces[0])
         assert {(await trace).count(",") for trace in traces} == {200}

@@ -68,8 +68,13 @@ async def served(*, rows: int = 1) -> AsyncIterator[tuple[int, FlownWorld]]:
     server = await UplinkPort(subject).serve("127.0.0.1", 0)
     async with server:
         yield server.sockets[0].getsockname()[1], subject
-        for _ in range(20):
-            await asyncio.sleep(0)  # lets the handlers notice that their clients left
+        await noticed()
+
+
+async def noticed(turns: int = 20) -> None:
+    """Let the handlers notice that their clients left: so many turns of the loop, however long they take."""
+    for _ in range(turns):
+        await asyncio.sleep(0.002)
 
 
 def schedule(subject: FlownWorld, counter: int) -> bytes:
@@ -156,7 +161,7 @@ async def test_what_was_told_while_nobody_was_there_is_told_to_the_next() -> Non
             await client.line()
             await client.ask(schedule(subject, 9))
             await client.send(b'{"schedule":')  # half a line, then gone
-        await asyncio.sleep(0.05)
+        await noticed()
         subject.advance()
         async with connected(port) as client:
             opening, report = await client.line(), await client.line()
@@ -173,7 +178,7 @@ async def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.Monkey
         # more than the buffers of both systems take
         lines: list[dict[str, Any]] = [{"filler": "x" * 1_000_000} for _ in range(20)]
         subject._report(lines)
-        await asyncio.sleep(0.05)
+        await noticed()
         async with connected(port) as client:
             assert (await client.line())["type"] == "start"
 
@@ -213,7 +218,7 @@ def test_a_ground_client_that_leaves_while_a_row_is_due_hears_its_truth_later() 
                     await client.send(PROCEED)
                 await client.send(PROCEED)
                 await gate.wait(STORY.operation_start_us)
-            await asyncio.sleep(0.5)  # the port is let go of
+            await noticed(turns=250)  # it looks after its client five times a second
             while subject.epoch_us is None:
                 subject.advance()
             async with connected(port) as client:

@@ -25,14 +25,14 @@ def _often():
 
 @contextmanager
 def service_on(ground, feed=None):
-    """Run what estimates in a service of its own on the archive of a ground."""
+    """Run what estimates in a service of its own on the archive of a ground; give its lead and its supervisor."""
     storage = SqlStorage(str(ground.storage._database.engines.write.url))
     leading = Leading(storage.lease)
     supervisor = Supervisor(storage, feed or LiveFeed(), ground.config, turn=leading.turn)
     leading.start()
     supervisor.start()
     try:
-        yield leading
+        yield leading, supervisor
     finally:
         supervisor.stop()
         leading.stop()
@@ -51,7 +51,7 @@ def test_rows_are_those_of_one_service_whichever_estimates(new_ground, wait):
     with alone.supervised() as supervisor:
         alone.append(range(1, 61))
         alone.settle(supervisor)
-    with service_on(shared) as second_to_last, service_on(shared) as standing_by:
+    with service_on(shared) as (second_to_last, _), service_on(shared) as (standing_by, _):
         assert (second_to_last.turn(), standing_by.turn()) == (1, 0)
         # nobody tells the one that leads of rows that came in elsewhere
         shared.append(range(1, 31))
@@ -96,19 +96,20 @@ def test_streams_of_a_service_that_stands_by_hear_what_the_other_stored(new_grou
     ground, feed = new_ground(), LiveFeed()
     ground.align()
 
-    async def heard():
+    async def heard(supervisor):
         subscription = feed.subscribe(ground.id)
-        await asyncio.sleep(0.1)
+        # from its first look on it tells what is stored; before, streams find it in the archive
+        await asyncio.to_thread(wait, lambda: ground.id in supervisor._relay._positions)
         await asyncio.to_thread(ground.append, range(1, 4))
         await asyncio.to_thread(wait, ground.is_settled)
         newest = ground.storage.archive.head(ground.id).result_sequence
         events = []
         while not any(event.kind == "status" and event.cursor.sequence == newest >= 6 for event in events):
-            events += (await subscription.next_events(5.0))[0]
+            events += (await subscription.next_events(120.0))[0]
         return events
 
-    with service_on(ground), service_on(ground, feed):
-        events = asyncio.run(heard())
+    with service_on(ground), service_on(ground, feed) as (_, standing_by):
+        events = asyncio.run(heard(standing_by))
     rows = [event.content.epoch_us for event in events if event.kind == "measurement"]
     assert rows == [ground.at(minute) for minute in range(1, 4)]
     assert {event.content for event in events if event.kind == "status"} == {None}

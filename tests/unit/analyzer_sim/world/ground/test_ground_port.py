@@ -68,8 +68,13 @@ async def served(*, await_ground: bool = True) -> AsyncIterator[tuple[int, Gate]
     server = await serve_ground(world(), gate, port=0, await_ground=await_ground)
     async with server:
         yield server.sockets[0].getsockname()[1], gate
-        for _ in range(20):
-            await asyncio.sleep(0)  # lets the handlers notice that their clients left
+        await noticed()
+
+
+async def noticed() -> None:
+    """Let the handlers notice that their clients left: so many turns of the loop, however long they take."""
+    for _ in range(20):
+        await asyncio.sleep(0.002)
 
 
 async def settled(condition: Callable[[], bool]) -> None:
@@ -138,7 +143,7 @@ async def test_a_client_that_returns_resumes_at_the_first_unconfirmed_chunk() ->
             await client.until("hold")
             await client.send()
             second = (await client.until("hold"))[-1]
-        await asyncio.sleep(0.05)  # the port notices that the client left
+        await noticed()
         async with connected(port) as client:
             lines = await client.until("hold")
             assert [line["kind"] for line in lines[:4]] == ["spacecraft", "carriers", "task", "ephemeris"]
@@ -189,7 +194,7 @@ async def test_with_await_ground_the_gate_stays_closed_when_the_client_leaves() 
     async with served() as (port, gate):
         async with connected(port) as client:
             await client.until("hold")
-        await asyncio.sleep(0.05)
+        await noticed()
         assert not gate.is_granted(int(world().rows.epochs_us[0]))
 
 

@@ -3,8 +3,8 @@
 import itertools
 import math
 import threading
-import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -129,16 +129,20 @@ def test_after_a_stop_the_rest_is_delivered_while_the_service_takes_it(rows: Spo
     assert made.counters.accepted == 7
 
 
-def test_the_time_to_deliver_after_a_stop_is_bounded(rows: Spool) -> None:
+def test_the_time_to_deliver_after_a_stop_is_bounded(rows: Spool, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = {"s": 0.0}
+    monkeypatch.setattr("service.frontend.upload.uploader.time", SimpleNamespace(monotonic=lambda: now["s"]))
+
     def slow(body: dict[str, Any]) -> httpx.Response:
-        time.sleep(0.02)
+        now["s"] += 3.0
         return accept(body)
 
     fill(rows, 50)
-    made = uploader(Service(*[slow] * 100), rows, batch_rows=1, drain_s=0.1)
+    made = uploader(Service(*[slow] * 100), rows, batch_rows=1, drain_s=10.0)
     made.finish()
     made.run()
-    assert 30 < made.waiting < 50
+    # sent after 0, 3, 6 and 9 s
+    assert made.waiting == 46
 
 
 def test_requests_that_follow_closely_wait_for_company(rows: Spool) -> None:

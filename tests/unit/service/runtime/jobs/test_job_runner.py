@@ -68,18 +68,17 @@ def test_jobs_run_one_after_another(ground):
 
 
 def test_a_stop_ends_the_running_job_at_its_next_report_and_drops_the_others(ground):
-    started, go_on = threading.Event(), threading.Event()
+    started = threading.Event()
 
     def work(report):
         started.set()
-        go_on.wait(120)
+        ground.jobs._is_stopping.wait(120)
         report(0.5)
 
     running, waiting = ground.jobs.add("test"), ground.jobs.add("test")
     ground.jobs.run(running, work)
     ground.jobs.run(waiting, work)
     started.wait(120)
-    threading.Timer(0.05, go_on.set).start()
     ground.jobs.stop()
     ended = ground.storage.results.job(running.id)
     assert (ended.state, ended.error) == (JobState.FAILED, "the service is stopping; start the job again")

@@ -42,7 +42,7 @@ async def test_a_waiting_subscriber_wakes_up_for_events_from_another_thread():
     feed = LiveFeed()
     subscription = feed.subscribe("a")
     threading.Timer(0.05, feed.publish, ("a", events(7))).start()
-    found, _ = await subscription.next_events(5.0)
+    found, _ = await subscription.next_events(120.0)
     assert numbers(found) == [7]
 
 

@@ -168,14 +168,17 @@ def test_a_row_is_told_before_anybody_follows_the_journal(ground, monkeypatch):
     monkeypatch.setattr("service.runtime.live.supervisor._POLL_S", 60.0)
 
     async def heard() -> list[int]:
-        feed = LiveFeed()
+        feed, events = LiveFeed(), ()
         with ground.supervised(feed=feed) as supervisor:
-            ground.append([1])
-            ground.settle(supervisor)
             subscription = feed.subscribe(ground.id)
+            ground.append([1])
+            await asyncio.to_thread(ground.settle, supervisor)
+            # what is stored is told a moment later
+            while not any(event.at_us == ground.at(1) for event in events if event.kind == "torque"):
+                events, _ = await subscription.next_events(120.0)
             # nobody says that the journal has grown
             receipt = await asyncio.to_thread(ground.append, [2])
-            events, _ = await subscription.next_events(5.0)
+            events, _ = await subscription.next_events(120.0)
             assert receipt.first_number is not None
             return [event.cursor.number - receipt.first_number for event in events if event.kind == "measurement"]
 
