@@ -10,7 +10,7 @@ from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.lines.line_faults import LineFaults
 from analyzer_sim.lines.server import SimulatedAnalyzer
 
-_THREAD_PATIENCE_S = 10.0
+_THREAD_PATIENCE_S = 120.0
 
 
 class AnalyzerThread:

@@ -6,6 +6,7 @@ The client shares no code with the simulator: what both got wrong alike would no
 import socket
 import struct
 import threading
+import time
 from typing import NamedTuple
 
 from standing_source import StandingSource
@@ -155,3 +156,10 @@ class Held:
         self.allowed.set()
         self.source = StandingSource.endless()
         self.instrument = Instrument(self.source, TracePainter(1), self.allowed.is_set)
+
+    def await_sweep(self) -> None:
+        """Return when a sweep waits."""
+        deadline_s = time.monotonic() + 120.0
+        while not self.instrument.is_pending:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.001)

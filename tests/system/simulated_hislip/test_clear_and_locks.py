@@ -30,6 +30,7 @@ def test_device_clear_in_mid_sweep(held: Held, client: Client) -> None:
     client.write(SETUP + b";:INIT")
     client.write(b"*OPC?")
     client.write(b"*IDN", DATA)
+    held.await_sweep()
     assert client.sync.hears_nothing()
     client.clear()
     assert client.ask(b"*ESE?;:STAT:OPER:COND?") == b"0;32", "the session is free, the sweep still waits"
@@ -92,7 +93,7 @@ def test_a_lock_is_waited_for_as_long_as_asked(analyzer: AnalyzerThread, client:
         began_s = time.monotonic()
         assert other.lock(timeout_ms=150) == 0
         assert time.monotonic() - began_s > 0.14
-        other.side.say(LOCK, 1, 5000)
+        other.side.say(LOCK, 1, 120_000)
         assert other.side.hears_nothing(0.05)
         assert client.unlock() == 1
         assert other.lock_answer() == 1

@@ -70,15 +70,16 @@ def test_pyvisa_times_out_polls_clears_and_goes_on(held: Held, analyzer: Analyze
         f"TCPIP::127.0.0.1::hislip0,{analyzer.hislip_port}::INSTR",
         read_termination="\n",
         write_termination="\n",
-        timeout=200,
+        timeout=120_000,
     )
     held.allowed.clear()
     i.write("*RST;*CLS;*ESE 1;:INIT:CONT OFF;:SWE:POIN 501;:INIT;*OPC")
     assert i.read_stb() & 32 == 0
+    i.timeout = 200
     with pytest.raises(pyvisa.VisaIOError):
         i.query("*OPC?")
-    i.clear()
     i.timeout = 120_000
+    i.clear()
     assert i.query("*IDN?") == RS.identity, "no stale answer after a clear"
     held.allowed.set()
     assert i.query("*OPC?") == "1"
@@ -104,8 +105,9 @@ def test_pyvisa_never_reads_a_stale_answer_over_hislip_and_does_over_the_socket(
         f"TCPIP::127.0.0.1::{analyzer.port}::SOCKET",
     ):
         held.allowed.clear()
-        i = manager.open_resource(resource, read_termination="\n", write_termination="\n", timeout=100)
+        i = manager.open_resource(resource, read_termination="\n", write_termination="\n", timeout=120_000)
         i.write("*RST;*CLS;:INIT:CONT OFF;:SWE:POIN 501;:INIT")
+        i.timeout = 100
         with pytest.raises(pyvisa.VisaIOError):
             i.query("*OPC?")
         held.allowed.set()

@@ -1,6 +1,7 @@
 """HiSLIP: what a client does wrong, and faults of the line."""
 
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -118,6 +119,7 @@ def test_a_client_that_leaves_in_mid_sweep_leaves_the_instrument_to_others(
     with Client(analyzer.hislip_port) as leaving:
         leaving.write(SETUP)
         leaving.write(b"INIT;*OPC?")
+        held.await_sweep()
         assert leaving.sync.hears_nothing(0.05)
     with Client(analyzer.hislip_port) as client:
         assert client.ask(b"STAT:OPER:COND?") == b"32"
@@ -145,6 +147,8 @@ def test_a_fault_that_ends_the_line_ends_both_channels(
 def test_a_stale_answer_has_the_old_identifier(analyzer: AnalyzerThread, client: Client) -> None:
     analyzer.faults.arm(LineFault.STALE)
     first_id = client.write(b"*ESE?")
+    while analyzer.faults.remaining:
+        time.sleep(0.001)
     assert client.sync.hears_nothing(0.05)
     second_id = client.write(b"*IDN?")
     heard = [client.sync.on_input() for _ in range(3)]
