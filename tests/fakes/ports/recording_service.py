@@ -28,6 +28,8 @@ class Recorder:
         self.conflicts = 0
         self.seqs: list[tuple[int, int]] = []
         self.faults: list[str] = []
+        #: of a slow answer; longer than the client waits
+        self.slow_s = 0.8
         self.lock = threading.Lock()
         self.port = 0
         self._server: ThreadingHTTPServer | None = None
@@ -86,7 +88,7 @@ class Recorder:
                 handler.close_connection = True
                 handler.connection.shutdown(socket.SHUT_RDWR)
             elif fault == "slow":
-                time.sleep(0.8)  # longer than the client waits
+                time.sleep(self.slow_s)
                 handler.close_connection = True
             else:
                 self.answer(handler, 200, reply)

@@ -30,9 +30,9 @@ from service.records.levels.quality_flag import QualityFlag, flag_names
 pytestmark = pytest.mark.system
 
 SEED = 11
-PERIOD_S = 0.4
+PERIOD_S = 0.8
 #: far above what a loaded machine needs for an answer, far below a period
-IO_TIMEOUT_S = 0.2
+IO_TIMEOUT_S = 0.4
 #: carriers that every good row has; the beacon is too weak for sweeps as short as these
 MODULATED = 4
 #: flags of a row in which nothing is wrong: two carriers are weak on purpose

@@ -63,8 +63,8 @@ def test_a_silent_peer_is_waited_for_as_long_as_allowed_without_work(
     analyzer.faults.is_silent_peer = True
     begun_s, busy_s = time.monotonic(), time.process_time()
     with pytest.raises(AnalyzerIOError, match="does not answer"):
-        session.query("*IDN?", 0.6)
+        session.query("*IDN?", 2.0)
     waited_s = time.monotonic() - begun_s
-    assert 0.55 < waited_s < 120.0
+    assert 1.9 < waited_s < 120.0
     # server and client share the process; circling would take all of the time
     assert time.process_time() - busy_s < 0.5 * waited_s
