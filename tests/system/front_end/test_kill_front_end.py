@@ -71,6 +71,8 @@ class Truth:
         self.sweeps: dict[str, dict[str, float | None]] = {}
         #: epochs of the traces that left whole, in order
         self.traces: list[str] = []
+        #: session -> epoch of its newest trace; sessions in order
+        self.newest: dict[str, str] = {}
 
     def grow(self) -> int:
         """Read what is new and return how many traces have left."""
@@ -89,6 +91,7 @@ class Truth:
             self.sweeps[line["epoch"]] = line["power_dbm"]
         elif line["kind"] == "trace":
             self.traces.append(line["epoch"])
+            self.newest[line["session"]] = line["epoch"]
 
 
 def await_that(is_so: Callable[[], bool], what: str) -> None:
@@ -235,14 +238,14 @@ def rig(tmp_path: Path, start_service: Any, compiled_environment: dict[str, str]
 def play(rig: Rig, kills: int) -> tuple[Counter[str], set[str], set[str]]:
     """Kill one or the other at random instants.
 
-    Returns how often each died, all that was ever on the disk, and the trace that left last before each kill of the
-    front end: what it had in hand.
+    Returns how often each died, all that was ever on the disk, and the sessions of the front ends that were killed:
+    the last trace of each is what it had in hand.
     """
     draw = random.Random(SEED)
     victims = ["front end", "service"] * (kills // 2)
     draw.shuffle(victims)
     promised: set[str] = set()
-    in_hand: set[str] = set()
+    cut_off: set[str] = set()
     last_seq = 0
     for victim in victims:
         rig.await_load()
@@ -255,15 +258,14 @@ def play(rig: Rig, kills: int) -> tuple[Counter[str], set[str], set[str]]:
             waiting, seq = spooled(rig.spool, rig.folder / "copy")
             assert seq >= last_seq, "numbers went back"
             promised, last_seq = promised | waiting, seq
-            time.sleep(0.1)  # the simulator notices the end of the session
             rig.truth.grow()
-            in_hand.add(micro(rig.truth.traces[-1]))
+            cut_off.add(next(reversed(rig.truth.newest)))
             rig.front_end = rig.start_front_end()
         else:
             rig.service.process.kill()
             rig.service.process.wait()
             rig.restart_service()
-    return Counter(victims), promised, in_hand
+    return Counter(victims), promised, cut_off
 
 
 def finish(rig: Rig) -> int:
@@ -304,8 +306,9 @@ def judge_levels(rows: list[dict[str, Any]], truth: Truth) -> None:
 def lose_and_double_nothing(rig: Rig, kills: int) -> None:
     """Kill, let the rest arrive, and compare the archive with the truth."""
     print(f"seed {SEED}, world {WORLD_SEED}")
-    died, promised, in_hand = play(rig, kills)
+    died, promised, cut_off = play(rig, kills)
     last_seq = finish(rig)
+    in_hand = {micro(rig.truth.newest[session]) for session in cut_off}
     with rig.service.client() as client:
         rows = list(history(client, "2100-01-01T00:00:00Z"))
         (source,) = client.get("/api/v1/spacecraft/sc/sources").raise_for_status().json()["rows"]
@@ -343,11 +346,11 @@ def test_fifty_kills_lose_and_double_nothing(rig: Rig) -> None:
 
 def test_the_log_of_truth_is_read_in_whole_lines(tmp_path: Path) -> None:
     path = tmp_path / "truth"
-    path.write_bytes(b'{"kind": "trace", "epoch": "2026-11-01T00:00:00Z"}\n{"kind": "tra')
+    path.write_bytes(b'{"kind": "trace", "session": "a", "epoch": "2026-11-01T00:00:00Z"}\n{"kind": "tra')
     truth = Truth(path)
     assert truth.grow() == 1
     with path.open("ab") as log:
-        log.write(b'ce", "epoch": "2026-11-01T00:01:00.5Z"}\n')
+        log.write(b'ce", "session": "a", "epoch": "2026-11-01T00:01:00.5Z"}\n')
     assert truth.grow() == 2
     assert [micro(each) for each in truth.traces] == ["2026-11-01T00:00:00.000000Z", "2026-11-01T00:01:00.500000Z"]
     assert path.stat().st_size == truth._read
