@@ -93,14 +93,14 @@ def ask(line: socket.socket, question: str) -> str:
     return receive_line(line)
 
 
-def visa(ports: dict[str, Any], timeout_ms: int = 10_000) -> Any:
+def visa(ports: dict[str, Any]) -> Any:
     import pyvisa
 
     return pyvisa.ResourceManager("@py").open_resource(
         f"TCPIP::127.0.0.1::hislip0,{ports['hislip_port']}::INSTR",
         read_termination="\n",
         write_termination="\n",
-        timeout=timeout_ms,
+        timeout=120_000,
     )
 
 
@@ -179,7 +179,7 @@ def test_a_silent_peer_accepts_and_never_answers(start: Start) -> None:
 def test_at_real_pace_a_sweep_lasts_its_time_and_others_are_served(start: Start) -> None:
     made = start("--pace", "real", "--hislip-port", "0")
     with made.connect() as line, made.connect() as other:
-        line.sendall(f"{SETUP} 2\n".encode())
+        line.sendall(f"{SETUP} 5\n".encode())
         assert ask(line, "*OPC?") == "1"
         began_s = time.monotonic()
         line.sendall(b"INIT;*OPC?\n")
@@ -189,19 +189,20 @@ def test_at_real_pace_a_sweep_lasts_its_time_and_others_are_served(start: Start)
         assert ask(other, "SYST:ERR?").startswith("-213")
         assert receive_line(line) == "1"
         # a sweep never ends early
-        assert 2.0 <= time.monotonic() - began_s < 120.0
+        assert 5.0 <= time.monotonic() - began_s < 120.0
         assert ask(other, "STAT:OPER:COND?;:SIM:EPOCH?").startswith("0;2026-11-01T00:00:00")
 
 
 def test_device_clear_and_abort_in_mid_sweep_at_real_pace(real_pace: Process) -> None:
     import pyvisa
 
-    session = visa(real_pace.ports, 200)
+    session = visa(real_pace.ports)
     session.write(f"{SETUP} 1000;:INIT")
+    session.timeout = 200
     with pytest.raises(pyvisa.VisaIOError):
         session.query("*OPC?")
-    session.clear()
     session.timeout = 120_000
+    session.clear()
     assert session.query("STAT:OPER:COND?") == "8", "a device clear leaves the sweep alone"
     session.write("ABOR")
     assert session.query("STAT:OPER:COND?;*OPC?") == "0;1"
@@ -215,11 +216,11 @@ def test_continuous_sweeping_at_real_pace_gives_fresh_traces(real_pace: Process)
         line.sendall(f"{SETUP} 0.2;:INIT:CONT ON\n".encode())
         traces = [ask(line, "TRAC? TRACE1")]
         began_s = time.monotonic()
-        while len(set(traces)) < 3:
+        # until the same sweep was read more than once, too
+        while len(set(traces)) < 3 or len(traces) == len(set(traces)):
             traces.append(ask(line, "TRAC? TRACE1"))
             assert time.monotonic() - began_s < 120.0
         assert time.monotonic() - began_s > 0.2, "more than two sweeps were needed"
-        assert len(traces) > 3, "the same sweep was read more than once"
 
 
 def test_a_dozen_sessions_of_both_kinds_at_once(every_port: Process) -> None:

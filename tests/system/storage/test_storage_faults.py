@@ -24,6 +24,9 @@ from service.runtime.clock import system_now_us
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
+#: end of the day of the clients' rows
+MIDNIGHT_US = chaos.START_US + 86_400_000_000
+
 
 def test_a_disk_that_takes_no_more_a_lock_and_a_file_that_is_moved(trial, tmp_path):
     one = trial(settings=IMPATIENT)
@@ -126,10 +129,10 @@ def test_a_damaged_day_is_refused_alone(trial):
     day = {"start": "2026-11-21T00:00:00Z", "stop": "2026-11-22T00:00:00Z"}
     other = sqlite3.connect(one.file, isolation_level=None, timeout=120)
     deadline = time.monotonic() + 120
-    while not other.execute("SELECT count(*) FROM measurement_segment").fetchone()[0]:
+    # all of the day: what is sealed later would be whole
+    while other.execute("SELECT count(*) FROM measurement WHERE epoch_us < ?", (MIDNIGHT_US,)).fetchone()[0]:
         assert time.monotonic() < deadline, "the day was not sealed"
         time.sleep(0.1)
-    time.sleep(0.5)
     other.execute("UPDATE measurement_segment SET crc32 = crc32 + 1")
     answer = one.client.get(f"{BASE}/measurements/history", params=day)
     assert (answer.status_code, answer.json()["code"]) == (503, "storage.corrupt")
