@@ -29,7 +29,7 @@ SC = "/api/v1/spacecraft/sim-1"
 FLOODS = Path(__file__).parents[1] / "fakes" / "drivers" / "floods.py"
 REQUESTS = 200
 #: longest flood; one ends as soon as the probe has what it needs
-FLOOD_S = 240
+FLOOD_S = 800
 MAX_GROWTH_MB = 200.0
 KINDS = ("healthz", "status", "ingest")
 START = datetime(2026, 11, 21, tzinfo=UTC)

@@ -52,7 +52,7 @@ class Sender(threading.Thread):
 def follow(url: str, events: list[StreamEvent], last: threading.Event, wanted: set[str]) -> None:
     """Follow with the synchronous client until every wanted row has come."""
     with ServiceClient(url, KEY) as client:
-        for event in client.stream(SC, patience_s=60):
+        for event in client.stream(SC, patience_s=120):
             events.append(event)
             if last.is_set() and wanted <= epochs(events):
                 return
@@ -61,7 +61,7 @@ def follow(url: str, events: list[StreamEvent], last: threading.Event, wanted: s
 async def follow_async(url: str, events: list[StreamEvent], last: threading.Event, wanted: set[str]) -> None:
     """Follow with the asynchronous client until every wanted row has come."""
     async with AsyncServiceClient(url, KEY) as client:
-        async for event in client.stream(SC, patience_s=60):
+        async for event in client.stream(SC, patience_s=120):
             events.append(event)
             if last.is_set() and wanted <= epochs(events):
                 return

@@ -19,7 +19,7 @@ import httpx
 
 ADDRESS = "127.0.0.2"
 #: requests of a flood at most
-MOST_REQUESTS = 20_000
+MOST_REQUESTS = 100_000
 
 
 class Flood:
@@ -121,7 +121,7 @@ class Flood:
         ).encode()
         held = []
         for _ in range(600):
-            one = socket.create_connection((target.hostname, target.port), 30, source_address=(ADDRESS, 0))
+            one = socket.create_connection((target.hostname, target.port), 300, source_address=(ADDRESS, 0))
             one.sendall(head)
             held.append(one)
         for one in held:
