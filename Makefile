@@ -89,8 +89,10 @@ bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 	$(BIN)/python -m bench
 	$(BIN)/python -m pytest -q -s -p no:randomly tests/speed
 
-nightly: $(DEV_STAMP) ## long tests
-	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m nightly
+nightly: export SOO_TEST_PROFILE := nightly
+nightly: $(DEV_STAMP) ## long tests, and new examples of every property
+	$(BIN)/python -m pytest -m nightly
+	$(BIN)/python -m pytest -m "not nightly" tests/property
 
 docs: $(DOCS_STAMP) ## build the documents as a searchable offline site, build/site/index.html; broken links fail
 	NO_MKDOCS_2_WARNING=1 $(DOCS_VENV)/bin/mkdocs build

@@ -20,7 +20,7 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".cache" / "numba"))
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-#: of a test that names no number of its own: with every push all hundred
+#: of a test that names no number of its own: with every push and every night all hundred
 FAST_EXAMPLES = 25
 
 if importlib.util.find_spec("hypothesis") is not None:  # the environment of tests/clients does without
@@ -29,7 +29,9 @@ if importlib.util.find_spec("hypothesis") is not None:  # the environment of tes
     # the time that an example, or the drawing of one, takes judges the machine; the limit of pytest bounds hangs
     untimed = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
     settings.register_profile("fast", **untimed, max_examples=FAST_EXAMPLES)
-    settings.register_profile("ci", **untimed)
+    # the same examples at every run: a change is not refused for a counterexample of another one, found by chance
+    settings.register_profile("ci", **untimed, derandomize=True)
+    settings.register_profile("nightly", **untimed)
     settings.load_profile(os.environ.get("SOO_TEST_PROFILE", "fast"))
 
 
