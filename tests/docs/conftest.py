@@ -58,7 +58,7 @@ def service(tmp_path: Path) -> Iterator[RunningService]:
         process = subprocess.Popen(
             [*command, "--database", database], stdout=subprocess.PIPE, stderr=log, env=environment, cwd=tmp_path
         )
-    watchdog = threading.Timer(240.0, process.kill)
+    watchdog = threading.Timer(580.0, process.kill)
     watchdog.start()
     try:
         assert process.stdout is not None

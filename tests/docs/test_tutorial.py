@@ -70,7 +70,7 @@ def test_tutorial_runs_and_answers_what_it_shows(service: Any, tmp_path: Path) -
     folder = tmp_path / "tutorial"
     folder.mkdir()
     result = subprocess.run(
-        ["bash", "-c", script], cwd=folder, env=service.environment, capture_output=True, text=True, timeout=220
+        ["bash", "-c", script], cwd=folder, env=service.environment, capture_output=True, text=True, timeout=540
     )
     assert result.returncode == 0, result.stdout + result.stderr
     outputs = re.split(rf"^{MARK} \d+\n", result.stdout, flags=re.MULTILINE)[1:]

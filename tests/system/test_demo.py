@@ -26,7 +26,7 @@ QUIET_DAYS = 0.5
 def soo(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run one command to its end."""
     command = [sys.executable, "-m", "service", *arguments]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240, check=False)
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=540, check=False)
 
 
 def statistics_of(environment: dict[str, str], *options: str) -> dict:

@@ -44,10 +44,17 @@ def folder_of_sources() -> Path:
     folder = FOLDER / sources_hash()
     folder.mkdir(parents=True, exist_ok=True)
     folder.touch()
-    for old in sorted(FOLDER.iterdir(), key=lambda one: one.stat().st_mtime, reverse=True)[KEPT_SETS:]:
-        # another process may remove it at the same time
+    for old in sorted(FOLDER.iterdir(), key=used_at, reverse=True)[KEPT_SETS:]:
         shutil.rmtree(old, ignore_errors=True)
     return folder
+
+
+def used_at(folder: Path) -> float:
+    """Return when a folder was used last; 0 where another process removes it at this moment."""
+    try:
+        return folder.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
 
 
 def kept(make: Callable[P, R], *arguments: P.args, **options: P.kwargs) -> R:

@@ -29,7 +29,7 @@ def test_a_short_study_prints_figures_bounds_and_marks(compiled_environment, tmp
         env=compiled_environment,
         capture_output=True,
         text=True,
-        timeout=110,
+        timeout=540,
         check=False,
     )
     # 1: an operation of five hours is too short for bounds that were set for two days
