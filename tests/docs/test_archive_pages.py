@@ -30,7 +30,7 @@ SENT = [
 @pytest.mark.slow
 @pytest.mark.system
 def test_exports(service: Any, tmp_path: Path) -> None:
-    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:
+    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6, timeout_s=120) as client:
         client.create_spacecraft(CRAFT)
         plan = client.put_carriers("yamal-202", CARRIERS)["plan_id"]
         rows = [{"epoch": f"2026-11-19T00:0{k}:00Z", "power_dbm": [-42.0 - k / 10, None]} for k in range(3)]
@@ -45,7 +45,7 @@ def test_exports(service: Any, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.system
 def test_sent_archives(service: Any, tmp_path: Path) -> None:
-    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:
+    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6, timeout_s=120) as client:
         client.create_spacecraft(CRAFT)
         assert client.put_carriers("yamal-202", CARRIERS)["plan_id"] == 1
     lines = [f"2026-11-20T00:0{k}:00Z,-42.{k},-71.5,x" for k in range(3)]

@@ -36,7 +36,7 @@ def blocks() -> list[str]:
 @pytest.mark.system
 @pytest.mark.slow
 def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
-    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:
+    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6, timeout_s=120) as client:
         client.create_spacecraft(CRAFT)
     assert len(blocks()) == len(WANTED)
     assert (tmp_path / "archive.db").is_file()

@@ -59,7 +59,7 @@ def test_the_page_names_every_state_and_no_other() -> None:
 @pytest.mark.slow
 def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
     blocks = re.findall(r"^```bash\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
-    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:
+    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6, timeout_s=120) as client:
         client.create_spacecraft(CRAFT)
         plan_id = client.put_carriers("yamal-202", [CARRIER])["plan_id"]
         row = {"epoch": EPOCH, "power_dbm": [-42.0], "flags": [16], "sigma_db": [0.05]}

@@ -65,20 +65,25 @@ def test_the_first_administrators_key_is_a_file_and_no_key_is_ever_told(start_se
     assert (refused.returncode, "403" in refused.stderr) == (1, True), refused.stderr
     wrong = key[:-1] + ("A" if key[-1] != "A" else "B")
     answers = [
-        httpx.get(url + BASE, headers={**bearer(wrong), "X-Forwarded-For": "192.0.2.77"}, trust_env=False),
+        httpx.get(url + BASE, headers={**bearer(wrong), "X-Forwarded-For": "192.0.2.77"}, trust_env=False, timeout=120),
         get(url + BASE, key, params={"key": key}),
         get(f"{url}/api/v1/keys/{key}", key),
         get(f"{url}/api/v1/{key}", wrong),
         *(get(f"{url}/api/v1/spacecraft/{key}{path}", admin) for path in ("", "/status", "/calibrations/1")),
-        httpx.put(f"{url}/api/v1/spacecraft/{key}/ephemeris", headers=bearer(admin), json={}, trust_env=False),
+        httpx.put(
+            f"{url}/api/v1/spacecraft/{key}/ephemeris", headers=bearer(admin), json={}, trust_env=False, timeout=120
+        ),
         get(f"{url}/api/v1/jobs/{key}", admin),
         get(f"{url}/api/v1/links/{key}", admin),
-        httpx.delete(f"{url}/api/v1/keys/{key}", headers=bearer(admin), trust_env=False),
-        httpx.post(url + BASE, headers=bearer(key), json={"id": key}, trust_env=False),
+        httpx.delete(f"{url}/api/v1/keys/{key}", headers=bearer(admin), trust_env=False, timeout=120),
+        httpx.post(url + BASE, headers=bearer(key), json={"id": key}, trust_env=False, timeout=120),
         get(f"{url}/api/v1/keys", admin),
     ]
     processes = subprocess.run(["ps", "axww", "-o", "args"], capture_output=True, text=True, check=True).stdout
-    assert httpx.delete(f"{url}/api/v1/keys/{key_id}", headers=bearer(admin), trust_env=False).status_code == 204
+    assert (
+        httpx.delete(f"{url}/api/v1/keys/{key_id}", headers=bearer(admin), trust_env=False, timeout=120).status_code
+        == 204
+    )
     assert get(url + BASE, key).status_code == 401
     audit = get(f"{url}/api/v1/audit", admin).json()
     service.end()
@@ -98,7 +103,7 @@ def test_the_first_administrators_key_is_a_file_and_no_key_is_ever_told(start_se
     # the second start knows the administrator, and this time believes the proxy
     again = start_service("--port", "0", environment={**settings, "SOO_TRUSTED_PROXIES": "127.0.0.0/8"})
     forwarded = {**bearer("wrong"), "X-Forwarded-For": "192.0.2.77"}
-    assert httpx.get(again.url + BASE, headers=forwarded, trust_env=False).status_code == 401
+    assert httpx.get(again.url + BASE, headers=forwarded, trust_env=False, timeout=120).status_code == 401
     newest = get(f"{again.url}/api/v1/audit", admin, params={"outcome": "401"}).json()["rows"][-1]
     assert newest["address"] == "192.0.2.77"
     assert "administrator's key" not in again.written()
@@ -121,7 +126,7 @@ def test_secrets_come_from_files_and_a_bootstrap_key_in_a_path_is_told_to_nobody
         get(f"{service.url}{BASE}/{path}", key)
         for path in (quote(key, safe=""), f"{quote(key)}/status", f"x/calibrations/{quote(key, safe='')}")
     ]
-    answers.append(httpx.get(f"{service.url}{BASE}/{quote(key, safe='')}", trust_env=False))
+    answers.append(httpx.get(f"{service.url}{BASE}/{quote(key, safe='')}", trust_env=False, timeout=120))
     assert {answer.status_code for answer in answers} <= {401, 404, 422}
     audit = get(f"{service.url}/api/v1/audit", key).text
     service.end()

@@ -85,7 +85,7 @@ def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_ser
     instants = random.Random(SEED)
     service = start_service()
     url = service.url
-    with ServiceClient(url, KEY) as client:
+    with ServiceClient(url, KEY, timeout_s=120) as client:
         client.create_spacecraft(spacecraft)
         plan_id = client.put_carriers(SC, carriers)["plan_id"]
     reported: dict[str, list[StreamEvent]] = {"sync": [], "async": []}
@@ -110,7 +110,7 @@ def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_ser
     sender.finish()
     wanted.update(sender.acknowledged)
     last.set()
-    with ServiceClient(url, KEY) as client:
+    with ServiceClient(url, KEY, timeout_s=120) as client:
         # one more row wakes readers that have everything already
         row = {"epoch": epoch_of(100_000), "power_dbm": [-40.0] * 16}
         client.post_measurements(SC, plan_id, [row], source="sa-1")

@@ -202,7 +202,7 @@ def test_a_body_that_breaks_off_stores_nothing(target):
     for length in (1, 500):
         with closing(target.connect()) as connection:
             connection.sendall(head("POST", SC, "Content-Length: 1000") + b" " * length)
-    with httpx.Client(headers={"Authorization": f"Bearer {KEY}"}, trust_env=False) as client:
+    with httpx.Client(headers={"Authorization": f"Bearer {KEY}"}, trust_env=False, timeout=120) as client:
         assert client.get(target.url + SC).json()["rows"] == []
 
 

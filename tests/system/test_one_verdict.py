@@ -24,7 +24,7 @@ def verdict(ground: ReleaseGround) -> Any:
     answers |= {"/torques": ground.get("/torques")["control"], "hand-over": handover["status"]["control"]}
     answers["hand-over, control"] = {name: handover["control"][name] for name in reported}
     answers["stream"] = streamed_status(ground)["control"]
-    with ServiceClient(str(ground.client.base_url), KEY) as library:
+    with ServiceClient(str(ground.client.base_url), KEY, timeout_s=120) as library:
         answers["client"] = library.status(ground.spacecraft_id)["control"]
     assert answers == dict.fromkeys(answers, reported)
     interlock = ground.get("/status")["interlock"]
@@ -38,7 +38,7 @@ def verdict(ground: ReleaseGround) -> Any:
 
 def streamed_status(ground: ReleaseGround) -> Any:
     """Return the first event of a stream, which tells the status."""
-    with ground.client.stream("GET", f"{ground.base}/stream", timeout=60.0) as response:
+    with ground.client.stream("GET", f"{ground.base}/stream", timeout=120.0) as response:
         lines = response.iter_lines()
         assert next(line for line in lines if line.startswith("event:")) == "event: status"
         return json.loads(next(line for line in lines if line.startswith("data:"))[5:])

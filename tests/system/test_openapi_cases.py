@@ -107,7 +107,7 @@ def fill(client: httpx.Client, url: str, spacecraft: dict[str, Any], carriers: l
 
 def run(filled: Field, cases: int, seed: int) -> None:
     """Ask so many cases, spread evenly over operations and kinds of cases."""
-    operations = operations_of(httpx.get(f"{filled.url}/openapi.json", trust_env=False).json())
+    operations = operations_of(httpx.get(f"{filled.url}/openapi.json", trust_env=False, timeout=120).json())
     each = -(-cases // (len(operations) * len(MODES)))
     for number, operation in enumerate(operations):
         for mode in MODES:

@@ -80,7 +80,7 @@ async def test_rows_that_are_posted_come_once_and_in_order(served, bench, make):
     supervisor.start()
     path = f"{served.url}/api/v1/spacecraft/{make.sc}/measurements:batch"
     headers = {"Authorization": f"Bearer {served.key}"}
-    with served.open() as response, httpx.Client(headers=headers) as client:
+    with served.open() as response, httpx.Client(headers=headers, timeout=120) as client:
         reader = Reader(response)
         reader.consume(1, "status")
         seen: list[Event] = []
