@@ -27,7 +27,7 @@ from db.storage import SqlStorage
 from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
-from service.records.levels.attitude import AttitudeRow, Axes, Status
+from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Status
 from service.records.levels.command import Pulse, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 
@@ -39,6 +39,8 @@ DAY_ROWS = 8640
 GOAL_HOT, GOAL_HOT_SERVER, GOAL_SEALED = 1.35, 1.75, 0.35
 #: rows a second read from sealed days over those read as rows
 GOAL_READ = 2.5
+#: bytes of all sealed results of a measurement: attitude of two methods and a torque command
+GOAL_RESULTS = 290.0
 #: decimals of levels, None = as they come
 KINDS: dict[str, int | None] = {"0.01 dB": 2, "0.001 dB": 3, "front end": 5, "all bits": None}
 #: batches a thread keeps under way, as a server with several connections does
@@ -65,7 +67,7 @@ def main() -> bool:
         if options.url:
             urls = {kind: options.url.format(position) for position, kind in enumerate(KINDS)}
         is_met = [measure_reading(url, kind, options) for kind, url in urls.items()]
-        measure_results(f"sqlite:///{folder / 'results'}.db", options)
+        is_met.append(measure_results(f"sqlite:///{folder / 'results'}.db", options))
     return all(is_met)
 
 
@@ -177,8 +179,8 @@ def send_days(storage: SqlStorage, plan_id: int, kind: str, options: argparse.Na
     return rows
 
 
-def measure_results(url: str, options: argparse.Namespace) -> None:
-    """Print bytes a row of attitude, two methods a measurement, and of torques."""
+def measure_results(url: str, options: argparse.Namespace) -> bool:
+    """Print bytes a row of attitude, two methods a measurement, and of torques; return whether the goal is met."""
     storage = SqlStorage(url)
     storage.migrate()
     plan_id = prepare_catalogue(storage, options)
@@ -191,8 +193,16 @@ def measure_results(url: str, options: argparse.Namespace) -> None:
         storage.results.save_outcomes("bench", LIVE, outcomes, measured[start].number, measured[start].epoch_us)
     attitude = _size(storage, "attitude", "attitude_sequence") / (2 * len(measured))
     torque = _size(storage, "torque", "torque_sequence") / len(measured)
+    started = time.process_time()
+    sealed = sum(part.rows for part in storage.results.seal("bench", 1 << 60))
+    sealing_s = time.process_time() - started
+    assert sealed == 3 * len(measured), f"{sealed} results sealed of {3 * len(measured)}"
+    names = ("result_segment", "result_segment_sequence", "sqlite_autoindex_result_segment_1")
+    segments = _size(storage, *names) / len(measured)
     storage.close()
     print(f"results: {attitude:.0f} B a row of attitude (two a measurement), {torque:.0f} B a torque command")
+    print(f"  sealed at {sealed / sealing_s:.0f} rows a second of processor time")
+    return judge("sealed results of a measurement", segments, GOAL_RESULTS, "B")
 
 
 def outcome_of(row: Measurement, random: np.random.Generator) -> Outcome:
@@ -200,7 +210,7 @@ def outcome_of(row: Measurement, random: np.random.Generator) -> Outcome:
     rows = []
     for method in Method:
         angles, sigma, rates = (Axes(*random.normal(0.0, 0.05, 3).tolist()) for _ in range(3))
-        figures = random.normal(0.0, 0.1, 2).tolist()
+        figures, protection = random.normal(0.0, 0.1, 2).tolist(), Axes(*random.normal(0.0, 0.1, 3).tolist())
         rows.append(
             AttitudeRow(
                 epoch_us=row.epoch_us,
@@ -222,6 +232,7 @@ def outcome_of(row: Measurement, random: np.random.Generator) -> Outcome:
                 residual_rms_db=figures[1],
                 calibration_id=1,
                 alignment_id=1,
+                protection_deg=protection if method is Method.ROBUST else NO_ANGLES,
             )
         )
     return Outcome(tuple(rows), command_of(row, random))

@@ -19,7 +19,7 @@ from db.measurements.checksum_check import checked_tables
 from db.operations.audit import SqlAudit
 from db.schema.access_tables import access_key
 from db.schema.schema_version import known_versions, version_of
-from db.schema.tables import attitude, measurement, measurement_detail, source, spacecraft, torque
+from db.schema.tables import attitude, measurement, measurement_detail, result_segment, source, spacecraft, torque
 from service.errors import StorageError
 from service.ports import LIVE
 from service.records.operations.access_key import is_plain_name, name_key
@@ -227,8 +227,10 @@ def _results(connection: Connection, state: Row[Any], name: str, ledger: Ledger)
     """Every result has the row it was computed from, and a place in the order of results."""
     key = state.spacecraft_key
     wrong = []
+    lost = orphans(connection, key, ledger)
+    wrong += ledger.damaged_results
     if not ledger.damaged:
-        for series, numbers in orphans(connection, key, ledger).items():
+        for series, numbers in lost.items():
             wrong.append(f"{series} rows were computed from missing measurements: {named(numbers)}")
     sequences = 0
     newest = 0
@@ -236,6 +238,10 @@ def _results(connection: Connection, state: Row[Any], name: str, ledger: Ledger)
         query = select(func.count(table.c.sequence), func.max(table.c.sequence))
         count, last = connection.execute(query.where(table.c.spacecraft_key == key, table.c.version == LIVE)).one()
         sequences, newest = sequences + count, max(newest, last or 0)
+    sealed = select(func.coalesce(func.sum(result_segment.c.row_count), 0), func.max(result_segment.c.last_sequence))
+    is_live = (result_segment.c.spacecraft_key == key, result_segment.c.version == LIVE)
+    rows_sealed, last = connection.execute(sealed.where(*is_live)).one()
+    sequences, newest = sequences + int(rows_sealed), max(newest, last or 0)
     is_whole = newest == state.result_sequence and (sequences == newest or ledger.rows_dropped)
     if not is_whole:
         wrong.append(f"{sequences} results up to {newest}, where the head counts {state.result_sequence}")
@@ -243,7 +249,9 @@ def _results(connection: Connection, state: Row[Any], name: str, ledger: Ledger)
         advice = "`soo replay` computes results again from the rows; a backup has the live ones."
         yield Diagnosis("results", "fault", f"{name}: {'; '.join(wrong)}", advice)
         return
-    yield Diagnosis("results", "ok", f"{name}: {sequences} live results, each with its row")
+    yield Diagnosis(
+        "results", "ok", f"{name}: {sequences} live results, {rows_sealed} of them sealed, each with its row"
+    )
 
 
 class _OneConnection(Database):

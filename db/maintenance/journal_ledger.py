@@ -6,6 +6,7 @@ slow input. Memory: one byte a number.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Row, Table, func, select
 
 from db.encoding.segments import SegmentHead, heads, read_chunk
-from db.schema.tables import attitude, head, journal, measurement, retention_mark, torque
+from db.results.result_segments import opened, paged
+from db.schema.tables import attitude, head, journal, measurement, result_segment, retention_mark, torque
 from service.errors import StorageError
 from service.records.levels.attitude import IntArray
 
@@ -41,6 +43,8 @@ class Ledger:
         Epoch from which on measurements are kept.
     damaged : list of str
         What is wrong with sealed days that cannot be read.
+    damaged_results : list of str
+        The same of results, where these have been read.
     """
 
     times_held: NDArray[np.uint8]
@@ -51,6 +55,7 @@ class Ledger:
     rows_sealed: int = 0
     segments: int = 0
     damaged: list[str] = field(default_factory=list)
+    damaged_results: list[str] = field(default_factory=list)
 
     def count(self, numbers: IntArray) -> None:
         """Count numbers in."""
@@ -95,7 +100,8 @@ def orphans(connection: Connection, key: int, ledger: Ledger) -> dict[str, list[
     for table in (attitude, torque):
         lacking: list[int] = []
         is_kept = (table.c.spacecraft_key == key) & (table.c.epoch_us >= ledger.kept_from_us)
-        for numbers in _numbers(connection, table, is_kept):
+        sealed = _sealed_numbers(connection, key, table, ledger)
+        for numbers in chain(_numbers(connection, table, is_kept), sealed):
             inside = (numbers >= 1) & (numbers < len(ledger.times_held))
             is_held = np.zeros(len(numbers), dtype=np.bool_)
             is_held[inside] = ledger.times_held[numbers[inside]] > 0
@@ -143,6 +149,19 @@ def _numbers_of(connection: Connection, segment: SegmentHead, ledger: Ledger) ->
         ledger.damaged.append(error.detail)
         return None
     return chunk.numbers
+
+
+def _sealed_numbers(connection: Connection, key: int, table: Table, ledger: Ledger) -> Iterator[IntArray]:
+    """Yield the numbers of measurements that sealed results name, and note which segments are damaged."""
+    segment_id = result_segment.c.segment_id
+    is_its = (result_segment.c.spacecraft_key == key, result_segment.c.series == table.name)
+    for found in paged(connection, select(result_segment).where(*is_its).order_by(segment_id), segment_id):
+        try:
+            segment = opened(connection, found)
+        except StorageError as error:
+            ledger.damaged_results.append(error.detail)
+            continue
+        yield segment.numbers[segment.epochs_us >= ledger.kept_from_us]
 
 
 def _numbers(connection: Connection, table: Table, condition: ColumnElement[bool]) -> Iterator[IntArray]:

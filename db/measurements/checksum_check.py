@@ -10,10 +10,12 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from db.database import Database
 from db.schema.row_checksum import checksum_of, measurement_checksums
-from db.schema.tables import checksum_backlog, measurement, measurement_detail, metadata
+from db.schema.tables import checksum_backlog, measurement, measurement_detail, metadata, result_segment
 from service.records.epoch import format_epoch
 
 _FETCH = 10_000
+#: rows of the table with the largest blobs that are held at once
+_FETCH_SEGMENTS = 8
 #: rows that one transaction gives a checksum
 _AT_ONCE = 500
 #: rows that a report names at most
@@ -98,8 +100,9 @@ def _end_backlog(connection: Connection, name: str) -> None:
 def _checked(connection: Connection, table: Table, *, is_backlog: bool) -> CheckedTable:
     agreeing = lacking = differing = 0
     named = []
-    options = {"stream_results": True, "max_row_buffer": _FETCH}
-    for rows in connection.execute(_rows(table), execution_options=options).partitions(_FETCH):
+    at_once = _FETCH_SEGMENTS if table is result_segment else _FETCH
+    options = {"stream_results": True, "max_row_buffer": at_once}
+    for rows in connection.execute(_rows(table), execution_options=options).partitions(at_once):
         for row in rows:
             if row.checksum is None:
                 lacking += 1

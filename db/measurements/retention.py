@@ -19,6 +19,7 @@ from sqlalchemy import (
     func,
     literal,
     select,
+    true,
     tuple_,
     update,
 )
@@ -31,6 +32,7 @@ from db.schema.tables import (
     measurement,
     measurement_detail,
     measurement_segment,
+    result_segment,
     retention_mark,
     torque,
     trace,
@@ -64,6 +66,8 @@ class _Part(NamedTuple):
     number: ColumnElement[int] | None = None
     #: columns by which the table is ordered before the epoch
     prefix: tuple[ColumnElement[str], ...] = ()
+    #: rows of the table that belong to the series
+    is_its: ColumnElement[bool] = true()
 
 
 def _length(column: ColumnElement[bytes]) -> ColumnElement[int]:
@@ -71,6 +75,7 @@ def _length(column: ColumnElement[bytes]) -> ColumnElement[int]:
 
 
 _SEGMENT = measurement_segment.c
+_RESULTS = result_segment.c
 _ONE = literal(1, Integer)
 _ROWS = _Part(
     measurement,
@@ -107,12 +112,29 @@ _TORQUE = _Part(
     number=torque.c.number,
     prefix=(torque.c.version,),
 )
+
+
+def _sealed_results(table: Table) -> _Part:
+    """Return the part of a series of results that is sealed."""
+    return _Part(
+        result_segment,
+        _RESULTS.last_epoch_us,
+        (_RESULTS.segment_id,),
+        _length(_RESULTS.content) + 128,
+        _RESULTS.row_count,
+        SEGMENTS_AT_ONCE,
+        number=_RESULTS.last_number,
+        prefix=(_RESULTS.version, _RESULTS.method),
+        is_its=_RESULTS.series == table.name,
+    )
+
+
 _TRACE = _Part(trace, trace.c.epoch_us, (trace.c.trace_id,), trace.c.size_bytes + 128, _ONE)
 #: which tables hold a series
 PARTS: dict[str, tuple[_Part, ...]] = {
     "measurements": (_ROWS, _SEGMENTS),
-    "attitude": (_ATTITUDE,),
-    "torques": (_TORQUE,),
+    "attitude": (_ATTITUDE, _sealed_results(attitude)),
+    "torques": (_TORQUE, _sealed_results(torque)),
     "traces": (_TRACE,),
 }
 
@@ -149,7 +171,9 @@ def fitting_us(database: Database, key: int, series: str, size_bytes: int) -> in
     with database.read() as connection:
         for part in PARTS[series]:
             day = part.epoch_us // DAY_US
-            query = select(day, func.sum(part.size)).where(part.table.c.spacecraft_key == key).group_by(day)
+            query = (
+                select(day, func.sum(part.size)).where(part.table.c.spacecraft_key == key, part.is_its).group_by(day)
+            )
             for found, size in connection.execute(query):
                 by_day[int(found)] = by_day.get(int(found), 0) + int(size)
     held = 0
@@ -163,7 +187,7 @@ def fitting_us(database: Database, key: int, series: str, size_bytes: int) -> in
 
 def _ranges(connection: Connection, key: int, part: _Part) -> Iterator[ColumnElement[bool]]:
     """Yield conditions for the ranges of a table within which it is ordered by epoch."""
-    is_its = part.table.c.spacecraft_key == key
+    is_its = and_(part.table.c.spacecraft_key == key, part.is_its)
     if not part.prefix:
         yield is_its
         return

@@ -14,6 +14,7 @@ from sqlalchemy import (
     bindparam,
     column,
     delete,
+    inspect,
     select,
     table,
     tuple_,
@@ -23,7 +24,9 @@ from sqlalchemy import (
 from db.encoding.measurement_details import insert_details, prepare_details
 from db.encoding.power_codec import unpack_flags, unpack_parts
 from db.encoding.segments import HEAD_COLUMNS, SegmentHead, read_chunk
-from db.schema.tables import measurement_segment
+from db.results.result_segments import opened
+from db.results.stored_rows import TABLES
+from db.schema.tables import measurement_segment, result_segment
 from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails
 
 _ROWS = 2000
@@ -70,6 +73,17 @@ def _as_plain(rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
             key = {f"of_{part.name}": value for part, value in zip(_KEY, row, strict=False)}
             changed.append({**key, "to_powers": powers.tobytes(), "to_flags": flags})
     return changed
+
+
+def unseal_results(connection: Connection) -> None:
+    """Move the rows of all segments of results back into their tables."""
+    for (segment_id,) in connection.execute(select(result_segment.c.segment_id)).all():
+        head = connection.execute(select(result_segment).where(result_segment.c.segment_id == segment_id)).one()
+        rows = opened(connection, head).rows(TABLES[head.series], slice(None))
+        # columns that a later version added are gone already; the insertion makes the checksum
+        present = {each["name"] for each in inspect(connection).get_columns(head.series)} - {"checksum"}
+        values = [{name: value for name, value in row._asdict().items() if name in present} for row in rows]
+        connection.execute(TABLES[head.series].insert(), values)
 
 
 def unseal_everything(connection: Connection) -> None:

@@ -1,4 +1,4 @@
 """Results (L2-L5): attitude, commands, calibrations, jobs.
 
-Public: results.
+Public: result_segments, results, stored_rows.
 """

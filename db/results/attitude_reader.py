@@ -7,17 +7,17 @@ activations stood before it.
 
 from collections.abc import Iterator, Sequence
 from itertools import starmap
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from sqlalchemy import Connection, Select, and_, func, select
+from sqlalchemy import Connection, and_, func, select
 
-from db.database import beyond, within
 from db.encoding.json_documents import decode
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
+from db.results.stored_rows import Series, newest_row, stored_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
 from service.ports import LIVE
 from service.records.calibration import CalibrationMethod, Window
@@ -37,20 +37,13 @@ def newest_computed(connection: Connection, key: int, method: Method) -> Attitud
     is_newest = attitude.c.epoch_us >= head.c.consumed_epoch_us
     is_kept = attitude.c.epoch_us >= func.coalesce(mark.scalar_subquery(), attitude.c.epoch_us)
     query = (
-        _stored(key, method)
-        .add_columns(and_(is_newest, is_kept).label("is_answer"))
+        select(attitude, and_(is_newest, is_kept).label("is_answer"))
+        .where(attitude.c.spacecraft_key == key, attitude.c.version == LIVE, attitude.c.method == method.value)
         .join(head, head.c.spacecraft_key == attitude.c.spacecraft_key)
         .order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
     )
     row = connection.execute(query.limit(1)).first()
     return attitude_of(row) if row is not None and row.is_answer else None
-
-
-def _stored(key: int, method: Method) -> Select[Any]:
-    """Return the query for the stored live rows of a method."""
-    return select(attitude).where(
-        attitude.c.spacecraft_key == key, attitude.c.version == LIVE, attitude.c.method == method.value
-    )
 
 
 class _Consumed(NamedTuple):
@@ -69,6 +62,7 @@ class AttitudeReader:
         self._pages = MeasurementPages(connection, cache, key)
         self._key = key
         self._method = method
+        self._stored = Series(key, attitude, LIVE, method.value)
         self._measured_from_us = kept_from_us(connection, key, "measurements")
 
     def rows(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
@@ -89,19 +83,13 @@ class AttitudeReader:
         newest = self._pages.newest(self._consumed(Window(begin_us, EVER.stop_us)))
         if newest is not None:
             return self._records([_Consumed(*newest)])[0]
-        query = _stored(self._key, self._method).where(attitude.c.epoch_us < self._measured_from_us)
-        row = self._connection.execute(
-            query.order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc()).limit(1)
-        ).first()
+        row = newest_row(self._connection, self._stored, self._measured_from_us)
         return None if row is None else attitude_of(row)
 
     def _left(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
         if window.start_us >= window.stop_us:
             return []
-        query = _stored(self._key, self._method).where(within(attitude.c.epoch_us, window))
-        query = query.where(beyond(attitude.c.epoch_us, attitude.c.number, after))
-        ordered = query.order_by(attitude.c.epoch_us, attitude.c.number).limit(limit)
-        return [attitude_of(row) for row in self._connection.execute(ordered)]
+        return [attitude_of(row) for row in stored_rows(self._connection, self._stored, window, limit, after)]
 
     def _consumed(self, window: Window) -> Chosen:
         """Return the selection of the measurements that the chain has consumed."""
@@ -112,8 +100,7 @@ class AttitudeReader:
         if not measurements:
             return []
         window = Window(measurements[0].epoch_us, measurements[-1].epoch_us + 1)
-        query = _stored(self._key, self._method).where(within(attitude.c.epoch_us, window))
-        stored = {(row.epoch_us, row.number): row for row in self._connection.execute(query)}
+        stored = {(row.epoch_us, row.number): row for row in stored_rows(self._connection, self._stored, window)}
         positions = [(measurement.epoch_us, measurement.number) for measurement in measurements]
         if all(position in stored for position in positions):
             return [attitude_of(stored[position]) for position in positions]

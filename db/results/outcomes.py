@@ -9,6 +9,7 @@ from db.database import insert_new, lock_head
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
 from db.results.checkpoints import store_checkpoint
+from db.results.stored_rows import Series, sealed_keys
 from db.schema.tables import attitude, head, torque
 from service.ports import LIVE, Outcome
 from service.records.levels.attitude import AttitudeRow
@@ -40,7 +41,8 @@ def store_outcomes(
     """Store outcomes and return the last result sequence; runs in the writer's transaction."""
     state = lock_head(connection, key)
     if version != LIVE:
-        _insert(connection, key, version, [(result, None) for result in _results(outcomes)])
+        fresh = _not_sealed(connection, key, version, list(_results(outcomes)))
+        _insert(connection, key, version, [(result, None) for result in fresh])
         return int(state.result_sequence)
     results = list(_results(outcomes))
     fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)
@@ -86,7 +88,25 @@ def _fresh(connection: Connection, key: int, version: str, results: list[Result]
         if name not in seen:
             seen.add(name)
             fresh.append(result)
-    return fresh
+    return _not_sealed(connection, key, version, fresh)
+
+
+def _not_sealed(connection: Connection, key: int, version: str, results: list[Result]) -> list[Result]:
+    """Return those results that no segment holds."""
+    wanted: dict[str | None, list[tuple[int, int]]] = {}
+    for result in results:
+        wanted.setdefault(_method_of(result), []).append((result.epoch_us, result.number))
+    sealed = {
+        method: sealed_keys(connection, Series(key, torque if method is None else attitude, version, method), keys)
+        for method, keys in wanted.items()
+    }
+    if not any(sealed.values()):
+        return results
+    return [result for result in results if (result.epoch_us, result.number) not in sealed[_method_of(result)]]
+
+
+def _method_of(result: Result) -> str | None:
+    return result.method.value if isinstance(result, AttitudeRow) else None
 
 
 def _stored(

@@ -10,10 +10,10 @@ import numpy as np
 from sqlalchemy import Connection, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
-from db.database import within
-from db.encoding.segments import SegmentCache, heads_of_numbers, read_chunk
+from db.encoding.segments import DAY_US, SegmentCache, heads_of_numbers, read_chunk
 from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import kept_from_us
+from db.results.stored_rows import Series, newest_sealed_us, stored_numbers
 from db.schema.tables import alignment, attitude, head, measurement
 from service.ports import LIVE
 from service.records.calibration import Window
@@ -45,7 +45,11 @@ class PendingCount:
         complete = self._complete.get(known, 0)
         # what retention has taken away is not awaited
         epoch_us = max(aligned.epoch_us, kept_from_us(connection, key, "attitude") - 1)
-        count, first = _lacking_rows(connection, key, epoch_us, complete, names)
+        sealed_us = newest_sealed_us(connection, key)
+        count, first = _lacking_rows(connection, key, max(epoch_us, sealed_us), complete, names)
+        for numbers in _lacking_unsealed(connection, key, Window(epoch_us + 1, sealed_us + 1), complete, names):
+            count += len(numbers)
+            first = min(first or int(numbers.min()), int(numbers.min()))
         for numbers in _lacking_sealed(connection, cache, key, epoch_us, complete, names):
             count += len(numbers)
             first = min(first or int(numbers.min()), int(numbers.min()))
@@ -68,6 +72,25 @@ def _lacking_rows(
     return int(count), first
 
 
+def _lacking_unsealed(
+    connection: Connection, key: int, window: Window, complete: int, names: Sequence[str]
+) -> Iterator[IntArray]:
+    """Yield the numbers of rows of the table of rows that lack a result, where results may be sealed."""
+    if window.start_us >= window.stop_us:
+        return
+    query = (
+        select(measurement.c.epoch_us, measurement.c.number)
+        .where(measurement.c.spacecraft_key == key, measurement.c.number > complete, measurement.c.feeds)
+        .where(measurement.c.epoch_us + 0 >= window.start_us, measurement.c.epoch_us + 0 < window.stop_us)
+    )
+    rows = np.array([tuple(row) for row in connection.execute(query)], dtype=np.int64).reshape(-1, 2)
+    for day in np.unique(rows[:, 0] // DAY_US).tolist():
+        numbers = rows[rows[:, 0] // DAY_US == day, 1]
+        lacking = _lacking(connection, key, Window(day * DAY_US, (day + 1) * DAY_US), numbers, names)
+        if len(lacking):
+            yield lacking
+
+
 def _lacking_sealed(
     connection: Connection, cache: SegmentCache, key: int, epoch_us: int, complete: int, names: Sequence[str]
 ) -> Iterator[IntArray]:
@@ -77,17 +100,19 @@ def _lacking_sealed(
             continue
         chunk = read_chunk(connection, cache, found)
         numbers = chunk.numbers[chunk.feeds & (chunk.epochs_us > epoch_us) & (chunk.numbers > complete)]
-        is_whole = np.ones(len(numbers), dtype=np.bool_)
-        for name in names:
-            query = select(attitude.c.number).where(
-                attitude.c.spacecraft_key == key,
-                attitude.c.version == LIVE,
-                attitude.c.method == name,
-                within(attitude.c.epoch_us, Window(found.first_epoch_us, found.last_epoch_us + 1)),
-            )
-            is_whole &= np.isin(numbers, np.array(connection.scalars(query).all(), dtype=np.int64))
-        if not is_whole.all():
-            yield numbers[~is_whole]
+        window = Window(found.first_epoch_us, found.last_epoch_us + 1)
+        lacking = _lacking(connection, key, window, numbers, names)
+        if len(lacking):
+            yield lacking
+
+
+def _lacking(connection: Connection, key: int, window: Window, numbers: IntArray, names: Sequence[str]) -> IntArray:
+    """Return those numbers of measurements of a window that lack a result."""
+    is_whole = np.ones(len(numbers), dtype=np.bool_)
+    for name in names:
+        held = stored_numbers(connection, Series(key, attitude, LIVE, name), window)
+        is_whole &= np.isin(numbers, held)
+    return numbers[~is_whole]
 
 
 def _has_result(method: str) -> ColumnElement[bool]:

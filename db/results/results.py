@@ -1,24 +1,36 @@
 """Results: everything the service computed; implements ``service.ports.Results``."""
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, not_, select
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, and_, func, select
 
-from db.database import Database, beyond, within
+from db.database import Database
 from db.encoding.row_mapping import attitude_of, torque_of
+from db.results import result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
 from db.results.calibrations import SqlCalibrations
 from db.results.checkpoints import checkpoints
 from db.results.jobs import SqlJobs
 from db.results.outcomes import Consumed, Result, store_outcomes
 from db.results.pending import PendingCount
+from db.results.stored_rows import (
+    Series,
+    newest_row,
+    next_sealed_sequence,
+    numbers_where,
+    sealed_of_sequences,
+    stored_rows,
+)
 from db.schema.tables import attitude, torque
 from service.ports import LIVE, Outcome
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
-from service.records.levels.attitude import AttitudeRow
+from service.records.levels.attitude import AttitudeRow, IntArray
 from service.records.levels.command import TorqueCommand
+from service.records.storage.archive_maintenance import SealedResults
 from service.records.storage.checkpoint import Checkpoint
 
 
@@ -68,41 +80,35 @@ class SqlResults(SqlCalibrations, SqlJobs):
         were not computed.
         """
         key = self._database.key(spacecraft_id)
-        if version == LIVE:
-            with self._database.read() as connection:
+        with self._database.read() as connection:
+            if version == LIVE:
                 return AttitudeReader(connection, self._database.segments, key, method).rows(window, limit, after)
-        query = _of_version(key, version, method).where(within(attitude.c.epoch_us, window))
-        query = query.where(beyond(attitude.c.epoch_us, attitude.c.number, after))
-        ordered = query.order_by(attitude.c.epoch_us, attitude.c.number).limit(limit)
-        return [attitude_of(row) for row in self._database.fetch(ordered)]
+            of = Series(key, attitude, version, method.value)
+            return [attitude_of(row) for row in stored_rows(connection, of, window, limit, after)]
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
         key = self._database.key(spacecraft_id)
-        if version == LIVE:
-            with self._database.read() as connection:
+        with self._database.read() as connection:
+            if version == LIVE:
                 computed = newest_computed(connection, key, method)
                 return computed or AttitudeReader(connection, self._database.segments, key, method).newest()
-        query = _of_version(key, version, method).order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
-        row = self._database.fetch_one(query.limit(1))
+            row = newest_row(connection, Series(key, attitude, version, method.value))
         return None if row is None else attitude_of(row)
 
     def commands(
         self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
     ) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
-        query = (
-            self._commands(spacecraft_id, version)
-            .where(within(torque.c.epoch_us, window), beyond(torque.c.epoch_us, torque.c.number, after))
-            .order_by(torque.c.epoch_us, torque.c.number)
-            .limit(limit)
-        )
-        return [torque_of(row) for row in self._database.fetch(query)]
+        of = Series(self._database.key(spacecraft_id), torque, version)
+        with self._database.read() as connection:
+            return [torque_of(row) for row in stored_rows(connection, of, window, limit, after)]
 
     def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
         """Return the newest computed command."""
-        query = self._commands(spacecraft_id, version).order_by(torque.c.epoch_us.desc(), torque.c.number.desc())
-        row = self._database.fetch_one(query.limit(1))
+        key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            row = newest_row(connection, Series(key, torque, version))
         return None if row is None else torque_of(row)
 
     def results_after(
@@ -128,31 +134,36 @@ class SqlResults(SqlCalibrations, SqlJobs):
         """Return how many of the earlier stored rows after its epoch an alignment computes, and how many stay."""
         key, number = self._database.key(spacecraft_id), self.alignment_number(spacecraft_id, alignment.id)
         methods = tuple(Method(name) for name in alignment.calibration_by_method)
-        live = (attitude.c.spacecraft_key == key, attitude.c.version == LIVE)
-        rows = select(attitude.c.epoch_us, attitude.c.number).where(*live, attitude.c.epoch_us > alignment.epoch_us)
-
-        def count(connection: Connection, *conditions: ColumnElement[bool]) -> int:
-            found = rows.where(*conditions).distinct().subquery()
-            return connection.scalar(select(func.count()).select_from(found)) or 0
-
-        is_own = attitude.c.alignment_id == alignment.id
         with self._database.read() as connection:
             waiting = self._pending.count(connection, self._database.segments, key, methods)
-            return waiting + count(connection, is_own, attitude.c.number < number), count(connection, not_(is_own))
+            numbers, alignments = _alignments_after(connection, key, alignment.epoch_us)
+        is_own = alignments == alignment.id
+        computed = np.unique(numbers[is_own & (numbers < number)])
+        return waiting + len(computed), len(np.unique(numbers[~is_own]))
 
-    def _commands(self, spacecraft_id: str, version: str) -> Select[Any]:
-        key = self._database.key(spacecraft_id)
-        return select(torque).where(torque.c.spacecraft_key == key, torque.c.version == version)
-
-
-def _of_version(key: int, version: str, method: Method) -> Select[Any]:
-    return select(attitude).where(
-        attitude.c.spacecraft_key == key, attitude.c.version == version, attitude.c.method == method.value
-    )
+    def seal(self, spacecraft_id: str, before_us: int) -> Iterator[SealedResults]:
+        """Seal the results of closed days, a transaction a step."""
+        return result_sealing.seal(self._database, self._database.key(spacecraft_id), before_us)
 
 
-def _numbered(row: Row[Any], result: Result) -> tuple[int, Result]:
-    return int(row.sequence), result
+def _alignments_after(connection: Connection, key: int, epoch_us: int) -> tuple[IntArray, IntArray]:
+    """Return the numbers of the live rows later than an epoch that an alignment computed, and which one it was."""
+    column = attitude.c
+    is_later = (column.spacecraft_key == key, column.version == LIVE, column.epoch_us > epoch_us)
+    rows = select(column.number, column.alignment_id).where(*is_later, column.alignment_id.is_not(None))
+    found = [tuple(row) for row in connection.execute(rows)]
+    for method in Method:
+        of = Series(key, attitude, LIVE, method.value)
+        for numbers, alignments in numbers_where(connection, of, "alignment_id", epoch_us):
+            stated = zip(numbers.tolist(), alignments, strict=True)
+            found += [(number, alignment) for number, alignment in stated if alignment is not None]
+    both = np.array(found, dtype=np.int64).reshape(-1, 2)
+    return both[:, 0], both[:, 1]
+
+
+def _numbered(row: Any) -> tuple[int, Result]:
+    # of the columns of both tables only attitude has a method
+    return int(row.sequence), attitude_of(row) if hasattr(row, "method") else torque_of(row)
 
 
 def _results(connection: Connection, key: int, sequence: int, limit: int) -> list[tuple[int, Result]]:
@@ -164,8 +175,8 @@ def _results(connection: Connection, key: int, sequence: int, limit: int) -> lis
 
     rows = select(attitude).where(attitude.c.spacecraft_key == key, is_next(attitude.c.sequence))
     commands = select(torque).where(torque.c.spacecraft_key == key, is_next(torque.c.sequence))
-    found = [_numbered(row, attitude_of(row)) for row in connection.execute(rows)]
-    return found + [_numbered(row, torque_of(row)) for row in connection.execute(commands)]
+    sealed = sealed_of_sequences(connection, key, sequence, sequence + limit)
+    return [_numbered(row) for row in chain(connection.execute(rows), connection.execute(commands), sealed)]
 
 
 def _next_sequence(connection: Connection, key: int, sequence: int) -> int | None:
@@ -176,4 +187,5 @@ def _next_sequence(connection: Connection, key: int, sequence: int) -> int | Non
         )
         for table in (attitude, torque)
     ]
+    found.append(next_sealed_sequence(connection, key, sequence))
     return min((number for number in found if number is not None), default=None)

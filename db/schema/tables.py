@@ -226,6 +226,24 @@ torque = Table(
     sqlite_with_rowid=False,
 )
 
+#: rows of results of closed days, see db.results.result_segments
+result_segment = Table(
+    "result_segment",
+    metadata,
+    Column("segment_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("spacecraft_key", Integer, ForeignKey("spacecraft.spacecraft_key"), nullable=False),
+    # name of the table of rows; method is empty where it has none
+    *needed(Text, "series", "version", "method"),
+    *needed(Integer, "row_count", "codec"),
+    # all rows of an epoch are in one segment
+    *needed(BigInteger, "first_epoch_us", "last_epoch_us", "last_number"),
+    *optional(BigInteger, "first_sequence", "last_sequence"),
+    Column("content", LargeBinary, nullable=False),
+    checksum_column(),
+    UniqueConstraint("spacecraft_key", "series", "version", "method", "first_epoch_us", name="result_segment_start"),
+    Index("result_segment_sequence", "spacecraft_key", "last_sequence", "first_sequence"),
+)
+
 #: tables with rows of versions before checksums, which get theirs in the background
 checksum_backlog = Table("checksum_backlog", metadata, Column("table_name", Text, primary_key=True))
 

@@ -18,6 +18,7 @@ from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.disturbance import Disturbance
 from service.records.operations.job import Job, JobState, Replay
+from service.records.storage.archive_maintenance import SealedResults
 from service.records.storage.checkpoint import Checkpoint
 
 #: version under which the live chain writes
@@ -142,6 +143,12 @@ class Results(Protocol):
         """Return of the rows later than an alignment and stored before it how many it computes, and how many stay.
 
         It computes the rows that had no angles of one of its methods; what an earlier alignment computed stays.
+        """
+
+    def seal(self, spacecraft_id: str, before_us: int) -> Iterator[SealedResults]:
+        """Pack the results of days that ended by an epoch into segments, a short transaction a step.
+
+        Every version is packed. Nothing that any method answers changes.
         """
 
     def add_job(self, job: Job) -> None:

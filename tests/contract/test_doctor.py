@@ -44,6 +44,7 @@ def filled(setting, make):
     setting.consume([Outcome(tuple(make.attitude_row(row) for row in rows), make.torque_command(rows[0]))])
     sealed: list[SealedPart] = list(setting.storage.archive.seal(setting.id, 2 * DAY_US, system_now_us()))
     assert sum(part.rows for part in sealed) == 40
+    assert sum(part.rows for part in setting.storage.results.seal(setting.id, DAY_US)) == 21
     audit_event = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
     for number in range(3):
         setting.storage.audit.append(AuditEvent(at_us=number, outcome="done", request_id="r", **audit_event))
@@ -129,7 +130,12 @@ SPOILT = [
     ("UPDATE head SET consumed_number = 999", {"counts"}, "stands at 999, beyond the journal's 64"),
     ("UPDATE head SET result_sequence = 70", {"results"}, "where the head counts 70"),
     ("UPDATE source SET row_count = 59", {"counts"}, "source sa-1 counts 59 rows and has 60"),
-    ("DELETE FROM torque", {"results"}, "60 results up to 60, where the head counts 61"),
+    (
+        "DELETE FROM result_segment WHERE series = 'torque'",
+        {"results"},
+        "60 results up to 60, where the head counts 61",
+    ),
+    ("UPDATE result_segment SET codec = 99 WHERE series = 'attitude'", {"checksums", "results"}, "1970-01-01"),
     ("UPDATE measurement_segment SET crc32 = crc32 + 1 WHERE day = 1", {"segments"}, "1970-01-02"),
     ("UPDATE measurement_segment SET codec = 99 WHERE day = 1", {"segments"}, "codec 99"),
     ("UPDATE measurement_segment SET row_count = 19 WHERE day = 1", {"segments", "counts"}, "1970-01-02"),

@@ -35,10 +35,15 @@ def maintenance(
         storage.close()
     dropped = {series: rows for series, rows in work.dropped_rows.items() if rows}
     if as_json:
-        reported = {"sealed_rows": work.sealed_rows, "dropped_rows": dropped, "failed_spacecraft": work.failed_polls}
+        reported = {
+            "sealed_rows": work.sealed_rows,
+            "sealed_results": work.sealed_results,
+            "dropped_rows": dropped,
+            "failed_spacecraft": work.failed_polls,
+        }
         typer.echo(json.dumps(reported))
     else:
-        typer.echo(f"sealed {work.sealed_rows} rows")
+        typer.echo(f"sealed {work.sealed_rows} rows, {work.sealed_results} results")
         for series, rows in dropped.items():
             typer.echo(f"dropped {rows} rows of {series}")
     if work.failed_polls:

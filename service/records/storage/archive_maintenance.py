@@ -21,6 +21,23 @@ class SealedPart:
 
 
 @dataclass(frozen=True, slots=True)
+class SealedResults:
+    """Results that one transaction moved into a segment."""
+
+    #: attitude or torque
+    series: str
+    version: str
+    #: None for torques
+    method: str | None
+    #: microseconds UTC
+    first_epoch_us: int
+    #: rows moved
+    rows: int
+    #: rows of the segments that were written, those that were sealed before included
+    rows_of_segments: int
+
+
+@dataclass(frozen=True, slots=True)
 class SegmentState:
     """One sealed segment and whether it can be read."""
 

@@ -19,6 +19,7 @@ from service.records.storage.archive_maintenance import (
     RetentionConfig,
     RetiredRows,
     SealedPart,
+    SealedResults,
     SealingConfig,
 )
 from service.runtime.live.leadership import Term, always
@@ -27,7 +28,7 @@ _LOG = logging.getLogger("soo.maintenance")
 _DAY_US = 86_400 * US_PER_S
 #: between two looks at the sizes of series, which read them through, s
 SIZING_S = 3600.0
-_Step = TypeVar("_Step", SealedPart, RetiredRows, int)
+_Step = TypeVar("_Step", SealedPart, SealedResults, RetiredRows, int)
 
 
 class ArchiveMaintenance:
@@ -62,8 +63,8 @@ class ArchiveMaintenance:
         self._retention = retention
         self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
-        #: rows sealed, and rows dropped of each series, since the start
-        self.sealed_rows = 0
+        #: measurements and results sealed, and rows dropped of each series, since the start
+        self.sealed_rows = self.sealed_results = 0
         self.dropped_rows = dict.fromkeys((*SERIES, *LOGS), 0)
         #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
         self._sized_at_s: dict[str, float] = {}
@@ -150,6 +151,16 @@ class ArchiveMaintenance:
         parts = self._storage.archive.seal(spacecraft_id, now_us - quiet_us, self._clock.system_us() - quiet_us)
         for part in self._paced(parts):
             self._count(spacecraft_id, part)
+        for sealed in self._paced(self._storage.results.seal(spacecraft_id, now_us - quiet_us)):
+            self.sealed_results += sealed.rows
+            _LOG.info(
+                "sealed %d %s rows of %s, version %s, from %s",
+                sealed.rows,
+                sealed.series,
+                spacecraft_id,
+                sealed.version,
+                format_epoch(sealed.first_epoch_us),
+            )
 
     def _paced(self, steps: Iterable[_Step]) -> Iterator[_Step]:
         """Yield steps with pauses until the thread is to stop."""

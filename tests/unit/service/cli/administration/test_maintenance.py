@@ -42,7 +42,7 @@ def reported(url, *options):
 
 
 def test_days_are_sealed_once(url):
-    expected = {"sealed_rows": 3, "dropped_rows": {}, "failed_spacecraft": 0}
+    expected = {"sealed_rows": 3, "sealed_results": 0, "dropped_rows": {}, "failed_spacecraft": 0}
     assert json.loads(reported(url, "--json")) == expected
     assert json.loads(reported(url, "--json")) == expected | {"sealed_rows": 0}
 
@@ -55,7 +55,7 @@ def test_its_former_name_works(url):
 
 def test_what_is_too_old_goes(url, monkeypatch):
     monkeypatch.setenv("SOO_RETENTION__MEASUREMENTS_DAYS", "1")
-    assert reported(url) == "sealed 0 rows\ndropped 3 rows of measurements\n"
+    assert reported(url) == "sealed 0 rows, 0 results\ndropped 3 rows of measurements\n"
 
 
 def test_without_an_archive_the_option_is_wrong(tmp_path):

@@ -6,7 +6,14 @@ from types import SimpleNamespace
 import pytest
 
 from service.errors import StorageError
-from service.records.storage.archive_maintenance import SERIES, RetentionConfig, RetiredRows, SealedPart, SealingConfig
+from service.records.storage.archive_maintenance import (
+    SERIES,
+    RetentionConfig,
+    RetiredRows,
+    SealedPart,
+    SealedResults,
+    SealingConfig,
+)
 from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
 
 DAY_US = 86_400_000_000
@@ -19,7 +26,7 @@ class Archive:
     """Records what it is asked; seals one part and drops two rows each time."""
 
     def __init__(self):
-        self.asked, self.faults, self.fitting = [], {}, None
+        self.asked, self.faults, self.fitting, self.results = [], {}, None, Results()
         self.sealed = threading.Event()
 
     def seal(self, name, before_us, received_before_us):
@@ -41,6 +48,17 @@ class Archive:
         return self.fitting
 
 
+class Results:
+    """Seals results of a replay each time; keeps until when."""
+
+    def __init__(self):
+        self.before_us = []
+
+    def seal(self, _name, before_us):
+        self.before_us.append(before_us)
+        yield SealedResults("attitude", "replay-1", "paper", NOW_US - DAY_US, 7, 9)
+
+
 class Clock:
     def __init__(self, now_us=NOW_US):
         self.now = now_us
@@ -59,7 +77,7 @@ def archive():
 
 def maintainer(archive, retention=None, clock=None, names=("a",)):
     catalogue = SimpleNamespace(all_spacecraft=lambda: [SimpleNamespace(id=name) for name in names])
-    storage = SimpleNamespace(catalogue=catalogue, archive=archive)
+    storage = SimpleNamespace(catalogue=catalogue, archive=archive, results=archive.results)
     return ArchiveMaintenance(storage, clock or Clock(), FAST, retention or RetentionConfig())
 
 
@@ -68,7 +86,8 @@ def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(
     made.poll_once()
     quiet_us = 900_000_000
     assert archive.asked == [("seal", "a", NOW_US - quiet_us, NOW_US + 5 - quiet_us)]
-    assert (made.sealed_rows, made.completed_rows) == (10, 5)
+    assert archive.results.before_us == [NOW_US - quiet_us]
+    assert (made.sealed_rows, made.sealed_results, made.completed_rows) == (10, 7, 5)
     assert set(made.dropped_rows.values()) == {0}
 
 

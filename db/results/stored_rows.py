@@ -1,0 +1,149 @@
+"""Rows of results wherever they lie: in their table, and in the segments of closed days.
+
+Rows are named tuples with the columns of their table, in its order, as `db.encoding.row_mapping` reads them.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from sqlalchemy import Connection, Table, and_, func, select
+
+from db.database import beyond, within
+from db.results.result_segments import is_of, is_row_of, opened, paged, segments
+from db.schema.tables import attitude, result_segment, torque
+from service.ports import LIVE
+from service.records.calibration import Window
+from service.records.catalogue import Method
+from service.records.levels.attitude import BoolArray, IntArray
+
+#: tables of results by the name under which their rows are sealed
+TABLES: dict[str, Table] = {table.name: table for table in (attitude, torque)}
+
+
+class Series(NamedTuple):
+    """Results of one kind and version of a spacecraft."""
+
+    key: int
+    table: Table
+    version: str
+    #: None for torques
+    method: str | None = None
+
+
+def stored_rows(
+    connection: Connection, of: Series, window: Window, limit: int | None = None, after: tuple[int, int] | None = None
+) -> list[Any]:
+    """Return the first rows of a window beyond a cursor, in order of (epoch, number)."""
+    table = of.table
+    query = (
+        select(table)
+        .where(*is_row_of(*of), within(table.c.epoch_us, window), beyond(table.c.epoch_us, table.c.number, after))
+        .order_by(table.c.epoch_us, table.c.number)
+        .limit(limit)
+    )
+    rows: list[Any] = list(connection.execute(query))
+    sealed: list[Any] = []
+    start_us = window.start_us if after is None else max(window.start_us, after[0])
+    for head in segments(connection, is_of(*of), start_us, window.stop_us):
+        segment = opened(connection, head)
+        is_inside = (segment.epochs_us >= window.start_us) & (segment.epochs_us < window.stop_us)
+        missing = None if limit is None else limit - len(sealed)
+        sealed += segment.rows(table, np.flatnonzero(is_inside & segment.after(after))[:missing])
+        if limit is not None and len(sealed) >= limit:
+            break
+    if not sealed:
+        return rows
+    return sorted(rows + sealed, key=_position)[:limit]
+
+
+def newest_row(connection: Connection, of: Series, before_us: int = 1 << 62) -> Any | None:
+    """Return the row with the greatest (epoch, number) before an epoch."""
+    table, first = of.table, result_segment.c.first_epoch_us
+    query = select(table).where(*is_row_of(*of), table.c.epoch_us < before_us)
+    row = connection.execute(query.order_by(table.c.epoch_us.desc(), table.c.number.desc()).limit(1)).first()
+    is_newer = () if row is None else (result_segment.c.last_epoch_us >= row.epoch_us,)
+    newest = select(result_segment).where(*is_of(*of), first < before_us, *is_newer)
+    head = connection.execute(newest.order_by(first.desc()).limit(1)).first()
+    if head is None:
+        return row
+    segment = opened(connection, head)
+    (sealed,) = segment.rows(table, np.flatnonzero(segment.epochs_us < before_us)[-1:])
+    return sealed if row is None else max(row, sealed, key=_position)
+
+
+def stored_numbers(connection: Connection, of: Series, window: Window) -> IntArray:
+    """Return the journal numbers of the rows of a window, in no order."""
+    table = of.table
+    query = select(table.c.number).where(*is_row_of(*of), within(table.c.epoch_us, window))
+    found = [np.array(connection.scalars(query).all(), dtype=np.int64)]
+    for head in segments(connection, is_of(*of), window.start_us, window.stop_us):
+        segment = opened(connection, head)
+        found.append(segment.numbers[(segment.epochs_us >= window.start_us) & (segment.epochs_us < window.stop_us)])
+    return np.concatenate(found)
+
+
+def newest_sealed_us(connection: Connection, key: int) -> int:
+    """Return the epoch up to which live attitude may be sealed; before every epoch while none is."""
+    newest = [
+        connection.scalar(
+            select(result_segment.c.last_epoch_us)
+            .where(*is_of(key, attitude, LIVE, method.value))
+            .order_by(result_segment.c.first_epoch_us.desc())
+            .limit(1)
+        )
+        for method in Method
+    ]
+    return max((epoch_us for epoch_us in newest if epoch_us is not None), default=-(1 << 62))
+
+
+def sealed_keys(connection: Connection, of: Series, wanted: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
+    """Return those of the wanted (epoch, number) that are sealed."""
+    positions = set(wanted)
+    if not positions:
+        return set()
+    epochs_us = [epoch_us for epoch_us, _ in positions]
+    found: set[tuple[int, int]] = set()
+    for head in segments(connection, is_of(*of), min(epochs_us), max(epochs_us) + 1):
+        segment = opened(connection, head)
+        held = zip(segment.epochs_us.tolist(), segment.numbers.tolist(), strict=True)
+        found.update(positions.intersection(held))
+    return found
+
+
+def sealed_of_sequences(connection: Connection, key: int, after: int, upto: int) -> Iterator[Any]:
+    """Yield the sealed live rows with a sequence in (after, upto]."""
+    column = result_segment.c
+    query = select(result_segment).where(
+        column.spacecraft_key == key, column.last_sequence > after, column.first_sequence <= upto
+    )
+    for head in paged(connection, query.order_by(column.segment_id), column.segment_id):
+        segment = opened(connection, head)
+        sequences = np.array(segment.values("sequence"), dtype=np.int64)
+        yield from segment.rows(TABLES[head.series], np.flatnonzero((sequences > after) & (sequences <= upto)))
+
+
+def next_sealed_sequence(connection: Connection, key: int, after: int) -> int | None:
+    """Return the smallest sequence above the given one that is sealed."""
+    column = result_segment.c
+    is_beyond = and_(column.spacecraft_key == key, column.last_sequence > after)
+    first = connection.scalar(select(func.min(column.first_sequence)).where(is_beyond, column.first_sequence > after))
+    found = [] if first is None else [int(first)]
+    reaching = select(result_segment).where(is_beyond, column.first_sequence <= after).order_by(column.segment_id)
+    for head in paged(connection, reaching, column.segment_id):
+        sequences = opened(connection, head).values("sequence")
+        found.append(min(sequence for sequence in sequences if sequence > after))
+    return min(found, default=None)
+
+
+def numbers_where(connection: Connection, of: Series, name: str, after_us: int) -> Iterator[tuple[IntArray, list[Any]]]:
+    """Yield numbers of sealed rows later than an epoch, and the column of that name beside them."""
+    for head in segments(connection, is_of(*of), after_us + 1, 1 << 62):
+        segment = opened(connection, head)
+        is_later: BoolArray = segment.epochs_us > after_us
+        values = segment.values(name)
+        yield segment.numbers[is_later], [values[position] for position in np.flatnonzero(is_later).tolist()]
+
+
+def _position(row: Any) -> tuple[int, int]:
+    return row.epoch_us, row.number
