@@ -32,6 +32,8 @@ from service.records.storage.archive_maintenance import RetiredRows, SealedPart,
 
 #: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
 BLOCK_PAGE_ROWS = 32_768
+#: rows of a page that is read as records, of which one takes half a kilobyte
+RECORD_PAGE_ROWS = 2048
 #: blocks of a longer span would drive out of memory what others read again and again
 _SCAN_US = 15 * DAY_US
 #: kinds of slow inputs that stand at one epoch
@@ -216,13 +218,23 @@ class SqlArchive:
         with self._database.read() as connection:
             return tuple(sorted(self._pages(connection, key).plan_ids(window)))
 
-    def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
-        """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
+    def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> Iterator[Measurement]:
+        """Yield rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
         key = self._database.key(spacecraft_id)
         chosen = Chosen(Window(epoch_us + 1, EVER.stop_us), feeds_only=True, before_number=before_number)
-        with self._database.read() as connection:
-            runs = self._pages(connection, key).read_all(chosen)
-            return [row for run in runs for row in run.records()]
+        return self._records(key, chosen)
+
+    def _records(self, key: int, chosen: Chosen) -> Iterator[Measurement]:
+        after: Cursor | None = None
+        cache = self._database.segments.for_scan()
+        while True:
+            with self._database.read() as connection:
+                runs = MeasurementPages(connection, cache, key).read(chosen, RECORD_PAGE_ROWS, after)
+            if not runs:
+                return
+            for run in runs:
+                yield from run.records()
+            after = runs[-1].end
 
     def last_number(self, spacecraft_id: str, window: Window) -> int:
         """Return a journal number behind which no row lies in a window; 0 where none does at all."""

@@ -31,8 +31,6 @@ from service.records.levels.measurement import Float32Array, Measurement
 from service.records.levels.measurement_block import MeasurementBlock
 
 Columns = tuple[ColumnElement[Any], ...]
-#: rows that a reader of everything holds at once
-PAGE_ROWS = 8192
 #: above every journal number
 MAX_NUMBER = 1 << 62
 EVER = Window(-(1 << 62), 1 << 62)
@@ -137,13 +135,6 @@ class MeasurementPages:
         )
         rows = self._connection.execute(query).all()
         return [*(ChunkRun(chunk, np.arange(len(chunk.epochs_us))) for chunk in self._chunks(rows)), *sealed]
-
-    def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[ChunkRun]:
-        """Yield all rows as runs."""
-        after: Cursor | None = None
-        while runs := self.read(chosen, PAGE_ROWS, after, columns=columns):
-            yield from runs
-            after = runs[-1].end
 
     def of_numbers(self, after: int, upto: int) -> list[Measurement]:
         """Return the rows with a journal number in (after, upto], in no order."""

@@ -90,8 +90,11 @@ class Archive(Protocol):
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
 
-    def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
-        """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
+    def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> Iterator[Measurement]:
+        """Yield rows that feed the estimator, later than an epoch, stored before a journal number, by epoch.
+
+        What is held at once does not grow with the number of rows.
+        """
 
     def last_number(self, spacecraft_id: str, window: Window) -> int:
         """Return a journal number behind which no row lies in a window; 0 where none does at all."""

@@ -81,7 +81,7 @@ def answers(setting, windows, methods=tuple(Method)) -> dict[str, str]:
         found[f"pages {window}"] = list(pages(archive, name, window, 5))
         found[f"all {window}"] = archive.measurements(name, window, 10_000, None)
         found[f"second {window}"] = list(pages(archive, name, window, 3, "sa-2"))
-        found[f"after {window}"] = archive.measurements_after(name, window.start_us, newest - 3)
+        found[f"after {window}"] = list(archive.measurements_after(name, window.start_us, newest - 3))
         found[f"series {window}"] = archive.measurement_series(name, window, ["c02", "none", "c00"])
         found[f"blocks {window}"] = blocks(archive, name, window)
         found[f"feeding {window}"] = blocks(archive, name, window, source="sa-1", feeds_estimator_only=True)

@@ -6,6 +6,7 @@ calibration or alignment, it gives what would have been, with late rows in their
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.chain import METHODS, Chain
@@ -83,8 +84,8 @@ class Replayer:
         What the live run made of them stands; only a replay that starts with the former alignment makes it again.
         """
         number = self._storage.results.alignment_number(spacecraft_id, alignment.id)
-        rows = self._storage.archive.measurements_after(spacecraft_id, wanted.start_us - 1, number)
-        return any(row.epoch_us < wanted.stop_us for row in rows)
+        first = next(self._storage.archive.measurements_after(spacecraft_id, wanted.start_us - 1, number), None)
+        return first is not None and first.epoch_us < wanted.stop_us
 
     def _calibration(self, spacecraft_id: str, calibration_id: int | None) -> Calibration | None:
         """Return the calibration that replaces the journal's, if one was asked for."""
@@ -158,11 +159,14 @@ class Replayer:
         archive = self._storage.archive
         update_before(chain, archive, plan.spacecraft_id, newest_number + 1, plan.alignment.epoch_us)
         chain.update(AlignmentSet(plan.alignment.id))
-        rows = archive.measurements_after(plan.spacecraft_id, plan.alignment.epoch_us, newest_number + 1)
-        rows = [row for row in rows if row.epoch_us < plan.replay.stop_us]
-        for k, measurement in enumerate(rows):
+        start_us, stop_us = plan.alignment.epoch_us, plan.replay.stop_us
+        newest_us = archive.head(plan.spacecraft_id).newest_epoch_us
+        span_us = max(1, min(stop_us, newest_us or stop_us) - start_us)
+        rows = archive.measurements_after(plan.spacecraft_id, start_us, newest_number + 1)
+        for measurement in takewhile(lambda row: row.epoch_us < stop_us, rows):
+            progress = min(1.0, (measurement.epoch_us - start_us) / span_us)
             entry = JournalEntry(measurement.number, replace(measurement, is_late=False))
-            yield from ((k / len(rows), o) for o in consume(chain, entry, archive, plan.spacecraft_id))
+            yield from ((progress, o) for o in consume(chain, entry, archive, plan.spacecraft_id))
 
 
 @dataclass(frozen=True)

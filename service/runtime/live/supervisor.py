@@ -9,16 +9,16 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from itertools import islice
 
 from service.errors import NotFoundError, StorageError
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.release.events import StoredRow
 from service.ports import LIVE, Outcome, Storage
-from service.records.inputs import AttitudeReference
+from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import CarrierState
 from service.records.levels.command import AppliedCommand
@@ -26,13 +26,13 @@ from service.records.levels.measurement import BatchReceipt, Measurement, Measur
 from service.records.storage.checkpoint import Checkpoint
 from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
 from service.runtime.live.follower_relay import Relay
-from service.runtime.live.journal_consumer import Trip, consume, trips_after, without_torque_after
+from service.runtime.live.journal_consumer import consume, trips_after
 from service.runtime.live.leadership import Term, always
 from service.runtime.live.live_feed import FeedEvent, LiveFeed
-from service.runtime.live.result_events import result_events
 from service.runtime.live.row_cache import FreshRows
 from service.runtime.live.row_publisher import RowPublisher
-from service.runtime.live.row_watchers import ReleaseWatcher, Seen, Watcher
+from service.runtime.live.row_watchers import ReleaseWatcher, Watcher
+from service.runtime.live.step_results import Step, result_events, seen_of
 
 _LOG = logging.getLogger("soo.supervisor")
 
@@ -65,25 +65,6 @@ class _Follower:
     #: newest epoch of the last checkpoint
     kept_us: int | None
     lock: threading.Lock = field(default_factory=threading.Lock)
-
-
-@dataclass(slots=True)
-class _Step:
-    """Results of some entries of the journal."""
-
-    outcomes: list[Outcome] = field(default_factory=list)
-    seen: list[Seen] = field(default_factory=list)
-    released: list[StoredRow] = field(default_factory=list)
-
-    @property
-    def has_applied(self) -> bool:
-        """Return whether the newest command counts as applied."""
-        return bool(self.outcomes) and self.outcomes[-1].applied is not None
-
-    def withhold(self, trips: Sequence[Trip]) -> None:
-        """Remove the torque from rows that are later than a trip."""
-        self.outcomes = [without_torque_after(trips, outcome) for outcome in self.outcomes]
-        self.released = [one._replace(outcome=without_torque_after(trips, one.outcome)) for one in self.released]
 
 
 class Supervisor:
@@ -262,14 +243,35 @@ class Supervisor:
     def _gathered(self, follower: _Follower, entries: list[JournalEntry]) -> None:
         """Consume a batch and what streams in meanwhile, store what came of it, hand it to those who look at it."""
         while entries and not self._is_stopping:
-            entries = self._process_part(follower, entries)
+            if isinstance(entries[0].content, AlignmentSet):
+                self._catch_up(follower, entries[0])
+                entries = entries[1:]
+            else:
+                entries = self._process_part(follower, entries)
+
+    def _catch_up(self, follower: _Follower, entry: JournalEntry) -> None:
+        """Run the rows after an alignment; they are stored in parts: of a year they would not fit into memory.
+
+        The head stays before the alignment until all are stored, so a restart runs them again and adds what lacks.
+        """
+        found = consume(follower.chain, entry, self._storage.archive, follower.spacecraft_id)
+        is_last = False
+        while not is_last:
+            with follower.lock:
+                step = Step(list(islice(found, _ENTRIES_AT_ONCE)))
+            is_last = len(step.outcomes) < _ENTRIES_AT_ONCE
+            if self._is_stopping and not is_last:
+                # its chain stands within an entry: it is no state to go on from
+                del self._followers[follower.spacecraft_id]
+                return
+            self._conclude(follower, [entry] if is_last else [], step)
 
     def _process_part(self, follower: _Follower, entries: list[JournalEntry]) -> list[JournalEntry]:
         """Take a batch as far as the first command that counts as applied; return what is left of it.
 
         Control must have seen such a command, and may have tripped by it, before the next row is computed.
         """
-        step, spacecraft_id, until_s = _Step(), follower.spacecraft_id, time.monotonic() + _STEP_S
+        step, spacecraft_id, until_s = Step(), follower.spacecraft_id, time.monotonic() + _STEP_S
         with follower.lock:
             left = self._consume(follower, entries, step)
             # waiting for a commit after every few rows would never catch up with fast front ends
@@ -280,7 +282,12 @@ class Supervisor:
                 self._publisher.followed(spacecraft_id, more)
                 left = self._consume(follower, more, step)
                 entries += more
-        entries = entries[: len(entries) - len(left)]
+        self._conclude(follower, entries[: len(entries) - len(left)], step)
+        return left
+
+    def _conclude(self, follower: _Follower, entries: list[JournalEntry], step: Step) -> None:
+        """Store what came of entries, and hand it to those who look at it; no entries: one is not at its end yet."""
+        spacecraft_id = follower.spacecraft_id
         others = [entry.content for entry in entries if not isinstance(entry.content, Measurement)]
         with nullcontext(enter_result=False) if self._release is None else self._release.steady(spacecraft_id) as held:
             if held:
@@ -291,16 +298,20 @@ class Supervisor:
                 self._release.on_rows(spacecraft_id, step.released, has_inputs=has_inputs)
         if self._watcher is not None and step.seen:
             self._watcher.on_rows(spacecraft_id, step.seen)
-        return left
 
-    def _consume(self, follower: _Follower, entries: list[JournalEntry], step: "_Step") -> list[JournalEntry]:
-        """Feed entries to the chain and note what came of them; return those behind the first applied command."""
+    def _consume(self, follower: _Follower, entries: list[JournalEntry], step: Step) -> list[JournalEntry]:
+        """Feed entries to the chain and note what came of them.
+
+        Return those behind the first applied command, or from an alignment on.
+        """
         chain, archive = follower.chain, self._storage.archive
         for index, entry in enumerate(entries, start=1):
+            if isinstance(entry.content, AlignmentSet):
+                return entries[index - 1 :]
             reported = tuple(consume(chain, entry, archive, follower.spacecraft_id))
             step.outcomes += reported
             if self._watcher is not None:
-                step.seen += _seen(chain, entry, reported)
+                step.seen += seen_of(chain, entry, reported)
             if reported and isinstance(entry.content, Measurement):
                 step.released += (StoredRow(outcome, chain.command_evidence()) for outcome in reported)
             if step.has_applied:
@@ -313,15 +324,16 @@ class Supervisor:
         epochs_us = [row.epoch_us for row in rows if row.feeds_estimator]
         if epochs_us:
             follower.consumed_epoch_us = max(follower.consumed_epoch_us or epochs_us[0], *epochs_us)
-        number, epoch_us = entries[-1].number, follower.consumed_epoch_us
-        checkpoint = self._checkpoint(follower, number, PERIOD_US)
+        number = entries[-1].number if entries else follower.consumed_number
+        epoch_us = follower.consumed_epoch_us
+        checkpoint = self._checkpoint(follower, number, PERIOD_US) if entries else None
         sequence = self._storage.results.save_outcomes(
             follower.spacecraft_id, LIVE, outcomes, number, epoch_us, checkpoint
         )
         follower.consumed_number = number
         if checkpoint is not None:
             follower.kept_us = epoch_us
-        self._publish(follower.spacecraft_id, result_events(entries, outcomes, follower.sequence, sequence))
+        self._publish(follower.spacecraft_id, result_events(number, entries, outcomes, follower.sequence, sequence))
         follower.sequence = sequence
         if any(outcome.applied is not None for outcome in outcomes):
             self.notify(follower.spacecraft_id)
@@ -365,13 +377,3 @@ class Supervisor:
                 )
             except Exception:  # noqa: BLE001 a stop goes on; the next start takes an older checkpoint
                 _LOG.warning("the state of %s was not stored at the stop", spacecraft_id, exc_info=True)
-
-
-def _seen(chain: Chain, entry: JournalEntry, outcomes: Sequence[Outcome]) -> tuple[Seen, ...]:
-    """Return the input of alarms in an entry; late rows, and rows that an alignment recomputed, are none."""
-    content = entry.content
-    if isinstance(content, AttitudeReference):
-        return (content,)
-    if not isinstance(content, Measurement) or content.is_late or not content.feeds_estimator:
-        return ()
-    return (chain.facts(content, outcomes[0] if outcomes else None),)

@@ -9,7 +9,7 @@ from service.records.journal import JournalEntry
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
 from service.records.levels.measurement import Measurement
 from service.runtime.live.live_feed import Cursor
-from service.runtime.live.result_events import result_events
+from service.runtime.live.step_results import result_events
 
 
 def entry(number: int) -> JournalEntry:
@@ -22,9 +22,10 @@ def row(number: int) -> AttitudeRow:
     return row_without_attitude(number, number, number, Method.PAPER, ("late",))
 
 
-def reported(*batch: object) -> list[tuple[str, Cursor]]:
+def reported(entries: list[JournalEntry], *rest: object) -> list[tuple[str, Cursor]]:
     """Return kind and cursor of each event of a batch."""
-    return [(event.kind, event.cursor) for event in result_events(*batch)]  # type: ignore[arg-type]
+    found = result_events(entries[-1].number, entries, *rest)  # type: ignore[arg-type]
+    return [(event.kind, event.cursor) for event in found]
 
 
 def test_results_stand_under_their_sequences_and_the_newest_row():
