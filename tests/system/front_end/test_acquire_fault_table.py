@@ -1,13 +1,15 @@
 """Every fault of line, trace and neighbours ends in correct levels or in a flagged gap, over socket and HiSLIP.
 
 One acquisition a transport runs through all faults of the table, so that none of them leaves anything behind. A row is
-correct when every level lies within six sigma of the truth, or is null with a flag.
+correct when every level lies within six sigma of the truth, or is null with a flag. What is late or lost is judged when
+the machine let the test run meanwhile: a fault during which it stood still is caused again.
 """
 
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -33,6 +35,9 @@ SEED = 11
 PERIOD_S = 0.8
 #: far above what a loaded machine needs for an answer, far below a period
 IO_TIMEOUT_S = 0.4
+#: longest time that the test may stand still during a fault that is judged, and how often a fault is caused at most
+STILL_S = 0.1
+ATTEMPTS = 8
 #: carriers that every good row has; the beacon is too weak for sweeps as short as these
 MODULATED = 4
 #: flags of a row in which nothing is wrong: two carriers are weak on purpose
@@ -66,6 +71,37 @@ FOREIGN = {
 }
 
 
+class Stillness(threading.Thread):
+    """The longest time for which no thread of this process ran, since it was asked the last time."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.over = threading.Event()
+        self._longest_s = 0.0
+
+    def run(self) -> None:
+        """Look every hundredth of a second."""
+        seen_s = time.monotonic()
+        while not self.over.wait(0.01):
+            seen_s, before_s = time.monotonic(), seen_s
+            self._longest_s = max(self._longest_s, seen_s - before_s)
+
+    def take_s(self) -> float:
+        """Return it and begin again."""
+        longest_s, self._longest_s = self._longest_s, 0.0
+        return longest_s
+
+
+class Trial(NamedTuple):
+    """What came of a fault."""
+
+    #: periods to the next good row
+    recovery: float
+    lost: int
+    is_reopened: bool
+    flags: set[str]
+
+
 class Bench:
     """An analyzer and an acquisition that goes on through all faults."""
 
@@ -80,6 +116,8 @@ class Bench:
         self.analyzer.faults.late_by_s = 2.0 * IO_TIMEOUT_S
         self.rows: list[tuple[float, MeasuredRow]] = []
         self.stop = threading.Event()
+        self.stillness = Stillness()
+        self.stillness.start()
         self.acquisition = Acquisition(
             steady_task(time_s=0.1),
             AcquisitionSettings(self.resource, PERIOD_S, use_analyzer_clock=True, io_timeout_s=IO_TIMEOUT_S),
@@ -118,6 +156,7 @@ class Bench:
         self.allowed.set()
         self.stop.set()
         self.thread.join(120.0)
+        self.stillness.over.set()
         self.analyzer.stop()
         assert not self.thread.is_alive()
 
@@ -206,6 +245,21 @@ def test_fault(benches: tuple[Bench, Bench], expected: FaultRow) -> None:
 
 def suffer(bench: Bench, expected: FaultRow) -> str:
     """Let a fault happen, check what comes of it, and return that as a row of a table."""
+    for _ in range(ATTEMPTS):
+        bench.stillness.take_s()
+        trial = caused(bench, expected)
+        if bench.stillness.take_s() < STILL_S:
+            break
+    assert trial.recovery < 2.0
+    assert trial.lost <= expected.lost
+    assert trial.is_reopened == expected.is_reopened
+    assert trial.flags == {"RECONNECTED" if expected.is_reopened else expected.flag}
+    name = "HiSLIP" if bench.is_hislip else "socket"
+    return f"| {expected.fault} | {name} | {', '.join(trial.flags)} | {trial.lost} | {trial.recovery:.1f} |"
+
+
+def caused(bench: Bench, expected: FaultRow) -> Trial:
+    """Let a fault happen once; no row is wrong whatever the machine does."""
     counters = bench.acquisition.counters
     before, sessions = len(bench.rows), counters.sessions
     cause(bench, expected.fault)
@@ -219,9 +273,4 @@ def suffer(bench: Bench, expected: FaultRow) -> str:
     flags = {name for _, row in after for mask in row.flags.tolist() for name in flag_names(mask)} - USUAL
     wrong = [row for _, row in after if not is_correct(row)]
     assert wrong == []
-    assert recovery < 2.0
-    assert lost <= expected.lost
-    assert (counters.sessions > sessions) == expected.is_reopened
-    assert flags == {"RECONNECTED" if expected.is_reopened else expected.flag}
-    name = "HiSLIP" if bench.is_hislip else "socket"
-    return f"| {expected.fault} | {name} | {', '.join(flags)} | {lost} | {recovery:.1f} |"
+    return Trial(recovery, lost, counters.sessions > sessions, flags)
