@@ -169,6 +169,9 @@ def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[Known
     half_h = 0.5 * (to_us - from_us) / _US_PER_H
     late = late + half_h * rate
     for motion in commanded.motions:
+        if motion.start_us >= to_us:
+            # most commands lie ahead
+            continue
         change_deg, rate_deg_h, lag_deg = _between(motion, max(from_us, commanded.since_us), to_us)
         correction = correction + change_deg + lag_deg - half_h * rate_deg_h
         rate = rate + rate_deg_h

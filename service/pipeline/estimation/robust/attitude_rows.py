@@ -6,7 +6,6 @@ import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import MIN_CARRIERS, FilterStep
 from service.core.estimation.filtering.causes.carrier_faults import QUIET_ROWS, QUIET_STD_DB
-from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_state import common_states
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
@@ -41,10 +40,8 @@ class Fixed(NamedTuple):
     declared: Declared | None
     #: whether the ephemeris does not reach the row
     is_without_ephemeris: bool
-
-    def residual_db(self, model: RobustModel) -> FloatArray:
-        """Return the residuals (N,) beside attitude and common level, dB."""
-        return np.asarray(self.deviation_db - site_db(model.filter, self.announced.state.gaussian.mean))
+    #: (N,) dB, beside attitude and common level
+    residual_db: FloatArray
 
 
 def filtered_row(
@@ -70,7 +67,7 @@ def filtered_row(
     # whatever the filter holds against control stands, in the usual order where it has one
     inhibitions = tuple(dict.fromkeys(one for one in (*INHIBITIONS, *announced.integrity.reasons) if one in standing))
     advice = {"realign": announced.integrity.is_realignment_advised, "state_torque": is_torque_to_be_stated}
-    residual_db = fixed.residual_db(model)[announced.used]
+    residual_db = fixed.residual_db[announced.used]
     is_raining = announced.state.rain.is_raining
     common = announced.state.gaussian.mean[common_states(model.filter)]
     return AttitudeRow(
@@ -149,15 +146,11 @@ def _exclusions(model: RobustModel, fixed: Fixed) -> tuple[Exclusion, ...]:
     is_out[fixed.announced.used] = False
     if not is_out.any():
         return ()
-    residual_db = fixed.residual_db(model)
     moved = _moved_groups(model, fixed)
-    return tuple(
-        Exclusion(model.carrier_ids[k], _reason(model, fixed, residual_db, moved, int(k)))
-        for k in np.flatnonzero(is_out)
-    )
+    return tuple(Exclusion(model.carrier_ids[k], _reason(model, fixed, moved, int(k))) for k in np.flatnonzero(is_out))
 
 
-def _reason(model: RobustModel, fixed: Fixed, residual_db: FloatArray, moved: set[int], k: int) -> str:
+def _reason(model: RobustModel, fixed: Fixed, moved: set[int], k: int) -> str:
     """Return why one carrier is out."""
     watch = fixed.announced.state.carriers
     if fixed.declared is not None and fixed.declared.is_masked[k]:
@@ -174,7 +167,7 @@ def _reason(model: RobustModel, fixed: Fixed, residual_db: FloatArray, moved: se
         if float(seen_db.std()) < QUIET_STD_DB:
             return "step"
         return "uplink_fade" if float(seen_db.mean()) < 0.0 else "interference"
-    return "uplink_fade" if residual_db[k] < 0.0 else "interference"
+    return "uplink_fade" if fixed.residual_db[k] < 0.0 else "interference"
 
 
 def _moved_groups(model: RobustModel, fixed: Fixed) -> set[int]:

@@ -155,7 +155,8 @@ def step_robust(
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
     is_without_orbit = not np.isfinite(expected_dbm).any()
-    fixed = Fixed(found, deviation_db, is_frozen, rates_deg_s(model, found), declared, is_without_orbit)
+    residual_db = deviation_db - site_db(model.filter, found.state.gaussian.mean)
+    fixed = Fixed(found, deviation_db, is_frozen, rates_deg_s(model, found), declared, is_without_orbit, residual_db)
     row = filtered_row(
         measurement,
         model,
@@ -167,7 +168,7 @@ def step_robust(
         is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(found, model, len(released)),
     )
     after = RobustState(found.state, commanded, readings, released, measurement.source)
-    return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
+    return RobustStep(row, expected_dbm, deviation_db, residual_db, after)
 
 
 def _late_step(
@@ -188,6 +189,8 @@ def _deviation_db(
 ) -> FloatArray:
     """Return measured minus expected of the carriers used (N,), dB, groups under level control by their differences."""
     deviation_db = np.where(model.is_used, power_dbm - expected_dbm, np.nan)
+    if not model.groups:
+        return deviation_db
     return without_group_gain(deviation_db, site_db(model.filter, state.filter.gaussian.mean), model.groups)
 
 

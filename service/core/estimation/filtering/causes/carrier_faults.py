@@ -246,7 +246,7 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
     CarrierWatch
         Watch after; references that were learned again are marked.
     """
-    if not watch.is_flagged.any():
+    if not (watch.is_flagged & (watch.flagged_minutes >= MIN_BACK_MINUTES)).any():
         return state, watch
     level_db, is_quiet = _quiet(watch, QUIET_ROWS, MIN_FLAGGED_MINUTES)
     back_db, is_back = _quiet(watch, BACK_ROWS, MIN_BACK_MINUTES)
@@ -254,7 +254,7 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
     known_db = np.array([watch.saved_reference_db, watch.aligned_reference_db])
     variance_db2 = np.array([watch.saved_variance_db2, watch.aligned_variance_db2])
     distance_db = np.abs(back_db - known_db)
-    nearest = np.nan_to_num(distance_db, nan=np.inf).argmin(axis=0), np.arange(model.carriers)
+    nearest = np.where(np.isnan(distance_db), np.inf, distance_db).argmin(axis=0), np.arange(model.carriers)
     is_back &= distance_db[nearest] < SAME_LEVEL_DB
     is_new = np.isnan(watch.saved_reference_db)
     is_standing = halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB
@@ -288,5 +288,8 @@ def halves_differ_db(rows_db: FloatArray) -> FloatArray:
 def _quiet(watch: CarrierWatch, rows: int, minutes: float) -> tuple[FloatArray, BoolArray]:
     """Return the mean level (N,) of the last rows, dB, and the carriers that have been flagged long and are quiet."""
     last = watch.residuals_db[-rows:]
+    level_db = last.mean(axis=0)
     is_due = watch.is_flagged & (watch.flagged_minutes >= minutes)
-    return last.mean(axis=0), is_due & (last.std(axis=0) < QUIET_STD_DB) & (halves_differ_db(last) < QUIET_SHIFT_DB)
+    if not is_due.any():
+        return level_db, is_due
+    return level_db, is_due & (last.std(axis=0) < QUIET_STD_DB) & (halves_differ_db(last) < QUIET_SHIFT_DB)
