@@ -4,11 +4,11 @@ Run ``python -m bench.load.warm_server serve ...`` with the options of ``soo ser
 setting ``SOO_KERNELS``.
 """
 
-from bench.bench_chain import measure_arithmetic
+from bench.bench_chain import measure_filter
 from service.__main__ import main
 from service.composition.settings import Settings
 from service.pipeline.kernels import kernels_named
 
 if __name__ == "__main__":
-    measure_arithmetic(16, 5, kernels_named(Settings.model_validate({}).kernels))
+    measure_filter(16, 5, kernels_named(Settings.model_validate({}).kernels))
     main()

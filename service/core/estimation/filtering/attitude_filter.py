@@ -230,7 +230,8 @@ def _judged(
         # a fall that begins now is counted from where the chain stands now
         rain = rain._replace(base_chain_db=float(gaussian.mean[CHAIN]))
     if values is not None:
-        after = with_anchor(model, after._replace(gaussian=gaussian), row.deviation_db, white_db2, row.reported_wet)
+        after = after._replace(gaussian=gaussian)
+        after = with_anchor(model, after, row.deviation_db, white_db2, row.reported_wet, kernels)
         gaussian = after.gaussian
     drift, gaussian = push_drift(after.drift, settings, gaussian, row.minutes)
     after = after._replace(gaussian=gaussian, rain=rain, drift=drift)

@@ -19,6 +19,7 @@ from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Cho
 from service.core.estimation.filtering.causes.rain_state import push_common
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_update import Innovation, Updated, site_db
+from service.core.estimation.filtering.kernels.kernels import Kernels
 from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray
 from service.core.estimation.filtering.model.filter_state import CHAIN
 from service.core.estimation.filtering.new_start import start_again
@@ -148,6 +149,7 @@ def with_anchor(
     deviation_db: FloatArray,
     white_db2: FloatArray,
     reported_wet: FloatArray | None,
+    kernels: Kernels,
 ) -> FilterState:
     """Return the state after the question to the references of the alignment, started again where they demand it."""
     residual_db = deviation_db - site_db(model, state.gaussian.mean)
@@ -161,6 +163,7 @@ def with_anchor(
         state.epoch_us,
         is_raining=state.rain.is_raining,
         reported_wet=reported_wet,
+        kernels=kernels,
     )
     state = state._replace(anchor=anchor)
     return start_again(model, state, mixture) if mixture is not None and is_contradicted(mixture) else state

@@ -14,6 +14,7 @@ import numpy as np
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES, Branches, Mixture, solve_mixture
 from service.core.estimation.filtering.anchor.protection import protection_levels_deg
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
 from service.core.estimation.filtering.model.filter_model import (
     BoolArray,
     CarrierModel,
@@ -124,6 +125,7 @@ def push_anchor(
     *,
     is_raining: bool,
     reported_wet: FloatArray | None = None,
+    kernels: Kernels = ARRAYS,
 ) -> tuple[AnchorWatch, Mixture | None]:
     """Return the watch one minute later, and the answer where it is time for one.
 
@@ -147,6 +149,8 @@ def push_anchor(
         Whether rain over the receiving site takes from all carriers.
     reported_wet : ndarray, shape (N,), optional
         1 where rain over the station is reported, 0 where none is, NaN where nobody says.
+    kernels : Kernels
+        Who does the arithmetic.
     """
     rows = np.concatenate([watch.residuals_db[1:], residual_db[None, :]])
     white = np.concatenate([watch.white_db2[1:], white_db2[None, :]])
@@ -170,8 +174,9 @@ def push_anchor(
             np.full(model.carriers, np.nan) if reported_wet is None else reported_wet,
         ),
         np.append(np.hypot(ERROR_SIGMA_DEG, state.attitude_sigma_deg), _RAIN_DB if is_raining else _CHAIN_DB),
+        kernels,
     )
-    levels = protection_levels_deg(mixture)
+    levels = protection_levels_deg(mixture, kernels=kernels)
     watch = watch._replace(answered_us=epoch_us, level_deg=levels, sigma_deg=state.attitude_sigma_deg)
     return _with_hypotheses(watch, mixture, np.isfinite(mean_db) & (count > 0), epoch_us), mixture
 

@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FloatArray, IntArray
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.model.filter_model import FloatArray
 
 #: combinations kept, the rest among them
 KEPT = 32
@@ -58,19 +59,12 @@ class Mixture(NamedTuple):
         return np.asarray(np.sqrt(self.probability @ second - self.error_deg**2))
 
 
-class _Sums(NamedTuple):
-    """Combinations in work: K of D = 4 unknowns."""
-
-    log_weight: FloatArray
-    mean: FloatArray
-    covariance: FloatArray
-    regime: IntArray
-    #: (K, N, B) probability of each branch
-    branch: FloatArray
-
-
 def solve_mixture(
-    jacobian: FloatArray, residual_db: FloatArray, branches: Branches, prior_sigma: FloatArray
+    jacobian: FloatArray,
+    residual_db: FloatArray,
+    branches: Branches,
+    prior_sigma: FloatArray,
+    kernels: Kernels = ARRAYS,
 ) -> Mixture:
     """Return the error of an attitude as a mixture over what may be wrong with the carriers.
 
@@ -84,80 +78,11 @@ def solve_mixture(
         Hypotheses of the carriers.
     prior_sigma : ndarray, shape (4,), deg, the last dB
         Error of yaw, roll, pitch and of the shared part before the carriers are asked, one standard deviation.
+    kernels : Kernels
+        Who does the arithmetic.
     """
     present = np.flatnonzero(np.isfinite(residual_db))
-    sums = _begun(branches, prior_sigma)
     # the surest first: they tell the attitude by which the others are judged
-    for carrier in present[np.argsort(branches.variance_db2[present, DRY], kind="stable")].tolist():
-        sums = _with_carrier(sums, carrier, jacobian[carrier], float(residual_db[carrier]), branches)
-    probability = np.exp(sums.log_weight)
-    branch_share = np.tensordot(probability, sums.branch, axes=1)
-    return Mixture(probability, sums.mean[:, :3], sums.covariance[:, :3, :3], branch_share)
-
-
-def _begun(branches: Branches, prior_sigma: FloatArray) -> _Sums:
-    """Return one combination a regime, before any carrier."""
-    regimes = len(branches.regime_log_probability)
-    return _Sums(
-        branches.regime_log_probability,
-        np.zeros((regimes, 4)),
-        np.tile(np.diag(np.square(prior_sigma)), (regimes, 1, 1)),
-        np.arange(regimes),
-        np.exp(branches.log_probability),
-    )
-
-
-def _with_carrier(sums: _Sums, carrier: int, row: FloatArray, residual_db: float, branches: Branches) -> _Sums:
-    """Return the combinations with each branch of one carrier more, the unlikely ones merged."""
-    across = sums.covariance @ row
-    variance = (across @ row)[:, None] + branches.variance_db2[carrier]
-    surprise = (residual_db - sums.mean @ row)[:, None] - branches.mean_db[carrier]
-    log_weight = sums.log_weight[:, None] + branches.log_probability[sums.regime, carrier]
-    log_weight = (log_weight - 0.5 * (np.log(variance) + surprise**2 / variance)).ravel()
-    log_weight -= log_weight.max()
-    log_weight -= np.log(np.exp(log_weight).sum())
-    order = np.argsort(-log_weight, kind="stable")
-    parent, branch = np.divmod(order, variance.shape[1])
-    gain = across[parent] / variance[parent, branch][:, None]
-    mean = sums.mean[parent] + gain * surprise[parent, branch][:, None]
-    covariance = sums.covariance[parent] - gain[:, :, None] * across[parent][:, None, :]
-    kept = slice(0, KEPT - 1 if len(order) > KEPT else len(order))
-    branch_share = sums.branch[parent[kept]]
-    branch_share[:, carrier] = np.eye(variance.shape[1])[branch[kept]]
-    after = _Sums(log_weight[order[kept]], mean[kept], covariance[kept], sums.regime[parent[kept]], branch_share)
-    if len(order) <= KEPT:
-        return after
-    rest = slice(KEPT - 1, None)
-    total, share = _shares(log_weight[order[rest]])
-    by_parent = np.bincount(parent[rest], share, len(sums.mean))
-    branch_share = np.tensordot(by_parent, sums.branch, axes=1)
-    branch_share[carrier] = np.bincount(branch[rest], share, variance.shape[1])
-    return _with_rest(after, total, share, mean[rest], covariance[rest], branch_share, int(sums.regime[parent[-1]]))
-
-
-def _shares(log_weight: FloatArray) -> tuple[float, FloatArray]:
-    """Return the logarithm of a sum of weights, and the share of each in it."""
-    weight = np.exp(log_weight - log_weight[0])
-    return float(log_weight[0] + np.log(weight.sum())), weight / weight.sum()
-
-
-def _with_rest(
-    kept: _Sums,
-    log_weight: float,
-    share: FloatArray,
-    mean: FloatArray,
-    covariance: FloatArray,
-    branch_share: FloatArray,
-    regime: int,
-) -> _Sums:
-    """Return the kept combinations and the others as one of their mean and covariance."""
-    middle = share @ mean
-    apart = mean - middle
-    spread = np.tensordot(share, covariance, axes=1) + (apart.T * share) @ apart
-    return _Sums(
-        np.append(kept.log_weight, log_weight),
-        np.concatenate([kept.mean, middle[None]]),
-        np.concatenate([kept.covariance, spread[None]]),
-        np.append(kept.regime, regime),
-        np.concatenate([kept.branch, branch_share[None]]),
-    )
+    order = present[np.argsort(branches.variance_db2[present, DRY], kind="stable")]
+    probability, mean, covariance, share = kernels.mix(jacobian, residual_db, order, *branches, prior_sigma, KEPT)
+    return Mixture(probability, mean[:, :3], covariance[:, :3, :3], share)

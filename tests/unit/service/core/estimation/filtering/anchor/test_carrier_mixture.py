@@ -8,6 +8,8 @@ from mixture_models import CALM, PRIOR, STORM, branches, jacobian
 
 import service.core.estimation.filtering.anchor.carrier_mixture as module
 from service.core.estimation.filtering.anchor.carrier_mixture import DRY, Branches, solve_mixture
+from service.core.estimation.filtering.anchor.protection import protection_levels_deg
+from service.core.estimation.filtering.kernels.kernels import compiled_kernels
 
 
 def by_hand(design, residual_db, hypotheses):
@@ -89,3 +91,17 @@ def test_without_readings_the_error_is_what_it_was_before():
     found = solve_mixture(np.ones((3, 4)), np.full(3, np.nan), branches(3), PRIOR)
     np.testing.assert_allclose(found.sigma_deg, PRIOR[:3])
     np.testing.assert_array_equal(found.error_deg, 0.0)
+
+
+@pytest.mark.parametrize("carriers", [1, 4, 16])
+def test_compiled_the_same_source_gives_the_same_mixture_and_levels(carriers):
+    rng, compiled = np.random.default_rng(10), compiled_kernels()
+    design, residual_db = jacobian(rng, carriers), rng.normal(0.0, 0.4, carriers)
+    plain = solve_mixture(design, residual_db, branches(carriers), PRIOR)
+    first, second = (solve_mixture(design, residual_db, branches(carriers), PRIOR, compiled) for _ in range(2))
+    for one, other, again in zip(plain, first, second, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)  # products of another library add in another order
+        np.testing.assert_array_equal(other, again)
+    np.testing.assert_allclose(
+        protection_levels_deg(plain), protection_levels_deg(first, kernels=compiled), rtol=0.0, atol=1e-5
+    )  # found to 3e-6 deg

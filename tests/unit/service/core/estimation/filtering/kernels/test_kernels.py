@@ -8,7 +8,7 @@ from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.kernels import loop_kernels
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels, sources
 from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     KnownMotion,
@@ -21,7 +21,7 @@ from service.core.estimation.filtering.model.hidden_motion import inserted
 #: the first run after a change of the loops compiles them: six seconds of an idle processor
 MINUTE_US = 60_000_000
 #: the loops as Python runs them: slow, but every line of them is seen by the coverage
-UNCOMPILED = Kernels(*(getattr(loop_kernels, name) for name in Kernels._fields))
+UNCOMPILED = Kernels(*sources(loop_kernels))
 
 
 @pytest.fixture(scope="module")
