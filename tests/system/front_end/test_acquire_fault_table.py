@@ -36,7 +36,7 @@ PERIOD_S = 0.8
 #: far above what a loaded machine needs for an answer, far below a period
 IO_TIMEOUT_S = 0.4
 #: longest time that the test may stand still during a fault that is judged, and how often a fault is caused at most
-STILL_S = 0.1
+STILL_S = 0.5 * IO_TIMEOUT_S
 ATTEMPTS = 8
 #: carriers that every good row has; the beacon is too weak for sweeps as short as these
 MODULATED = 4
@@ -72,24 +72,19 @@ FOREIGN = {
 
 
 class Stillness(threading.Thread):
-    """The longest time for which no thread of this process ran, since it was asked the last time."""
+    """The longest time for which this thread was kept from running."""
 
     def __init__(self) -> None:
         super().__init__(daemon=True)
         self.over = threading.Event()
-        self._longest_s = 0.0
+        self.longest_s = 0.0
 
     def run(self) -> None:
         """Look every hundredth of a second."""
         seen_s = time.monotonic()
         while not self.over.wait(0.01):
             seen_s, before_s = time.monotonic(), seen_s
-            self._longest_s = max(self._longest_s, seen_s - before_s)
-
-    def take_s(self) -> float:
-        """Return it and begin again."""
-        longest_s, self._longest_s = self._longest_s, 0.0
-        return longest_s
+            self.longest_s = max(self.longest_s, seen_s - before_s)
 
 
 class Trial(NamedTuple):
@@ -246,10 +241,12 @@ def test_fault(benches: tuple[Bench, Bench], expected: FaultRow) -> None:
 def suffer(bench: Bench, expected: FaultRow) -> str:
     """Let a fault happen, check what comes of it, and return that as a row of a table."""
     for _ in range(ATTEMPTS):
-        bench.stillness.take_s()
+        bench.stillness.longest_s = 0.0
         trial = caused(bench, expected)
-        if bench.stillness.take_s() < STILL_S:
+        if bench.stillness.longest_s < STILL_S:
             break
+    else:
+        pytest.skip(f"this machine stands still for {STILL_S} s again and again")
     assert trial.recovery < 2.0
     assert trial.lost <= expected.lost
     assert trial.is_reopened == expected.is_reopened
@@ -265,7 +262,10 @@ def caused(bench: Bench, expected: FaultRow) -> Trial:
     cause(bench, expected.fault)
     ended_s = time.monotonic()
     if expected.is_reopened:
-        bench.await_true(lambda: counters.sessions > sessions, "another session")
+        # an answer that is late for a machine that stood still is in time
+        bench.await_true(
+            lambda: counters.sessions > sessions or bench.stillness.longest_s >= STILL_S, "another session"
+        )
     bench.await_true(lambda: any(is_good(at_s, row, ended_s) for at_s, row in bench.rows[before:]), "a good row")
     after = bench.rows[before:]
     recovery = (next(at_s for at_s, row in after if is_good(at_s, row, ended_s)) - ended_s) / PERIOD_S
