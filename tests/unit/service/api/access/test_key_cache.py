@@ -56,6 +56,7 @@ def test_a_thousand_requests_wait_for_a_hanging_archive_no_longer_than_one(known
 def test_keys_that_are_known_hold_on_while_the_archive_hangs(known, monkeypatch):
     text, archive = known
     monkeypatch.setattr(stored_keys, "REFRESH_S", 0.0)
+    monkeypatch.setattr(stored_keys, "HOLDS_S", 600.0)
 
     async def ask():
         keys = StoredKeys(archive, None, lambda: 0)
