@@ -105,15 +105,14 @@ class CalibratedColumns:
 
     def power_dbm(self, measurement: Measurement, plan: CarrierPlan) -> FloatArray:
         """Return the powers (N,) in dBm, NaN where the plan has no such carrier."""
-        columns = self._of(plan)
-        return np.where(columns >= 0, np.append(measurement.power_dbm, np.nan)[columns], np.nan)
+        # a carrier that the plan does not have stands behind its last
+        return np.append(measurement.power_dbm, np.nan)[self._of(plan)]
 
     def flags(self, measurement: Measurement, plan: CarrierPlan) -> IntArray:
         """Return the quality flags (N,), zero where none came."""
         if measurement.flags is None:
             return np.zeros(len(self._carrier_ids), dtype=np.int64)
-        columns = self._of(plan)
-        return np.where(columns >= 0, np.append(measurement.flags, 0)[columns], 0)
+        return np.append(measurement.flags, 0)[self._of(plan)]
 
     def _of(self, plan: CarrierPlan) -> IntArray:
         if plan.id not in self._columns:

@@ -250,9 +250,10 @@ def _reported(
 ) -> FilterStep:
     """Return the step's result with the judgement of its integrity."""
     gaussian = state.gaussian
-    protection_deg = protection_now_deg(state.anchor, state.epoch_us, gaussian.attitude_sigma_deg)
+    sigma_deg = gaussian.attitude_sigma_deg
+    protection_deg = protection_now_deg(state.anchor, state.epoch_us, sigma_deg)
     evidence = IntegrityInputs(
-        gaussian.attitude_sigma_deg,
+        sigma_deg,
         protection_deg,
         len(used),
         state.rain.is_raining,

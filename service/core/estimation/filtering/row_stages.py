@@ -44,14 +44,14 @@ def common_first(
 ) -> Heard:
     """Return the state after the tests of all carriers together, with the unknown of their cause set free."""
     common = common_innovation(model, innovation)
-    row = np.full(model.carriers + 1, np.nan)
-    row[innovation.carriers] = innovation.innovation_db / innovation.sigma_db
+    row, value = np.full(model.carriers + 1, np.nan), innovation.innovation_db / innovation.sigma_db
+    row[innovation.carriers] = value
     row[-1] = common.value
     sums, values = push_minute(state.minute, state.epoch_us, row)
     rain = state.rain
     if values is not None:
         rain = push_common(rain, float(values[-1]), float(state.gaussian.mean[CHAIN]))
-    choice = find_cause(model, rain, innovation, common, chooser)
+    choice = find_cause(model, rain, innovation, np.abs(value), common, chooser)
     if choice is None or choice.cause is Cause.INDEPENDENT:
         # what single carriers did says nothing about the common level
         heard = state._replace(minute=sums, rain=rain if choice is None else state.rain)

@@ -61,7 +61,7 @@ def filtered_row(
         "catch_up": is_catch_up,
         "operation": has_inhibiting_operation,
         "no_ephemeris": fixed.is_without_ephemeris,
-        "beyond_validity": bool(np.abs(announced.attitude_deg[1:]).max() > validity_limit_deg),
+        "beyond_validity": max(map(abs, announced.attitude_deg[1:].tolist())) > validity_limit_deg,
     }
     standing = {reason for reason, stands in conditions.items() if stands} | set(announced.integrity.reasons)
     # whatever the filter holds against control stands, in the usual order where it has one

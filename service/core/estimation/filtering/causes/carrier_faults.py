@@ -246,10 +246,11 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
     CarrierWatch
         Watch after; references that were learned again are marked.
     """
-    if not (watch.is_flagged & (watch.flagged_minutes >= MIN_BACK_MINUTES)).any():
+    is_back = watch.is_flagged & (watch.flagged_minutes >= MIN_BACK_MINUTES)
+    if not is_back.any():
         return state, watch
-    level_db, is_quiet = _quiet(watch, QUIET_ROWS, MIN_FLAGGED_MINUTES)
-    back_db, is_back = _quiet(watch, BACK_ROWS, MIN_BACK_MINUTES)
+    is_quiet = is_back & (watch.flagged_minutes >= MIN_FLAGGED_MINUTES)
+    level_db, back_db = (watch.residuals_db[-rows:].mean(axis=0) for rows in (QUIET_ROWS, BACK_ROWS))
     # the level before the flag may have been a wet one
     known_db = np.array([watch.saved_reference_db, watch.aligned_reference_db])
     variance_db2 = np.array([watch.saved_variance_db2, watch.aligned_variance_db2])
@@ -257,9 +258,14 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
     nearest = np.where(np.isnan(distance_db), np.inf, distance_db).argmin(axis=0), np.arange(model.carriers)
     is_back &= distance_db[nearest] < SAME_LEVEL_DB
     is_new = np.isnan(watch.saved_reference_db)
-    is_standing = halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB
     is_dry = (level_db > np.fmax(*known_db)) | (watch.flagged_minutes >= WET_MINUTES)
-    is_quiet &= is_new | (is_standing & is_dry)
+    is_quiet &= is_new | is_dry
+    # what lies so low or so far that it cannot come back need not be asked how still it stands
+    if is_back.any():
+        is_back &= _is_still(watch.residuals_db[-BACK_ROWS:])
+    if is_quiet.any():
+        is_quiet &= is_new | (halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB)
+        is_quiet &= _is_still(watch.residuals_db[-QUIET_ROWS:])
     is_quiet |= is_back
     if not is_quiet.any():
         return state, watch
@@ -285,11 +291,6 @@ def halves_differ_db(rows_db: FloatArray) -> FloatArray:
     return np.asarray(np.abs(rows_db[half:].mean(axis=0) - rows_db[:half].mean(axis=0)))
 
 
-def _quiet(watch: CarrierWatch, rows: int, minutes: float) -> tuple[FloatArray, BoolArray]:
-    """Return the mean level (N,) of the last rows, dB, and the carriers that have been flagged long and are quiet."""
-    last = watch.residuals_db[-rows:]
-    level_db = last.mean(axis=0)
-    is_due = watch.is_flagged & (watch.flagged_minutes >= minutes)
-    if not is_due.any():
-        return level_db, is_due
-    return level_db, is_due & (last.std(axis=0) < QUIET_STD_DB) & (halves_differ_db(last) < QUIET_SHIFT_DB)
+def _is_still(rows_db: FloatArray) -> BoolArray:
+    """Return whether each carrier neither scatters nor drifts over rows (T, N)."""
+    return np.asarray((rows_db.std(axis=0) < QUIET_STD_DB) & (halves_differ_db(rows_db) < QUIET_SHIFT_DB))

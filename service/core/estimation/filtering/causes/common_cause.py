@@ -27,7 +27,7 @@ from service.core.estimation.filtering.causes.rain_state import (
     is_up,
 )
 from service.core.estimation.filtering.filter_update import Innovation
-from service.core.estimation.filtering.model.filter_model import CarrierModel
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray
 from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     Gaussian,
@@ -70,7 +70,12 @@ def common_innovation(model: CarrierModel, innovation: Innovation) -> CommonInno
 
 
 def find_cause(
-    model: CarrierModel, rain: RainWatch, innovation: Innovation, common: CommonInnovation, chooser: Chooser
+    model: CarrierModel,
+    rain: RainWatch,
+    innovation: Innovation,
+    excess: FloatArray,
+    common: CommonInnovation,
+    chooser: Chooser,
 ) -> LikeliestCause | None:
     """Return the common cause of changes of a row's carriers, None = there is none.
 
@@ -82,12 +87,14 @@ def find_cause(
         Sums of the common level, this row included.
     innovation : Innovation
         Of all carriers that are not flagged.
+    excess : ndarray, shape (n,)
+        abs(innovation) / sigma of them.
     common : CommonInnovation
         Common part of them.
     chooser : callable
         ``chooser(model, innovation) -> Choice``.
     """
-    suspects = np.count_nonzero(np.abs(innovation.innovation_db) > _SUSPECT * innovation.sigma_db)
+    suspects = np.count_nonzero(excess > _SUSPECT)
     if suspects >= _SEVERAL or abs(common.value) > SUDDEN:
         return chooser(model, innovation)
     return LikeliestCause(Cause.COMMON) if is_down(rain) or is_up(rain) else None
