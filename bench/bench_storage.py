@@ -28,6 +28,7 @@ from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Status
+from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import Pulse, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 
@@ -41,6 +42,8 @@ GOAL_HOT, GOAL_HOT_SERVER, GOAL_SEALED = 1.35, 1.75, 0.35
 GOAL_READ = 2.5
 #: bytes of all sealed results of a measurement: attitude of two methods and a torque command
 GOAL_RESULTS = 290.0
+#: the same with the results of 16 carriers
+GOAL_CARRIERS = 400.0
 #: decimals of levels, None = as they come
 KINDS: dict[str, int | None] = {"0.01 dB": 2, "0.001 dB": 3, "front end": 5, "all bits": None}
 #: batches a thread keeps under way, as a server with several connections does
@@ -67,7 +70,10 @@ def main() -> bool:
         if options.url:
             urls = {kind: options.url.format(position) for position, kind in enumerate(KINDS)}
         is_met = [measure_reading(url, kind, options) for kind, url in urls.items()]
-        is_met.append(measure_results(f"sqlite:///{folder / 'results'}.db", options))
+        options.carriers = 16
+        for has_carriers in (False, True):
+            url = f"sqlite:///{folder / 'results'}{has_carriers:d}.db"
+            is_met.append(measure_results(url, options, has_carriers=has_carriers))
     return all(is_met)
 
 
@@ -179,7 +185,7 @@ def send_days(storage: SqlStorage, plan_id: int, kind: str, options: argparse.Na
     return rows
 
 
-def measure_results(url: str, options: argparse.Namespace) -> bool:
+def measure_results(url: str, options: argparse.Namespace, *, has_carriers: bool) -> bool:
     """Print bytes a row of attitude, two methods a measurement, and of torques; return whether the goal is met."""
     storage = SqlStorage(url)
     storage.migrate()
@@ -189,7 +195,9 @@ def measure_results(url: str, options: argparse.Namespace) -> bool:
     entries = storage.archive.journal("bench", 0, 1 << 30)
     measured = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
     for start in range(0, len(measured), options.rows):
-        outcomes = [outcome_of(row, random) for row in measured[start : start + options.rows]]
+        outcomes = [
+            outcome_of(row, random, has_carriers=has_carriers) for row in measured[start : start + options.rows]
+        ]
         storage.results.save_outcomes("bench", LIVE, outcomes, measured[start].number, measured[start].epoch_us)
     attitude = _size(storage, "attitude", "attitude_sequence") / (2 * len(measured))
     torque = _size(storage, "torque", "torque_sequence") / len(measured)
@@ -202,10 +210,12 @@ def measure_results(url: str, options: argparse.Namespace) -> bool:
     storage.close()
     print(f"results: {attitude:.0f} B a row of attitude (two a measurement), {torque:.0f} B a torque command")
     print(f"  sealed at {sealed / sealing_s:.0f} rows a second of processor time")
-    return judge("sealed results of a measurement", segments, GOAL_RESULTS, "B")
+    of_carriers = f"with {options.carriers} carriers" if has_carriers else "without carriers"
+    goal = GOAL_CARRIERS if has_carriers else GOAL_RESULTS
+    return judge(f"sealed results of a measurement, {of_carriers}", segments, goal, "B")
 
 
-def outcome_of(row: Measurement, random: np.random.Generator) -> Outcome:
+def outcome_of(row: Measurement, random: np.random.Generator, *, has_carriers: bool) -> Outcome:
     """Return results with all bits in use, as a calm day gives them."""
     rows = []
     for method in Method:
@@ -235,7 +245,16 @@ def outcome_of(row: Measurement, random: np.random.Generator) -> Outcome:
                 protection_deg=protection if method is Method.ROBUST else NO_ANGLES,
             )
         )
-    return Outcome(tuple(rows), command_of(row, random))
+    carriers = tuple(carriers_of(row, random) for _ in rows) if has_carriers else ()
+    return Outcome(tuple(rows), command_of(row, random), carriers=carriers)
+
+
+def carriers_of(row: Measurement, random: np.random.Generator) -> CarrierResults:
+    """Return results of carriers of a calm day: noise of 0.1 dB, one of 16 left out now and then."""
+    count = len(row.power_dbm)
+    levels_db = random.normal(0.0, 0.1, (2, count))
+    state = np.where(random.random(count) < 1 / 256, 2, 0)
+    return CarrierResults(row.plan_id, levels_db[0], levels_db[1], state, np.ones(count, dtype=np.int64))
 
 
 def command_of(row: Measurement, random: np.random.Generator) -> TorqueCommand:

@@ -146,11 +146,11 @@ def _packed_texts(values: Sequence[str | None]) -> _Packed:
         if text is None:
             continue
         pattern, found = _parsed(text)
-        place = patterns.setdefault(pattern, len(numbers))
-        if place == len(numbers):
+        index = patterns.setdefault(pattern, len(numbers))
+        if index == len(numbers):
             numbers.append([])
-        chosen[position] = place
-        numbers[place].append(found)
+        chosen[position] = index
+        numbers[index].append(found)
     slots: list[_Packed] = []
     for (_, kinds), rows in zip(patterns, numbers, strict=True):
         for kind, column in zip(kinds, zip(*rows, strict=True), strict=True):
@@ -247,12 +247,12 @@ def _strings(body: bytes, count: int, entry: Mapping[str, Any]) -> Values:
 def _texts(body: bytes, count: int, entry: Mapping[str, Any]) -> Values:
     size = 4 * count
     chosen_pattern = np.frombuffer(_transposed(body[:size], 4, count), dtype="<i4")
-    #: place of a row among those of its pattern
+    #: index of a row among those of its pattern
     ranks = np.zeros(count, dtype=np.int64)
     renders: list[Callable[[IntArray], list[str]]] = []
     slots, start = iter(entry["slots"]), size
-    for place, (literals, kinds, rows) in enumerate(entry["patterns"]):
-        ranks[chosen_pattern == place] = np.arange(rows)
+    for index, (literals, kinds, rows) in enumerate(entry["patterns"]):
+        ranks[chosen_pattern == index] = np.arange(rows)
         columns = []
         for form in islice(slots, len(kinds)):
             read = _integers if form == "integers" else _doubles
@@ -261,21 +261,21 @@ def _texts(body: bytes, count: int, entry: Mapping[str, Any]) -> Values:
         renders.append(partial(_rendered, "%s".join(part.replace("%", "%%") for part in literals), columns))
 
     def of(chosen: Positions) -> list[str | None]:
-        patterns, places = chosen_pattern[chosen], ranks[chosen]
+        patterns, positions = chosen_pattern[chosen], ranks[chosen]
         texts: NDArray[np.object_] = np.full(len(patterns), None, dtype=object)
-        for place in np.unique(patterns[patterns != _ABSENT]).tolist():
-            is_its = patterns == place
-            texts[is_its] = renders[place](places[is_its])
+        for index in np.unique(patterns[patterns != _ABSENT]).tolist():
+            is_its = patterns == index
+            texts[is_its] = renders[index](positions[is_its])
         return list(texts.tolist())
 
     return of
 
 
-def _rendered(pattern: str, columns: Sequence[Values], places: IntArray) -> list[str]:
-    """Return the texts of one pattern at some places among its rows."""
+def _rendered(pattern: str, columns: Sequence[Values], positions: IntArray) -> list[str]:
+    """Return the texts of one pattern at some positions among its rows."""
     if not columns:
-        return [pattern % ()] * len(places)
-    numbers: Iterator[tuple[Any, ...]] = zip(*(column(places) for column in columns), strict=True)
+        return [pattern % ()] * len(positions)
+    numbers: Iterator[tuple[Any, ...]] = zip(*(column(positions) for column in columns), strict=True)
     return [pattern % tuple(map(repr, row)) for row in numbers]
 
 

@@ -17,7 +17,7 @@ from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
-from db.results.stored_rows import Series, newest_row, stored_rows
+from db.results.stored_rows import ResultSeries, newest_row, stored_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
 from service.ports import LIVE
 from service.records.calibration import CalibrationMethod, Window
@@ -62,7 +62,7 @@ class AttitudeReader:
         self._pages = MeasurementPages(connection, cache, key)
         self._key = key
         self._method = method
-        self._stored = Series(key, attitude, LIVE, method.value)
+        self._stored = ResultSeries(key, attitude, LIVE, method.value)
         self._measured_from_us = kept_from_us(connection, key, "measurements")
 
     def rows(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:

@@ -1,15 +1,17 @@
 """Storing what the chain computed, in the transaction that moves the consumer's head."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, Row, Table, select, tuple_, update
 
 from db.database import insert_new, lock_head
+from db.encoding.carrier_codec import pack_carriers
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
 from db.results.checkpoints import store_checkpoint
-from db.results.stored_rows import Series, sealed_keys
+from db.results.stored_rows import ResultSeries, sealed_keys
 from db.schema.tables import attitude, head, torque
 from service.ports import LIVE, Outcome
 from service.records.levels.attitude import AttitudeRow
@@ -42,11 +44,12 @@ def store_outcomes(
     state = lock_head(connection, key)
     if version != LIVE:
         fresh = _not_sealed(connection, key, version, list(_results(outcomes)))
-        _insert(connection, key, version, [(result, None) for result in fresh])
+        _insert(connection, key, version, [(result, None) for result in fresh], _carriers(outcomes))
         return int(state.result_sequence)
     results = list(_results(outcomes))
     fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)
-    _insert(connection, key, version, list(zip(fresh, range(state.result_sequence + 1, 1 << 62), strict=False)))
+    numbered = list(zip(fresh, range(state.result_sequence + 1, 1 << 62), strict=False))
+    _insert(connection, key, version, numbered, _carriers(outcomes))
     applied = [outcome.applied for outcome in outcomes if outcome.applied is not None]
     if applied:
         store_inputs(connection, key, applied)
@@ -97,7 +100,9 @@ def _not_sealed(connection: Connection, key: int, version: str, results: list[Re
     for result in results:
         wanted.setdefault(_method_of(result), []).append((result.epoch_us, result.number))
     sealed = {
-        method: sealed_keys(connection, Series(key, torque if method is None else attitude, version, method), keys)
+        method: sealed_keys(
+            connection, ResultSeries(key, torque if method is None else attitude, version, method), keys
+        )
         for method, keys in wanted.items()
     }
     if not any(sealed.values()):
@@ -127,12 +132,24 @@ def _stored(
         yield from (tuple(row) for row in connection.execute(query))
 
 
-def _insert(connection: Connection, key: int, version: str, numbered: Sequence[tuple[Result, int | None]]) -> None:
+def _carriers(outcomes: Sequence[Outcome]) -> dict[ResultKey, bytes]:
+    """Return what is stored of the carriers, by row."""
+    each = (zip(outcome.rows, outcome.carriers, strict=False) for outcome in outcomes)
+    return {_key_of(row): pack_carriers(found) for row, found in chain.from_iterable(each) if found is not None}
+
+
+def _insert(
+    connection: Connection,
+    key: int,
+    version: str,
+    numbered: Sequence[tuple[Result, int | None]],
+    carriers: Mapping[ResultKey, bytes],
+) -> None:
     rows: list[dict[str, Any]] = []
     commands: list[dict[str, Any]] = []
     for result, sequence in numbered:
         if isinstance(result, AttitudeRow):
-            rows.append(attitude_values(key, version, result, sequence))
+            rows.append({**attitude_values(key, version, result, sequence), "carriers": carriers.get(_key_of(result))})
         else:
             commands.append(torque_values(key, version, result, sequence))
     insert_new(connection, attitude, rows)

@@ -18,7 +18,7 @@ from db.encoding.column_codec import CODEC, pack_columns
 from db.encoding.segments import DAY_US, day_of
 from db.measurements.checksum_check import agrees
 from db.results.result_segments import HEAD_COLUMNS, is_of, is_row_of, opened, segments
-from db.results.stored_rows import TABLES, Series
+from db.results.stored_rows import TABLES, ResultSeries
 from db.schema.row_checksum import checksum_of
 from db.schema.tables import result_segment
 from service.errors import StorageError
@@ -37,7 +37,7 @@ _NAMED = 5
 class _Change(NamedTuple):
     """Changes of one sealing transaction."""
 
-    of: Series
+    of: ResultSeries
     #: (epoch, number) of the rows to remove, by epoch, and of damaged ones among them, which stay
     sealed: tuple[tuple[int, int], ...]
     damaged: tuple[tuple[int, int], ...]
@@ -59,18 +59,18 @@ def seal(database: Database, key: int, before_us: int) -> Iterator[SealedResults
                 yield _reported(change)
 
 
-def _series(database: Database, key: int) -> Iterator[Series]:
+def _series(database: Database, key: int) -> Iterator[ResultSeries]:
     """Yield what has rows in a table of rows."""
     for table in TABLES.values():
         names = [table.c[name] for name in ("version", "method") if name in table.c]
         query = select(*names).where(table.c.spacecraft_key == key).order_by(*names).limit(1)
         row = database.fetch_one(query)
         while row is not None:
-            yield Series(key, table, *row)
+            yield ResultSeries(key, table, *row)
             row = database.fetch_one(query.where(tuple_(*names) > tuple(row)))
 
 
-def _days(database: Database, of: Series, stop_us: int) -> Iterator[int]:
+def _days(database: Database, of: ResultSeries, stop_us: int) -> Iterator[int]:
     """Yield the days before an epoch that have rows in the table of rows."""
     start_us = -(1 << 62)
     epoch_us = of.table.c.epoch_us
@@ -84,7 +84,7 @@ def _days(database: Database, of: Series, stop_us: int) -> Iterator[int]:
         start_us = (day_of(first_us) + 1) * DAY_US
 
 
-def _next_change(database: Database, of: Series, day: int) -> _Change | None:
+def _next_change(database: Database, of: ResultSeries, day: int) -> _Change | None:
     """Return what to do next with a day; None when nothing is left, or nothing can be done."""
     try:
         with database.read() as connection:
@@ -96,7 +96,7 @@ def _next_change(database: Database, of: Series, day: int) -> _Change | None:
         return None
 
 
-def _prepared(connection: Connection, of: Series, day: int) -> _Change | None:
+def _prepared(connection: Connection, of: ResultSeries, day: int) -> _Change | None:
     rows = _rows(connection, of, day)
     is_sound = [row.checksum is None or agrees(row.checksum, partial(_checksum, of.table, row)) for row in rows]
     damaged = tuple(_position(row) for row, is_good in zip(rows, is_sound, strict=True) if not is_good)
@@ -123,7 +123,7 @@ def _prepared(connection: Connection, of: Series, day: int) -> _Change | None:
     return _Change(of, positions, damaged, replaced_id, written)
 
 
-def _rows(connection: Connection, of: Series, day: int) -> list[Any]:
+def _rows(connection: Connection, of: ResultSeries, day: int) -> list[Any]:
     """Return the first rows of a day in the table of rows, whole epochs."""
     table = of.table
     is_its = and_(*is_row_of(*of), table.c.epoch_us >= day * DAY_US, table.c.epoch_us < (day + 1) * DAY_US)
@@ -159,7 +159,7 @@ def _parts(rows: Sequence[Any]) -> Iterator[Sequence[Any]]:
         yield rows[start:stop]
 
 
-def _segment(of: Series, rows: Sequence[Any]) -> dict[str, Any]:
+def _segment(of: ResultSeries, rows: Sequence[Any]) -> dict[str, Any]:
     """Return the columns of a segment but its id and checksum."""
     columns = dict(zip(of.table.c.keys(), zip(*rows, strict=True), strict=True))
     kept = {name: values for name, values in columns.items() if name not in HEAD_COLUMNS}

@@ -8,6 +8,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, and_, func, select
 
 from db.database import Database
+from db.encoding.carrier_codec import unpack_carriers
 from db.encoding.row_mapping import attitude_of, torque_of
 from db.results import result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
@@ -17,7 +18,7 @@ from db.results.jobs import SqlJobs
 from db.results.outcomes import Consumed, Result, store_outcomes
 from db.results.pending import PendingCount
 from db.results.stored_rows import (
-    Series,
+    ResultSeries,
     newest_row,
     next_sealed_sequence,
     numbers_where,
@@ -29,6 +30,7 @@ from service.ports import LIVE, Outcome
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow, IntArray
+from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import TorqueCommand
 from service.records.storage.archive_maintenance import SealedResults
 from service.records.storage.checkpoint import Checkpoint
@@ -83,8 +85,18 @@ class SqlResults(SqlCalibrations, SqlJobs):
         with self._database.read() as connection:
             if version == LIVE:
                 return AttitudeReader(connection, self._database.segments, key, method).rows(window, limit, after)
-            of = Series(key, attitude, version, method.value)
+            of = ResultSeries(key, attitude, version, method.value)
             return [attitude_of(row) for row in stored_rows(connection, of, window, limit, after)]
+
+    def carrier_results(
+        self, spacecraft_id: str, version: str, method: Method, window: Window
+    ) -> dict[tuple[int, int], CarrierResults]:
+        """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
+        of = ResultSeries(self._database.key(spacecraft_id), attitude, version, method.value)
+        with self._database.read() as connection:
+            rows = stored_rows(connection, of, window)
+        stored = (row for row in rows if row.carriers is not None)
+        return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in stored}
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
@@ -93,14 +105,14 @@ class SqlResults(SqlCalibrations, SqlJobs):
             if version == LIVE:
                 computed = newest_computed(connection, key, method)
                 return computed or AttitudeReader(connection, self._database.segments, key, method).newest()
-            row = newest_row(connection, Series(key, attitude, version, method.value))
+            row = newest_row(connection, ResultSeries(key, attitude, version, method.value))
         return None if row is None else attitude_of(row)
 
     def commands(
         self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
     ) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
-        of = Series(self._database.key(spacecraft_id), torque, version)
+        of = ResultSeries(self._database.key(spacecraft_id), torque, version)
         with self._database.read() as connection:
             return [torque_of(row) for row in stored_rows(connection, of, window, limit, after)]
 
@@ -108,7 +120,7 @@ class SqlResults(SqlCalibrations, SqlJobs):
         """Return the newest computed command."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            row = newest_row(connection, Series(key, torque, version))
+            row = newest_row(connection, ResultSeries(key, torque, version))
         return None if row is None else torque_of(row)
 
     def results_after(
@@ -153,7 +165,7 @@ def _alignments_after(connection: Connection, key: int, epoch_us: int) -> tuple[
     rows = select(column.number, column.alignment_id).where(*is_later, column.alignment_id.is_not(None))
     found = [tuple(row) for row in connection.execute(rows)]
     for method in Method:
-        of = Series(key, attitude, LIVE, method.value)
+        of = ResultSeries(key, attitude, LIVE, method.value)
         for numbers, alignments in numbers_where(connection, of, "alignment_id", epoch_us):
             stated = zip(numbers.tolist(), alignments, strict=True)
             found += [(number, alignment) for number, alignment in stated if alignment is not None]

@@ -21,7 +21,7 @@ from service.records.levels.attitude import BoolArray, IntArray
 TABLES: dict[str, Table] = {table.name: table for table in (attitude, torque)}
 
 
-class Series(NamedTuple):
+class ResultSeries(NamedTuple):
     """Results of one kind and version of a spacecraft."""
 
     key: int
@@ -32,7 +32,11 @@ class Series(NamedTuple):
 
 
 def stored_rows(
-    connection: Connection, of: Series, window: Window, limit: int | None = None, after: tuple[int, int] | None = None
+    connection: Connection,
+    of: ResultSeries,
+    window: Window,
+    limit: int | None = None,
+    after: tuple[int, int] | None = None,
 ) -> list[Any]:
     """Return the first rows of a window beyond a cursor, in order of (epoch, number)."""
     table = of.table
@@ -57,7 +61,7 @@ def stored_rows(
     return sorted(rows + sealed, key=_position)[:limit]
 
 
-def newest_row(connection: Connection, of: Series, before_us: int = 1 << 62) -> Any | None:
+def newest_row(connection: Connection, of: ResultSeries, before_us: int = 1 << 62) -> Any | None:
     """Return the row with the greatest (epoch, number) before an epoch."""
     table, first = of.table, result_segment.c.first_epoch_us
     query = select(table).where(*is_row_of(*of), table.c.epoch_us < before_us)
@@ -72,7 +76,7 @@ def newest_row(connection: Connection, of: Series, before_us: int = 1 << 62) -> 
     return sealed if row is None else max(row, sealed, key=_position)
 
 
-def stored_numbers(connection: Connection, of: Series, window: Window) -> IntArray:
+def stored_numbers(connection: Connection, of: ResultSeries, window: Window) -> IntArray:
     """Return the journal numbers of the rows of a window, in no order."""
     table = of.table
     query = select(table.c.number).where(*is_row_of(*of), within(table.c.epoch_us, window))
@@ -97,7 +101,7 @@ def newest_sealed_us(connection: Connection, key: int) -> int:
     return max((epoch_us for epoch_us in newest if epoch_us is not None), default=-(1 << 62))
 
 
-def sealed_keys(connection: Connection, of: Series, wanted: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
+def sealed_keys(connection: Connection, of: ResultSeries, wanted: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
     """Return those of the wanted (epoch, number) that are sealed."""
     positions = set(wanted)
     if not positions:
@@ -136,7 +140,9 @@ def next_sealed_sequence(connection: Connection, key: int, after: int) -> int | 
     return min(found, default=None)
 
 
-def numbers_where(connection: Connection, of: Series, name: str, after_us: int) -> Iterator[tuple[IntArray, list[Any]]]:
+def numbers_where(
+    connection: Connection, of: ResultSeries, name: str, after_us: int
+) -> Iterator[tuple[IntArray, list[Any]]]:
     """Yield numbers of sealed rows later than an epoch, and the column of that name beside them."""
     for head in segments(connection, is_of(*of), after_us + 1, 1 << 62):
         segment = opened(connection, head)

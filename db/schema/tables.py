@@ -208,6 +208,8 @@ attitude = Table(
     *keys(BigInteger, "epoch_us", "number"),
     Column("sequence", BigInteger),
     *record_columns(AttitudeRow, without=("method", "epoch_us", "number")),
+    # see db.encoding.carrier_codec
+    Column("carriers", LargeBinary),
     checksum_column(),
     Index("attitude_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,

@@ -6,6 +6,7 @@ dictionaries of the contract. Errors are those of `service.client.problem`.
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
+from urllib.parse import quote
 
 from service.client.call import Call, Epoch, epoch_text
 from service.client.documents import (
@@ -204,6 +205,22 @@ class Endpoints:
         """
         params = {**_window(start, stop, limit), "method": method, "version": version}
         return Series(_below(spacecraft_id, "/attitude/history"), params)
+
+    @series
+    def carrier_results(
+        self,
+        spacecraft_id: str,
+        carrier: str,
+        start: Epoch | None = None,
+        stop: Epoch | None = None,
+        *,
+        method: str | None = None,
+        version: str | None = None,
+        limit: int = PAGE_ROWS,
+    ) -> Series[Json]:
+        """Yield what a method made of one carrier at every row; other parameters as for `attitude_history`."""
+        params = {**_window(start, stop, limit), "method": method, "version": version}
+        return Series(_below(spacecraft_id, f"/carriers/{quote(carrier, safe='')}/results"), params)
 
     # Release of torques
 

@@ -20,6 +20,7 @@ from service.pipeline.checkpoints.chain_state import ChainState
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
+from service.pipeline.estimation.carrier_results import carrier_results
 from service.pipeline.estimation.method import CommandEvidence, MethodRunner
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.pipeline.estimation.paper.runner import PaperRunner
@@ -140,7 +141,8 @@ class Chain:
         self._last = (measurement, True)
         self._remember_epoch(measurement.epoch_us)
         self._disagreement = compare(self._disagreement, rows, self._config.robust)
-        return replace(self._with_command(rows), disagreement_deg=self._disagreement.apart_deg)
+        carriers = carrier_results(self._runners, rows, measurement, plan)
+        return replace(self._with_command(rows), disagreement_deg=self._disagreement.apart_deg, carriers=carriers)
 
     def saved(self) -> ChainState | None:
         """Return the state after the newest entry; None where the chain cannot be saved now.
@@ -293,7 +295,6 @@ def _carrier_state(measurement: Measurement, k: int, name: str, known: dict[str,
     """Return the state of the k-th carrier of a row."""
     power_dbm = float(measurement.power_dbm[k])
     flags = 0 if measurement.flags is None else int(measurement.flags[k])
-    nan = float("nan")
-    state = known.get(name) or CarrierState(name, nan, nan, nan, nan, nan, 0, "uncalibrated")
+    state = known.get(name) or CarrierState(name, *(math.nan,) * 5, 0, "uncalibrated")
     word = "absent" if np.isnan(power_dbm) else state.state
     return replace(state, power_dbm=power_dbm, flags=flags, state=word)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from service.records.calibration import (
@@ -15,6 +15,7 @@ from service.records.calibration import (
 )
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow
+from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.disturbance import Disturbance
 from service.records.operations.job import Job, JobState, Replay
@@ -37,6 +38,8 @@ class Outcome:
     disturbance: Disturbance | None = None
     #: by how much the methods differ in roll or pitch while they disagree, 0 while they agree; NaN: not compared
     disagreement_deg: float = math.nan
+    #: of each row what its method makes of the carriers, None = nothing; empty where none was computed, as of late rows
+    carriers: tuple[CarrierResults | None, ...] = field(default=(), compare=False)
 
 
 class Results(Protocol):
@@ -119,6 +122,11 @@ class Results(Protocol):
         Of the live version exactly one row a consumed measurement: where nothing was computed, the row has null angles,
         status INVALID and the inhibition ``no_calibration`` or ``not_aligned`` that held when it was consumed.
         """
+
+    def carrier_results(
+        self, spacecraft_id: str, version: str, method: Method, window: Window
+    ) -> dict[tuple[int, int], CarrierResults]:
+        """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""

@@ -10,6 +10,7 @@ from service.api.routes import (
     attitude,
     audit,
     calibrations,
+    carrier_results,
     carrier_selection,
     carriers,
     closed_loop,
@@ -44,7 +45,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     *(each.router for each in (spacecraft, carriers, ephemeris, sources, inputs, operations, calibrations, alignments)),
     *(each.router for each in (harmonics, carrier_selection, status, measurements, samples, traces)),
     # torque_commands behind the names of torques, which its ids must not hide
-    *(each.router for each in (attitude, torques, torque_commands, control, stream, export)),
+    *(each.router for each in (attitude, carrier_results, torques, torque_commands, control, stream, export)),
     *(each.router for each in (replays, jobs)),
     links.report_router,
     links.router,

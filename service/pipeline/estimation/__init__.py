@@ -1,4 +1,4 @@
 """Estimation (L2-L4): both methods, row inhibitions, disagreement of the methods.
 
-Public: method, method_disagreement, row_evidence, row_inhibitions.
+Public: carrier_results, method, method_disagreement, row_evidence, row_inhibitions.
 """

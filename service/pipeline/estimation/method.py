@@ -8,7 +8,7 @@ from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.pipeline.inputs.knowledge import Knowledge
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.journal import SlowInput
-from service.records.levels.attitude import AttitudeRow, CarrierState, FloatArray, IntArray
+from service.records.levels.attitude import AttitudeRow, BoolArray, CarrierState, FloatArray, IntArray
 from service.records.levels.disturbance import Disturbance
 from service.records.levels.measurement import Measurement
 
@@ -21,6 +21,10 @@ class CarrierLevels(NamedTuple):
     deviation_db: FloatArray
     #: dB, part that the attitude does not explain
     residual_db: FloatArray
+    #: whether the calibration uses it
+    is_used: BoolArray
+    #: positions in `CARRIER_HYPOTHESES`
+    hypothesis: IntArray
 
 
 class CommandEvidence(NamedTuple):

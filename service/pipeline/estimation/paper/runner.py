@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.estimation.paper.method import (
@@ -137,7 +139,10 @@ class PaperRunner:
         if self._last is None:
             return None
         outcome, model = self._last
-        return CarrierLevels(model.sensitivity.carrier_ids, outcome.deviation.deviation_db, outcome.fix.residual_db)
+        levels_db = (outcome.deviation.deviation_db, outcome.fix.residual_db)
+        sensitivity = model.sensitivity
+        no_hypothesis = np.zeros(len(sensitivity.carrier_ids), dtype=np.int64)
+        return CarrierLevels(sensitivity.carrier_ids, *levels_db, sensitivity.is_selected, no_hypothesis)
 
     def command_evidence(self) -> CommandEvidence | None:
         """Return None: the method has no model of the noise."""

@@ -29,6 +29,7 @@ from service.core.estimation.filtering.model.torque_prior import wave_period_us
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.method import CarrierLevels
 from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row
 from service.pipeline.estimation.robust.frozen_readings import LastReadings, frozen, no_readings, push_readings
 from service.pipeline.estimation.robust.model import RobustModel, signals
@@ -112,6 +113,13 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
         ~new.is_referenced,
     )
     return replace(state, filter=carried, readings=no_readings(len(position)))
+
+
+def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
+    """Return the figures of the carriers in the outcome of a row; they are not copied."""
+    watch = found.state.filter.anchor
+    hypothesis = np.where(np.isnan(watch.probability), 0, watch.hypothesis + 1)
+    return CarrierLevels(model.carrier_ids, found.deviation_db, found.residual_db, model.is_used, hypothesis)
 
 
 def _torque_of(settings: FilterSettings) -> tuple[object, ...]:

@@ -15,6 +15,7 @@ from service.pipeline.estimation.robust.method import (
     RobustState,
     RobustStep,
     carried_state,
+    carrier_levels,
     initial_state,
     known_disturbance,
     step_robust,
@@ -220,10 +221,7 @@ class RobustRunner:
 
     def carrier_levels(self) -> CarrierLevels | None:
         """Return the figures of the newest row that was not late, None before it; they are not copied."""
-        if self._last is None:
-            return None
-        outcome, model = self._last
-        return CarrierLevels(model.carrier_ids, outcome.deviation_db, outcome.residual_db)
+        return None if self._last is None else carrier_levels(*self._last)
 
     def command_evidence(self) -> CommandEvidence | None:
         """Return the evidence of the newest row in time on commands, None before it."""

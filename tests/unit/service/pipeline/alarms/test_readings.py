@@ -63,7 +63,8 @@ def attitude(minute, method=Method.ROBUST, angles=(0.0, 0.0, 0.0), **changes):
 
 
 def levels(deviation_db=(0.0,) * 3, residual_db=(0.0,) * 3):
-    return CarrierLevels(IDS, np.array(deviation_db), np.array(residual_db))
+    is_used, hypothesis = np.ones(len(IDS), dtype=bool), np.zeros(len(IDS), dtype=np.int64)
+    return CarrierLevels(IDS, np.array(deviation_db), np.array(residual_db), is_used, hypothesis)
 
 
 def test_a_row_as_it_should_be_alarms_nothing():

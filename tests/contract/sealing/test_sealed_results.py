@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select, update
 
+from db.encoding.carrier_codec import pack_carriers
 from db.encoding.segments import DAY_US
 from db.measurements import retention
 from db.measurements.checksum_check import checked_tables
@@ -18,6 +19,7 @@ from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import Axes
+from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import Pulse
 
 DAYS = 3
@@ -71,6 +73,10 @@ def answers(setting, windows, alignment):
                 def rows(limit, after, version=version, window=window, method=method):
                     return results.attitude_rows(name, version, method, window, limit, after)
 
+                carriers = results.carrier_results(name, version, method, window)
+                found[f"carriers {method} {version} {window}"] = [
+                    (position, pack_carriers(each)) for position, each in carriers.items()
+                ]
                 found[f"{method} {version} {window}"] = [list(pages(rows, limit)) for limit in (4, 999)]
     return {question: repr(answer) for question, answer in found.items()}
 
@@ -83,7 +89,17 @@ def outcome(make, row, dice, methods):
     rows = tuple(make.attitude_row(row, method, attitude_deg=axes[0], rates_deg_s=rates) for method in methods)
     rows = rows if dice.random() < 0.8 else ()
     is_commanded = dice.random() < 0.7
-    return Outcome(rows, make.torque_command(row, torque_n_m=axes[1], schedule=pulses) if is_commanded else None)
+    command = make.torque_command(row, torque_n_m=axes[1], schedule=pulses) if is_commanded else None
+    carriers = tuple(dice.choice([None, carriers_of(dice, dice.randint(1, 3))]) for _ in rows)
+    return Outcome(rows, command, carriers=carriers)
+
+
+def carriers_of(dice, count):
+    """Return results of some carriers, one of them not known."""
+    levels_db = np.array([[dice.gauss(0.0, 9.0) for _ in range(count)] for _ in range(2)])
+    levels_db[0, dice.randrange(count)] = np.nan
+    words = [np.array([dice.randrange(5) for _ in range(count)]) for _ in range(2)]
+    return CarrierResults(dice.randint(1, 9), *levels_db, *words)
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 4))])
