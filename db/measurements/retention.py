@@ -45,6 +45,8 @@ ROWS_AT_ONCE = 500
 LOGS_AT_ONCE = 500
 #: segments that one transaction drops
 SEGMENTS_AT_ONCE = 8
+#: about how many bytes a row of attitude takes, and one of torque
+ATTITUDE_BYTES, TORQUE_BYTES = 320, 640
 #: before every epoch
 _NEVER_US = -(1 << 62)
 
@@ -98,7 +100,7 @@ _ATTITUDE = _Part(
     attitude,
     attitude.c.epoch_us,
     (attitude.c.version, attitude.c.method, attitude.c.epoch_us, attitude.c.number),
-    literal(320, Integer),
+    literal(ATTITUDE_BYTES, Integer),
     _ONE,
     number=attitude.c.number,
     prefix=(attitude.c.version, attitude.c.method),
@@ -107,7 +109,7 @@ _TORQUE = _Part(
     torque,
     torque.c.epoch_us,
     (torque.c.version, torque.c.epoch_us, torque.c.number),
-    literal(640, Integer),
+    literal(TORQUE_BYTES, Integer),
     _ONE,
     number=torque.c.number,
     prefix=(torque.c.version,),
@@ -215,16 +217,17 @@ def _drop_some(
         return 0
     if part is _ROWS:
         names_of_details = (measurement_detail.c.epoch_us, measurement_detail.c.source_key)
-        _delete(connection, key, measurement_detail, names_of_details, names)
-    _delete(connection, key, part.table, part.key, names)
+        delete_named(connection, key, measurement_detail, names_of_details, names)
+    delete_named(connection, key, part.table, part.key, names)
     rows = sum(int(name.stands_for) for name in names)
     _count(connection, key, series, stop_us, rows)
     return rows
 
 
-def _delete(
+def delete_named(
     connection: Connection, key: int, table: Table, columns: tuple[ColumnElement[Any], ...], names: Any
 ) -> None:
+    """Delete the rows of a spacecraft whose columns hold one of some names; of longer names the begin counts."""
     width = len(columns)
     # SQLite before 3.32 binds 999 values at most
     chunk = 900 // width

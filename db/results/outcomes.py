@@ -11,6 +11,7 @@ from db.encoding.carrier_codec import pack_carriers
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
 from db.results.checkpoints import store_checkpoint
+from db.results.replays import count_rows
 from db.results.stored_rows import ResultSeries, sealed_keys
 from db.schema.tables import attitude, head, torque
 from service.ports import LIVE, Outcome
@@ -44,7 +45,8 @@ def store_outcomes(
     state = lock_head(connection, key)
     if version != LIVE:
         fresh = _not_sealed(connection, key, version, list(_results(outcomes)))
-        _insert(connection, key, version, [(result, None) for result in fresh], _carriers(outcomes))
+        inserted = _insert(connection, key, version, [(result, None) for result in fresh], _carriers(outcomes))
+        count_rows(connection, key, version, *inserted)
         return int(state.result_sequence)
     results = list(_results(outcomes))
     fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)
@@ -144,7 +146,8 @@ def _insert(
     version: str,
     numbered: Sequence[tuple[Result, int | None]],
     carriers: Mapping[ResultKey, bytes],
-) -> None:
+) -> tuple[int, int]:
+    """Insert results and return how many rows of attitude and of torque were new."""
     rows: list[dict[str, Any]] = []
     commands: list[dict[str, Any]] = []
     for result, sequence in numbered:
@@ -152,8 +155,7 @@ def _insert(
             rows.append({**attitude_values(key, version, result, sequence), "carriers": carriers.get(_key_of(result))})
         else:
             commands.append(torque_values(key, version, result, sequence))
-    insert_new(connection, attitude, rows)
-    insert_new(connection, torque, commands)
+    return insert_new(connection, attitude, rows), insert_new(connection, torque, commands)
 
 
 def _advance(connection: Connection, key: int, state: Row[Any], consumed: Consumed, sequence: int) -> None:

@@ -17,6 +17,7 @@ from db.results.checkpoints import checkpoints
 from db.results.jobs import SqlJobs
 from db.results.outcomes import Consumed, Result, store_outcomes
 from db.results.pending import PendingCount
+from db.results.replays import SqlReplays, check_held
 from db.results.stored_rows import (
     ResultSeries,
     newest_row,
@@ -36,7 +37,7 @@ from service.records.storage.archive_maintenance import SealedResults
 from service.records.storage.checkpoint import Checkpoint
 
 
-class SqlResults(SqlCalibrations, SqlJobs):
+class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
     """Results in a relational database."""
 
     def __init__(self, database: Database) -> None:
@@ -86,15 +87,18 @@ class SqlResults(SqlCalibrations, SqlJobs):
             if version == LIVE:
                 return AttitudeReader(connection, self._database.segments, key, method).rows(window, limit, after)
             of = ResultSeries(key, attitude, version, method.value)
-            return [attitude_of(row) for row in stored_rows(connection, of, window, limit, after)]
+            rows = stored_rows(connection, of, window, limit, after)
+            check_held(connection, key, version)
+        return [attitude_of(row) for row in rows]
 
     def carrier_results(
         self, spacecraft_id: str, version: str, method: Method, window: Window
     ) -> dict[tuple[int, int], CarrierResults]:
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
-        of = ResultSeries(self._database.key(spacecraft_id), attitude, version, method.value)
+        key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            rows = stored_rows(connection, of, window)
+            rows = stored_rows(connection, ResultSeries(key, attitude, version, method.value), window)
+            check_held(connection, key, version)
         stored = (row for row in rows if row.carriers is not None)
         return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in stored}
 
@@ -112,9 +116,11 @@ class SqlResults(SqlCalibrations, SqlJobs):
         self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
     ) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
-        of = ResultSeries(self._database.key(spacecraft_id), torque, version)
+        key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            return [torque_of(row) for row in stored_rows(connection, of, window, limit, after)]
+            rows = stored_rows(connection, ResultSeries(key, torque, version), window, limit, after)
+            check_held(connection, key, version)
+        return [torque_of(row) for row in rows]
 
     def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
         """Return the newest computed command."""

@@ -276,6 +276,10 @@ replay = Table(
     spacecraft_key(),
     Column("replay_id", Integer, primary_key=True, autoincrement=False),
     Column("document", Text, nullable=False),
+    Column("job_id", Text),
+    # what it wrote, whatever retention has taken since
+    *optional(BigInteger, "attitude_rows", "torque_rows"),
+    Column("is_deleted", Boolean),
 )
 
 #: what front ends report of themselves, and what operators want of them

@@ -25,6 +25,7 @@ _COMMANDS = {
         "operation.operate", "Take angles and reference powers from a window; from then on no sensor is used."
     ),
     "replay": CommandSource("operation.operate", "Run the chain again over the archive, as a new version."),
+    "replays": CommandSource("operation.replays", "List the versions that replays wrote, or delete one."),
     "export": CommandSource("operation.export", "Download a stretch of the archive."),
     "plan": CommandSource(
         "planning.plan", "Choose carriers, judge what they can see, and print a timetable of calibration turns."

@@ -222,6 +222,30 @@ class Endpoints:
         params = {**_window(start, stop, limit), "method": method, "version": version}
         return Series(_below(spacecraft_id, f"/carriers/{quote(carrier, safe='')}/results"), params)
 
+    # Replays
+
+    @endpoint
+    def start_replay(self, spacecraft_id: str, replay: Mapping[str, Any]) -> Call[Json]:
+        """Start a replay; the answer names its job and its version."""
+        return Call("POST", _below(spacecraft_id, "/replays"), replay)
+
+    @endpoint
+    def replay(self, spacecraft_id: str, replay_id: int) -> Call[Json]:
+        """Return one replay: span, state, rows, bytes."""
+        return Call("GET", _below(spacecraft_id, f"/replays/{replay_id}"))
+
+    @series
+    def replays(
+        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
+    ) -> Series[Json]:
+        """Yield the replays whose span overlaps an interval, in order of their numbers."""
+        return Series(_below(spacecraft_id, "/replays"), _window(start, stop, limit))
+
+    @endpoint
+    def delete_replay(self, spacecraft_id: str, replay_id: int) -> Call[None]:
+        """Delete a replay and its rows; one that runs or waits ends."""
+        return Call("DELETE", _below(spacecraft_id, f"/replays/{replay_id}"))
+
     # Release of torques
 
     @endpoint

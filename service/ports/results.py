@@ -18,7 +18,7 @@ from service.records.levels.attitude import AttitudeRow
 from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.disturbance import Disturbance
-from service.records.operations.job import Job, JobState, Replay
+from service.records.operations.job import Job, JobState, Replay, ReplayVersion
 from service.records.storage.archive_maintenance import SealedResults
 from service.records.storage.checkpoint import Checkpoint
 
@@ -174,5 +174,17 @@ class Results(Protocol):
     def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
         """Store a replay (its id is ignored) and return it with its id."""
 
-    def replay(self, spacecraft_id: str, version: str) -> Replay:
-        """Return the replay that wrote a version."""
+    def replay(self, spacecraft_id: str, version: str) -> ReplayVersion:
+        """Return the replay that wrote a version, and what became of it; NotFoundError ``replay.unknown``."""
+
+    def replays(self, spacecraft_id: str, window: Window, limit: int, after_id: int) -> list[ReplayVersion]:
+        """Return the replays whose span overlaps a window, with an id above the given one, in order of id."""
+
+    def delete_replay(self, spacecraft_id: str, version: str) -> None:
+        """Delete a version; nothing reads it from now on, and its number is not given again.
+
+        A job that still writes it ends with ConflictError ``replay.deleted`` at its next rows.
+        """
+
+    def drop_replays(self, spacecraft_id: str, created_before_us: int | None) -> Iterator[int]:
+        """Delete finished replays made before an epoch; drop the rows of deleted ones and yield how many a step."""

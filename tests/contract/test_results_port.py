@@ -163,7 +163,7 @@ def test_a_replay_is_found_by_the_version_it_writes(setting):
     wanted = Replay(0, 1, 2, Method.PAPER, None, 3, "journal", "job-1", 9)
     stored = results.add_replay(setting.id, wanted)
     assert stored == replace(wanted, id=1)
-    assert results.replay(setting.id, "replay-1") == stored
+    assert results.replay(setting.id, "replay-1").replay == stored
     for version in ("replay-2", "replay-01", "live", "1", "replay-", "replay-99999999999999999999"):
         with pytest.raises(NotFoundError) as caught:
             results.replay(setting.id, version)

@@ -5,8 +5,10 @@ from typing import Annotated
 from fastapi import Depends, Query
 
 from service.api.context.dependencies import Context, SpacecraftId
+from service.errors import ConflictError
 from service.ports import LIVE, Results
 from service.records.catalogue import Method
+from service.records.operations.job import JobState, ReplayVersion
 
 MethodParameter = Annotated[Method | None, Query(description="Default: the method that drives control")]
 VersionParameter = Annotated[str, Query(max_length=64, description="`live`, or the version of a replay")]
@@ -19,15 +21,26 @@ def wanted_method(spacecraft_id: SpacecraftId, context: Context, method: MethodP
 
 
 def wanted_version(spacecraft_id: SpacecraftId, context: Context, version: VersionParameter = LIVE) -> str:
-    """Return the version asked for; NotFoundError ``replay.unknown``."""
+    """Return the version asked for; NotFoundError ``replay.unknown``, ConflictError ``replay.unfinished``."""
     check_version(context.storage.results, spacecraft_id, version)
     return version
 
 
 def check_version(results: Results, spacecraft_id: str, version: str) -> None:
-    """Raise NotFoundError unless a version exists."""
+    """Raise NotFoundError unless a version exists, ConflictError unless every row of it is stored."""
     if version != LIVE:
-        results.replay(spacecraft_id, version)
+        _check_done(results.replay(spacecraft_id, version))
+
+
+def _check_done(found: ReplayVersion) -> None:
+    """Raise ConflictError ``replay.unfinished`` unless every row of a replay is stored."""
+    if found.state is JobState.DONE:
+        return
+    version = found.replay.version
+    detail = f"{version} is {found.state} ({found.progress:.0%}); wait for its job {found.replay.job_id}"
+    if found.state is JobState.FAILED:
+        detail = f"{version} failed and has no complete rows; delete it and start another one. {found.error or ''}"
+    raise ConflictError("replay.unfinished", detail.rstrip())
 
 
 WantedMethod = Annotated[Method, Depends(wanted_method)]

@@ -8,7 +8,10 @@ from fastapi import APIRouter, Path, Response
 from service.api.access.auth import MAY_OPERATE
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
-from service.api.schemas.replays import ReplayAnswer, ReplayDocument, ReplayStartedAnswer
+from service.api.protocol.paging import Page
+from service.api.schemas.replays import ReplayAnswer, ReplayDocument, ReplayPage, ReplayStartedAnswer
+
+ReplayId = Annotated[int, Path(ge=1, le=2**31 - 1)]
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/replays", tags=["replay"])
 
@@ -27,9 +30,21 @@ def start_replay(
     return ReplayStartedAnswer(id=replay.id, job=job.id, version=replay.version)
 
 
+@router.get("")
+def list_replays(spacecraft_id: SpacecraftId, page: Page, context: Context) -> ReplayPage:
+    """List the replays whose span overlaps an interval, in order of their numbers."""
+    after_id = 0 if page.after is None else page.after[1]
+    found = context.storage.results.replays(spacecraft_id, page.window, page.most, after_id)
+    return page.answer(ReplayPage, found, lambda each: (0, each.replay.id), ReplayAnswer.of)
+
+
 @router.get("/{replay_id}")
-def get_replay(
-    spacecraft_id: SpacecraftId, replay_id: Annotated[int, Path(ge=1, le=2**31 - 1)], context: Context
-) -> ReplayAnswer:
+def get_replay(spacecraft_id: SpacecraftId, replay_id: ReplayId, context: Context) -> ReplayAnswer:
     """Return one replay."""
     return ReplayAnswer.of(context.storage.results.replay(spacecraft_id, f"replay-{replay_id}"))
+
+
+@router.delete("/{replay_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
+def delete_replay(spacecraft_id: SpacecraftId, replay_id: ReplayId, context: Context) -> None:
+    """Delete a replay and its rows, which nobody reads from now on; one that runs or waits ends."""
+    context.storage.results.delete_replay(spacecraft_id, f"replay-{replay_id}")

@@ -2,11 +2,12 @@
 
 from typing import Literal, Self
 
-from service.api.schemas.base import Answer, record_of
+from service.api.schemas.base import Answer, RowPage, record_of
 from service.api.schemas.calibrations import Identifier, WindowDocument
 from service.api.schemas.record_answers import members_of
 from service.records.catalogue import Method
-from service.records.operations.job import Replay
+from service.records.operations.job import Replay, ReplayVersion
+from service.records.record_fields import record_fields
 
 
 class ReplayDocument(WindowDocument):
@@ -37,10 +38,21 @@ class ReplayStartedAnswer(Answer):
     """Name under which its rows are read on history and export."""
 
 
-class ReplayAnswer(members_of(Replay, without=("id", "job_id")), ReplayStartedAnswer):
-    """One replay."""
+class ReplayAnswer(
+    members_of(ReplayVersion, without=("replay",), number=float),
+    members_of(Replay, without=("id", "job_id")),
+    ReplayStartedAnswer,
+):
+    """One replay; its rows are read when its state is ``done``."""
 
     @classmethod
-    def of(cls, replay: Replay) -> Self:
-        """Return the answer for a replay."""
-        return super().of(replay, job=replay.job_id)
+    def of(cls, found: ReplayVersion) -> Self:
+        """Return the answer for a replay and what became of it."""
+        became = {name: getattr(found, name) for name in record_fields(ReplayVersion) if name != "replay"}
+        return super().of(found.replay, job=found.replay.job_id, **became)
+
+
+class ReplayPage(RowPage):
+    """One page of replays."""
+
+    rows: list[ReplayAnswer]

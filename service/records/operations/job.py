@@ -49,3 +49,16 @@ class Replay:
     def version(self) -> str:
         """Name of the version in the archive."""
         return f"replay-{self.id}"
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayVersion:
+    """A replay and what became of it."""
+
+    replay: Replay
+    state: JobState
+    progress: Annotated[float, "0..1"]
+    error: Annotated[str | None, "Why it failed, and what to do."]
+    attitude_rows: Annotated[int, "Attitude rows that it wrote, of all methods."]
+    torque_rows: Annotated[int, "Torque commands that it wrote."]
+    size_bytes: Annotated[int, "About how much they take before their days are sealed."]

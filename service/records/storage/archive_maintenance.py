@@ -87,6 +87,7 @@ class RetentionConfig:
     )
     alarms_days: float = setting(0.0, "closed alarms raised longer ago are dropped; 0 = kept for ever", CHOSEN)
     notes_days: float = setting(0.0, "notes about instants longer ago are dropped; 0 = kept for ever", CHOSEN)
+    replays_days: float = setting(0.0, "versions of replays made longer ago are deleted; 0 = kept for ever", CHOSEN)
     measurements_bytes: int = setting(0, "measurements of one spacecraft take this much at most; 0 = no limit", CHOSEN)
     attitude_bytes: int = setting(0, "attitude of one spacecraft takes this much at most; 0 = no limit", CHOSEN)
     torques_bytes: int = setting(0, "torque commands of one spacecraft take this much at most; 0 = no limit", CHOSEN)

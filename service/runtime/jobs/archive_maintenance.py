@@ -65,7 +65,7 @@ class ArchiveMaintenance:
         self._thread: threading.Thread | None = None
         #: measurements and results sealed, and rows dropped of each series, since the start
         self.sealed_rows = self.sealed_results = 0
-        self.dropped_rows = dict.fromkeys((*SERIES, *LOGS), 0)
+        self.dropped_rows = dict.fromkeys((*SERIES, *LOGS, "replays"), 0)
         #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
         self._sized_at_s: dict[str, float] = {}
         #: rows of older versions that were given a checksum, since the start
@@ -91,6 +91,7 @@ class ArchiveMaintenance:
                 return
             with self._guarded(spacecraft.id):
                 self._drop(spacecraft.id)
+                self._drop_replays(spacecraft.id)
                 self._drop_logs(spacecraft.id, self._clock.now_us(spacecraft.id))
                 self._seal(spacecraft.id)
         with self._guarded("the service"):
@@ -132,6 +133,13 @@ class ArchiveMaintenance:
                 log = self._storage.alarms if name == "alarms" else self._storage.notes
                 for rows in self._paced(log.drop_before(spacecraft_id, now_us - int(days * _DAY_US))):
                     self.dropped_rows[name] += rows
+
+    def _drop_replays(self, spacecraft_id: str) -> None:
+        """Drop old versions, and the rows of those that were deleted."""
+        days = self._retention.replays_days
+        before_us = self._clock.system_us() - int(days * _DAY_US) if days else None
+        for rows in self._paced(self._storage.results.drop_replays(spacecraft_id, before_us)):
+            self.dropped_rows["replays"] += rows
 
     def _bounds(self, spacecraft_id: str, series: str, *, is_sizing: bool) -> Iterator[int]:
         """Yield the epochs before which a series is not kept, by age first."""

@@ -99,6 +99,8 @@ class Replayer:
     def _run(self, plan: "_Plan", report: Progress) -> None:
         """Run one replay and store what falls into its span."""
         replay, results = plan.replay, self._storage.results
+        # deleted while it waited
+        results.replay(plan.spacecraft_id, replay.version)
         documents = DocumentCache(self._storage.catalogue, results, plan.spacecraft_id)
         methods = METHODS if replay.method is None else (replay.method,)
         chain = Chain(documents, self._config, plan.calibration, methods, has_commands=replay.commands)

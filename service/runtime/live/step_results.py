@@ -20,7 +20,7 @@ _RESTARTING = (AlignmentSet, CalibrationActivation)
 
 
 @dataclass(slots=True)
-class Step:
+class StepResults:
     """Results of some entries of the journal."""
 
     outcomes: list[Outcome] = field(default_factory=list)

@@ -32,7 +32,7 @@ from service.runtime.live.live_feed import FeedEvent, LiveFeed
 from service.runtime.live.row_cache import FreshRows
 from service.runtime.live.row_publisher import RowPublisher
 from service.runtime.live.row_watchers import ReleaseWatcher, Watcher
-from service.runtime.live.step_results import Step, result_events, seen_of
+from service.runtime.live.step_results import StepResults, result_events, seen_of
 
 _LOG = logging.getLogger("soo.supervisor")
 
@@ -258,7 +258,7 @@ class Supervisor:
         is_last = False
         while not is_last:
             with follower.lock:
-                step = Step(list(islice(found, _ENTRIES_AT_ONCE)))
+                step = StepResults(list(islice(found, _ENTRIES_AT_ONCE)))
             is_last = len(step.outcomes) < _ENTRIES_AT_ONCE
             if self._is_stopping and not is_last:
                 # its chain stands within an entry: it is no state to go on from
@@ -271,7 +271,7 @@ class Supervisor:
 
         Control must have seen such a command, and may have tripped by it, before the next row is computed.
         """
-        step, spacecraft_id, until_s = Step(), follower.spacecraft_id, time.monotonic() + _STEP_S
+        step, spacecraft_id, until_s = StepResults(), follower.spacecraft_id, time.monotonic() + _STEP_S
         with follower.lock:
             left = self._consume(follower, entries, step)
             # waiting for a commit after every few rows would never catch up with fast front ends
@@ -285,7 +285,7 @@ class Supervisor:
         self._conclude(follower, entries[: len(entries) - len(left)], step)
         return left
 
-    def _conclude(self, follower: _Follower, entries: list[JournalEntry], step: Step) -> None:
+    def _conclude(self, follower: _Follower, entries: list[JournalEntry], step: StepResults) -> None:
         """Store what came of entries, and hand it to those who look at it; no entries: one is not at its end yet."""
         spacecraft_id = follower.spacecraft_id
         others = [entry.content for entry in entries if not isinstance(entry.content, Measurement)]
@@ -299,7 +299,7 @@ class Supervisor:
         if self._watcher is not None and step.seen:
             self._watcher.on_rows(spacecraft_id, step.seen)
 
-    def _consume(self, follower: _Follower, entries: list[JournalEntry], step: Step) -> list[JournalEntry]:
+    def _consume(self, follower: _Follower, entries: list[JournalEntry], step: StepResults) -> list[JournalEntry]:
         """Feed entries to the chain and note what came of them.
 
         Return those behind the first applied command, or from an alignment on.

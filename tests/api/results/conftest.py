@@ -55,7 +55,7 @@ from service.records.catalogue import (
 from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Status
 from service.records.levels.command import Pulse, TorqueCommand
 from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
-from service.records.operations.job import Replay
+from service.records.operations.job import JobState, Replay
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.control.release_publisher import ReleasePublisher
@@ -265,7 +265,9 @@ class Bench:
 
     def replay(self) -> str:
         """Store a replay and return its version."""
-        wanted = Replay(0, 0, NOW_US, None, None, 1, "journal", "replay-job", NOW_US)
+        job = self.jobs.add("replay")
+        self.storage.results.update_job(job.id, JobState.DONE, 1.0)
+        wanted = Replay(0, 0, NOW_US, None, None, 1, "journal", job.id, NOW_US)
         return self.storage.results.add_replay(SC, wanted).version
 
 

@@ -4,8 +4,10 @@ import asyncio
 
 import pytest
 
+from service.ports import Outcome
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
+from service.records.operations.job import JobState
 
 pytestmark = pytest.mark.anyio
 
@@ -31,3 +33,47 @@ async def test_replay_of_a_method_is_started_and_told(bench, make, method):
     history = await bench.get("/attitude/history", **span, version=started["version"], method=method or "paper")
     assert history["method"] == (method or "paper")
     assert {row["version"] for row in history["rows"]} <= {started["version"]}
+
+
+async def test_versions_are_listed_with_their_sizes_page_by_page(bench, make):
+    versions = [bench.replay() for _ in range(3)]
+    (row,) = bench.append([make.now_us - 60 * make.s])
+    bench.storage.results.save_outcomes(make.sc, versions[1], [Outcome((make.row(row),), None)], 0, None)
+    first = await bench.get("/replays", limit=2)
+    second = await bench.get("/replays", limit=2, cursor=first["next"])
+    listed = first["rows"] + second["rows"]
+    assert [each["version"] for each in listed] == versions
+    assert second["next"] is None
+    assert [each["attitude_rows"] for each in listed] == [0, 1, 0]
+    assert listed[1]["size_bytes"] == 320
+    assert {each["state"] for each in listed} == {"done"}
+    assert await bench.get(f"/replays/{listed[1]['id']}") == listed[1]
+
+
+async def test_a_deleted_version_is_unknown_to_everybody(bench):
+    version = bench.replay()
+    path = f"{bench.url}/replays/{version.removeprefix('replay-')}"
+    assert (await bench.client.delete(path)).status_code == 204
+    span = {"start": "2026-01-01T00:00:00Z", "stop": "2030-01-01T00:00:00Z"}
+    asked = [
+        await bench.client.delete(path),
+        await bench.client.get(path),
+        await bench.client.get(f"{bench.url}/attitude/history", params={**span, "version": version}),
+        await bench.client.get(
+            f"{bench.url}/archive/attitude:export", params={**span, "format": "csv", "version": version}
+        ),
+    ]
+    assert {(each.status_code, each.json()["code"]) for each in asked} == {(404, "replay.unknown")}
+    assert (await bench.get("/replays"))["rows"] == []
+
+
+async def test_rows_of_a_version_that_is_not_complete_are_not_given(bench, make):
+    version = bench.replay()
+    job = bench.storage.results.replay(make.sc, version).replay.job_id
+    reasons = {JobState.QUEUED: "is queued", JobState.RUNNING: "running (50%)", JobState.FAILED: "the disk was full"}
+    for state, text in reasons.items():
+        bench.storage.results.update_job(job, state, 0.5, "the disk was full")
+        for path in ("attitude/history", "torques/history", "archive/attitude:export"):
+            answer = await bench.client.get(f"{bench.url}/{path}", params={"version": version})
+            assert (answer.status_code, answer.json()["code"]) == (409, "replay.unfinished"), path
+            assert text in answer.json()["detail"]

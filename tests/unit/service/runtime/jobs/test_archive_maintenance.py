@@ -40,6 +40,11 @@ class Archive:
         self.asked.append(("drop", series, before_us))
         yield RetiredRows(series, 2, before_us)
 
+    def drop_replays(self, name, created_before_us):
+        if created_before_us is not None:
+            self.asked.append(("replays", name, created_before_us))
+            yield 7
+
     def complete_checksums(self):
         yield from (3, 2)
 
@@ -77,6 +82,7 @@ def archive():
 
 def maintainer(archive, retention=None, clock=None, names=("a",)):
     catalogue = SimpleNamespace(all_spacecraft=lambda: [SimpleNamespace(id=name) for name in names])
+    archive.results.drop_replays = archive.drop_replays
     storage = SimpleNamespace(catalogue=catalogue, archive=archive, results=archive.results)
     return ArchiveMaintenance(storage, clock or Clock(), FAST, retention or RetentionConfig())
 
@@ -89,6 +95,13 @@ def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(
     assert archive.results.before_us == [NOW_US - quiet_us]
     assert (made.sealed_rows, made.sealed_results, made.completed_rows) == (10, 7, 5)
     assert set(made.dropped_rows.values()) == {0}
+
+
+def test_versions_are_dropped_by_the_age_of_the_replay(archive):
+    made = maintainer(archive, RetentionConfig(replays_days=2.0))
+    made.poll_once()
+    assert archive.asked[0] == ("replays", "a", NOW_US + 5 - 2 * DAY_US)
+    assert made.dropped_rows["replays"] == 7
 
 
 def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.errors import ConflictError, InvalidInputError
+from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method
-from service.records.operations.job import Replay
+from service.records.operations.job import JobState, Replay
 
 
 @pytest.mark.parametrize(
@@ -129,3 +129,23 @@ def test_a_span_before_every_alignment_starts_with_the_first(ground):
         ground.settle(supervisor)
     early = start(ground, start_us=ground.at(-2000))[0]
     assert early.alignment_id == 1
+
+
+def test_a_replay_that_is_deleted_while_it_runs_ends_and_says_so(lived, monkeypatch):
+    results, calls = lived.storage.results, []
+    save = results.save_outcomes
+
+    def deleting(spacecraft_id, version, *others):
+        calls.append(version)
+        if len(calls) == 3:
+            results.delete_replay(spacecraft_id, version)
+        return save(spacecraft_id, version, *others)
+
+    monkeypatch.setattr(results, "save_outcomes", deleting)
+    monkeypatch.setattr("service.runtime.jobs.replay_job._OUTCOMES_AT_ONCE", 7)
+    replay, job = start(lived, stop_us=lived.at(300))
+    assert lived.finish(job.id) is JobState.FAILED
+    assert "was deleted while it was computed" in results.job(job.id).error
+    assert sum(results.drop_replays(lived.id, None)) > 0
+    with pytest.raises(NotFoundError):
+        lived.rows(replay.version)

@@ -1,0 +1,37 @@
+"""Replays count what they wrote, and are marked when they are deleted."""
+
+import json
+
+import sqlalchemy as sa
+from alembic import op
+
+from db.schema.columns import optional
+
+revision = "0017"
+down_revision = "0015"
+branch_labels = None
+depends_on = None
+
+_REPLAY = sa.table("replay", *(sa.column(n) for n in ("spacecraft_key", "replay_id", "document", "job_id")))
+_COUNT = """UPDATE replay SET {table}_rows = (SELECT count(*) FROM {table}
+WHERE {table}.spacecraft_key = replay.spacecraft_key AND {table}.version = 'replay-' || replay.replay_id)"""
+
+
+def upgrade() -> None:
+    for column in (sa.Column("job_id", sa.Text()), *optional(sa.BigInteger, "attitude_rows", "torque_rows")):
+        op.add_column("replay", column)
+    op.add_column("replay", sa.Column("is_deleted", sa.Boolean()))
+    op.execute("UPDATE replay SET is_deleted = false")
+    connection = op.get_bind()
+    for key, number, document in connection.execute(sa.select(*list(_REPLAY.c)[:3])).all():
+        is_it = (_REPLAY.c.spacecraft_key == key, _REPLAY.c.replay_id == number)
+        connection.execute(_REPLAY.update().where(*is_it).values(job_id=json.loads(document)["job_id"]))
+    for table in ("attitude", "torque"):
+        op.execute(_COUNT.format(table=table))
+
+
+def downgrade() -> None:
+    # a version that was deleted is nobody's to read, and its number may come again
+    op.execute("DELETE FROM replay WHERE is_deleted")
+    for name in ("is_deleted", "torque_rows", "attitude_rows", "job_id"):
+        op.drop_column("replay", name)
