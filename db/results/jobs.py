@@ -2,12 +2,13 @@
 
 from dataclasses import asdict
 
-from sqlalchemy import Connection, select, update
+from sqlalchemy import Connection, not_, select, update
 from sqlalchemy.exc import IntegrityError
 
 from db.database import Repository
 from db.schema.tables import calibration as calibration_table
 from db.schema.tables import job as job_table
+from db.schema.tables import replay as replay_table
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import CalibrationState
 from service.records.operations.job import Job, JobState
@@ -38,8 +39,12 @@ class SqlJobs(Repository):
         return Job(row.job_id, row.kind, JobState(row.state), row.progress, row.created_at_us, row.error)
 
     def fail_unfinished_jobs(self, error: str) -> int:
-        """Mark jobs that a former process left queued or running as failed, and their drafts; return how many jobs."""
-        jobs = update(job_table).where(job_table.c.state.in_(_UNFINISHED))
+        """Mark jobs that a former process left unfinished as failed, and their drafts; return how many jobs.
+
+        Those of replays stay: they go on from where they are.
+        """
+        of_replay = select(replay_table.c.job_id).where(replay_table.c.job_id == job_table.c.job_id)
+        jobs = update(job_table).where(job_table.c.state.in_(_UNFINISHED), not_(of_replay.exists()))
         is_draft = calibration_table.c.state == CalibrationState.DRAFT.value
         drafts = update(calibration_table).where(is_draft, calibration_table.c.result.is_(None))
 

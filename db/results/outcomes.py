@@ -11,7 +11,7 @@ from db.encoding.carrier_codec import pack_carriers
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
 from db.results.checkpoints import store_checkpoint
-from db.results.replays import count_rows
+from db.results.replays import note_rows
 from db.results.stored_rows import ResultSeries, sealed_keys
 from db.schema.tables import attitude, head, torque
 from service.ports import LIVE, Outcome
@@ -46,7 +46,7 @@ def store_outcomes(
     if version != LIVE:
         fresh = _not_sealed(connection, key, version, list(_results(outcomes)))
         inserted = _insert(connection, key, version, [(result, None) for result in fresh], _carriers(outcomes))
-        count_rows(connection, key, version, *inserted)
+        note_rows(connection, key, version, *inserted, checkpoint)
         return int(state.result_sequence)
     results = list(_results(outcomes))
     fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)

@@ -5,20 +5,24 @@ again. Its rows go afterwards, in short transactions.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, not_, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, not_, or_, select, update
 
 from db.database import Database, Repository, lock_head, next_id
 from db.encoding.json_documents import decode, encode
+from db.measurements.checksum_check import agrees
 from db.measurements.retention import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
+from db.schema.row_checksum import checksum_of
 from db.schema.tables import job as job_table
 from db.schema.tables import replay as replay_table
+from db.schema.tables import replay_checkpoint
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
 from service.records.operations.job import JobState, Replay, ReplayVersion
+from service.records.storage.checkpoint import Checkpoint
 
 _FINISHED = (JobState.DONE, JobState.FAILED)
 _SERIES = ("attitude", "torques")
@@ -52,6 +56,18 @@ class SqlReplays(Repository):
         )
         return [each for each, _ in zip(inside, range(limit), strict=False)]
 
+    def replay_checkpoint(self, spacecraft_id: str, version: str, fingerprint: str) -> Checkpoint | None:
+        """Return the state from which a replay goes on; None when there is none that fits and is sound."""
+        is_it = _is_state(self._database.key(spacecraft_id), number_of(version) or 0)
+        table = replay_checkpoint
+        row = self._database.fetch_one(select(table).where(is_it, table.c.fingerprint == fingerprint))
+        if row is None:
+            return None
+        values: Any = row._mapping  # noqa: SLF001 - SQLAlchemy's public name
+        if not agrees(row.checksum, partial(checksum_of, table, values)):
+            return None
+        return Checkpoint(row.number, row.epoch_us, row.fingerprint, row.content)
+
     def delete_replay(self, spacecraft_id: str, version: str) -> None:
         """Mark a replay as deleted; a job that still writes it ends at its next rows."""
         key, number = self._database.key(spacecraft_id), number_of(version)
@@ -62,6 +78,11 @@ class SqlReplays(Repository):
             marked = connection.execute(update(replay_table).where(is_it, _IS_HELD).values(is_deleted=True))
             if marked.rowcount == 0:
                 raise _no_replay(spacecraft_id, version)
+            connection.execute(delete(replay_checkpoint).where(_is_state(key, number or 0)))
+            job_id = select(replay_table.c.job_id).where(is_it).scalar_subquery()
+            is_open = job_table.c.state.not_in([state.value for state in _FINISHED])
+            ended = {"state": JobState.FAILED.value, "error": f"{version} was deleted."}
+            connection.execute(update(job_table).where(job_table.c.job_id == job_id, is_open).values(ended))
 
         self._database.write(mark)
 
@@ -78,9 +99,12 @@ def number_of(version: str) -> int | None:
     return int(number) if is_number and str(int(number)) == number else None
 
 
-def count_rows(connection: Connection, key: int, version: str, attitude_rows: int, torque_rows: int) -> None:
-    """Add to the count of what a replay wrote; ConflictError ``replay.deleted`` when it was deleted meanwhile."""
-    is_it = _is_replay(key, number_of(version) or 0)
+def note_rows(
+    connection: Connection, key: int, version: str, attitude_rows: int, torque_rows: int, made: Checkpoint | None
+) -> None:
+    """Add to the count of what a replay wrote, and keep its state; ConflictError ``replay.deleted`` if it was."""
+    number = number_of(version) or 0
+    is_it = _is_replay(key, number)
     row = connection.execute(select(replay_table.c.is_deleted).where(is_it)).first()
     if row is not None and row.is_deleted:
         raise ConflictError("replay.deleted", f"{version} was deleted while it was computed.")
@@ -90,6 +114,10 @@ def count_rows(connection: Connection, key: int, version: str, attitude_rows: in
         "torque_rows": columns.torque_rows + torque_rows,
     }
     connection.execute(update(replay_table).where(is_it).values(counts))
+    if made is not None:
+        connection.execute(delete(replay_checkpoint).where(_is_state(key, number)))
+        values = {"spacecraft_key": key, "replay_id": number, **asdict(made)}
+        connection.execute(replay_checkpoint.insert().values(values))
 
 
 def check_held(connection: Connection, key: int, version: str) -> None:
@@ -98,6 +126,10 @@ def check_held(connection: Connection, key: int, version: str) -> None:
     is_deleted = select(replay_table.c.is_deleted)
     if number is not None and connection.scalar(is_deleted.where(_is_replay(key, number))):
         raise NotFoundError("replay.unknown", f"{version} was deleted.")
+
+
+def _is_state(key: int, number: int) -> ColumnElement[bool]:
+    return and_(replay_checkpoint.c.spacecraft_key == key, replay_checkpoint.c.replay_id == number)
 
 
 _IS_HELD = not_(replay_table.c.is_deleted)

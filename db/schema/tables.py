@@ -282,6 +282,18 @@ replay = Table(
     Column("is_deleted", Boolean),
 )
 
+#: state from which a replay that was interrupted goes on
+replay_checkpoint = Table(
+    "replay_checkpoint",
+    metadata,
+    spacecraft_key(is_referencing=False),
+    *keys(Integer, "replay_id"),
+    *needed(BigInteger, "number", "epoch_us"),
+    *needed(Text, "fingerprint"),
+    *needed(LargeBinary, "content"),
+    checksum_column(),
+)
+
 #: what front ends report of themselves, and what operators want of them
 link = Table(
     "link",

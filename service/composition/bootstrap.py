@@ -33,7 +33,8 @@ from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
-from service.runtime.jobs.workers import Workers
+from service.runtime.jobs.replay_run import replay_in_process
+from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.leadership import Leading, Term, always
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
@@ -210,6 +211,20 @@ def _calibrator(settings: Settings, storage: Storage, clock: Clock, jobs: JobRun
     return Calibrator(storage, clock, jobs, fit, settings.workers.max_calibrations)
 
 
+def _replayer(settings: Settings, storage: Storage, clock: Clock) -> tuple[Replayer, Callable[[], None]]:
+    """Return what replays in a worker process of its own, since a replay may take hours, and what ends that."""
+    jobs, worker = JobRunner(storage.results, clock), Workers(WorkerConfig(processes=1))
+    opened = partial(SqlStorage, settings.database_url, settings.database_timeout_s)
+    replayed = partial(worker.complete, partial(replay_in_process, opened, settings.chain_config()))
+
+    def end() -> None:
+        worker.stop()
+        jobs.stop()
+
+    # the process reports for itself
+    return Replayer(storage, clock, jobs, lambda sc, version, _: replayed(sc, version)), end
+
+
 def _flights(settings: Settings, jobs: JobRunner, workers: Workers) -> FlightAnalyses:
     """Return what flies analyses; without a compiler shorter ones only."""
     most_steps = MOST_STEPS if settings.kernels == "numba" else MOST_STEPS_PLAIN
@@ -229,11 +244,11 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     # apart, so that no calibration waits for an analysis
     analyses = JobRunner(storage.results, clock)
     workers = Workers(settings.workers)
-
+    replayer, end_replays = _replayer(settings, storage, clock)
     maintainer = build_maintenance(settings, storage, clock, leading.turn)
 
     async def start() -> None:
-        await asyncio.to_thread(leading.start, [jobs.start])
+        await asyncio.to_thread(leading.start, [jobs.start, replayer.resume])
         maintainer.start()
         alarms.start()
         supervisor.start()
@@ -241,7 +256,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
 
     async def stop() -> None:
         running = (release_service.stop, supervisor.stop, alarms.stop, workers.stop, jobs.stop, analyses.stop)
-        for end in (*running, maintainer.stop, leading.stop, storage.close):
+        for end in (end_replays, *running, maintainer.stop, leading.stop, storage.close):
             await asyncio.to_thread(end)
 
     context = ApiContext(
@@ -259,7 +274,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         feed=feed,
         calibrator=_calibrator(settings, storage, clock, jobs, workers),
         aligner=Aligner(storage, clock, settings.alignment),
-        replayer=Replayer(storage, clock, jobs, settings.chain_config()),
+        replayer=replayer,
         flights=_flights(settings, analyses, workers),
         workers=workers,
         release_service=release_service,

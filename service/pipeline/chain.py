@@ -147,10 +147,10 @@ class Chain:
     def saved(self) -> ChainState | None:
         """Return the state after the newest entry; None where the chain cannot be saved now.
 
-        Nothing runs, another calibration than the journal's is used, or a released command is not reported.
+        Nothing runs, or a released command is not reported. A chain that goes on from it must have been made alike.
         """
         alignment = self._knowledge.alignment
-        if alignment is None or self._override is not None or not self.is_running:
+        if alignment is None or not self.is_running:
             return None
         if any(runner.is_waiting for runner in self._runners):
             return None

@@ -100,7 +100,8 @@ class Results(Protocol):
         """Store outcomes, and the state after them, in one transaction and return the last result sequence.
 
         Attitude rows that exist already under (version, method, measurement) stay as they are. For the live version
-        applied commands enter the journal and the consumer's head moves to ``consumed_number``.
+        applied commands enter the journal and the consumer's head moves to ``consumed_number``; a replay's checkpoint
+        takes the place of the one before.
         """
 
     def checkpoints(
@@ -169,7 +170,10 @@ class Results(Protocol):
         """Return one job."""
 
     def fail_unfinished_jobs(self, error: str) -> int:
-        """Mark jobs that a former process left queued or running as failed, and their drafts; return how many jobs."""
+        """Mark jobs that a former process left unfinished as failed, and their drafts; return how many jobs.
+
+        Those of replays stay: they go on from where they are.
+        """
 
     def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
         """Store a replay (its id is ignored) and return it with its id."""
@@ -179,6 +183,9 @@ class Results(Protocol):
 
     def replays(self, spacecraft_id: str, window: Window, limit: int, after_id: int) -> list[ReplayVersion]:
         """Return the replays whose span overlaps a window, with an id above the given one, in order of id."""
+
+    def replay_checkpoint(self, spacecraft_id: str, version: str, fingerprint: str) -> Checkpoint | None:
+        """Return the state from which a replay goes on; None when there is none that fits and is sound."""
 
     def delete_replay(self, spacecraft_id: str, version: str) -> None:
         """Delete a version; nothing reads it from now on, and its number is not given again.

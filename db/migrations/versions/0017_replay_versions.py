@@ -1,11 +1,11 @@
-"""Replays count what they wrote, and are marked when they are deleted."""
+"""Replays count what they wrote, go on from a checkpoint, and are marked when they are deleted."""
 
 import json
 
 import sqlalchemy as sa
 from alembic import op
 
-from db.schema.columns import optional
+from db.schema.columns import keys, needed, optional, spacecraft_key
 
 revision = "0017"
 down_revision = "0015"
@@ -28,9 +28,19 @@ def upgrade() -> None:
         connection.execute(_REPLAY.update().where(*is_it).values(job_id=json.loads(document)["job_id"]))
     for table in ("attitude", "torque"):
         op.execute(_COUNT.format(table=table))
+    op.create_table(
+        "replay_checkpoint",
+        spacecraft_key(is_referencing=False),
+        *keys(sa.Integer, "replay_id"),
+        *needed(sa.BigInteger, "number", "epoch_us"),
+        *needed(sa.Text, "fingerprint"),
+        *needed(sa.LargeBinary, "content"),
+        sa.Column("checksum", sa.LargeBinary()),
+    )
 
 
 def downgrade() -> None:
+    op.drop_table("replay_checkpoint")
     # a version that was deleted is nobody's to read, and its number may come again
     op.execute("DELETE FROM replay WHERE is_deleted")
     for name in ("is_deleted", "torque_rows", "attitude_rows", "job_id"):

@@ -40,7 +40,7 @@ class ReplayStartedAnswer(Answer):
 
 class ReplayAnswer(
     members_of(ReplayVersion, without=("replay",), number=float),
-    members_of(Replay, without=("id", "job_id")),
+    members_of(Replay, without=("id", "job_id", "is_fixed_alignment", "until_number")),
     ReplayStartedAnswer,
 ):
     """One replay; its rows are read when its state is ``done``."""

@@ -44,6 +44,10 @@ class Replay:
     job_id: str
     created_at_us: int
     commands: Annotated[bool, "False: without torques."] = True
+    #: whether the alignment was asked for, so that later ones of the journal do not replace it
+    is_fixed_alignment: bool = False
+    #: newest journal number that it reads; None = of a version that did not state it
+    until_number: int | None = None
 
     @property
     def version(self) -> str:

@@ -24,6 +24,10 @@ class JobAbortedError(Exception):
     """The work cannot be done; the text gives the reason and the remedy."""
 
 
+class JobInterruptedError(Exception):
+    """The service stops; the job stays unfinished and goes on after the next start."""
+
+
 class JobRunner:
     """Runs jobs one after another in a thread of its own.
 
@@ -64,6 +68,12 @@ class JobRunner:
             self._unfinished += 1
         return job
 
+    def resume(self, job: Job, work: Callable[[Progress], None]) -> None:
+        """Queue the work of a job that a former process left unfinished."""
+        with self._lock:
+            self._unfinished += 1
+        self.run(job, work)
+
     def run(self, job: Job, work: Callable[[Progress], None]) -> None:
         """Queue the work of a job."""
         self._executor.submit(self._run, job.id, work)
@@ -81,6 +91,8 @@ class JobRunner:
             report(0.0)
             work(report)
             self._results.update_job(job_id, JobState.DONE, 1.0)
+        except JobInterruptedError:
+            _LOG.info("job %s goes on after the next start", job_id)
         except (JobAbortedError, SooError) as error:
             self._results.update_job(job_id, JobState.FAILED, 1.0, str(error))
         except Exception as error:  # noqa: BLE001 a job's fault must reach its operator, whatever it is

@@ -4,6 +4,7 @@ Each worker is a pool of one process, so that ending one that takes too long har
 the first work needs it, and replaced when it has died or was ended. Workers yield the processor to the service.
 """
 
+import logging
 import os
 import signal
 from collections.abc import Callable
@@ -13,17 +14,22 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from queue import LifoQueue
-from threading import Lock, Thread
+from threading import TIMEOUT_MAX, Lock, Thread
 from typing import Any, ParamSpec, TypeVar
 
 from service.errors import BusyError, InvalidInputError, UnavailableError
 from service.records.setting import CHOSEN, setting
+from service.runtime.jobs.job_runner import JobInterruptedError
+
+_LOG = logging.getLogger("soo.workers")
 
 P = ParamSpec("P")
 Found = TypeVar("Found")
 
 #: a process that has not begun by then never will, s
 _START_TIMEOUT_S = 300.0
+#: processes that may die over work that goes on where it was
+_ATTEMPTS = 4
 #: by so much the system's scheduler prefers the service
 _NICENESS = 10
 _STOPPING = "the service is stopping; start it again"
@@ -67,6 +73,7 @@ class Workers:
             self._idle.put(worker)
         self._lock = Lock()
         self._analyses = 0
+        self._is_stopping = False
 
     def analyse(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Future[Found]:
         """Queue an analysis; its future raises what the work raises, or as `run` does.
@@ -104,8 +111,30 @@ class Workers:
         except CancelledError:
             raise UnavailableError("analysis.ended", _STOPPING) from None
 
+    def complete(self, work: Callable[P, None], *args: P.args, **kwargs: P.kwargs) -> None:
+        """Run work that goes on where it was, without a limit of time; a process that dies is replaced a few times.
+
+        Raises
+        ------
+        JobInterruptedError
+            The service stops.
+        UnavailableError
+            ``analysis.ended``: the process died again and again.
+        """
+        for attempt in range(1, _ATTEMPTS + 1):
+            try:
+                return self._submit(TIMEOUT_MAX, work, *args, **kwargs).result()
+            except (CancelledError, UnavailableError):
+                if self._is_stopping:
+                    raise JobInterruptedError from None
+                if attempt == _ATTEMPTS:
+                    raise
+                _LOG.warning("a worker process ended unexpectedly; its work goes on in another one", exc_info=True)
+        return None
+
     def stop(self) -> None:
         """End what is computed and what waits; futures of both tell it."""
+        self._is_stopping = True
         self._threads.shutdown(wait=False, cancel_futures=True)
         for worker in self._all:
             worker.end()

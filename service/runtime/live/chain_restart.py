@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from service.pipeline.chain import Chain
-from service.pipeline.checkpoints.chain_state import fingerprint, pack_state, unpack_state
+from service.pipeline.checkpoints.chain_state import ChainState, fingerprint, pack_state, unpack_state
 from service.pipeline.config import ChainConfig
 from service.ports import Storage
 from service.records.epoch import US_PER_S
@@ -24,7 +24,7 @@ _LOG = logging.getLogger("soo.restart")
 #: of data between two checkpoints, us
 PERIOD_US = 3600 * US_PER_S
 #: an alignment may reach back so far before a checkpoint, us
-_KNOWN_US = 7 * 86_400 * US_PER_S
+KNOWN_US = 7 * 86_400 * US_PER_S
 _ENTRIES_AT_ONCE = 256
 
 
@@ -146,15 +146,21 @@ def restored_checkpoint(
     for found in storage.results.checkpoints(spacecraft_id, fingerprint(config), until_number, before_us):
         if found.number <= after_number:
             break
-        try:
-            state = unpack_state(found.content)
-        except (ArithmeticError, LookupError, OSError, TypeError, ValueError, zipfile.BadZipFile) as fault:
-            _LOG.warning("checkpoint %d of %s cannot be read: %s", found.number, spacecraft_id, fault)
-            continue
-        update_before(chain, storage.archive, spacecraft_id, found.number + 1, found.epoch_us - _KNOWN_US)
-        chain.restore(state)
-        return found
+        state = state_of(spacecraft_id, found)
+        if state is not None:
+            update_before(chain, storage.archive, spacecraft_id, found.number + 1, found.epoch_us - KNOWN_US)
+            chain.restore(state)
+            return found
     return None
+
+
+def state_of(spacecraft_id: str, found: Checkpoint) -> ChainState | None:
+    """Return the state of a checkpoint; None where it cannot be read."""
+    try:
+        return unpack_state(found.content)
+    except (ArithmeticError, LookupError, OSError, TypeError, ValueError, zipfile.BadZipFile) as fault:
+        _LOG.warning("checkpoint %d of %s cannot be read: %s", found.number, spacecraft_id, fault)
+        return None
 
 
 def _last_alignment(storage: Storage, spacecraft_id: str, consumed_number: int) -> tuple[int | None, int | None]:

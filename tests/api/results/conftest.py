@@ -65,6 +65,7 @@ from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
+from service.runtime.jobs.replay_run import ReplayRun
 from service.runtime.jobs.workers import Workers
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
@@ -301,7 +302,9 @@ async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
         feed=feed,
         calibrator=Calibrator(storage, clock, jobs, partial(fitted, CalibrationConfig()), 2),
         aligner=Aligner(storage, clock, AlignmentConfig()),
-        replayer=Replayer(storage, clock, jobs, config),
+        replayer=Replayer(
+            storage, clock, jobs, lambda sc, version, report: ReplayRun(storage, config, sc, version).run(report)
+        ),
         workers=workers,
         flights=FlightAnalyses(jobs, partial(fly_thinned, kernels="numpy")),
         release_service=ReleaseService(storage, clock, ReleaseSettings(), TorqueConfig(), publisher),

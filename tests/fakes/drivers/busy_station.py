@@ -19,6 +19,7 @@ from service.records.operations.job import JobState, Replay
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
+from service.runtime.jobs.replay_run import ReplayRun
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -52,7 +53,7 @@ class Station:
     def __init__(self, directory):
         self.storage = SqlStorage(f"sqlite:///{directory / 'soo.db'}")
         self.jobs = JobRunner(self.storage.results, self)
-        self.replayer = Replayer(self.storage, self, self.jobs, ChainConfig())
+        self.replayer = Replayer(self.storage, self, self.jobs, self.run_replay)
         self.aligner = Aligner(self.storage, self, AlignmentConfig())
 
     def system_us(self):
@@ -135,6 +136,9 @@ class Station:
 
     def commands(self, version=LIVE, start=1, stop=100_000):
         return self.storage.results.commands(SC, version, Window(at(start), at(stop)), 100_000, None)
+
+    def run_replay(self, spacecraft_id, version, report):
+        ReplayRun(self.storage, ChainConfig(), spacecraft_id, version).run(report)
 
     def replay(self, start, stop, **changes):
         wanted = Replay(0, at(start), at(stop), None, None, 0, "journal", "", 0)

@@ -32,6 +32,7 @@ from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
+from service.runtime.jobs.replay_run import ReplayRun
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -58,7 +59,7 @@ class Ground:
         self.jobs = JobRunner(self.storage.results, self.clock)
         self.calibrator = Calibrator(self.storage, self.clock, self.jobs, partial(fitted, CalibrationConfig()), 8)
         self.aligner = Aligner(self.storage, self.clock, AlignmentConfig())
-        self.replayer = Replayer(self.storage, self.clock, self.jobs, self.config)
+        self.replayer = Replayer(self.storage, self.clock, self.jobs, self.run_replay)
         self.operation_us = payload.request.turns.stop_us + synthetic.HOUR
         self.alignment_window = Window(self.operation_us - 30 * synthetic.MINUTE, self.operation_us)
 
@@ -129,6 +130,10 @@ class Ground:
         replay, job = self.replayer.start(self.id, replace(wanted, **changes))
         assert self.finish(job.id) is JobState.DONE, self.storage.results.job(job.id).error
         return replay.version
+
+    def run_replay(self, spacecraft_id: str, version: str, report: Any) -> None:
+        """Run a replay, in a thread."""
+        ReplayRun(self.storage, self.config, spacecraft_id, version).run(report)
 
     # ---- the service
 

@@ -14,7 +14,7 @@ from service.pipeline.checkpoints.chain_state import fingerprint
 from service.pipeline.config import ChainConfig
 from service.ports import LIVE
 from service.records.storage.checkpoint import Checkpoint
-from service.runtime.jobs import replay_job
+from service.runtime.jobs import replay_run
 from service.runtime.live import chain_restart, supervisor
 
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
@@ -182,17 +182,17 @@ def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, 
         begun.append(chain_restart.restored_checkpoint(*order))
         return begun[-1]
 
-    monkeypatch.setattr(replay_job, "restored_checkpoint", noted)
+    monkeypatch.setattr(replay_run, "restored_checkpoint", noted)
     with station.supervised() as settle:
         for _ in morning(station):
             settle()
-    consumed, consume = [], replay_job.consume
+    consumed, consume = [], replay_run.consume
 
     def counted(chain, entry, *rest):
         consumed.append(entry.number)
         return consume(chain, entry, *rest)
 
-    monkeypatch.setattr(replay_job, "consume", counted)
+    monkeypatch.setattr(replay_run, "consume", counted)
     newest_number = station.storage.archive.head(SC).newest_number
     for start, stop in ((30, 58), (75, 79), (100, 140), (125, 140)):
         consumed.clear()

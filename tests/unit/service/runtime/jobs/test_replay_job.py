@@ -98,8 +98,8 @@ def test_one_method_alone_may_be_replayed(ground):
 
 
 def test_many_rows_are_stored_in_pieces(lived, monkeypatch):
-    monkeypatch.setattr("service.runtime.jobs.replay_job._OUTCOMES_AT_ONCE", 7)
-    monkeypatch.setattr("service.runtime.jobs.replay_job._ENTRIES_AT_ONCE", 16)
+    monkeypatch.setattr("service.runtime.jobs.replay_run._OUTCOMES_AT_ONCE", 7)
+    monkeypatch.setattr("service.runtime.jobs.replay_run._ENTRIES_AT_ONCE", 16)
     assert repr(lived.rows(lived.replay(1, 300))) == repr(lived.rows())
 
 
@@ -142,9 +142,11 @@ def test_a_replay_that_is_deleted_while_it_runs_ends_and_says_so(lived, monkeypa
         return save(spacecraft_id, version, *others)
 
     monkeypatch.setattr(results, "save_outcomes", deleting)
-    monkeypatch.setattr("service.runtime.jobs.replay_job._OUTCOMES_AT_ONCE", 7)
+    monkeypatch.setattr("service.runtime.jobs.replay_run._OUTCOMES_AT_ONCE", 7)
     replay, job = start(lived, stop_us=lived.at(300))
     assert lived.finish(job.id) is JobState.FAILED
+    assert "was deleted" in results.job(job.id).error
+    lived.jobs.stop()
     assert "was deleted while it was computed" in results.job(job.id).error
     assert sum(results.drop_replays(lived.id, None)) > 0
     with pytest.raises(NotFoundError):

@@ -3,12 +3,14 @@
 import os
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from service.errors import BusyError, ConflictError, InvalidInputError, UnavailableError
+from service.runtime.jobs.job_runner import JobInterruptedError
 from service.runtime.jobs.workers import WorkerConfig, Workers
 
 pytestmark = pytest.mark.timeout(300)
@@ -124,3 +126,36 @@ def test_a_stop_ends_what_is_computed_and_what_waits(make_workers):
 def test_bounds_that_let_nothing_through_are_refused(bound):
     with pytest.raises(ValueError, match="at least one process"):
         WorkerConfig(**bound)
+
+
+def end_at_first(folder, times):
+    """Die a number of times, then leave a mark."""
+    died = len(list(folder.iterdir()))
+    (folder / str(died)).touch()
+    if died < times:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_work_that_goes_on_where_it_was_gets_another_process_when_its_own_dies(make_workers, tmp_path):
+    workers = make_workers(processes=1)
+    workers.complete(end_at_first, tmp_path, 2)
+    assert len(list(tmp_path.iterdir())) == 3
+    with pytest.raises(UnavailableError, match="ended unexpectedly"):
+        workers.complete(end_at_first, tmp_path, 99)
+
+
+def test_a_stop_interrupts_work_that_goes_on_later(make_workers, tmp_path):
+    workers = make_workers(processes=1)
+    with ThreadPoolExecutor(1) as threads:
+        waiting = threads.submit(workers.complete, mark_and_sleep, tmp_path)
+        while not list(tmp_path.iterdir()):
+            time.sleep(0.01)
+        workers.stop()
+        with pytest.raises(JobInterruptedError):
+            waiting.result(timeout=60)
+
+
+def mark_and_sleep(folder):
+    """Leave a mark and sleep for longer than any test."""
+    (folder / "mark").touch()
+    time.sleep(600)

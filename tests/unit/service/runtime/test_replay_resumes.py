@@ -1,0 +1,164 @@
+"""A replay whose process is killed goes on from its last checkpoint and gives the rows of one that was not."""
+
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
+
+import pytest
+from busy_station import SC, at
+
+from db.storage import SqlStorage
+from service.pipeline.checkpoints.chain_state import fingerprint
+from service.pipeline.config import ChainConfig
+from service.records.catalogue import Method
+from service.records.operations.job import JobState, Replay
+from service.runtime.jobs import replay_run
+from service.runtime.jobs.replay_run import ReplayRun, replay_in_process
+from service.runtime.jobs.workers import WorkerConfig, Workers
+
+BOTH = (Method.ROBUST, Method.PAPER)
+WANTED = Replay(0, at(1), at(300), None, None, 0, "journal", "", 0)
+
+
+class KilledError(BaseException):
+    """The process ends here."""
+
+
+@pytest.fixture(autouse=True)
+def _often(monkeypatch):
+    """Checkpoints at every piece."""
+    monkeypatch.setattr(replay_run, "_CHECKPOINT_S", 0.0)
+    monkeypatch.setattr(replay_run, "_OUTCOMES_AT_ONCE", 7)
+
+
+def stored(station, monkeypatch, **changes):
+    """Store a replay that nothing runs yet, and return its version."""
+    with monkeypatch.context() as patch:
+        patch.setattr(station.jobs, "run", lambda *_: None)
+        return station.replayer.start(SC, replace(WANTED, **changes))[0].version
+
+
+def run(station, version, kill_after=None):
+    """Run a replay, killed right before a piece is stored; return how many were."""
+    results, saves = station.storage.results, []
+
+    class Results:
+        def __getattr__(self, name):
+            return getattr(results, name)
+
+        def save_outcomes(self, *arguments):
+            if len(saves) == kill_after:
+                raise KilledError
+            saves.append(arguments)
+            return results.save_outcomes(*arguments)
+
+    class Storage:
+        archive, catalogue = station.storage.archive, station.storage.catalogue
+
+    Storage.results = Results()
+    try:
+        ReplayRun(Storage, ChainConfig(), SC, version).run(lambda _: None)
+    except KilledError:
+        assert kill_after is not None
+    return len(saves)
+
+
+def everything(station, version):
+    """Return all that a version holds, as text with every digit."""
+    found = station.storage.results.replay(SC, version)
+    counts = (found.attitude_rows, found.torque_rows)
+    return counts, repr([station.rows(method, version) for method in BOTH]), repr(station.commands(version))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        pytest.param({}, id="in the order of the journal"),
+        pytest.param({"order": "epoch", "alignment_id": 1}, id="in order of epoch"),
+        pytest.param({"calibration_id": 1, "alignment_id": 1, "commands": False}, id="another calibration"),
+        pytest.param({"method": Method.PAPER, "start_us": at(40)}, id="one method from the middle"),
+    ],
+)
+def test_a_run_that_is_killed_again_and_again_gives_the_same_rows(busy, monkeypatch, changes):
+    whole, broken = (stored(busy, monkeypatch, **changes) for _ in range(2))
+    pieces = run(busy, whole)
+    kills = [max(1, pieces // 4), 1, max(1, pieces // 3)]
+    saves = sum(run(busy, broken, kill) for kill in kills) + run(busy, broken)
+    assert everything(busy, broken) == everything(busy, whole)
+    assert everything(busy, whole)[0][0] > 50
+    # nothing but the piece in hand is computed twice
+    assert saves <= pieces + 2 * len(kills)
+
+
+@pytest.mark.parametrize("damage", ["cut off", "bit flipped", "of another layout"])
+def test_a_checkpoint_that_does_not_fit_makes_the_run_begin_again(busy, monkeypatch, damage):
+    whole, broken = (stored(busy, monkeypatch) for _ in range(2))
+    run(busy, whole)
+    run(busy, broken, 5)
+    results = busy.storage.results
+    kept = results.replay_checkpoint(SC, broken, fingerprint(ChainConfig()))
+    content = bytearray(kept.content)
+    content[len(content) // 2] ^= 1
+    made = {
+        "cut off": replace(kept, content=kept.content[:1000]),
+        "bit flipped": replace(kept, content=bytes(content)),
+        "of another layout": replace(kept, fingerprint="other"),
+    }[damage]
+    results.save_outcomes(SC, broken, [], 0, None, made)
+    run(busy, broken)
+    assert everything(busy, broken) == everything(busy, whole)
+
+
+def test_rows_that_came_after_the_start_are_not_read_after_a_kill_either(busy, monkeypatch):
+    broken = stored(busy, monkeypatch)
+    run(busy, broken, 3)
+    busy.send([299.0])
+    run(busy, broken)
+    assert max(row.epoch_us for row in busy.rows(Method.ROBUST, broken)) < at(299)
+
+
+def test_a_worker_process_that_is_killed_is_replaced_and_goes_on(busy, monkeypatch, wait):
+    whole, broken = (stored(busy, monkeypatch) for _ in range(2))
+    run(busy, whole)
+    results, workers = busy.storage.results, Workers(WorkerConfig(processes=1))
+    opened = partial(SqlStorage, busy.storage._url)
+    replayed = partial(replay_in_process, opened, ChainConfig())
+    try:
+        with ThreadPoolExecutor(1) as threads:
+            ended = threads.submit(workers.complete, replayed, SC, broken)
+            wait(lambda: ended.done() or results.replay(SC, broken).attitude_rows > 0)
+            os.kill(workers._all[0]._process_id, signal.SIGKILL)
+            ended.result(timeout=240)
+    finally:
+        workers.stop()
+    assert everything(busy, broken) == everything(busy, whole)
+
+
+def test_the_next_service_goes_on_with_what_is_unfinished_once(busy, monkeypatch):
+    waiting, done = stored(busy, monkeypatch), stored(busy, monkeypatch, stop_us=at(20))
+    gone = stored(busy, monkeypatch)
+    results = busy.storage.results
+    results.update_job(results.replay(SC, done).replay.job_id, JobState.DONE, 1.0)
+    job_of_gone = results.replay(SC, gone).replay.job_id
+    results.delete_replay(SC, gone)
+    assert results.job(job_of_gone).state is JobState.FAILED
+    assert results.fail_unfinished_jobs("the service was restarted") == 0
+    queued = []
+    monkeypatch.setattr(busy.jobs, "resume", lambda job, work: queued.append((job.id, work)))
+    # what this process has queued is not unfinished: a new one finds it
+    busy.replayer.resume()
+    assert queued == []
+    busy.replayer._here.clear()
+    busy.replayer.resume()
+    busy.replayer.resume()
+    assert [job_id for job_id, _ in queued] == [results.replay(SC, waiting).replay.job_id]
+    queued[0][1](lambda _: None)
+    assert len(busy.rows(Method.ROBUST, waiting)) > 50
+
+
+def test_a_span_without_rows_gives_a_version_without_rows(busy, monkeypatch):
+    version = stored(busy, monkeypatch, start_us=at(200_000), stop_us=at(300_000), order="epoch")
+    run(busy, version)
+    assert everything(busy, version) == ((0, 0), "[[], []]", "[]")
