@@ -1,4 +1,4 @@
-"""A service that is killed at work: calibration and replay are failed at the next start, and no process outlives it."""
+"""A service ends at work: the next one fails its calibration and goes on with its replay; no process outlives it."""
 
 import os
 import signal
@@ -61,12 +61,9 @@ def align(database: Path) -> None:
     storage.close()
 
 
-def worker_of(service_id: int) -> int:
-    """Return the process that computes for a service."""
-    (worker,) = (
-        child for child in children_of(service_id) if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()
-    )
-    return worker
+def workers_of(service_id: int) -> set[int]:
+    """Return the processes that compute for a service."""
+    return {child for child in children_of(service_id) if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()}
 
 
 def wait_until(is_done: Callable[[], bool], what: str) -> None:
@@ -86,17 +83,22 @@ def has_ended(process_id: int) -> bool:
         return True
 
 
-def begin_work(client: httpx.Client, service_id: int) -> tuple[int, dict[str, Any], dict[str, Any]]:
-    """Start a calibration whose worker stands still, and a replay behind it; return the worker and both."""
-    # the first analysis starts the one worker
+def begin_work(client: httpx.Client, service_id: int) -> tuple[set[int], dict[str, Any], dict[str, Any]]:
+    """Start a calibration and a replay whose workers stand still; return the workers and both."""
+    # the first analysis starts the one worker, the first replay that of replays
     assert client.post("/api/v1/analyses/capture-boundary", json=CAPTURE).status_code == 200
-    worker = worker_of(service_id)
-    os.kill(worker, signal.SIGSTOP)
+    first = client.post(f"{SC}/replays", json=REPLAY).json()
+    wait_until(lambda: job_of(client, first)["state"] == "done", "a replay of nothing does not end")
+    workers = workers_of(service_id)
+    assert len(workers) == 2
+    for worker in workers:
+        os.kill(worker, signal.SIGSTOP)
     calibration = client.post(f"{SC}/calibrations", json=CALIBRATION)
     replay = client.post(f"{SC}/replays", json=REPLAY)
     assert (calibration.status_code, replay.status_code) == (202, 202), calibration.text + replay.text
     wait_until(lambda: job_of(client, calibration.json())["progress"] == 0.3, "the calibration does not fit")
-    return worker, calibration.json(), replay.json()
+    wait_until(lambda: job_of(client, replay.json())["state"] == "running", "the replay does not begin")
+    return workers, calibration.json(), replay.json()
 
 
 def job_of(client: httpx.Client, started: dict[str, Any]) -> dict[str, Any]:
@@ -105,7 +107,9 @@ def job_of(client: httpx.Client, started: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_calibration_and_replay_of_an_ended_service_are_failed(start_service, spacecraft, carriers, tmp_path, number):
+def test_an_ended_service_fails_its_calibration_and_goes_on_with_its_replay(
+    start_service, spacecraft, carriers, tmp_path, number
+):
     settings = {"SOO_BOOTSTRAP_KEY": "a-key-for-tests-only", "SOO_WORKERS__PROCESSES": "1"}
     options = ("--port", "0", "--clock", "data")
     service = start_service(*options, environment=settings)
@@ -116,21 +120,24 @@ def test_calibration_and_replay_of_an_ended_service_are_failed(start_service, sp
     service = start_service(*options, environment=settings)
     with service.client() as client:
         client.timeout = 120
-        worker, calibration, replay = begin_work(client, service.process.pid)
+        workers, calibration, replay = begin_work(client, service.process.pid)
         reported = client.get(f"{SC}/calibrations/{calibration['id']}").json()
-        assert (reported["state"], job_of(client, replay)["state"]) == ("draft", "queued")
+        assert reported["state"] == "draft"
+        refused = client.get(f"{SC}/attitude/history", params={"version": replay["version"]})
+        assert (refused.status_code, refused.json()["code"]) == (409, "replay.unfinished")
     service.end(number, timeout_s=120)
     if number == signal.SIGKILL:
-        os.kill(worker, signal.SIGCONT)
-    wait_until(lambda: has_ended(worker), "the worker outlives its service")
+        for worker in workers:
+            os.kill(worker, signal.SIGCONT)
+    wait_until(lambda: all(map(has_ended, workers)), "a worker outlives its service")
     service = start_service(*options, environment=settings)
     with service.client() as client:
         reported = client.get(f"{SC}/calibrations/{calibration['id']}").json()
         assert (reported["state"], job_of(client, calibration)["state"]) == ("failed", "failed")
         for error in (reported["error"], job_of(client, calibration)["error"]):
             assert "start it again" in error
-        ended = job_of(client, replay)
-        assert (ended["state"], "start it again" in ended["error"]) == ("failed", True)
+        wait_until(lambda: job_of(client, replay)["state"] == "done", "the replay does not go on")
+        assert client.get(f"{SC}/attitude/history", params={"version": replay["version"]}).json()["rows"] == []
         assert client.get(f"{SC}/calibrations/1").json()["state"] == "draft"
         refused = client.post(f"{SC}/calibrations/{calibration['id']}:activate")
         assert (refused.status_code, refused.json()["code"]) == (409, "calibration.unfinished")
