@@ -16,13 +16,22 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Select, and_, select, tuple_
 
 from db.encoding.row_content import RowContent, row_content
-from db.encoding.segment_codec import CODEC, Blobs, Extras, SegmentColumns, unpack_columns, unpack_extras, unpack_powers
+from db.encoding.segment_codec import (
+    CODEC,
+    Blobs,
+    Extras,
+    SealedRows,
+    SegmentColumns,
+    unpack_columns,
+    unpack_extras,
+    unpack_powers,
+)
 from db.schema.tables import measurement_segment as segment_table
 from db.schema.tables import source, spacecraft
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import BoolArray, IntArray
-from service.records.levels.measurement import CarrierDetails, Float32Array, Measurement
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Float32Array, Measurement
 
 DAY_US = 86_400 * US_PER_S
 #: bytes of unpacked rows that are kept for the next reader
@@ -78,6 +87,16 @@ class SegmentChunk:
         if self._extras is None and self._blobs.extras is not None:
             self._extras = unpack_extras(self._blobs.extras, self.columns, self.power_dbm().shape[1])
         return self._extras
+
+    def rows(self) -> SealedRows:
+        """Return all rows as columns."""
+        columns, extras, power_dbm = self.columns, self.extras(), self.power_dbm()
+        flags = np.zeros(power_dbm.shape, dtype=np.int32)
+        details = np.full((len(power_dbm), len(DETAIL_NAMES), power_dbm.shape[1]), np.nan, dtype=np.float32)
+        if extras is not None:
+            flags[columns.has_flags] = extras.flags
+            details[columns.has_details] = extras.details
+        return SealedRows._make((*columns, power_dbm, flags, details))
 
     def content(self, position: int) -> RowContent:
         """Return the content of a row."""

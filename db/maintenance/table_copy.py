@@ -17,7 +17,17 @@ from service.records.storage.backup import BackupError
 _ROWS = 2000
 #: rows with large blobs are held few at a time
 _ROWS_OF_BLOBS = 100
-_BLOB_TABLES = frozenset({"checkpoint", "measurement_segment", "replay_checkpoint", "result_segment", "trace"})
+_BLOB_TABLES = frozenset(
+    {
+        "attitude_summary",
+        "checkpoint",
+        "measurement_segment",
+        "power_summary",
+        "replay_checkpoint",
+        "result_segment",
+        "trace",
+    }
+)
 
 #: told the share that is done, 0 to 1
 Progress = Callable[[float], None]

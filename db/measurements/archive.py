@@ -12,7 +12,7 @@ from db.database import Database, add_entries, beyond, count_entries, lock_head,
 from db.encoding.json_documents import decode, decode_all, decode_input
 from db.encoding.measurement_runs import Cursor
 from db.encoding.segments import DAY_US
-from db.measurements import checksum_check, retention, sealing
+from db.measurements import checksum_check, power_summaries, retention, sealing
 from db.measurements.ingest_grouped import StoreBatch
 from db.measurements.journal_heads import journal_heads
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
@@ -20,6 +20,7 @@ from db.measurements.prepared_batch import prepare
 from db.measurements.slow_inputs import revise_operation, store_inputs, store_operation
 from db.schema.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
+from service.ports import Intervals, SampledPowers
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.inputs import AttitudeReference, Operation, SourceSelection
@@ -212,6 +213,15 @@ class SqlArchive:
             if after is None:
                 return
 
+    def sampled_measurements(
+        self, spacecraft_id: str, window: Window, intervals: Intervals, source: str | None = None
+    ) -> Iterator[SampledPowers]:
+        """Yield the rows of a window in buckets that lie within one interval each; every row is in one of them."""
+        key, chosen = self._database.key(spacecraft_id), Chosen(window, source)
+        return power_summaries.sampled(
+            self._database, key, chosen, intervals, lambda plan_id: len(self._carrier_ids(key, plan_id))
+        )
+
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
         key = self._database.key(spacecraft_id)
@@ -276,6 +286,10 @@ class SqlArchive:
     def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
         """Read every sealed segment and yield whether it can be read."""
         return sealing.states(self._database, self._database.key(spacecraft_id))
+
+    def complete_summaries(self, spacecraft_id: str) -> Iterator[int]:
+        """Summarise sealed days that have no summary, a transaction a step."""
+        return power_summaries.complete(self._database, self._database.key(spacecraft_id))
 
     def complete_checksums(self) -> Iterator[int]:
         """Give rows of versions before checksums theirs, a transaction a step."""

@@ -15,6 +15,7 @@ from db.encoding.measurement_runs import ChunkRun, Cursor, OrderedRows, end_us
 from db.encoding.power_codec import unpack_powers
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
 from db.encoding.segments import (
+    DAY_US,
     SegmentCache,
     SegmentChunk,
     SegmentHead,
@@ -31,6 +32,8 @@ from service.records.levels.measurement import Float32Array, Measurement
 from service.records.levels.measurement_block import MeasurementBlock
 
 Columns = tuple[ColumnElement[Any], ...]
+#: rows of the table of rows that a reader of all of them holds at once
+_PAGE_ROWS = 8192
 #: above every journal number
 MAX_NUMBER = 1 << 62
 EVER = Window(-(1 << 62), 1 << 62)
@@ -135,6 +138,33 @@ class MeasurementPages:
         )
         rows = self._connection.execute(query).all()
         return [*(ChunkRun(chunk, np.arange(len(chunk.epochs_us))) for chunk in self._chunks(rows)), *sealed]
+
+    def read_unsealed(self, chosen: Chosen) -> Iterator[ChunkRun]:
+        """Yield the rows of the table of rows with their powers."""
+        after: Cursor | None = None
+        query = self._rows(chosen, POWERS).order_by(measurement.c.epoch_us, measurement.c.number).limit(_PAGE_ROWS)
+        while rows := self._connection.execute(
+            query.where(beyond(measurement.c.epoch_us, measurement.c.number, after))
+        ).all():
+            yield from (ChunkRun(chunk, np.arange(len(chunk.epochs_us))) for chunk in self._chunks(rows))
+            after = rows[-1].epoch_us, rows[-1].number
+
+    def segments(self, chosen: Chosen) -> list[SegmentHead]:
+        """Return the heads of segments that may hold chosen rows."""
+        window = chosen.window
+        return list(heads(self._connection, self._key, window.start_us, window.stop_us, *self._of_segments(chosen)))
+
+    def next_us(self, epoch_us: int) -> int | None:
+        """Return an epoch up to which no row stands from the given one on; None where none follows."""
+        rows = select(func.min(measurement.c.epoch_us)).where(
+            measurement.c.spacecraft_key == self._key, measurement.c.epoch_us >= epoch_us
+        )
+        segment = measurement_segment.c
+        days = select(func.min(segment.first_epoch_us)).where(
+            segment.spacecraft_key == self._key, segment.first_epoch_us >= day_of(epoch_us) * DAY_US
+        )
+        found = [self._connection.scalar(query) for query in (rows, days)]
+        return min((max(each, epoch_us) for each in found if each is not None), default=None)
 
     def of_numbers(self, after: int, upto: int) -> list[Measurement]:
         """Return the rows with a journal number in (after, upto], in no order."""

@@ -28,6 +28,7 @@ from db.database import Database, lock_head
 from db.encoding.segments import DAY_US, day_of
 from db.schema.tables import (
     attitude,
+    attitude_summary,
     head,
     measurement,
     measurement_detail,
@@ -238,7 +239,11 @@ def delete_named(
 
 
 def _count(connection: Connection, key: int, series: str, stop_us: int, rows: int) -> None:
-    """Move the mark of a series, never back, and add to its count."""
+    """Move the mark of a series, never back, and add to its count; summaries of results go with their rows."""
+    if series in {"attitude", "torques"}:
+        is_its = (attitude_summary.c.method == "torque") == (series == "torques")
+        is_old = and_(attitude_summary.c.spacecraft_key == key, attitude_summary.c.start_us < stop_us)
+        connection.execute(delete(attitude_summary).where(is_old, is_its))
     is_it = (retention_mark.c.spacecraft_key == key, retention_mark.c.series == series)
     known = connection.execute(select(retention_mark).where(*is_it)).first()
     if known is None:

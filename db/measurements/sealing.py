@@ -17,8 +17,10 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, selec
 from db.database import Database, lock_head
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
 from db.encoding.segment_codec import CODEC, Blobs, SealedRows, pack
-from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentChunk, SegmentHead, crc32_of, day_of, heads, read_chunk
+from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentHead, crc32_of, day_of, heads, read_chunk
+from db.encoding.summary_codec import SummaryBlobs
 from db.measurements.checksum_check import agrees
+from db.measurements.power_summaries import store_summary, summary_of
 from db.schema.row_checksum import measurement_checksums
 from db.schema.tables import head as head_table
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
@@ -70,7 +72,7 @@ class _Change(NamedTuple):
     details: int
     #: segments to remove, and those that replace them
     replaced: tuple[int, ...]
-    written: tuple[tuple[SegmentHead, Blobs], ...]
+    written: tuple[tuple[SegmentHead, Blobs, SummaryBlobs], ...]
 
 
 def seal(database: Database, key: int, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
@@ -148,7 +150,7 @@ def _prepared(connection: Connection, key: int, group: _Group) -> tuple[str, _Ch
         rows = [row for row in rows if row.epoch_us < stop_us]
     merged = _sealed_rows(rows)
     if target is not None:
-        merged = _merged(merged, _rows_of(read_chunk(connection, None, target)))
+        merged = _merged(merged, read_chunk(connection, None, target).rows())
     written = tuple(_segment(key, group, part) for part in _parts(merged))
     details = sum(row.details is not None for row in rows)
     replaced = () if target is None else (target.segment_id,)
@@ -222,17 +224,6 @@ def _sealed_rows(rows: Sequence[Measurement]) -> SealedRows:
     return SealedRows._make((*integers, *np.array(claims, dtype=np.bool_).T, powers, flags, details))
 
 
-def _rows_of(chunk: SegmentChunk) -> SealedRows:
-    """Return the rows of a segment as columns."""
-    columns, extras, power_dbm = chunk.columns, chunk.extras(), chunk.power_dbm()
-    flags = np.zeros(power_dbm.shape, dtype=np.int32)
-    details = np.full((len(power_dbm), len(DETAIL_NAMES), power_dbm.shape[1]), np.nan, dtype=np.float32)
-    if extras is not None:
-        flags[columns.has_flags] = extras.flags
-        details[columns.has_details] = extras.details
-    return SealedRows._make((*columns, power_dbm, flags, details))
-
-
 def _merged(one: SealedRows, other: SealedRows) -> SealedRows:
     """Return the rows of both in order of epoch."""
     order = np.argsort(np.concatenate((one.epochs_us, other.epochs_us)), kind="stable")
@@ -248,8 +239,8 @@ def _parts(rows: SealedRows) -> Iterator[SealedRows]:
         yield SealedRows._make(column[start:stop] for column in rows)
 
 
-def _segment(key: int, group: _Group, rows: SealedRows) -> tuple[SegmentHead, Blobs]:
-    """Return a segment as it is stored, still without an id."""
+def _segment(key: int, group: _Group, rows: SealedRows) -> tuple[SegmentHead, Blobs, SummaryBlobs]:
+    """Return a segment as it is stored, still without an id, and its summary."""
     blobs = pack(rows)
     made = SegmentHead(
         segment_id=0,
@@ -266,7 +257,7 @@ def _segment(key: int, group: _Group, rows: SealedRows) -> tuple[SegmentHead, Bl
         codec=CODEC,
         crc32=0,
     )
-    return made._replace(crc32=crc32_of(made, blobs)), blobs
+    return made._replace(crc32=crc32_of(made, blobs)), blobs, summary_of(rows)
 
 
 def _carry_out(connection: Connection, key: int, change: _Change) -> bool:
@@ -293,7 +284,11 @@ def _carry_out(connection: Connection, key: int, change: _Change) -> bool:
             # another process has sealed or dropped them meanwhile
             savepoint.rollback()
             return False
-        connection.execute(measurement_segment.insert(), [_values(*written) for written in change.written])
+        for made, blobs, summary in change.written:
+            insert = (
+                measurement_segment.insert().values(_values(made, blobs)).returning(measurement_segment.c.segment_id)
+            )
+            store_summary(connection, connection.execute(insert).scalar_one(), summary)
     return True
 
 
@@ -305,7 +300,7 @@ def _values(made: SegmentHead, blobs: Blobs) -> dict[str, Any]:
 
 
 def _reported(name: str, change: _Change) -> SealedPart:
-    of_segments = [made for made, _ in change.written]
+    of_segments = [made for made, *_ in change.written]
     first_us = min(made.first_epoch_us for made in of_segments)
     rows_of_segments = sum(made.row_count for made in of_segments)
     return SealedPart(name, change.group.plan_id, first_us, change.last_epoch_us, change.rows, rows_of_segments)

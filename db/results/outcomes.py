@@ -10,6 +10,7 @@ from db.database import insert_new, lock_head
 from db.encoding.carrier_codec import pack_carriers
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
+from db.results.attitude_summaries import forget_days
 from db.results.checkpoints import store_checkpoint
 from db.results.replays import note_rows
 from db.results.stored_rows import ResultSeries, sealed_keys
@@ -52,6 +53,7 @@ def store_outcomes(
     fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)
     numbered = list(zip(fresh, range(state.result_sequence + 1, 1 << 62), strict=False))
     _insert(connection, key, version, numbered, _carriers(outcomes))
+    forget_days(connection, key, state.consumed_epoch_us, (result.epoch_us for result in fresh))
     applied = [outcome.applied for outcome in outcomes if outcome.applied is not None]
     if applied:
         store_inputs(connection, key, applied)

@@ -7,14 +7,14 @@ each alignment and method nothing has to be counted again, and the count costs w
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from sqlalchemy import Connection, func, not_, or_, select
+from sqlalchemy import Connection, delete, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
 from db.encoding.segments import DAY_US, SegmentCache, heads_of_numbers, read_chunk
 from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import kept_from_us
 from db.results.stored_rows import ResultSeries, newest_sealed_us, stored_numbers
-from db.schema.tables import alignment, attitude, head, measurement
+from db.schema.tables import alignment, attitude, complete_mark, head, measurement
 from service.ports import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
@@ -42,7 +42,9 @@ class PendingCount:
         names = tuple(sorted(method.value for method in methods))
         known = (key, int(aligned.alignment_id), names)
         number = connection.scalar(select(head.c.newest_number).where(head.c.spacecraft_key == key)) or 0
-        complete = self._complete.get(known, 0)
+        complete = self._complete.get(known)
+        if complete is None:
+            complete = _stored(connection, known)
         # what retention has taken away is not awaited
         epoch_us = max(aligned.epoch_us, kept_from_us(connection, key, "attitude") - 1)
         sealed_us = newest_sealed_us(connection, key)
@@ -55,6 +57,26 @@ class PendingCount:
             first = min(first or int(numbers.min()), int(numbers.min()))
         self._complete[known] = number if first is None else first - 1
         return count
+
+    def store(self, connection: Connection, key: int) -> None:
+        """Store what is known to be complete of a spacecraft, for the first count after a start."""
+        for known, number in self._complete.items():
+            if known[0] == key and number > _stored(connection, known):
+                is_it = (complete_mark.c.spacecraft_key == key, complete_mark.c.methods == ",".join(known[2]))
+                connection.execute(delete(complete_mark).where(*is_it))
+                values = {"spacecraft_key": key, "methods": ",".join(known[2]), "alignment_id": known[1]}
+                connection.execute(complete_mark.insert().values(**values, number=number))
+
+
+def _stored(connection: Connection, known: tuple[int, int, tuple[str, ...]]) -> int:
+    """Return the stored number of an alignment and methods, 0 where there is none."""
+    key, alignment_id, names = known
+    query = select(complete_mark.c.number).where(
+        complete_mark.c.spacecraft_key == key,
+        complete_mark.c.methods == ",".join(names),
+        complete_mark.c.alignment_id == alignment_id,
+    )
+    return connection.scalar(query) or 0
 
 
 def _lacking_rows(

@@ -1,6 +1,7 @@
 """Results: everything the service computed; implements ``service.ports.Results``."""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -10,8 +11,9 @@ from sqlalchemy import ColumnElement, Connection, and_, func, select
 from db.database import Database
 from db.encoding.carrier_codec import unpack_carriers
 from db.encoding.row_mapping import attitude_of, torque_of
-from db.results import result_sealing
+from db.results import attitude_summaries, result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
+from db.results.attitude_summaries import TORQUE, RowReader
 from db.results.calibrations import SqlCalibrations
 from db.results.checkpoints import checkpoints
 from db.results.jobs import SqlJobs
@@ -27,7 +29,8 @@ from db.results.stored_rows import (
     stored_rows,
 )
 from db.schema.tables import attitude, torque
-from service.ports import LIVE, Outcome
+from service.core.rows.summaries import Summaries
+from service.ports import LIVE, Intervals, Outcome
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow, IntArray
@@ -102,6 +105,24 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         stored = (row for row in rows if row.carriers is not None)
         return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in stored}
 
+    def sampled_attitude(
+        self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals
+    ) -> Iterator[Summaries]:
+        """Yield the angles of a window in buckets that lie within one interval each; every row is in one of them."""
+        # only live rows are summarised: under another name there is nothing
+        name = method.value if version == LIVE else ""
+        read = partial(self.attitude_rows, spacecraft_id, version, method)
+        key = self._database.key(spacecraft_id)
+        return attitude_summaries.sampled(self._database, key, name, read, window, intervals)
+
+    def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:
+        """Summarise live attitude and commands of closed days, a transaction a day."""
+        key = self._database.key(spacecraft_id)
+        readers = {method.value: partial(self.attitude_rows, spacecraft_id, LIVE, method) for method in Method}
+        series: dict[str, RowReader] = {**readers, TORQUE: partial(self.commands, spacecraft_id, LIVE)}
+        for name, read in series.items():
+            yield from attitude_summaries.complete(self._database, key, name, read, before_us)
+
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
         key = self._database.key(spacecraft_id)
@@ -147,6 +168,12 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
             return self._pending.count(connection, self._database.segments, key, methods)
+
+    def mark_complete(self, spacecraft_id: str, methods: Sequence[Method]) -> None:
+        """Store up to where every row has its results, for the first count of another process."""
+        self.pending(spacecraft_id, methods)
+        key = self._database.key(spacecraft_id)
+        self._database.write(lambda connection: self._pending.store(connection, key))
 
     def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
         """Return how many of the earlier stored rows after its epoch an alignment computes, and how many stay."""

@@ -144,6 +144,22 @@ measurement_segment = Table(
     Index("measurement_segment_number", "spacecraft_key", "last_number", "first_number"),
 )
 
+#: of the sealed rows of a segment (db.encoding.summary_codec); goes with it
+power_summary = Table(
+    "power_summary",
+    metadata,
+    Column(
+        "segment_id",
+        BigInteger().with_variant(Integer, "sqlite"),
+        ForeignKey("measurement_segment.segment_id", ondelete="CASCADE"),
+        primary_key=True,
+    ),
+    *needed(LargeBinary, "day", "hours"),
+    Column("minute_frames", LargeBinary),
+    Column("row_frames", LargeBinary, nullable=False),
+    checksum_column(),
+)
+
 #: what retention has taken away of a series: nothing older than the mark is taken in again
 retention_mark = Table(
     "retention_mark",
@@ -244,6 +260,30 @@ result_segment = Table(
     checksum_column(),
     UniqueConstraint("spacecraft_key", "series", "version", "method", "first_epoch_us", name="result_segment_start"),
     Index("result_segment_sequence", "spacecraft_key", "last_sequence", "first_sequence"),
+)
+
+#: of the live rows of a method on one day; without bytes while it is being made
+attitude_summary = Table(
+    "attitude_summary",
+    metadata,
+    Column("summary_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("spacecraft_key", Integer, ForeignKey("spacecraft.spacecraft_key"), nullable=False),
+    # "torque" for the commands of all methods
+    Column("method", Text, nullable=False),
+    Column("start_us", BigInteger, nullable=False),
+    *optional(LargeBinary, "day", "hours", "minute_frames", "row_frames"),
+    checksum_column(),
+    UniqueConstraint("spacecraft_key", "method", "start_us", name="attitude_summary_day"),
+)
+
+#: up to which journal number every row after an alignment has results of some methods
+complete_mark = Table(
+    "complete_mark",
+    metadata,
+    spacecraft_key(is_referencing=False),
+    *keys(Text, "methods"),
+    Column("alignment_id", Integer, nullable=False),
+    Column("number", BigInteger, nullable=False),
 )
 
 #: tables with rows of versions before checksums, which get theirs in the background

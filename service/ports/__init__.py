@@ -11,7 +11,7 @@ commits its audit entry together with the change.
 """
 
 from service.ports.access import Audit, Keys
-from service.ports.archive import Archive
+from service.ports.archive import Archive, Intervals, SampledPowers
 from service.ports.catalogue import Catalogue
 from service.ports.clock import Clock
 from service.ports.lease import Lease
@@ -28,6 +28,7 @@ __all__ = [
     "Audit",
     "Catalogue",
     "Clock",
+    "Intervals",
     "Keys",
     "Lease",
     "Links",
@@ -35,6 +36,7 @@ __all__ = [
     "Outcome",
     "Releases",
     "Results",
+    "SampledPowers",
     "Storage",
     "Traces",
 ]

@@ -2,15 +2,31 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
+from service.core.rows.summaries import Summaries
 from service.records.calibration import Window
 from service.records.inputs import Operation
 from service.records.journal import JournalEntry, JournalHead, SlowInput
+from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.levels.measurement_block import MeasurementBlock
 from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
 from service.records.storage.archive_maintenance import RetiredRows, SealedPart, SegmentState
+
+
+class Intervals(Protocol):
+    """Intervals of an answer."""
+
+    def hold(self, first_us: IntArray, last_us: IntArray) -> BoolArray:
+        """Return which of some stretches lie within one interval each, or outside all of them."""
+
+
+class SampledPowers(NamedTuple):
+    """Buckets of rows of one plan, powers in the order of the plan."""
+
+    plan_id: int
+    buckets: Summaries
 
 
 class Archive(Protocol):
@@ -87,6 +103,15 @@ class Archive(Protocol):
         does not grow with the window. Rows stored while blocks are read may be missed or told, never told twice.
         """
 
+    def sampled_measurements(
+        self, spacecraft_id: str, window: Window, intervals: Intervals, source: str | None = None
+    ) -> Iterator[SampledPowers]:
+        """Yield the rows of a window in buckets that lie within one interval each; every row is in one of them.
+
+        Sealed days are read as their summaries, where those have buckets that fit, and as rows where not. Buckets may
+        also hold rows outside all intervals.
+        """
+
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
 
@@ -114,6 +139,9 @@ class Archive(Protocol):
 
     def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
         """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
+
+    def complete_summaries(self, spacecraft_id: str) -> Iterator[int]:
+        """Summarise sealed days that have no summary, a short transaction a step, and yield how many."""
 
     def complete_checksums(self) -> Iterator[int]:
         """Give rows of versions before checksums theirs, a short transaction a step, and yield how many."""

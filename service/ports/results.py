@@ -5,6 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from service.core.rows.summaries import Summaries
+from service.ports.archive import Intervals
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -129,6 +131,17 @@ class Results(Protocol):
     ) -> dict[tuple[int, int], CarrierResults]:
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
 
+    def sampled_attitude(
+        self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals
+    ) -> Iterator[Summaries]:
+        """Yield the angles of a window, (B, 3), in buckets that lie within one interval each; no row is in two.
+
+        Closed days of the live version are read as their summaries, where those have buckets that fit.
+        """
+
+    def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:
+        """Summarise live attitude and commands of days that ended by an epoch and have no summary, a day a step."""
+
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
 
@@ -147,6 +160,9 @@ class Results(Protocol):
 
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
+
+    def mark_complete(self, spacecraft_id: str, methods: Sequence[Method]) -> None:
+        """Store up to where no row is pending, so that the first count after a start need not look at all rows."""
 
     def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
         """Return of the rows later than an alignment and stored before it how many it computes, and how many stay.

@@ -21,15 +21,12 @@ from service.api.schemas.base import WindowAnswer
 from service.core.rows.row_gaps import Gap, GapSearch
 from service.core.rows.sample_bins import SampleBins
 from service.errors import FieldError
-from service.formats.tabular.measurement_file import MeasurementColumns
 from service.records.calibration import Window
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["archive"])
 
 #: intervals times columns of one answer
 MAX_CELLS = 500_000
-#: attitude rows in memory at once
-_PAGE_ROWS = 5000
 
 CountParameter = Annotated[int, Query(ge=1, le=10_000, description="Intervals that the range is cut into")]
 SourceParameter = Annotated[str | None, Query(max_length=64, description="Only rows of this source")]
@@ -70,14 +67,16 @@ def sample_measurements(
     asked = _Asked(start, stop)
     window = asked.closed(*_measured_span(spacecraft_id, context, asked.window, source))
     archive = context.storage.archive
-    plans = [names.of(spacecraft_id, plan_id) for plan_id in archive.plan_ids(spacecraft_id, window)]
-    columns = MeasurementColumns(plans, lambda plan_id: names.of(spacecraft_id, plan_id))
-    wanted = [k for k, name in enumerate(columns.carriers) if carrier is None or name in carrier]
+    plans = {plan_id: names.of(spacecraft_id, plan_id) for plan_id in archive.plan_ids(spacecraft_id, window)}
+    known = dict.fromkeys(name for plan in plans.values() for name in plan)
+    wanted = {name: k for k, name in enumerate(name for name in known if carrier is None or name in carrier)}
     _check_size(count, len(wanted))
     bins = SampleBins(window.start_us, window.stop_us, count, len(wanted))
-    for block in archive.measurement_blocks(spacecraft_id, window, source=source):
-        bins.add(block.epochs_us, columns.values(block)[:, wanted])
-    by_carrier = {columns.carriers[k]: SampleAnswer.all_of(bins.samples(position)) for position, k in enumerate(wanted)}
+    for plan_id, buckets in archive.sampled_measurements(spacecraft_id, window, bins, source):
+        held = [k for k, name in enumerate(names.of(spacecraft_id, plan_id)) if name in wanted]
+        columns = [wanted[names.of(spacecraft_id, plan_id)[k]] for k in held]
+        bins.add_summaries(buckets.columns(np.array(held, dtype=np.int64)), np.array(columns, dtype=np.int64))
+    by_carrier = {name: SampleAnswer.all_of(bins.samples(position)) for name, position in wanted.items()}
     return MeasurementSamples(range=WindowAnswer.of(window), source=source, power_dbm=by_carrier)
 
 
@@ -97,11 +96,8 @@ def sample_attitude(
     newest = results.newest_attitude(spacecraft_id, version, method)
     window = asked.closed(first[0].epoch_us if first else None, newest.epoch_us if newest else None)
     bins = SampleBins(window.start_us, window.stop_us, count, 3)
-    after: tuple[int, int] | None = None
-    while rows := results.attitude_rows(spacecraft_id, version, method, window, _PAGE_ROWS, after):
-        epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
-        bins.add(epochs_us, np.array([row.attitude_deg for row in rows]))
-        after = (rows[-1].epoch_us, rows[-1].number)
+    for buckets in results.sampled_attitude(spacecraft_id, version, method, window, bins):
+        bins.add_summaries(buckets)
     yaw, roll, pitch = (SampleAnswer.all_of(bins.samples(axis)) for axis in range(3))
     return AttitudeSamples(
         range=WindowAnswer.of(window), method=method, version=version, yaw_deg=yaw, roll_deg=roll, pitch_deg=pitch

@@ -1,4 +1,4 @@
-"""Figures of stretches of rows: samples of equal intervals, gaps.
+"""Figures of stretches of rows: samples of equal intervals, summaries of buckets, gaps.
 
-Public: row_gaps, sample_bins.
+Public: row_gaps, sample_bins, summaries.
 """

@@ -9,10 +9,11 @@ a value. Least and greatest value are kept as they are: no peak is lost however 
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+from service.core.rows.summaries import Summaries
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,7 +37,7 @@ class Samples:
 
 
 class SampleBins:
-    """Intervals of several columns that rows are added to.
+    """Intervals of several columns that rows and summaries of rows are added to, in any order.
 
     Parameters
     ----------
@@ -51,51 +52,60 @@ class SampleBins:
     def __init__(self, start_us: int, stop_us: int, count: int, columns: int) -> None:
         # in whole numbers of any size: the products exceed 64 bits
         begins = [start_us - (-position * (stop_us - start_us) // count) for position in range(count)]
-        self._begins_us = np.array(begins, dtype=np.int64)
-        shape = (count, columns)
-        self._n = np.zeros(shape, dtype=np.int64)
-        self._sums = np.zeros(shape)
-        self._minima, self._maxima = np.full(shape, np.inf), np.full(shape, -np.inf)
-        self._minimum_us, self._maximum_us = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64)
+        self._bounds_us = np.array([*begins, stop_us], dtype=np.int64)
+        self._count = count
+        none = Summaries.of_rows(self._bounds_us[:-1], np.full((count, columns), np.nan))
+        self._held = Summaries._make(array.copy() for array in none)
 
     def add(self, epochs_us: IntArray, values: NDArray[np.floating]) -> None:
-        """Add rows in order of epoch, values of shape (T, columns); NaN = absent."""
-        positions = self._positions(epochs_us)
-        bounds = [0, *(np.flatnonzero(np.diff(positions)) + 1).tolist(), len(positions)]
-        for first, last in pairwise(bounds):
-            if last > first:
-                self._add_to(int(positions[first]), epochs_us[first:last], values[first:last])
+        """Add rows, values of shape (T, columns); NaN = absent."""
+        self.add_summaries(Summaries.of_rows(epochs_us, values))
+
+    def add_summaries(self, buckets: Summaries, columns: IntArray | None = None) -> None:
+        """Add buckets that lie within one interval each, or outside the span.
+
+        ``columns`` are the columns of the intervals that those of the buckets belong to, the same ones by default.
+        """
+        owners = self._owners(buckets.first_us)
+        order = np.argsort(owners, kind="stable")
+        first, last = np.searchsorted(owners[order], (0, self._count))
+        inside = order[first:last]
+        if not len(inside):
+            return
+        found = buckets.at(inside).gathered(owners[inside])
+        place = np.unique(owners[inside])[:, None], np.arange(found.counts.shape[1]) if columns is None else columns
+        held = self._held
+        held.counts[place] += found.counts
+        held.sums[place] += found.sums
+        for extremes, epochs_us, new, new_us, is_better in (
+            (held.minima, held.minimum_us, found.minima, found.minimum_us, np.less),
+            (held.maxima, held.maximum_us, found.maxima, found.maximum_us, np.greater),
+        ):
+            is_new = is_better(new, extremes[place])
+            is_equal = new == extremes[place]
+            extremes[place] = np.where(is_new, new, extremes[place])
+            earlier_us = np.where(is_equal, np.minimum(new_us, epochs_us[place]), epochs_us[place])
+            epochs_us[place] = np.where(is_new, new_us, earlier_us)
+
+    def hold(self, first_us: IntArray, last_us: IntArray) -> NDArray[np.bool_]:
+        """Return which of some stretches lie within one interval each, or outside the span."""
+        return np.asarray(self._owners(first_us) == self._owners(last_us))
 
     def samples(self, column: int) -> Samples:
         """Return the intervals of a column that hold a value."""
-        held = np.flatnonzero(self._n[:, column])
-        counts = self._n[held, column]
+        positions = np.flatnonzero(self._held.counts[:, column])
+        held = self._held.at(positions)
+        counts = held.counts[:, column]
         return Samples(
-            self._begins_us[held],
+            self._bounds_us[positions],
             counts,
-            self._sums[held, column] / counts,
-            self._minima[held, column],
-            self._maxima[held, column],
-            self._minimum_us[held, column],
-            self._maximum_us[held, column],
+            held.sums[:, column] / counts,
+            held.minima[:, column],
+            held.maxima[:, column],
+            held.minimum_us[:, column],
+            held.maximum_us[:, column],
         )
 
-    def _positions(self, epochs_us: IntArray) -> IntArray:
-        """Return the interval of each row: how many intervals have begun by then, but for the first."""
-        return np.asarray(np.searchsorted(self._begins_us, epochs_us, side="right") - 1)
-
-    def _add_to(self, position: int, epochs_us: IntArray, values: NDArray[np.floating]) -> None:
-        """Add rows of one interval."""
-        wide = values.astype(np.float64)
-        is_absent = np.isnan(wide)
-        self._n[position] += np.sum(~is_absent, axis=0)
-        self._sums[position] += np.nansum(wide, axis=0)
-        columns = np.arange(wide.shape[1])
-        low, high = np.where(is_absent, np.inf, wide), np.where(is_absent, -np.inf, wide)
-        at_low, at_high = np.argmin(low, axis=0), np.argmax(high, axis=0)
-        is_lower = low[at_low, columns] < self._minima[position]
-        is_higher = high[at_high, columns] > self._maxima[position]
-        self._minima[position][is_lower] = low[at_low, columns][is_lower]
-        self._maxima[position][is_higher] = high[at_high, columns][is_higher]
-        self._minimum_us[position][is_lower] = epochs_us[at_low][is_lower]
-        self._maximum_us[position][is_higher] = epochs_us[at_high][is_higher]
+    def _owners(self, epochs_us: IntArray) -> IntArray:
+        """Return the interval of each epoch: -1 before the first, ``count`` behind the last."""
+        return np.asarray(np.searchsorted(self._bounds_us, epochs_us, side="right") - 1)

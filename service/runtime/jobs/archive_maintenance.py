@@ -1,4 +1,4 @@
-"""Upkeep of the archive: one thread that seals closed days and drops what is older than is kept.
+"""Upkeep of the archive: one thread that seals and summarises closed days and drops what is older than is kept.
 
 Work comes in short transactions with pauses between them, so that rows of front ends never wait for long. A fault is
 logged and the work tried again at the next look: nothing depends on when it is done.
@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import chain
 from typing import TypeVar
 
 from service.ports import Clock, Storage
@@ -22,6 +23,7 @@ from service.records.storage.archive_maintenance import (
     SealedResults,
     SealingConfig,
 )
+from service.runtime.jobs.archive_analysis import runnable_methods
 from service.runtime.live.leadership import Term, always
 
 _LOG = logging.getLogger("soo.maintenance")
@@ -65,6 +67,8 @@ class ArchiveMaintenance:
         self._thread: threading.Thread | None = None
         #: measurements and results sealed, and rows dropped of each series, since the start
         self.sealed_rows = self.sealed_results = 0
+        #: days of a source or of a method that were summarised after they were sealed, since the start
+        self.summarised_days = 0
         self.dropped_rows = dict.fromkeys((*SERIES, *LOGS, "replays"), 0)
         #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
         self._sized_at_s: dict[str, float] = {}
@@ -94,6 +98,7 @@ class ArchiveMaintenance:
                 self._drop_replays(spacecraft.id)
                 self._drop_logs(spacecraft.id, self._clock.now_us(spacecraft.id))
                 self._seal(spacecraft.id)
+                self._summarise(spacecraft.id)
         with self._guarded("the service"):
             self._drop_logs(None, self._clock.system_us())
             for rows in self._paced(self._storage.archive.complete_checksums()):
@@ -169,6 +174,20 @@ class ArchiveMaintenance:
                 sealed.version,
                 format_epoch(sealed.first_epoch_us),
             )
+
+    def _summarise(self, spacecraft_id: str) -> None:
+        """Summarise closed days, and store up to where every row has its results."""
+        now_us, quiet_us = self._clock.now_us(spacecraft_id), int(self._sealing.quiet_s * US_PER_S)
+        if now_us is None:
+            return
+        archive, results = self._storage.archive, self._storage.results
+        steps = (
+            archive.complete_summaries(spacecraft_id),
+            results.complete_summaries(spacecraft_id, now_us - quiet_us),
+        )
+        for days in self._paced(chain.from_iterable(steps)):
+            self.summarised_days += days
+        results.mark_complete(spacecraft_id, runnable_methods(self._storage, spacecraft_id))
 
     def _paced(self, steps: Iterable[_Step]) -> Iterator[_Step]:
         """Yield steps with pauses until the thread is to stop."""

@@ -1,0 +1,121 @@
+"""Summaries of sealed powers: stored with their segment, completed for segments of older versions, read by samples."""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import numpy as np
+from sqlalchemy import Connection, select
+
+from db.database import Database, lock_head
+from db.encoding.segment_codec import SealedRows
+from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentCache, SegmentHead, day_of, read_chunk
+from db.encoding.stored_summaries import POWERS, READ_AT_ONCE, Stored
+from db.encoding.summary_codec import SummaryBlobs, pack_day
+from db.measurements.measurement_pages import Chosen, MeasurementPages
+from db.schema.tables import measurement_segment, power_summary
+from service.core.rows.summaries import Summaries
+from service.errors import StorageError
+from service.ports import Intervals, SampledPowers
+from service.records.calibration import Window
+from service.records.levels.measurement import DETAIL_NAMES
+
+#: days that one read transaction looks at
+_SLICE_US = 128 * DAY_US
+#: segments that one transaction summarises
+_SEGMENTS_AT_ONCE = 8
+_C_N0 = DETAIL_NAMES.index("c_n0_db_hz")
+
+
+def summary_of(rows: SealedRows) -> SummaryBlobs:
+    """Return the summary of a segment: powers in the order of the plan, and C/N0 where any is stated."""
+    carriers, c_n0_db_hz = rows.power_dbm.shape[1], rows.details[:, _C_N0]
+    values = rows.power_dbm if np.isnan(c_n0_db_hz).all() else np.hstack((rows.power_dbm, c_n0_db_hz))
+    return pack_day(rows.epochs_us, values, carriers)
+
+
+def store_summary(connection: Connection, segment_id: int, summary: SummaryBlobs) -> None:
+    """Store the summary of a segment in the transaction that writes it."""
+    connection.execute(power_summary.insert().values(segment_id=segment_id, **summary._asdict()))
+
+
+def complete(database: Database, key: int) -> Iterator[int]:
+    """Summarise the segments that have no summary, some a transaction, and yield how many."""
+    is_its = (measurement_segment.c.spacecraft_key == key, power_summary.c.segment_id.is_(None))
+    query = select(*HEAD_COLUMNS).outerjoin(power_summary).where(*is_its).order_by(measurement_segment.c.segment_id)
+    seen = 0
+    while True:
+        with database.read() as connection:
+            is_next = measurement_segment.c.segment_id > seen
+            found = [SegmentHead(*row) for row in connection.execute(query.where(is_next).limit(_SEGMENTS_AT_ONCE))]
+            made = {head.segment_id: summary for head in found if (summary := _summary(connection, head)) is not None}
+        if not found:
+            return
+        seen = found[-1].segment_id
+        yield database.write(partial(_store_some, key=key, made=made))
+
+
+def sampled(
+    database: Database, key: int, chosen: Chosen, intervals: Intervals, carriers_of: Callable[[int], int]
+) -> Iterator[SampledPowers]:
+    """Yield rows in buckets that lie within one interval each, a read transaction a season.
+
+    A row is sealed or not within one transaction, and never leaves its day: each is counted once. ``carriers_of`` gives
+    the number of carriers of a plan.
+    """
+    epoch_us: int | None = chosen.window.start_us
+    while epoch_us is not None and epoch_us < chosen.window.stop_us:
+        with database.read() as connection:
+            pages = MeasurementPages(connection, database.segments, key)
+            epoch_us = pages.next_us(epoch_us)
+            if epoch_us is None or epoch_us >= chosen.window.stop_us:
+                return
+            stop_us = min(chosen.window.stop_us, day_of(epoch_us) * DAY_US + _SLICE_US)
+            part = chosen._replace(window=Window(epoch_us, stop_us))
+            heads = pages.segments(part)
+            for plan_id in sorted({head.plan_id for head in heads}):
+                of_plan = [head for head in heads if head.plan_id == plan_id]
+                for buckets in _sealed(connection, database.segments, of_plan, intervals, carriers_of(plan_id)):
+                    yield SampledPowers(plan_id, buckets)
+            for run in pages.read_unsealed(part):
+                epochs_us = run.chunk.epochs_us[run.positions]
+                yield SampledPowers(run.chunk.plan_id, Summaries.of_rows(epochs_us, run.power_dbm()))
+        epoch_us = stop_us
+
+
+def _sealed(
+    connection: Connection, cache: SegmentCache, heads: Sequence[SegmentHead], intervals: Intervals, carriers: int
+) -> Iterator[Summaries]:
+    """Yield the rows of segments of one plan; those of a segment without a sound summary as they are."""
+    for start in range(0, len(heads), READ_AT_ONCE):
+        some = heads[start : start + READ_AT_ONCE]
+        wanted = [Stored(head.segment_id, head.first_epoch_us, head.last_epoch_us) for head in some]
+        buckets, read = POWERS.read(connection, wanted, intervals, carriers)
+        if buckets is not None:
+            yield buckets
+        for head in some:
+            if head.segment_id not in read:
+                chunk = read_chunk(connection, cache.for_scan(), head)
+                yield Summaries.of_rows(chunk.epochs_us, chunk.power_dbm())
+
+
+def _summary(connection: Connection, head: SegmentHead) -> SummaryBlobs | None:
+    """Return the summary of a segment, None where it cannot be read."""
+    try:
+        return summary_of(read_chunk(connection, None, head).rows())
+    except StorageError as fault:
+        if fault.code != "storage.corrupt":
+            raise
+        return None
+
+
+def _store_some(connection: Connection, key: int, made: dict[int, SummaryBlobs]) -> int:
+    """Store summaries of those segments that are still there and have none."""
+    lock_head(connection, key)
+    segment_id = measurement_segment.c.segment_id
+    query = (
+        select(segment_id).outerjoin(power_summary).where(segment_id.in_(made), power_summary.c.segment_id.is_(None))
+    )
+    lacking = connection.scalars(query).all()
+    for each in lacking:
+        store_summary(connection, each, made[each])
+    return len(lacking)

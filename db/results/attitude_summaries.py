@@ -1,0 +1,164 @@
+"""Summaries of live attitude and torque commands by day: made when the day is over, made again after a late row.
+
+A day is summarised only once the chain has consumed a later one, so rows of the newest day never touch a summary. A
+late row deletes those of its day in the transaction that stores it. A summary that is being made is a row without
+bytes: whoever read the rows before a late one came finds it gone, and stores nothing.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, and_, delete, select
+
+from db.database import Database, insert_new, lock_head
+from db.encoding.segments import DAY_US, day_of
+from db.encoding.stored_summaries import ATTITUDE, READ_AT_ONCE, Stored
+from db.encoding.summary_codec import SummaryBlobs, pack_day
+from db.schema.tables import attitude_summary as table
+from db.schema.tables import head
+from service.core.rows.summaries import Summaries
+from service.ports import Intervals
+from service.records.calibration import Window
+from service.records.levels.attitude import AttitudeRow, FloatArray
+from service.records.levels.command import TorqueCommand
+
+#: name under which the commands of all methods are summarised
+TORQUE = "torque"
+#: columns that are sampled in intervals of any length: angles of attitude, impulse of torque
+SAMPLED = 3
+#: rows in memory at once as records
+_PAGE_ROWS = 5000
+#: of a day without rows
+_NOTHING = SummaryBlobs(b"", b"", None, b"")
+Row = AttitudeRow | TorqueCommand
+
+
+class RowReader(Protocol):
+    """Reader of a series in order of (epoch, number)."""
+
+    def __call__(self, window: Window, limit: int, after: tuple[int, int] | None, /) -> Sequence[Row]:
+        """Return rows beyond a cursor."""
+
+
+def pages(read: RowReader, window: Window) -> Iterator[Sequence[Row]]:
+    """Yield the rows of a window, some at a time."""
+    after: tuple[int, int] | None = None
+    while rows := read(window, _PAGE_ROWS, after):
+        yield rows
+        after = rows[-1].epoch_us, rows[-1].number
+
+
+def complete(database: Database, key: int, name: str, read: RowReader, before_us: int) -> Iterator[int]:
+    """Summarise the days of a series that ended before an epoch and have no summary; yield 1 for each."""
+    with database.read() as connection:
+        consumed_us = connection.scalar(select(head.c.consumed_epoch_us).where(head.c.spacecraft_key == key))
+    stop_us = min(day_of(before_us), day_of(consumed_us or 0)) * DAY_US
+    query = select(table.c.start_us).where(_is_of(key, name), table.c.day.is_not(None))
+    held = {row.start_us for row in database.fetch(query)}
+    start_us = -(1 << 62)
+    while start_us < stop_us and (first := read(Window(start_us, stop_us), 1, None)):
+        start_us = day_of(first[0].epoch_us) * DAY_US
+        if start_us not in held and _make(database, key, name, read, start_us):
+            yield 1
+        held.add(start_us)
+        while start_us in held:
+            start_us += DAY_US
+
+
+def sampled(
+    database: Database, key: int, name: str, read: RowReader, window: Window, intervals: Intervals
+) -> Iterator[Summaries]:
+    """Yield the rows of a window in buckets that lie within one interval each: of days with a sound summary from it."""
+    query = (
+        select(table.c.summary_id, table.c.start_us)
+        .where(_is_of(key, name), table.c.day.is_not(None))
+        .where(table.c.start_us > window.start_us - DAY_US, table.c.start_us < window.stop_us)
+        .order_by(table.c.start_us)
+    )
+    stored = [Stored(row.summary_id, row.start_us, row.start_us + DAY_US - 1) for row in database.fetch(query)]
+    # each day is read once, from its summary or as rows: a row that comes meanwhile is counted once or not yet
+    rest_us = window.start_us
+    for start in range(0, len(stored), READ_AT_ONCE):
+        some = stored[start : start + READ_AT_ONCE]
+        with database.read() as connection:
+            buckets, found = ATTITUDE.read(connection, some, intervals, SAMPLED)
+        if buckets is not None:
+            yield buckets
+        for day in (each for each in some if each.summary_id in found):
+            yield from _as_rows(read, Window(rest_us, day.first_us))
+            rest_us = max(rest_us, day.last_us + 1)
+    yield from _as_rows(read, Window(rest_us, window.stop_us))
+
+
+def forget_days(connection: Connection, key: int, consumed_epoch_us: int | None, epochs_us: Iterable[int]) -> None:
+    """Delete the summaries of days before that of the consumer's epoch, for which results are stored now."""
+    newest = -math.inf if consumed_epoch_us is None else day_of(consumed_epoch_us)
+    days_us = sorted({day_of(epoch_us) * DAY_US for epoch_us in epochs_us if day_of(epoch_us) < newest})
+    for start in range(0, len(days_us), READ_AT_ONCE):
+        is_one = table.c.start_us.in_(days_us[start : start + READ_AT_ONCE])
+        connection.execute(delete(table).where(table.c.spacecraft_key == key, is_one))
+
+
+def day_blobs(read: RowReader, start_us: int) -> SummaryBlobs:
+    """Return the summary of the rows of a day that a method computed."""
+    epochs_us: list[int] = []
+    values: list[FloatArray] = []
+    for rows in pages(read, Window(start_us, start_us + DAY_US)):
+        # a row without a calibration says only that nothing was computed
+        computed = [row for row in rows if isinstance(row, TorqueCommand) or row.calibration_id is not None]
+        epochs_us += [row.epoch_us for row in computed]
+        values += [np.array([_figures(row) for row in computed])] if computed else []
+    return pack_day(np.array(epochs_us, dtype=np.int64), np.concatenate(values), SAMPLED) if values else _NOTHING
+
+
+def _figures(row: Row) -> tuple[float, ...]:
+    """Return what is summarised of a row; a new figure stands at the end."""
+    if isinstance(row, TorqueCommand):
+        return row.impulse_n_m_s
+    others = (row.residual_rms_db, row.common_db, row.downlink_fade_db, row.carriers_used, row.control_allowed)
+    return (*row.attitude_deg, *row.sigma_deg, *row.protection_deg, *others)
+
+
+def _as_rows(read: RowReader, window: Window) -> Iterator[Summaries]:
+    """Yield the sampled columns of the rows of a window."""
+    if window.start_us < window.stop_us:
+        for rows in pages(read, window):
+            epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
+            yield Summaries.of_rows(epochs_us, np.array([_figures(row)[:SAMPLED] for row in rows]))
+
+
+def _make(database: Database, key: int, name: str, read: RowReader, start_us: int) -> bool:
+    """Summarise a day; False when a late row came meanwhile."""
+    write = database.lease.under
+    summary_id = database.write(write(partial(_begin, key=key, name=name, start_us=start_us)))
+    blobs = day_blobs(read, start_us)
+    return database.write(write(partial(_finish, key=key, summary_id=summary_id, blobs=blobs)))
+
+
+def _begin(connection: Connection, key: int, name: str, start_us: int) -> int:
+    """Store a summary without bytes and return its id."""
+    values = {"spacecraft_key": key, "method": name, "start_us": start_us}
+    insert_new(connection, table, [values])
+    query = select(table.c.summary_id).where(_is_of(key, name), table.c.start_us == start_us)
+    return int(connection.execute(query).scalar_one())
+
+
+def _finish(connection: Connection, key: int, summary_id: int, blobs: SummaryBlobs) -> bool:
+    """Give a summary its bytes if it is still there."""
+    lock_head(connection, key)
+    is_it = and_(table.c.summary_id == summary_id, table.c.day.is_(None))
+    begun: Any = connection.execute(select(table).where(is_it)).first()
+    if begun is None:
+        return False
+    # replaced, not updated: its checksum is that of the whole row
+    connection.execute(delete(table).where(is_it))
+    values = {"spacecraft_key": key, "method": begun.method, "start_us": begun.start_us}
+    connection.execute(table.insert().values(**values, **blobs._asdict()))
+    return True
+
+
+def _is_of(key: int, name: str) -> ColumnElement[bool]:
+    return and_(table.c.spacecraft_key == key, table.c.method == name)
