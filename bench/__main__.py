@@ -11,13 +11,23 @@ from bench import (
     bench_start,
     bench_storage,
     bench_stream,
+    bench_summaries,
 )
 
 
 def main() -> int:
     """Run them and return the exit code."""
     bench_spool.main()
-    measured = (bench_storage, bench_ingest, bench_chain, bench_alarms, bench_stream, bench_start, bench_export)
+    measured = (
+        bench_storage,
+        bench_ingest,
+        bench_chain,
+        bench_alarms,
+        bench_stream,
+        bench_start,
+        bench_export,
+        bench_summaries,
+    )
     is_met = [each.main() for each in measured]
     return 0 if all(is_met) else 1
 

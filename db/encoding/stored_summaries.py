@@ -8,7 +8,7 @@ import numpy as np
 from sqlalchemy import Column, Connection, Table, bindparam, func, select
 
 from db.connection.prepared_statements import PreparedStatement
-from db.encoding.summary_codec import Level, Rows, unpack_level, unpack_rows
+from db.encoding.summary_codec import FrameRows, Level, unpack_level, unpack_rows
 from db.schema.tables import attitude_summary, power_summary
 from service.core.rows.summaries import IntArray, Summaries, joined
 from service.ports import Intervals
@@ -16,7 +16,7 @@ from service.ports import Intervals
 _LOG = logging.getLogger(__name__)
 #: summaries that are asked for at once; SQLite before 3.32 binds 999 values at most
 READ_AT_ONCE = 500
-_Unpacked = TypeVar("_Unpacked", Level, Rows)
+_Unpacked = TypeVar("_Unpacked", Level, FrameRows)
 
 
 class Stored(NamedTuple):
@@ -53,7 +53,7 @@ class SummaryTable:
         At most ``READ_AT_ONCE`` are asked for. What is missing or damaged is not read: its rows are still there.
         """
         reading = _Reading(connection, self, intervals, columns)
-        first_us, last_us = (np.array([each[place] for each in wanted], dtype=np.int64) for place in (1, 2))
+        first_us, last_us = (np.array([each[column] for each in wanted], dtype=np.int64) for column in (1, 2))
         is_whole = intervals.hold(first_us, last_us)
         for column, is_wanted in ((self.table.c.day, is_whole), (self.table.c.hours, ~is_whole)):
             names = [each.summary_id for each, is_its in zip(wanted, is_wanted, strict=True) if is_its]
@@ -88,7 +88,7 @@ class _Reading:
             return
         owners = np.repeat([name for name, _ in levels], [len(level.starts) for _, level in levels])
         buckets = joined([level.buckets.columns(self._columns) for _, level in levels])
-        starts, sizes = (np.concatenate([level[place] for _, level in levels]) for place in (1, 2))
+        starts, sizes = (np.concatenate([level[column] for _, level in levels]) for column in (1, 2))
         is_whole = self._intervals.hold(buckets.first_us, buckets.last_us)
         self._found.append((owners[is_whole], buckets.at(is_whole)))
         frame = self._table.minute_frame if has_minutes else self._table.row_frame

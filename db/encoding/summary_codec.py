@@ -45,7 +45,7 @@ class Level(NamedTuple):
     sizes: IntArray
 
 
-class Rows(NamedTuple):
+class FrameRows(NamedTuple):
     """Rows of a narrowest bucket: (T,) microseconds UTC and (T, C) values."""
 
     epochs_us: IntArray
@@ -95,13 +95,13 @@ def unpack_level(blob: bytes) -> Level:
     )
 
 
-def unpack_rows(blob: bytes) -> Rows:
+def unpack_rows(blob: bytes) -> FrameRows:
     """Return the rows of a narrowest bucket; ValueError when they are damaged."""
     raw = _unpacked(blob)
     count, columns, width = _SHAPE.unpack_from(raw)
     epochs_us = np.cumsum(np.frombuffer(raw, dtype="<i8", count=count, offset=_SHAPE.size))
     values = np.frombuffer(raw, dtype=f"<f{width}", offset=_SHAPE.size + 8 * count)
-    return Rows(epochs_us, values.reshape(columns, count).T)
+    return FrameRows(epochs_us, values.reshape(columns, count).T)
 
 
 def _runs(owners: IntArray) -> list[slice]:

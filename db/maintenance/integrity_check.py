@@ -15,6 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.connection.storage_state import newest_revision
 from db.database import Database
 from db.maintenance.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
+from db.maintenance.summary_check import compare_summaries
 from db.measurements.checksum_check import checked_tables
 from db.operations.audit import SqlAudit
 from db.schema.access_tables import access_key
@@ -156,6 +157,7 @@ def _one(connection: Connection, state: Row[Any], name: str) -> Iterator[Diagnos
     """Examine one spacecraft."""
     ledger = read_ledger(connection, state)
     yield from _segments(name, ledger)
+    yield from compare_summaries(connection, state.spacecraft_key, name)
     yield from _journal(state, name, ledger)
     yield from _counts(connection, state, name, ledger)
     yield from _results(connection, state, name, ledger)

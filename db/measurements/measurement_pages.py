@@ -32,8 +32,8 @@ from service.records.levels.measurement import Float32Array, Measurement
 from service.records.levels.measurement_block import MeasurementBlock
 
 Columns = tuple[ColumnElement[Any], ...]
-#: rows of the table of rows that a reader of all of them holds at once
-_PAGE_ROWS = 8192
+#: rows of the table of rows in memory at once
+_AT_ONCE = 8192
 #: above every journal number
 MAX_NUMBER = 1 << 62
 EVER = Window(-(1 << 62), 1 << 62)
@@ -142,7 +142,7 @@ class MeasurementPages:
     def read_unsealed(self, chosen: Chosen) -> Iterator[ChunkRun]:
         """Yield the rows of the table of rows with their powers."""
         after: Cursor | None = None
-        query = self._rows(chosen, POWERS).order_by(measurement.c.epoch_us, measurement.c.number).limit(_PAGE_ROWS)
+        query = self._rows(chosen, POWERS).order_by(measurement.c.epoch_us, measurement.c.number).limit(_AT_ONCE)
         while rows := self._connection.execute(
             query.where(beyond(measurement.c.epoch_us, measurement.c.number, after))
         ).all():

@@ -2,7 +2,7 @@
 
 A day is summarised only once the chain has consumed a later one, so rows of the newest day never touch a summary. A
 late row deletes those of its day in the transaction that stores it. A summary that is being made is a row without
-bytes: whoever read the rows before a late one came finds it gone, and stores nothing.
+bytes: where its rows were read before a late one came, it is gone, and nothing is stored.
 """
 
 import math
@@ -36,14 +36,14 @@ _NOTHING = SummaryBlobs(b"", b"", None, b"")
 Row = AttitudeRow | TorqueCommand
 
 
-class RowReader(Protocol):
-    """Reader of a series in order of (epoch, number)."""
+class ResultPages(Protocol):
+    """Pages of a series in order of (epoch, number)."""
 
     def __call__(self, window: Window, limit: int, after: tuple[int, int] | None, /) -> Sequence[Row]:
         """Return rows beyond a cursor."""
 
 
-def pages(read: RowReader, window: Window) -> Iterator[Sequence[Row]]:
+def pages(read: ResultPages, window: Window) -> Iterator[Sequence[Row]]:
     """Yield the rows of a window, some at a time."""
     after: tuple[int, int] | None = None
     while rows := read(window, _PAGE_ROWS, after):
@@ -51,7 +51,7 @@ def pages(read: RowReader, window: Window) -> Iterator[Sequence[Row]]:
         after = rows[-1].epoch_us, rows[-1].number
 
 
-def complete(database: Database, key: int, name: str, read: RowReader, before_us: int) -> Iterator[int]:
+def complete(database: Database, key: int, name: str, read: ResultPages, before_us: int) -> Iterator[int]:
     """Summarise the days of a series that ended before an epoch and have no summary; yield 1 for each."""
     with database.read() as connection:
         consumed_us = connection.scalar(select(head.c.consumed_epoch_us).where(head.c.spacecraft_key == key))
@@ -69,7 +69,7 @@ def complete(database: Database, key: int, name: str, read: RowReader, before_us
 
 
 def sampled(
-    database: Database, key: int, name: str, read: RowReader, window: Window, intervals: Intervals
+    database: Database, key: int, name: str, read: ResultPages, window: Window, intervals: Intervals
 ) -> Iterator[Summaries]:
     """Yield the rows of a window in buckets that lie within one interval each: of days with a sound summary from it."""
     query = (
@@ -102,7 +102,7 @@ def forget_days(connection: Connection, key: int, consumed_epoch_us: int | None,
         connection.execute(delete(table).where(table.c.spacecraft_key == key, is_one))
 
 
-def day_blobs(read: RowReader, start_us: int) -> SummaryBlobs:
+def day_blobs(read: ResultPages, start_us: int) -> SummaryBlobs:
     """Return the summary of the rows of a day that a method computed."""
     epochs_us: list[int] = []
     values: list[FloatArray] = []
@@ -122,7 +122,7 @@ def _figures(row: Row) -> tuple[float, ...]:
     return (*row.attitude_deg, *row.sigma_deg, *row.protection_deg, *others)
 
 
-def _as_rows(read: RowReader, window: Window) -> Iterator[Summaries]:
+def _as_rows(read: ResultPages, window: Window) -> Iterator[Summaries]:
     """Yield the sampled columns of the rows of a window."""
     if window.start_us < window.stop_us:
         for rows in pages(read, window):
@@ -130,7 +130,7 @@ def _as_rows(read: RowReader, window: Window) -> Iterator[Summaries]:
             yield Summaries.of_rows(epochs_us, np.array([_figures(row)[:SAMPLED] for row in rows]))
 
 
-def _make(database: Database, key: int, name: str, read: RowReader, start_us: int) -> bool:
+def _make(database: Database, key: int, name: str, read: ResultPages, start_us: int) -> bool:
     """Summarise a day; False when a late row came meanwhile."""
     write = database.lease.under
     summary_id = database.write(write(partial(_begin, key=key, name=name, start_us=start_us)))

@@ -13,7 +13,7 @@ from db.encoding.carrier_codec import unpack_carriers
 from db.encoding.row_mapping import attitude_of, torque_of
 from db.results import attitude_summaries, result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
-from db.results.attitude_summaries import TORQUE, RowReader
+from db.results.attitude_summaries import TORQUE, ResultPages
 from db.results.calibrations import SqlCalibrations
 from db.results.checkpoints import checkpoints
 from db.results.jobs import SqlJobs
@@ -119,7 +119,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         """Summarise live attitude and commands of closed days, a transaction a day."""
         key = self._database.key(spacecraft_id)
         readers = {method.value: partial(self.attitude_rows, spacecraft_id, LIVE, method) for method in Method}
-        series: dict[str, RowReader] = {**readers, TORQUE: partial(self.commands, spacecraft_id, LIVE)}
+        series: dict[str, ResultPages] = {**readers, TORQUE: partial(self.commands, spacecraft_id, LIVE)}
         for name, read in series.items():
             yield from attitude_summaries.complete(self._database, key, name, read, before_us)
 

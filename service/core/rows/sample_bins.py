@@ -73,19 +73,19 @@ class SampleBins:
         if not len(inside):
             return
         found = buckets.at(inside).gathered(owners[inside])
-        place = np.unique(owners[inside])[:, None], np.arange(found.counts.shape[1]) if columns is None else columns
+        cells = np.unique(owners[inside])[:, None], np.arange(found.counts.shape[1]) if columns is None else columns
         held = self._held
-        held.counts[place] += found.counts
-        held.sums[place] += found.sums
+        held.counts[cells] += found.counts
+        held.sums[cells] += found.sums
         for extremes, epochs_us, new, new_us, is_better in (
             (held.minima, held.minimum_us, found.minima, found.minimum_us, np.less),
             (held.maxima, held.maximum_us, found.maxima, found.maximum_us, np.greater),
         ):
-            is_new = is_better(new, extremes[place])
-            is_equal = new == extremes[place]
-            extremes[place] = np.where(is_new, new, extremes[place])
-            earlier_us = np.where(is_equal, np.minimum(new_us, epochs_us[place]), epochs_us[place])
-            epochs_us[place] = np.where(is_new, new_us, earlier_us)
+            is_new = is_better(new, extremes[cells])
+            is_equal = new == extremes[cells]
+            extremes[cells] = np.where(is_new, new, extremes[cells])
+            earlier_us = np.where(is_equal, np.minimum(new_us, epochs_us[cells]), epochs_us[cells])
+            epochs_us[cells] = np.where(is_new, new_us, earlier_us)
 
     def hold(self, first_us: IntArray, last_us: IntArray) -> NDArray[np.bool_]:
         """Return which of some stretches lie within one interval each, or outside the span."""

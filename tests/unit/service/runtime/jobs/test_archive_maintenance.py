@@ -48,6 +48,9 @@ class Archive:
     def complete_checksums(self):
         yield from (3, 2)
 
+    def complete_summaries(self, _name):
+        yield from (8, 1)
+
     def fitting_us(self, name, series, size_bytes):
         self.asked.append(("fit", series, size_bytes))
         return self.fitting
@@ -57,11 +60,21 @@ class Results:
     """Seals results of a replay each time; keeps until when."""
 
     def __init__(self):
-        self.before_us = []
+        self.before_us, self.summarised_us, self.marked = [], [], []
 
     def seal(self, _name, before_us):
         self.before_us.append(before_us)
         yield SealedResults("attitude", "replay-1", "paper", NOW_US - DAY_US, 7, 9)
+
+    def complete_summaries(self, _name, before_us):
+        self.summarised_us.append(before_us)
+        yield 1
+
+    def alignments(self, _name):
+        return ()
+
+    def mark_complete(self, name, methods):
+        self.marked.append((name, methods))
 
 
 class Clock:
@@ -102,6 +115,14 @@ def test_versions_are_dropped_by_the_age_of_the_replay(archive):
     made.poll_once()
     assert archive.asked[0] == ("replays", "a", NOW_US + 5 - 2 * DAY_US)
     assert made.dropped_rows["replays"] == 7
+
+
+def test_closed_days_are_summarised_and_the_rows_without_pending_results_marked(archive):
+    made = maintainer(archive)
+    made.poll_once()
+    assert made.summarised_days == 10
+    results = made._storage.results
+    assert (results.summarised_us, results.marked) == ([NOW_US - 900_000_000], [("a", ())])
 
 
 def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):

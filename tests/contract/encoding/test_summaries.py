@@ -41,8 +41,8 @@ def equal(found, wanted, columns):
     for column in range(columns):
         one, other = astuple(found.samples(column)), astuple(wanted.samples(column))
         np.testing.assert_allclose(one[2], other[2], rtol=1e-12, atol=1e-12)
-        for place in (0, 1, 3, 4, 5, 6):
-            np.testing.assert_array_equal(one[place], other[place])
+        for position in (0, 1, 3, 4, 5, 6):
+            np.testing.assert_array_equal(one[position], other[position])
 
 
 def check_powers(setting, window, count, source=None):

@@ -1,0 +1,95 @@
+"""Comparison of some summaries of each spacecraft with the rows that they stand for."""
+
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
+
+import numpy as np
+from sqlalchemy import Connection, select
+
+from db.encoding.segments import HEAD_COLUMNS, SegmentCache, SegmentHead, read_chunk
+from db.encoding.summary_codec import SummaryBlobs, unpack_level
+from db.measurements.power_summaries import summary_of
+from db.results.attitude_reader import AttitudeReader
+from db.results.attitude_summaries import TORQUE, day_blobs
+from db.schema.tables import attitude_summary, measurement_segment, power_summary
+from service.errors import StorageError
+from service.records.catalogue import Method
+from service.records.epoch import format_epoch
+from service.records.storage.diagnosis import Diagnosis
+
+_Item = TypeVar("_Item")
+#: summaries of powers, and of attitude, that are compared with their rows
+_COMPARED = 10
+_ADVICE = (
+    "Charts of these days are wrong; rows and exports are not. Restore a backup that `soo backup verify` calls sound."
+)
+
+
+def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[Diagnosis]:
+    """Yield whether evenly chosen summaries of a spacecraft agree with their rows, where those can be read."""
+    compared, wrong = 0, []
+    for start_us, stored, made in [*_of_powers(connection, key), *_of_attitude(connection, key)]:
+        compared += 1
+        if not _agree(stored, made):
+            wrong.append(format_epoch(start_us)[:10])
+    if wrong:
+        detail = f"{name}: {len(wrong)} of {compared} summaries differ from their rows: {', '.join(sorted(set(wrong)))}"
+        yield Diagnosis("summaries", "fault", detail, _ADVICE)
+    else:
+        yield Diagnosis("summaries", "ok", f"{name}: {compared} summaries compared with their rows")
+
+
+def _of_powers(connection: Connection, key: int) -> Iterator[tuple[int, bytes, SummaryBlobs]]:
+    """Yield first epoch, hours and summary made again of some segments."""
+    ids = list(
+        connection.scalars(
+            select(power_summary.c.segment_id)
+            .join(measurement_segment)
+            .where(measurement_segment.c.spacecraft_key == key)
+            .order_by(power_summary.c.segment_id)
+        )
+    )
+    for segment_id in _evenly(ids):
+        is_it = measurement_segment.c.segment_id == segment_id
+        head = SegmentHead(*connection.execute(select(*HEAD_COLUMNS).where(is_it)).one())
+        hours = connection.scalar(select(power_summary.c.hours).where(power_summary.c.segment_id == segment_id))
+        try:
+            rows = read_chunk(connection, None, head).rows()
+        except StorageError:
+            continue
+        yield head.first_epoch_us, hours or b"", summary_of(rows)
+
+
+def _of_attitude(connection: Connection, key: int) -> Iterator[tuple[int, bytes, SummaryBlobs]]:
+    """Yield day, hours and summary made again of some days of attitude."""
+    table, cache = attitude_summary, SegmentCache()
+    is_its = (table.c.spacecraft_key == key, table.c.day.is_not(None), table.c.method != TORQUE)
+    days = connection.execute(select(table.c.start_us, table.c.method).where(*is_its).order_by(table.c.start_us)).all()
+    for start_us, method in map(tuple, _evenly(days)):
+        is_it = (table.c.spacecraft_key == key, table.c.method == method, table.c.start_us == start_us)
+        hours = connection.scalar(select(table.c.hours).where(*is_it))
+        try:
+            made = day_blobs(AttitudeReader(connection, cache, key, Method(method)).rows, start_us)
+        except StorageError:
+            continue
+        yield start_us, hours or b"", made
+
+
+def _evenly(found: Sequence[_Item]) -> Sequence[_Item]:
+    """Return about ``_COMPARED`` of some items, the first among them."""
+    return found[:: max(1, len(found) // _COMPARED)]
+
+
+def _agree(stored: bytes, made: SummaryBlobs) -> bool:
+    """Return whether hours are those made again; sums to rounding."""
+    if not stored or not made.hours:
+        return stored == made.hours
+    try:
+        one, other = unpack_level(stored).buckets, unpack_level(made.hours).buckets
+    except ValueError:
+        return False
+    if one.counts.shape != other.counts.shape:
+        return False
+    arrays = (each._replace(sums=each.minima) for each in (one, other))
+    is_equal = all(np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
+    return is_equal and bool(np.allclose(one.sums, other.sums, rtol=1e-9, atol=1e-9))
