@@ -141,5 +141,6 @@ def _packed(raw: bytes) -> bytes:
 def _unpacked(blob: bytes) -> bytes:
     try:
         return zstandard.ZstdDecompressor().decompress(blob)
-    except zstandard.ZstdError as fault:
+    except (zstandard.ZstdError, MemoryError) as fault:
+        # a damaged size may be larger than any memory
         raise ValueError(str(fault)) from fault

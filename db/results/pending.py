@@ -60,7 +60,7 @@ class PendingCount:
 
     def store(self, connection: Connection, key: int) -> None:
         """Store what is known to be complete of a spacecraft, for the first count after a start."""
-        for known, number in self._complete.items():
+        for known, number in list(self._complete.items()):
             if known[0] == key and number > _stored(connection, known):
                 is_it = (complete_mark.c.spacecraft_key == key, complete_mark.c.methods == ",".join(known[2]))
                 connection.execute(delete(complete_mark).where(*is_it))

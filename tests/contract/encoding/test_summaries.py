@@ -52,8 +52,10 @@ def check_powers(setting, window, count, source=None):
     plans = {setting.plan_id: [0, 1, 2]}
     for plan_id, buckets in archive.sampled_measurements(setting.id, window, found, source):
         found.add_summaries(buckets, np.array(plans.get(plan_id, [2, 1, 0])))
-    for row in archive.measurements(setting.id, window, 1_000_000, None, source):
-        wanted.add(np.array([row.epoch_us]), row.power_dbm[None, plans.get(row.plan_id, [2, 1, 0])])
+    rows = archive.measurements(setting.id, window, 1_000_000, None, source)
+    epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
+    powers = [row.power_dbm[plans.get(row.plan_id, [2, 1, 0])] for row in rows]
+    wanted.add(epochs_us, np.array(powers).reshape(-1, 3))
     equal(found, wanted, 3)
     return found
 
@@ -64,8 +66,9 @@ def check_attitude(setting, window, count, method=Method.ROBUST, version=LIVE):
     found, wanted = (SampleBins(window.start_us, window.stop_us, count, 3) for _ in range(2))
     for buckets in results.sampled_attitude(setting.id, version, method, window, found):
         found.add_summaries(buckets)
-    for row in results.attitude_rows(setting.id, version, method, window, 1_000_000, None):
-        wanted.add(np.array([row.epoch_us]), np.array([row.attitude_deg]))
+    rows = results.attitude_rows(setting.id, version, method, window, 1_000_000, None)
+    epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
+    wanted.add(epochs_us, np.array([row.attitude_deg for row in rows]).reshape(-1, 3))
     equal(found, wanted, 3)
     return found
 
