@@ -151,7 +151,7 @@ power_summary = Table(
     Column(
         "segment_id",
         BigInteger().with_variant(Integer, "sqlite"),
-        ForeignKey("measurement_segment.segment_id", ondelete="CASCADE"),
+        ForeignKey(measurement_segment.c.segment_id, ondelete="CASCADE"),
         primary_key=True,
     ),
     *needed(LargeBinary, "day", "hours"),

@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 import httpx
 
 from service.client.backoff import Backoff
+from service.client.documents import Json
 from service.client.problem import ServiceUnavailableError, error_of
 from service.records.epoch import format_epoch
 
@@ -157,3 +158,18 @@ def default_headers(key: str | None) -> dict[str, str]:
     """Return the headers of every request."""
     headers = {"Accept": "application/json", "User-Agent": "soo-client/1"}
     return {**headers, "Authorization": f"Bearer {key}"} if key else headers
+
+
+def given(**members: Any) -> Json:
+    """Return the members that are not None."""
+    return {name: value for name, value in members.items() if value is not None}
+
+
+def epochs(**epochs: Epoch | None) -> Json:
+    """Return the epochs that are given, as text."""
+    return {name: epoch_text(at) for name, at in epochs.items() if at is not None}
+
+
+def window(start: Epoch | None, stop: Epoch | None, limit: int) -> Json:
+    """Return the query of a history."""
+    return {**epochs(start=start, stop=stop), "limit": limit}

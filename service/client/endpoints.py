@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 from urllib.parse import quote
 
-from service.client.call import Call, Epoch, epoch_text
+from service.client.call import Call, Epoch, epoch_text, epochs, given, window
 from service.client.documents import (
     Attitude,
     CommandReply,
@@ -89,7 +89,7 @@ class Endpoints:
     ) -> Call[Receipt]:
         """Send rows of carrier powers; repeating a batch is safe."""
         body = {"plan_id": plan_id, "measurements": list(measurements)}
-        body |= _given(source=source, first_seq=first_seq)
+        body |= given(source=source, first_seq=first_seq)
         return _batch(spacecraft_id, "measurements", body)
 
     @endpoint
@@ -177,7 +177,7 @@ class Endpoints:
         self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
     ) -> Series[MeasurementReply]:
         """Yield every row of carrier powers of an interval; parameters as for `attitude_history`."""
-        return Series(_below(spacecraft_id, "/measurements/history"), _window(start, stop, limit))
+        return Series(_below(spacecraft_id, "/measurements/history"), window(start, stop, limit))
 
     @series
     def attitude_history(
@@ -203,7 +203,7 @@ class Endpoints:
         limit : int
             Rows a page.
         """
-        params = {**_window(start, stop, limit), "method": method, "version": version}
+        params = {**window(start, stop, limit), "method": method, "version": version}
         return Series(_below(spacecraft_id, "/attitude/history"), params)
 
     @series
@@ -219,7 +219,7 @@ class Endpoints:
         limit: int = PAGE_ROWS,
     ) -> Series[Json]:
         """Yield what a method made of one carrier at every row; other parameters as for `attitude_history`."""
-        params = {**_window(start, stop, limit), "method": method, "version": version}
+        params = {**window(start, stop, limit), "method": method, "version": version}
         return Series(_below(spacecraft_id, f"/carriers/{quote(carrier, safe='')}/results"), params)
 
     # Replays
@@ -239,7 +239,7 @@ class Endpoints:
         self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
     ) -> Series[Json]:
         """Yield the replays whose span overlaps an interval, in order of their numbers."""
-        return Series(_below(spacecraft_id, "/replays"), _window(start, stop, limit))
+        return Series(_below(spacecraft_id, "/replays"), window(start, stop, limit))
 
     @endpoint
     def delete_replay(self, spacecraft_id: str, replay_id: int) -> Call[None]:
@@ -279,7 +279,7 @@ class Endpoints:
         return Call(
             "POST",
             _below(spacecraft_id, "/torques:prepare"),
-            body | _epochs(attitude_epoch=attitude_epoch, start=start),
+            body | epochs(attitude_epoch=attitude_epoch, start=start),
         )
 
     @endpoint
@@ -292,7 +292,7 @@ class Endpoints:
         self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
     ) -> Series[CommandReply]:
         """Yield every command that was prepared in an interval; parameters as for `attitude_history`."""
-        return Series(_below(spacecraft_id, "/torques/commands"), _window(start, stop, limit))
+        return Series(_below(spacecraft_id, "/torques/commands"), window(start, stop, limit))
 
     @endpoint
     def confirm_torques(
@@ -334,7 +334,7 @@ class Endpoints:
         executed_from, executed_until : str or int, optional
             Part that was carried out; default all of it (executed) or nothing (failed).
         """
-        body = _epochs(at=at, executed_from=executed_from, executed_until=executed_until)
+        body = epochs(at=at, executed_from=executed_from, executed_until=executed_until)
         return Call("POST", _below(spacecraft_id, f"/torques/{command_id}:{turn}"), body, is_keyed=True)
 
     @endpoint
@@ -397,18 +397,3 @@ def _batch(spacecraft_id: str, kind: str, body: Mapping[str, Any]) -> Call[Any]:
 def _order(spacecraft_id: str, order: str, comment: str, **others: Any) -> Call[Control]:
     """Return an order to the interlock; its name stands behind the colon of the path."""
     return Call("POST", _below(spacecraft_id, f"/control:{order}"), {**others, "comment": comment})
-
-
-def _given(**members: Any) -> Json:
-    """Return the members that are not None."""
-    return {name: value for name, value in members.items() if value is not None}
-
-
-def _epochs(**epochs: Epoch | None) -> Json:
-    """Return the epochs that are given, as text."""
-    return {name: epoch_text(at) for name, at in epochs.items() if at is not None}
-
-
-def _window(start: Epoch | None, stop: Epoch | None, limit: int) -> Json:
-    """Return the query of a history."""
-    return {**_epochs(start=start, stop=stop), "limit": limit}
