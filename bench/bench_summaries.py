@@ -161,7 +161,7 @@ def append(storage: SqlStorage, plan_id: int, first: int, count: int) -> list[Me
 
 def robust_of(row: Measurement, random: np.random.Generator) -> Outcome:
     """Return the result of the robust method alone."""
-    outcome = outcome_of(row, random)
+    outcome = outcome_of(row, random, has_carriers=True)
     return Outcome(tuple(each for each in outcome.rows if each.method is Method.ROBUST), None)
 
 
