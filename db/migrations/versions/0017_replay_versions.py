@@ -14,7 +14,9 @@ depends_on = None
 
 _REPLAY = sa.table("replay", *(sa.column(n) for n in ("spacecraft_key", "replay_id", "document", "job_id")))
 _COUNT = """UPDATE replay SET {table}_rows = (SELECT count(*) FROM {table}
-WHERE {table}.spacecraft_key = replay.spacecraft_key AND {table}.version = 'replay-' || replay.replay_id)"""
+WHERE {table}.spacecraft_key = replay.spacecraft_key AND {table}.version = 'replay-' || replay.replay_id)
++ (SELECT coalesce(sum(row_count), 0) FROM result_segment AS sealed WHERE sealed.series = '{table}'
+AND sealed.spacecraft_key = replay.spacecraft_key AND sealed.version = 'replay-' || replay.replay_id)"""
 
 
 def upgrade() -> None:

@@ -39,7 +39,7 @@ _CHECKPOINT_S = 2.0
 
 
 class _Passed(NamedTuple):
-    """How far a run is, and what came of a row."""
+    """Position of a run, and the outcome of a row."""
 
     progress: float
     #: None at the end of an entry

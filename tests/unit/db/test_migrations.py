@@ -14,8 +14,11 @@ from db.measurements.sequence_numbers import Block, SequenceNumbers, Tail
 from db.migrations.migrate import downgrade, upgrade
 from db.schema.tables import measurement_detail, metadata
 from db.storage import SqlStorage
-from service.records.catalogue import Carrier, ControlSettings, Release, Site, Spacecraft
+from service.ports import Outcome
+from service.records.catalogue import Carrier, ControlSettings, Method, Release, Site, Spacecraft
+from service.records.levels.attitude import row_without_attitude
 from service.records.levels.measurement import CarrierDetails, MeasurementBatch
+from service.records.operations.job import Job, JobState, Replay
 
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
 
@@ -236,4 +239,24 @@ def test_real_spacecraft_under_release_automatic_become_two_step(url):
     # a second upgrade finds nothing more to do
     upgrade(engine)
     assert storage.releases.made_two_step_us("real") == made_us["real"]
+    storage.close()
+
+
+def test_replays_of_an_older_schema_are_counted_with_their_sealed_rows(url):
+    storage = SqlStorage(url)
+    storage.migrate()
+    storage.catalogue.add_spacecraft(Spacecraft("craft", "craft", 90.0, Site(55.0, 38.0), INERTIA, 0.05))
+    results = storage.results
+    results.add_job(Job("job", "replay", JobState.DONE, 1.0, 5))
+    version = results.add_replay("craft", Replay(0, 1, 9, None, None, 1, "journal", "job", 9)).version
+    for number in (1, 2, 3):
+        row = row_without_attitude(number, number, number, Method.PAPER, ("late",))
+        results.save_outcomes("craft", version, [Outcome((row,), None)], 0, None)
+        if number == 2:
+            assert sum(part.rows for part in results.seal("craft", 1 << 60)) == 2
+    before = results.replay("craft", version)
+    assert (before.attitude_rows, before.torque_rows, before.state) == (3, 0, JobState.DONE)
+    downgrade(storage._database.engines.write, "0016")
+    upgrade(storage._database.engines.write)
+    assert results.replay("craft", version) == before
     storage.close()
