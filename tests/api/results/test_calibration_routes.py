@@ -233,5 +233,11 @@ async def test_replay_needs_an_alignment(bench, make):
         "order": "epoch",
         "commands": True,
         "created_at": format_epoch(make.now_us),
+        "state": "done",
+        "progress": 1.0,
+        "error": None,
+        "attitude_rows": 0,
+        "torque_rows": 0,
+        "size_bytes": 0,
     }
     assert (await bench.get("/attitude/history", version="replay-1"))["rows"] == []
