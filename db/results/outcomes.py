@@ -1,7 +1,7 @@
 """Storing what the chain computed, in the transaction that moves the consumer's head."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
+from itertools import chain, zip_longest
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, Row, Table, select, tuple_, update
@@ -136,10 +136,12 @@ def _stored(
         yield from (tuple(row) for row in connection.execute(query))
 
 
-def _carriers(outcomes: Sequence[Outcome]) -> dict[ResultKey, bytes]:
-    """Return what is stored of the carriers, by row."""
-    each = (zip(outcome.rows, outcome.carriers, strict=False) for outcome in outcomes)
-    return {_key_of(row): pack_carriers(found) for row, found in chain.from_iterable(each) if found is not None}
+def _carriers(outcomes: Sequence[Outcome]) -> dict[ResultKey, bytes | None]:
+    """Return what is stored of the carriers, by row; of a row that was run again it is that of the first time."""
+    # as the row itself: an alignment may run rows again whose results stand already
+    each = (zip_longest(outcome.rows, outcome.carriers) for outcome in reversed(outcomes))
+    found = chain.from_iterable(each)
+    return {_key_of(row): None if results is None else pack_carriers(results) for row, results in found}
 
 
 def _insert(
@@ -147,7 +149,7 @@ def _insert(
     key: int,
     version: str,
     numbered: Sequence[tuple[Result, int | None]],
-    carriers: Mapping[ResultKey, bytes],
+    carriers: Mapping[ResultKey, bytes | None],
 ) -> tuple[int, int]:
     """Insert results and return how many rows of attitude and of torque were new."""
     rows: list[dict[str, Any]] = []

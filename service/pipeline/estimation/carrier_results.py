@@ -33,9 +33,9 @@ def _of_row(levels: CarrierLevels, row: AttitudeRow, measurement: Measurement, p
     columns = _columns(plan.carrier_ids, levels.carrier_ids)
     # the last position stands for carriers that the method does not know
     deviation_db, residual_db = (np.append(each, np.nan)[columns] for each in (levels.deviation_db, levels.residual_db))
-    states = np.where(levels.is_used, _USED, _UNSELECTED)
-    for exclusion in row.excluded:
-        states[levels.carrier_ids.index(exclusion.carrier)] = _EXCLUDED
+    excluded = {exclusion.carrier for exclusion in row.excluded}
+    is_excluded = np.array([name in excluded for name in levels.carrier_ids])
+    states = np.where(is_excluded, _EXCLUDED, np.where(levels.is_used, _USED, _UNSELECTED))
     state = np.append(states, _UNCALIBRATED)[columns]
     state[np.isnan(measurement.power_dbm)] = _ABSENT
     hypothesis = np.append(levels.hypothesis, 0)[columns]

@@ -200,9 +200,12 @@ def replay_in_process(
 
 def _within(outcome: Outcome, replay: Replay) -> Outcome | None:
     """Return the part of an outcome that a replay keeps."""
-    rows = tuple(
-        row
-        for row in outcome.rows
+    kept = [
+        k
+        for k, row in enumerate(outcome.rows)
         if replay.start_us <= row.epoch_us < replay.stop_us and replay.method in (None, row.method)
-    )
-    return Outcome(rows, outcome.command) if rows else None
+    ]
+    if not kept:
+        return None
+    carriers = tuple(outcome.carriers[k] for k in kept) if outcome.carriers else ()
+    return Outcome(tuple(outcome.rows[k] for k in kept), outcome.command, carriers=carriers)

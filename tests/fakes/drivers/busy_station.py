@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 
+from db.encoding.carrier_codec import pack_carriers
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, ChainConfig
 from service.ports import LIVE
@@ -133,6 +134,10 @@ class Station:
     def rows(self, method, version=LIVE, start=1, stop=100_000):
         window = Window(at(start), at(stop))
         return self.storage.results.attitude_rows(SC, version, method, window, 100_000, None)
+
+    def carriers(self, method, version, start, stop):
+        found = self.storage.results.carrier_results(SC, version, method, Window(at(start), at(stop)))
+        return {position: pack_carriers(results) for position, results in found.items()}
 
     def commands(self, version=LIVE, start=1, stop=100_000):
         return self.storage.results.commands(SC, version, Window(at(start), at(stop)), 100_000, None)

@@ -201,6 +201,7 @@ def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, 
         assert (consumed[-1] < newest_number - 100) is (stop < 80)
         for method in BOTH:
             assert text(station.rows(method, version)) == text(station.rows(method, start=start, stop=stop))
+            assert station.carriers(method, version, start, stop) == station.carriers(method, LIVE, start, stop) != {}
     assert None not in begun
     numbers = [one.number for one in begun]
     assert numbers == sorted(set(numbers))
