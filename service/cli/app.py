@@ -26,6 +26,7 @@ _COMMANDS = {
     ),
     "replay": CommandSource("operation.operate", "Run the chain again over the archive, as a new version."),
     "replays": CommandSource("operation.replays", "List the versions that replays wrote, or delete one."),
+    "compare": CommandSource("operation.comparison.compare", "Compare the attitude of two versions row by row."),
     "export": CommandSource("operation.export", "Download a stretch of the archive."),
     "plan": CommandSource(
         "planning.plan", "Choose carriers, judge what they can see, and print a timetable of calibration turns."

@@ -1,0 +1,1 @@
+"""Command `soo compare`: two versions of the attitude side by side."""
