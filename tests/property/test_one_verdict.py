@@ -104,7 +104,9 @@ def context_of(driver):
         clock=driver.clock,
         release_service=driver.service,
         limits=Limits(),
-        supervisor=SimpleNamespace(is_disagreeing=lambda _: False, carrier_states=lambda _: None),
+        supervisor=SimpleNamespace(
+            is_disagreeing=lambda _: False, carrier_states=lambda _: None, is_catching_up=lambda _: False
+        ),
         alarms=SimpleNamespace(notices=SimpleNamespace(channels=())),
     )
 

@@ -29,7 +29,7 @@ def seal(setting, before_us=ALWAYS):
 
 def summaries(setting, table):
     with setting.storage._database.read() as connection:
-        return connection.execute(select(table)).all()
+        return connection.execute(select(table).order_by(*table.primary_key.columns)).all()
 
 
 def change(setting, statement):
