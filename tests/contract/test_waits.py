@@ -12,7 +12,8 @@ from db.connection.writer import ATTEMPTS
 from db.storage import SqlStorage
 from service.errors import StorageError
 
-LIMIT_S = 0.6
+#: a machine that stands still for so long fails a write, as it should: a busy one may for half a second
+LIMIT_S = 3.0
 #: far below one wait for each row, far above one for all of them: an answer that does not come, and a connection
 BOUND_S = 60.0
 
@@ -58,7 +59,7 @@ def test_a_lock_that_is_held_is_waited_for_once_by_all_who_wait(impatient, url):
     began = time.monotonic()
     futures = [impatient.storage.archive.append_measurements(impatient.batch([epoch])) for epoch in range(200)]
     wait(futures, 120)
-    # one wait for each would take two minutes
+    # one wait for each would take ten minutes
     assert time.monotonic() - began < BOUND_S
     assert {failed(future) for future in futures} == {"storage.unavailable"}
     held.connection.driver_connection.rollback()

@@ -13,8 +13,8 @@ from service.runtime.clock import system_now_us
 
 SEED = 22
 BASE = "/api/v1/spacecraft/sim-1"
-#: who waits for a lock gives up after 0.7 s in place of 10 s
-IMPATIENT = {"SOO_DATABASE_TIMEOUT_S": "0.7"}
+#: who waits for a lock gives up after 2 s in place of 10 s
+IMPATIENT = {"SOO_DATABASE_TIMEOUT_S": "2"}
 
 
 class Trial:

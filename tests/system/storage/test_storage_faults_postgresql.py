@@ -30,7 +30,7 @@ def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_po
     cluster = durable_postgresql_cluster
     url = cluster.new_database()
     one = trial(options=("--database", url), settings=IMPATIENT)
-    # an answer (0.7 s and 1 s of grace), a connection (at least 2 s), for keys and for the rows themselves, and load
+    # an answer (2 s and 1 s of grace), a connection (at least 2 s), for keys and for the rows themselves, and load
     bound_s = 60.0
     with cluster.stopped():
         one.await_code("storage.unavailable", more=1)
