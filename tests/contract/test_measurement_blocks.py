@@ -1,5 +1,7 @@
 """Every storage gives measurements as blocks: the same rows in the same order as one by one."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from block_rows import row_sources
@@ -60,3 +62,19 @@ def test_an_unknown_spacecraft_is_told_before_the_first_block(storage, make):
     with pytest.raises(NotFoundError) as caught:
         storage.archive.measurement_blocks("none", make.ever)
     assert caught.value.code == "spacecraft.unknown"
+
+
+def test_memory_of_rows_after_an_epoch_does_not_grow_with_their_number(setting, monkeypatch):
+    monkeypatch.setattr("db.measurements.archive.RECORD_PAGE_ROWS", 64)
+    setting.append(range(10, 9_010))
+
+    def peak_bytes(use):
+        found = setting.storage.archive.measurements_after(setting.id, 0, 1 << 40)
+        next(found)
+        tracemalloc.start()
+        assert use(found) == 8_999
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    assert 3 * peak_bytes(lambda found: sum(1 for _ in found)) < peak_bytes(lambda found: len(list(found)))

@@ -1,7 +1,6 @@
 """Every storage takes measurements once: counted exactly, journaled without gaps, kept bit for bit."""
 
 import struct
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -290,22 +289,6 @@ def test_rows_after_an_epoch_are_those_that_feed_and_are_older_in_the_journal(se
     setting.append([50])
     rows = list(setting.storage.archive.measurements_after(setting.id, 10, before_number=8))
     assert [(row.epoch_us, row.number) for row in rows] == [(30, 6), (40, 5)]
-
-
-def test_memory_of_rows_after_an_epoch_does_not_grow_with_their_number(setting, monkeypatch):
-    monkeypatch.setattr("db.measurements.archive.RECORD_PAGE_ROWS", 64)
-    setting.append(range(10, 9_010))
-
-    def peak_bytes(use):
-        found = setting.storage.archive.measurements_after(setting.id, 0, 1 << 40)
-        next(found)
-        tracemalloc.start()
-        assert use(found) == 8_999
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        return most
-
-    assert 3 * peak_bytes(lambda found: sum(1 for _ in found)) < peak_bytes(lambda found: len(list(found)))
 
 
 def test_series_match_columns_by_carrier_id_across_plans(setting, make):

@@ -22,7 +22,7 @@ class CarrierResultAnswer(Answer):
     residual_db: Figure
     """Deviation minus what the attitude explains, to 0.002 dB."""
     hypothesis: str | None
-    """What the references of the alignment make of it: dry, wet, level_changed or level_learned."""
+    """Likeliest state by the references of the alignment: dry, wet, level_changed or level_learned."""
     plan_id: int | None
 
     @classmethod

@@ -88,7 +88,7 @@ class Stillness(threading.Thread):
 
 
 class Trial(NamedTuple):
-    """What came of a fault."""
+    """Outcome of a fault."""
 
     #: periods to the next good row
     recovery: float

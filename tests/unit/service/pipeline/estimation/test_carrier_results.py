@@ -1,4 +1,4 @@
-"""What is stored of the carriers of a row is what the method knows of them after it."""
+"""Carriers' results of a row are the method's state after that row."""
 
 from dataclasses import replace
 

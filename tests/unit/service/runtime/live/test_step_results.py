@@ -1,4 +1,4 @@
-"""What subscribers get of a batch: sequences that are those of the archive, or a word to read there."""
+"""Events of a batch: sequences are those of the archive, or subscribers are sent there to read."""
 
 import numpy as np
 
