@@ -7,7 +7,8 @@ from service.cli.command_group import CommandSource, late_app
 
 _COMMANDS = {
     "demo": CommandSource(
-        "demo", "Show the whole chain: SCPI analyzer to angles to torques that keep the spacecraft, on a virtual clock."
+        "demonstration.demo",
+        "Show the whole chain: SCPI analyzer to angles to torques that keep the spacecraft, on a virtual clock.",
     ),
     "serve": CommandSource(
         "administration.serve", "Serve the REST interface; creates and migrates its database before it is ready."

@@ -23,9 +23,9 @@ from service.api.routes.control import get_control
 from service.api.routes.torques import get_torques
 from service.api.views.handover import handover_of
 from service.api.views.status import status_of
-from service.cli.demo_screen import tracking_table
+from service.cli.demonstration.demo_screen import tracking_table
 from service.errors import SooError
-from service.pipeline.config import TorqueConfig
+from service.pipeline.config import InterlockConfig, TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.release.events import OrderKind
 from service.records.catalogue import ControlMode, Method, Release
@@ -104,6 +104,7 @@ def context_of(driver):
         clock=driver.clock,
         release_service=driver.service,
         limits=Limits(),
+        interlock=InterlockConfig(),
         supervisor=SimpleNamespace(
             is_disagreeing=lambda _: False, carrier_states=lambda _: None, is_catching_up=lambda _: False
         ),
@@ -125,7 +126,31 @@ def answers(driver):
         "status in the hand-over": handover.status.control,
     }
     assert (control.state, control.reasons) == (control.control.state, [one.code for one in control.control.reasons])
+    judge_conditions(control)
     return {name: verdict.model_dump(include={"allowed", "state", "reasons"}) for name, verdict in reported.items()}
+
+
+def judge_conditions(control):
+    """Hold the conditions of an answer against its verdict, and each value against its limit."""
+    conditions = {each.code: each for each in control.conditions}
+    assert len(conditions) == len(control.conditions)
+    unmet = {code for code, each in conditions.items() if each.met is False}
+    assert unmet == {reason.code for reason in control.control.reasons}
+    withholding = [each for each in control.conditions if each.consequence != "yaw"]
+    assert all(each.met for each in withholding) == control.control.allowed
+    since = {reason.code: reason.since for reason in control.control.reasons}
+    for code, each in conditions.items():
+        assert each.since == since.get(code)
+        assert each.bound is not None or (each.value is None and each.limit is None)
+        if each.value is not None and each.limit is not None:
+            is_beyond = each.value < each.limit if each.bound == "least" else each.value > each.limit
+            assert not (is_beyond and each.met) or code == "good_minutes", each
+    good, condition = control.good_minutes, conditions["good_minutes"]
+    assert (condition.value, condition.limit) == (good.elapsed_s, good.needed_s)
+    assert (good.since is None) <= (good.elapsed_s == 0.0)
+    assert 0.0 <= good.elapsed_s <= good.needed_s
+    if control.armed and control.control.allowed:
+        assert good.elapsed_s == good.needed_s
 
 
 class AnyStory(RuleBasedStateMachine):

@@ -20,6 +20,8 @@ TASK = '{"id": "t", "sweeps": [], "carriers": []}'
     [
         ("pyvisa", ["acquire", "--task", "task.json", "--spacecraft", "sc"], "station"),
         ("pyvisa", ["demo", "--exit"], "station"),
+        ("distributed", ["study", "estimation", "--scheduler", "tcp://127.0.0.1:1"], "cluster"),
+        ("distributed", ["study", "closed-loop", "--scheduler", "tcp://127.0.0.1:1"], "cluster"),
         ("matplotlib", ["study", "limit-cycles", "--figures", "drawn"], "study"),
     ],
 )

@@ -94,3 +94,19 @@ def test_an_alignment_says_which_rows_it_computes_and_names_the_replay_of_those_
     assert f"soo replay --spacecraft yamal-202 {span} --alignment 3 --order epoch" in reported
     service.align = lambda _spacecraft, _body: {**made, "rows_recomputed": 4, "rows_kept": 0}  # type: ignore[attr-defined]
     assert "soo replay" not in CliRunner().invoke(app, asked).stdout
+
+
+@pytest.mark.parametrize(("options", "commands"), [((), True), (("--no-commands",), False)])
+def test_a_replay_leaves_torques_out_where_they_are_not_wanted(
+    service: Service, options: tuple[str, ...], commands: bool
+) -> None:
+    asked = []
+
+    def request(method: str, path: str, body: dict[str, Any]) -> dict[str, Any]:
+        asked.append((method, path, body["commands"]))
+        return {"id": 4, "version": "replay-4", "job": "job-7"}
+
+    service.request = request  # type: ignore[attr-defined]
+    span = ["--start", TURNS[0], "--stop", TURNS[1]]
+    assert CliRunner().invoke(app, ["replay", "--spacecraft", "yamal-202", *span, *options]).exit_code == 0
+    assert asked == [("POST", "/spacecraft/yamal-202/replays", commands)]

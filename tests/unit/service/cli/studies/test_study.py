@@ -10,6 +10,7 @@ from service.study.estimation import campaign as campaign_module
 from service.study.estimation.campaign import CampaignPlan, assess
 from service.study.estimation.flight.world import ExportFailedError
 from service.study.estimation.scenarios import GROUPS
+from service.study.executors import WorkerChoice
 
 GOOD = {
     "answered": 1.0,
@@ -39,17 +40,18 @@ def ran(monkeypatch):
 
 def test_everything_is_run_with_ten_seeds_unless_something_is_named(ran):
     _, plan = ran()
-    assert plan == CampaignPlan(GROUPS["all"], 10, 2, None)
+    assert plan == CampaignPlan(GROUPS["all"], 10, WorkerChoice(2), None)
 
 
 def test_a_scenario_alone_is_run_alone(ran):
     _, plan = ran("--scenario", "white", "--scenario", "octants", "--seeds", "3", "--workers", "1")
-    assert plan == CampaignPlan(("white", "octants"), 3, 1, None)
+    assert plan == CampaignPlan(("white", "octants"), 3, WorkerChoice(1), None)
 
 
 def test_a_group_and_scenarios_are_run_together_and_each_once(ran):
-    _, plan = ran("--group", "quick", "--scenario", "white", "--scenario", "nominal", "--operation-days", "0.5")
-    assert plan == CampaignPlan((*GROUPS["quick"], "white"), 10, 2, 0.5)
+    words = ("--group", "quick", "--scenario", "white", "--scenario", "nominal", "--operation-days", "0.5")
+    _, plan = ran(*words, "--scheduler", "tcp://host:8786")
+    assert plan == CampaignPlan((*GROUPS["quick"], "white"), 10, WorkerChoice(2, "tcp://host:8786"), 0.5)
 
 
 def test_an_unknown_group_is_refused(ran):

@@ -38,8 +38,8 @@ def demo(
     # its front end measures by it, in a process of its own
     require("pyvisa")
     # the story costs half a second that a wrong option need not pay
-    from service.cli.demo_run import FAILURES, Alone, external, play
-    from service.cli.demo_screen import Presenter, print_figures
+    from service.cli.demonstration.demo_run import FAILURES, Alone, external, play
+    from service.cli.demonstration.demo_screen import Presenter, print_figures
     from service.study.demonstration.demonstration import simulated_station
 
     console = Console(stderr=as_json)
@@ -59,9 +59,10 @@ def demo(
                     directory, seed=seed, operation_days=operation_days, quiet_days=quiet_days, uplink=channel
                 )
                 endpoints = stack.enter_context(station)
-                presenter.key_file = directory / "administrator.key"
-                presenter.key_file.touch(0o600)
-                presenter.key_file.write_text(f"{endpoints.key}\n")
+                key_file = directory / "administrator.key"
+                key_file.touch(0o600)
+                key_file.write_text(f"{endpoints.key}\n")
+                presenter.announce(endpoints.service_url, key_file)
             figures = play(directory, endpoints, presenter, figure, Alone(seed, operation_days))
         except KeyboardInterrupt:
             presenter.close()

@@ -45,6 +45,13 @@ class Presenter:
         #: holds the key of the demonstration's own service, made for this run
         self.key_file: Path | None = None
 
+    def announce(self, url: str, key_file: Path) -> None:
+        """Print where the console is, and the file of the key that opens it."""
+        self.key_file = key_file
+        if self._with_table:
+            text = f"console {url}/console/, sign in with the key in {key_file}"
+            self._console.print(text, soft_wrap=True, highlight=False)
+
     def show(self, scene: Scene) -> None:
         """Show one moment."""
         if scene.phase == "operation" and self._with_table:
@@ -128,7 +135,7 @@ def tracking_table(scene: Scene) -> Table:
     control = attitude["control"]
     reasons = "; ".join([_verdict(control), *(reason["text"] for reason in control["reasons"])])
     out = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
-    table.caption = f"{reasons}; carriers excluded: {out}\nreference of the interface: {scene.client.service_url}/docs"
+    table.caption = f"{reasons}; carriers excluded: {out}\nconsole: {scene.client.service_url}/console/"
     return table
 
 

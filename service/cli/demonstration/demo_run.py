@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from service.cli.demo_screen import Presenter
+from service.cli.demonstration.demo_screen import Presenter
 from service.cli.operation.connection import DEFAULT_KEY_ENVIRONMENT, key_of
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient

@@ -1,0 +1,1 @@
+"""``soo demo``: the whole chain on a virtual clock, and its screen."""
