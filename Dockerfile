@@ -8,6 +8,8 @@ COPY db db
 COPY analyzer_sim analyzer_sim
 RUN pip install --no-cache-dir --no-deps --no-build-isolation . && useradd --system --create-home soo && mkdir -m 700 /data && chown soo /data
 USER soo
+# machine code of the filter, which the first row would wait for
+RUN python -m service.pipeline.first_rows
 VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=5s --start-period=60s --retries=6 \

@@ -14,7 +14,8 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from db.audit_chain import accompanied
 from db.connection.engines import open_engines, translated_faults
-from db.connection.lease import SqlLease
+from db.connection.lease import FileLeases, SqlLeases
+from db.connection.sqlite_files import sqlite_path
 from db.connection.writer import Writer
 from db.encoding.json_documents import encode, kind_of
 from db.encoding.segments import SegmentCache
@@ -47,12 +48,22 @@ class Database:
 
     def __init__(self, url: str, limit_s: float) -> None:
         self.engines = open_engines(url, limit_s)
-        self._writer = Writer(self.engines.write)
-        #: whether this process may write what only one service writes
-        self.lease = SqlLease(url, limit_s, self._writer)
         self._keys: dict[str, int] = {}
+        self._writer = Writer(self.engines.write, self._announce)
+        #: which spacecraft this process may write results of
+        self.leases = self._opened_leases(url, limit_s)
         #: sealed days read lately
         self.segments = SegmentCache()
+
+    def _opened_leases(self, url: str, limit_s: float) -> SqlLeases:
+        """Return the leases of the archive; nothing is connected yet."""
+        path = sqlite_path(url)
+        if path is not None:
+            return FileLeases(path, self._writer)
+        # the driver costs time and memory that a file does not need
+        from db.connection.server_leases import ServerLeases
+
+        return ServerLeases(url, limit_s, self.read)
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -61,16 +72,22 @@ class Database:
             yield connection
 
     def submit(
-        self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None = None
+        self,
+        work: Callable[[Connection], Result],
+        reported: Callable[[Result], None] | None = None,
+        key: int | None = None,
     ) -> Future[Result]:
-        """Queue a write; after its commit the result is told, in the order of commits, and the future resolves."""
-        return self._writer.submit(work, reported)
+        """Queue a write; after its commit the result is reported, in the order of commits, and the future resolves."""
+        return self._writer.submit(work, reported, key)
 
-    def write(self, work: Callable[[Connection], Result]) -> Result:
-        """Do a write and wait for its commit; a request's first write takes the request's audit entry along."""
+    def write(self, work: Callable[[Connection], Result], key: int | None = None) -> Result:
+        """Do a write and wait for its commit; a request's first write takes the request's audit entry along.
+
+        A write of one spacecraft alone, under the lock of its head, names it by its key.
+        """
         note = CURRENT_NOTE.get()
         if note is None or note.due is None:
-            return self.submit(work).result()
+            return self.submit(work, key=key).result()
         result, note.entry = self.submit(accompanied(work, note.due)).result()
         return result
 
@@ -81,7 +98,7 @@ class Database:
 
     def close(self) -> None:
         """Commit what is queued and let go of the database."""
-        self.lease.give_back()
+        self.leases.give_back()
         self._writer.close()
         self.engines.dispose()
 
@@ -98,6 +115,14 @@ class Database:
                 raise NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
             self._keys[spacecraft_id] = key
         return key
+
+    def name(self, key: int) -> str:
+        """Return the id of a spacecraft whose key was asked for."""
+        return next(name for name, known in tuple(self._keys.items()) if known == key)
+
+    def _announce(self, keys: frozenset[int]) -> None:
+        """Announce committed changes to other processes."""
+        self.leases.announce(sorted(name for name, key in tuple(self._keys.items()) if key in keys))
 
     def forget(self, spacecraft_id: str) -> None:
         """Forget the key of a spacecraft that was deleted."""
@@ -151,13 +176,34 @@ def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str,
 
 
 def beyond(
-    position: ColumnElement[int], number: ColumnElement[int], after: tuple[int, int] | None
+    position: ColumnElement[int],
+    number: ColumnElement[int],
+    after: tuple[int, int] | None,
+    *,
+    newest_first: bool = False,
 ) -> ColumnElement[bool]:
-    """Return the condition that (place, number) lies behind a cursor."""
+    """Return the condition that (place, number) lies behind a cursor, or before it where the newest come first."""
     if after is None:
         return true()
     # the first part alone bounds the range of the index
+    if newest_first:
+        return and_(position <= after[0], or_(position < after[0], number < after[1]))
     return and_(position >= after[0], or_(position > after[0], number > after[1]))
+
+
+def page_of(
+    query: Select[Any],
+    position: ColumnElement[int],
+    number: ColumnElement[int],
+    limit: int,
+    after: tuple[int, int] | None,
+    *,
+    newest_first: bool = False,
+) -> Select[Any]:
+    """Return the query for a page of rows beyond a cursor, in order of (place, number) or in the reverse order."""
+    order = (position.desc(), number.desc()) if newest_first else (position, number)
+    is_next = beyond(position, number, after, newest_first=newest_first)
+    return query.where(is_next).order_by(*order).limit(limit)
 
 
 def within(epoch_us: ColumnElement[int], window: Window) -> ColumnElement[bool]:

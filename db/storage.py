@@ -22,7 +22,7 @@ from service.ports import (
     Audit,
     Catalogue,
     Keys,
-    Lease,
+    Leases,
     Links,
     Notes,
     Releases,
@@ -58,7 +58,7 @@ class SqlStorage:
     traces: Traces
     keys: Keys
     audit: Audit
-    lease: Lease
+    leases: Leases
 
     def __init__(self, url: str, limit_s: float = 10.0) -> None:
         self._url = url
@@ -73,7 +73,11 @@ class SqlStorage:
         self.traces = SqlTraces(self._database)
         self.keys = SqlKeys(self._database)
         self.audit = SqlAudit(self._database)
-        self.lease = self._database.lease
+        self.leases = self._database.leases
+
+    def require_sessions(self) -> None:
+        """Raise ValueError where a pooler stands before a server and keeps no sessions."""
+        self._database.leases.require_sessions()
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

@@ -1,4 +1,4 @@
-"""Connections to the archive's database: engines, the single writer, the lease of the leader.
+"""Connections to the archive's database: engines, the single writer, the leases of leaders.
 
-Public: engines, file_identity, lease, prepared_statements, sqlite_files, storage_state, writer.
+Public: engines, file_identity, lease, prepared_statements, server_leases, sqlite_files, storage_state, writer.
 """

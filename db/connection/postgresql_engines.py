@@ -1,4 +1,7 @@
-"""Engines on PostgreSQL: one writer at a time over all processes, and no wait without an end.
+"""Engines on PostgreSQL: one writer of a spacecraft at a time over all processes, and no wait without an end.
+
+A transaction that says which spacecraft it writes locks their heads, in the order of their keys, and shares the lock of
+all writers; one that does not has that lock for itself.
 
 The server ends statements and lock waits that take too long, and transactions whose client has stopped. A server that
 has stopped itself ends nothing, and its kernel still takes what is sent: so the client, too, gives up waiting for an
@@ -24,6 +27,20 @@ _LEAST_CONNECT_S = 2
 #: any number, the same in every process; another one than that of the migrations
 _WRITERS_LOCK = 5_210_120
 _WAIT_FOR_LOCK = text("SELECT pg_advisory_xact_lock(:lock)").bindparams(lock=_WRITERS_LOCK)
+_SHARE_LOCK = text("SELECT pg_advisory_xact_lock_shared(:lock)").bindparams(lock=_WRITERS_LOCK)
+_LOCK_HEADS = text(
+    "SELECT spacecraft_key FROM head WHERE spacecraft_key = ANY(:keys) ORDER BY spacecraft_key FOR UPDATE"
+)
+#: a client that was stopped keeps the locks of its transaction for so long at most: less than a lease, s
+_LONGEST_IDLE_S = 10.0
+_WRITER = "soo writer"
+#: amid a series of statements a transaction is neither idle nor at work for the server, whose limits spare it; what it
+#: says of such a session is the state before the last part of the series that came
+_END_STOPPED = text(
+    "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = :writer AND state <> 'idle' "
+    "AND datname = current_database() AND wait_event_type = 'Client' "
+    "AND state_change < clock_timestamp() - make_interval(secs => :idle_s)"
+)
 
 _Ready = Any
 _Answer = TypeVar("_Answer")
@@ -76,29 +93,46 @@ def postgresql_engines(target: URL, readers: int, limit_s: float | None) -> tupl
     )
     event.listen(write, "begin", _wait_for_turn)
     if limit_s is not None:
-        _bound(write, limit_s, {"idle_in_transaction_session_timeout"})
-        _bound(read, limit_s, frozenset())
+        idle_ms = round(1000 * _longest_idle_s(limit_s))
+        _bound(write, limit_s, _WRITER, f" -c idle_in_transaction_session_timeout={idle_ms}")
+        _bound(read, limit_s, "soo reader")
     return write, read
 
 
-def lease_engine(target: URL, limit_s: float) -> Engine:
-    """Return an engine whose one connection holds a lock for as long as it is open, outside any transaction."""
+def end_stopped_writers(session: Connection, limit_s: float) -> int:
+    """End the sessions of writers that were stopped between the statements of a series; return how many."""
+    ended = session.execute(_END_STOPPED, {"writer": _WRITER, "idle_s": _longest_idle_s(limit_s)})
+    return len(ended.all())
+
+
+def session_engine(target: URL, limit_s: float) -> Engine:
+    """Return an engine each of whose connections is a session of its own, outside any transaction."""
     engine = create_engine(target, poolclass=NullPool, isolation_level="AUTOCOMMIT")
-    _bound(engine, limit_s, frozenset())
+    _bound(engine, limit_s, "soo session")
     return engine
 
 
+def _longest_idle_s(limit_s: float) -> float:
+    return min(limit_s, _LONGEST_IDLE_S)
+
+
 def _wait_for_turn(connection: Connection) -> None:
-    """Let one transaction write at a time, as SQLite does: groups of two services never wait for each other's rows."""
-    connection.execute(_WAIT_FOR_LOCK)
+    """Let one transaction write a spacecraft at a time, and one alone where it does not say which it writes."""
+    keys = connection.get_execution_options().get("written_keys")
+    if keys:
+        connection.execute(_SHARE_LOCK)
+        connection.execute(_LOCK_HEADS, {"keys": sorted(keys)})
+    else:
+        connection.execute(_WAIT_FOR_LOCK)
 
 
-def _bound(engine: Engine, limit_s: float, more: set[str] | frozenset[str]) -> None:
-    """Give every connection of an engine its limits."""
-    limits = " ".join(f"-c {name}={round(1000 * limit_s)}" for name in ("statement_timeout", "lock_timeout", *more))
+def _bound(engine: Engine, limit_s: float, name: str, more: str = "") -> None:
+    """Give every connection of an engine its limits, and the name that the server lists it by."""
+    limits = " ".join(f"-c {name}={round(1000 * limit_s)}" for name in ("statement_timeout", "lock_timeout")) + more
 
     def connect(_dialect: Any, _record: Any, arguments: list[Any], options: dict[str, Any]) -> BoundedConnection:
         options["options"] = f"{options.get('options', '')} {limits}".strip()
+        options["application_name"] = name
         options.setdefault("connect_timeout", max(_LEAST_CONNECT_S, math.ceil(limit_s / 2)))
         try:
             connection = BoundedConnection.connect(*arguments, **options)

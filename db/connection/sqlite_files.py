@@ -24,6 +24,12 @@ def sqlite_path(url: str) -> Path | None:
     return Path(target.database or "") if target.get_backend_name() == "sqlite" else None
 
 
+def absolute_url(url: str) -> str:
+    """Return a URL that names the same SQLite file in every working directory; URLs of servers as they are."""
+    target, path = make_url(url), sqlite_path(url)
+    return url if path is None else target.set(database=str(path.resolve())).render_as_string(hide_password=False)
+
+
 def make_private(path: Path) -> None:
     """Make a file that only its owner can read unless there is one; SQLite gives its companions the same rights."""
     # never one that is there: closing it would drop the locks that SQLite holds on it in this process

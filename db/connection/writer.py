@@ -36,8 +36,12 @@ _log = logging.getLogger(__name__)
 class _Task(Generic[Result]):
     """One function on its way through the queue."""
 
-    def __init__(self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None) -> None:
+    def __init__(
+        self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None, key: int | None
+    ) -> None:
         self.work = work
+        #: of the spacecraft that alone is written; None = any
+        self.key = key
         self._reported = reported
         self.future: Future[Result] = Future()
         self.result: Result | None = None
@@ -63,10 +67,13 @@ class Writer:
     ----------
     engine : Engine
         Engine that opens write transactions.
+    committed : callable, optional
+        Gets the keys of the spacecraft that a group has written, after its commit; must be quick.
     """
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, committed: Callable[[frozenset[int]], None] = lambda _: None) -> None:
         self._engine = engine
+        self._committed = committed
         self._queue: SimpleQueue[_Task[Any] | None] = SimpleQueue()
         self._lock = Lock()
         self._is_closed = False
@@ -74,13 +81,18 @@ class Writer:
         self._thread.start()
 
     def submit(
-        self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None = None
+        self,
+        work: Callable[[Connection], Result],
+        reported: Callable[[Result], None] | None = None,
+        key: int | None = None,
     ) -> Future[Result]:
         """Queue a function; its future resolves after the commit.
 
-        ``told`` gets the result between commit and future, in the order of the commits; it must be quick.
+        ``reported`` gets the result between commit and future, in the order of the commits; it must be quick. A
+        function that writes one spacecraft, under the lock of its head, names it by its key: writers of others, in
+        other processes, do not wait for it.
         """
-        task = _Task(work, reported)
+        task = _Task(work, reported, key)
         with self._lock:
             if self._is_closed:
                 raise StorageError("storage.closed", "The archive is closing; send it again after the restart.")
@@ -136,6 +148,9 @@ class Writer:
                 task.fault = task.fault or fault
         for task in group:
             task.settle()
+        keys = frozenset(task.key for task in group if task.key is not None and task.fault is None)
+        if keys:
+            self._committed(keys)
 
     def _carry_out(self, group: list[_Task[Any]]) -> None:
         """Run a group and commit it, again where the server ended it in favour of another transaction."""
@@ -143,7 +158,7 @@ class Writer:
             for task in group:
                 task.fault = None
             try:
-                with self._engine.connect() as connection:
+                with self._engine.connect().execution_options(written_keys=_keys_of(group)) as connection:
                     if not _is_run_together(connection, group):
                         _run_apart(connection, group)
             except SQLAlchemyError as fault:
@@ -166,6 +181,12 @@ class Writer:
             if task.future.set_running_or_notify_cancel():
                 taken.append(task)
         return taken
+
+
+def _keys_of(group: list[_Task[Any]]) -> frozenset[int]:
+    """Return the keys of the spacecraft that a group writes; none where one of it may write any."""
+    keys = frozenset(task.key for task in group)
+    return frozenset() if None in keys else frozenset(key for key in keys if key is not None)
 
 
 def _is_run_together(connection: Connection, group: list[_Task[Any]]) -> bool:

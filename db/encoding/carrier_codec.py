@@ -10,10 +10,8 @@ import struct
 import numpy as np
 
 from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.carrier_results import STEP_DB, CarrierResults
 
-#: dB; half of it is the error of rounding
-STEP_DB = 0.004
 _NONE, _MOST = -(1 << 15), (1 << 15) - 1
 _PLAN = struct.Struct("<i")
 _CARRIER_BYTES = 5
@@ -23,8 +21,9 @@ _STATE_BITS = 4
 def pack_carriers(results: CarrierResults) -> bytes:
     """Return the results of a row as bytes."""
     words = (results.state | results.hypothesis << _STATE_BITS).astype(np.uint8)
-    levels = (_steps(results.deviation_db), _steps(results.residual_db))
-    return b"".join((_PLAN.pack(results.plan_id), *levels, words.tobytes()))
+    steps = np.rint(np.concatenate((results.deviation_db, results.residual_db)) / STEP_DB)
+    levels = np.where(np.isnan(steps), _NONE, np.minimum(np.maximum(steps, -_MOST), _MOST)).astype("<i2")
+    return b"".join((_PLAN.pack(results.plan_id), levels.tobytes(), words.tobytes()))
 
 
 def unpack_carriers(blob: bytes) -> CarrierResults:
@@ -35,8 +34,3 @@ def unpack_carriers(blob: bytes) -> CarrierResults:
     words: IntArray = np.frombuffer(blob, dtype=np.uint8, offset=_PLAN.size + 4 * count).astype(np.int64)
     low = (1 << _STATE_BITS) - 1
     return CarrierResults(_PLAN.unpack_from(blob)[0], values[0], values[1], words & low, words >> _STATE_BITS)
-
-
-def _steps(values_db: FloatArray) -> bytes:
-    steps = np.clip(np.rint(values_db / STEP_DB), -_MOST, _MOST)
-    return np.where(np.isnan(steps), _NONE, steps).astype("<i2").tobytes()

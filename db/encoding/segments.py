@@ -221,13 +221,13 @@ def heads(
 
 
 def newest_heads(
-    connection: Connection, key: int, start_us: int, *conditions: ColumnElement[bool]
+    connection: Connection, key: int, start_us: int, stop_us: int, *conditions: ColumnElement[bool]
 ) -> Iterator[SegmentHead]:
-    """Yield the heads of segments that end at or after an epoch, that with the latest first epoch first."""
+    """Yield the heads of segments that reach into [start, stop), that with the latest first epoch first."""
     first = segment_table.c.first_epoch_us
     query = (
         select(*HEAD_COLUMNS)
-        .where(segment_table.c.spacecraft_key == key, first >= day_of(start_us) * DAY_US)
+        .where(segment_table.c.spacecraft_key == key, first >= day_of(start_us) * DAY_US, first < stop_us)
         .where(segment_table.c.last_epoch_us >= start_us, *conditions)
         .order_by(first.desc(), segment_table.c.source_key.desc())
         .limit(_HEADS)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from sqlalchemy import Connection, Engine, select, text
+from sqlalchemy import Connection, Engine, inspect, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import open_engines, translated_faults
@@ -18,7 +18,8 @@ from db.connection.sqlite_files import COMPANIONS, reading_engine, sqlite_path
 from db.maintenance.integrity_check import Report, examine, guarded
 from db.maintenance.restart_forecast import restart_forecasts
 from db.measurements.journal_heads import compared_heads
-from db.schema.tables import head, measurement
+from db.schema.lease_tables import lease
+from db.schema.tables import head, measurement, spacecraft
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.journal import JournalHead
@@ -80,6 +81,8 @@ def _examined(
                 report("clock")
                 found += guarded("clock", partial(_clock, connection, now_us))
                 found += guarded("log", partial(compared_heads, connection, announced))
+                if connection.dialect.name == "postgresql":
+                    found += guarded("leases", partial(_leaders, connection))
                 if fingerprint is not None:
                     found += guarded("restart", partial(restart_forecasts, connection, fingerprint))
             return found
@@ -166,6 +169,22 @@ def _clock(connection: Connection, now_us: int) -> Iterator[Diagnosis]:
             yield Diagnosis("clock", "warning", f"the server's clock is {apart / US_PER_S:.0f} s away", advice)
             return
     yield Diagnosis("clock", "ok", f"{format_epoch(now_us)}, not behind any received row")
+
+
+def _leaders(connection: Connection) -> Iterator[Diagnosis]:
+    """Yield which process leads which spacecraft; an archive of an older schema has no leases."""
+    from db.connection.server_leases import leaders_of
+
+    if not inspect(connection).has_table(lease.name):
+        return
+    leaders = leaders_of(connection)
+    for process in sorted(set(leaders.values())):
+        names = ", ".join(sorted(name or "the archive" for name, each in leaders.items() if each == process))
+        yield Diagnosis("leases", "ok", f"{process} leads {names}")
+    idle = [name for name in connection.scalars(select(spacecraft.c.id)) if name not in leaders]
+    if idle and leaders:
+        advice = "Wait a few seconds; if it stays, start an estimator (`soo serve --no-http`)."
+        yield Diagnosis("leases", "warning", f"nobody leads {', '.join(sorted(idle))}", advice)
 
 
 def _newest_receipt_us(connection: Connection) -> int:

@@ -1,6 +1,7 @@
 """Comparison of some summaries of each spacecraft with the rows that they stand for."""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -10,9 +11,12 @@ from db.encoding.segments import HEAD_COLUMNS, SegmentCache, SegmentHead, read_c
 from db.encoding.summary_codec import SummaryBlobs, unpack_level
 from db.measurements.power_summaries import summary_of
 from db.results.attitude_reader import AttitudeReader
-from db.results.attitude_summaries import TORQUE, day_blobs
-from db.schema.tables import attitude_summary, measurement_segment, power_summary
+from db.results.attitude_summaries import NO_ROWS, TORQUE, day_blobs
+from db.results.carrier_summaries import blobs_by_plan, carrier_rows
+from db.results.stored_rows import ResultSeries
+from db.schema.tables import attitude, attitude_summary, carrier_summary, measurement_segment, power_summary
 from service.errors import StorageError
+from service.ports import LIVE
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.storage.diagnosis import Diagnosis
@@ -61,18 +65,24 @@ def _of_powers(connection: Connection, key: int) -> Iterator[tuple[int, bytes, S
 
 
 def _of_attitude(connection: Connection, key: int) -> Iterator[tuple[int, bytes, SummaryBlobs]]:
-    """Yield day, hours and summary made again of some days of attitude."""
+    """Yield day, hours and summary made again of some days of attitude, and of their carriers."""
     table, cache = attitude_summary, SegmentCache()
     is_its = (table.c.spacecraft_key == key, table.c.day.is_not(None), table.c.method != TORQUE)
-    days = connection.execute(select(table.c.start_us, table.c.method).where(*is_its).order_by(table.c.start_us)).all()
-    for start_us, method in map(tuple, _evenly(days)):
-        is_it = (table.c.spacecraft_key == key, table.c.method == method, table.c.start_us == start_us)
-        hours = connection.scalar(select(table.c.hours).where(*is_it))
+    query = select(table.c.start_us, table.c.method, table.c.summary_id).where(*is_its).order_by(table.c.start_us)
+    for start_us, method, summary_id in map(tuple, _evenly(connection.execute(query).all())):
+        hours = connection.scalar(select(table.c.hours).where(table.c.summary_id == summary_id))
+        is_its_plan = carrier_summary.c.summary_id == summary_id
+        of_plans = select(carrier_summary.c.plan_id, carrier_summary.c.hours).where(is_its_plan)
+        stored = {row.plan_id: row.hours for row in connection.execute(of_plans)}
+        read_carriers = partial(carrier_rows, connection, ResultSeries(key, attitude, LIVE, method))
         try:
-            made = day_blobs(AttitudeReader(connection, cache, key, Method(method)).rows, start_us)
+            made = day_blobs(AttitudeReader(connection, cache, key, Method(method)).rows, start_us, method)
+            by_plan = blobs_by_plan(read_carriers, start_us)
         except StorageError:
             continue
         yield start_us, hours or b"", made
+        for plan_id in stored.keys() | by_plan.keys():
+            yield start_us, stored.get(plan_id, b""), by_plan.get(plan_id, NO_ROWS)
 
 
 def _evenly(found: Sequence[_Item]) -> Sequence[_Item]:

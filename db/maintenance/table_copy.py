@@ -20,11 +20,13 @@ _ROWS_OF_BLOBS = 100
 _BLOB_TABLES = frozenset(
     {
         "attitude_summary",
+        "carrier_summary",
         "checkpoint",
         "measurement_segment",
         "power_summary",
         "replay_checkpoint",
         "result_segment",
+        "state_summary",
         "trace",
     }
 )

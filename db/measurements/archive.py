@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
 
-from db.database import Database, add_entries, beyond, count_entries, lock_head, within
+from db.database import Database, add_entries, count_entries, lock_head, page_of, within
 from db.encoding.json_documents import decode, decode_all, decode_input
 from db.encoding.measurement_runs import Cursor
 from db.encoding.segments import DAY_US
 from db.measurements import checksum_check, power_summaries, retention, sealing
 from db.measurements.ingest_grouped import StoreBatch
-from db.measurements.journal_heads import journal_heads
+from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
 from db.measurements.prepared_batch import prepare
 from db.measurements.slow_inputs import revise_operation, store_inputs, store_operation
 from db.schema.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
-from service.ports import Intervals, SampledPowers
+from service.ports import Intervals, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.inputs import AttitudeReference, Operation, SourceSelection
@@ -39,6 +39,7 @@ RECORD_PAGE_ROWS = 2048
 _SCAN_US = 15 * DAY_US
 #: kinds of slow inputs that stand at one epoch
 _POINT_KINDS = ("reference", "telemetry", "weather")
+_POSITION = journal.c.start_us, journal.c.number
 
 
 class SqlArchive:
@@ -60,7 +61,7 @@ class SqlArchive:
         work = StoreBatch(prepare(key, batch), self._database.segments)
         listener = self._listener
         reported = None if listener is None else partial(listener, batch)
-        return self._database.submit(work, reported)
+        return self._database.submit(work, reported, key)
 
     def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
         """Notify a listener of every batch right after its commit; None removes it."""
@@ -69,7 +70,7 @@ class SqlArchive:
     def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
         """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""
         key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: store_inputs(connection, key, records))
+        return self._database.write(lambda connection: store_inputs(connection, key, records), key)
 
     def add_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
         """Store and journal an operation (its id is ignored) and return it with its id."""
@@ -104,15 +105,13 @@ class SqlArchive:
     def head(self, spacecraft_id: str) -> HeadState:
         """Return where journal and consumer stand."""
         key = self._database.key(spacecraft_id)
-        columns = (
-            head.c.newest_number,
-            head.c.consumed_number,
-            head.c.newest_epoch_us,
-            head.c.consumed_epoch_us,
-            head.c.result_sequence,
-        )
         with self._database.read() as connection:
-            return HeadState(*connection.execute(select(*columns).where(head.c.spacecraft_key == key)).one())
+            return HeadState(*connection.execute(select(*HEAD_COLUMNS).where(head.c.spacecraft_key == key)).one())
+
+    def heads(self) -> dict[str, HeadState]:
+        """Return where journal and consumer of every spacecraft stand."""
+        with self._database.read() as connection:
+            return head_states(connection)
 
     def journal_heads(self) -> list[JournalHead]:
         """Return number and digest of the newest entry of every journal."""
@@ -163,17 +162,19 @@ class SqlArchive:
         return [_slow_entry(row) for row in self._database.fetch(query)]
 
     def inputs(
-        self, spacecraft_id: str, kind: str, window: Window, limit: int, after: tuple[int, int] | None
+        self,
+        spacecraft_id: str,
+        kind: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
     ) -> list[JournalEntry]:
         """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor."""
-        key = self._database.key(spacecraft_id)
-        query = (
-            _inputs(key, kind, window)
-            .where(beyond(journal.c.start_us, journal.c.number, after))
-            .order_by(journal.c.start_us, journal.c.number)
-            .limit(limit)
-        )
-        return [_slow_entry(row) for row in self._database.fetch(query)]
+        query = _inputs(self._database.key(spacecraft_id), kind, window)
+        page = page_of(query, *_POSITION, limit, after, newest_first=newest_first)
+        return [_slow_entry(row) for row in self._database.fetch(page)]
 
     def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
         """Return the newest row of the prime source."""
@@ -186,13 +187,19 @@ class SqlArchive:
             return self._pages(connection, key).at(newest.source_key, newest.newest_epoch_us)
 
     def measurements(
-        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
+        self,
+        spacecraft_id: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        source: str | None = None,
+        *,
+        newest_first: bool = False,
     ) -> list[Measurement]:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
-        key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            runs = self._pages(connection, key).read(Chosen(window, source), limit, after)
-            return [row for run in runs for row in run.records()]
+            pages = self._pages(connection, self._database.key(spacecraft_id))
+            return pages.records(Chosen(window, source), limit, after, newest_first=newest_first)
 
     def measurement_blocks(
         self, spacecraft_id: str, window: Window, *, source: str | None = None, feeds_estimator_only: bool = False
@@ -214,13 +221,17 @@ class SqlArchive:
                 return
 
     def sampled_measurements(
-        self, spacecraft_id: str, window: Window, intervals: Intervals, source: str | None = None
+        self,
+        spacecraft_id: str,
+        window: Window,
+        intervals: Intervals,
+        source: str | None = None,
+        figure: MeasuredFigure = "power_dbm",
     ) -> Iterator[SampledPowers]:
         """Yield the rows of a window in buckets that lie within one interval each; every row is in one of them."""
         key, chosen = self._database.key(spacecraft_id), Chosen(window, source)
-        return power_summaries.sampled(
-            self._database, key, chosen, intervals, lambda plan_id: len(self._carrier_ids(key, plan_id))
-        )
+        carriers_of = partial(self._carrier_ids, key)
+        return power_summaries.sampled(self._database, key, chosen, intervals, carriers_of, figure)
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
@@ -254,30 +265,42 @@ class SqlArchive:
 
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
         """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
-        key = self._database.key(spacecraft_id)
         epochs_us: list[IntArray] = [np.empty(0, dtype=np.int64)]
         powers: list[FloatArray] = [np.empty((0, len(carrier_ids)))]
-        for block in self._blocks(key, Chosen(window, feeds_only=True)):
-            held = {name: column for column, name in enumerate(self._carrier_ids(key, block.plan_id))}
-            wanted = [(position, held[name]) for position, name in enumerate(carrier_ids) if name in held]
-            power_dbm = np.full((len(block.epochs_us), len(carrier_ids)), np.nan)
-            power_dbm[:, [position for position, _ in wanted]] = block.power_dbm[:, [column for _, column in wanted]]
-            epochs_us.append(block.epochs_us)
-            powers.append(power_dbm)
+        for part in self.measurement_parts(spacecraft_id, window, carrier_ids):
+            epochs_us.append(part.epochs_us)
+            powers.append(part.power_dbm)
         series = MeasurementSeries(tuple(carrier_ids), np.concatenate(epochs_us), np.concatenate(powers))
         series.epochs_us.setflags(write=False)
         series.power_dbm.setflags(write=False)
         return series
 
+    def measurement_parts(
+        self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]
+    ) -> Iterator[MeasurementSeries]:
+        """Yield the rows that feed the estimator as arrays, a page at once."""
+        key = self._database.key(spacecraft_id)
+        for block in self._blocks(key, Chosen(window, feeds_only=True)):
+            held = {name: column for column, name in enumerate(self._carrier_ids(key, block.plan_id))}
+            wanted = [(position, held[name]) for position, name in enumerate(carrier_ids) if name in held]
+            power_dbm = np.full((len(block.epochs_us), len(carrier_ids)), np.nan)
+            power_dbm[:, [position for position, _ in wanted]] = block.power_dbm[:, [column for _, column in wanted]]
+            yield MeasurementSeries(tuple(carrier_ids), block.epochs_us, power_dbm)
+
     def reference_series(self, spacecraft_id: str, window: Window) -> tuple[ReferenceSeries, ...]:
         """Return the attitude references of every sensor in a window."""
-        key = self._database.key(spacecraft_id)
-        query = _inputs(key, "reference", window).order_by(journal.c.start_us, journal.c.number)
-        sensors: dict[str, list[AttitudeReference]] = {}
-        for row in self._database.fetch(query):
-            reference = decode(AttitudeReference, row.document)
-            sensors.setdefault(reference.source, []).append(reference)
-        return tuple(_reference_series(name, sensors[name]) for name in sorted(sensors))
+        query = _inputs(self._database.key(spacecraft_id), "reference", window)
+        sensors: dict[str, list[ReferenceSeries]] = {}
+        after: Cursor | None = None
+        while rows := self._database.fetch(page_of(query, *_POSITION, RECORD_PAGE_ROWS, after)):
+            page: dict[str, list[AttitudeReference]] = {}
+            for row in rows:
+                reference = decode(AttitudeReference, row.document)
+                page.setdefault(reference.source, []).append(reference)
+            for name, references in page.items():
+                sensors.setdefault(name, []).append(_reference_series(name, references))
+            after = rows[-1].start_us, rows[-1].number
+        return tuple(_joined_references(name, sensors[name]) for name in sorted(sensors))
 
     def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
         """Seal closed days, a transaction a step."""
@@ -364,11 +387,14 @@ def _source_state(row: Row[Any]) -> SourceState:
 
 
 def _reference_series(name: str, references: list[AttitudeReference]) -> ReferenceSeries:
-    arrays = (
-        np.array([reference.epoch_us for reference in references], dtype=np.int64),
-        np.array([reference.attitude_deg for reference in references], dtype=np.float64),
-        np.array([reference.sigma_deg for reference in references], dtype=np.float64),
-    )
+    epochs_us = np.array([reference.epoch_us for reference in references], dtype=np.int64)
+    angles = np.array([(reference.attitude_deg, reference.sigma_deg) for reference in references], dtype=np.float64)
+    return ReferenceSeries(name, epochs_us, angles[:, 0], angles[:, 1])
+
+
+def _joined_references(name: str, parts: list[ReferenceSeries]) -> ReferenceSeries:
+    columns = ((part.epochs_us, part.attitude_deg, part.sigma_deg) for part in parts)
+    arrays = [np.concatenate(column) for column in zip(*columns, strict=True)]
     for array in arrays:
         array.setflags(write=False)
     return ReferenceSeries(name, *arrays)

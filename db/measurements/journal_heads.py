@@ -16,11 +16,26 @@ from db.measurements.measurement_pages import MeasurementPages
 from db.schema.tables import head, journal, spacecraft
 from service.records.journal import JournalHead
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
+from service.records.levels.series import HeadState
 from service.records.storage.diagnosis import Diagnosis
 
+#: where the journal and its consumer stand, in the order of `HeadState`
+HEAD_COLUMNS = (
+    head.c.newest_number,
+    head.c.consumed_number,
+    head.c.newest_epoch_us,
+    head.c.consumed_epoch_us,
+    head.c.result_sequence,
+)
 _DIGITS = 16
 _LOST = "Stop the service. Restore a backup, or put the missing files back; then let the front ends send again."
 _OTHER = "Right after a restore, wrong otherwise: compare the archive with a backup of before."
+
+
+def head_states(connection: Connection) -> dict[str, HeadState]:
+    """Return where the journal of each spacecraft and its consumer stand."""
+    query = select(spacecraft.c.id, *HEAD_COLUMNS).join_from(head, spacecraft)
+    return {row[0]: HeadState(*row[1:]) for row in connection.execute(query)}
 
 
 def journal_heads(connection: Connection, cache: SegmentCache) -> list[JournalHead]:

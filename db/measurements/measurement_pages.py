@@ -25,6 +25,7 @@ from db.encoding.segments import (
     newest_heads,
     read_chunk,
 )
+from db.newest_rows import newest_rows, start_of_last
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.records.calibration import Window
 from service.records.levels.attitude import BoolArray, IntArray
@@ -112,6 +113,33 @@ class MeasurementPages:
             return [ChunkRun(chunk, positions[:limit]) for chunk, positions in parts]
         return OrderedRows(parts, limit).runs()
 
+    def records(
+        self, chosen: Chosen, limit: int, after: Cursor | None, *, newest_first: bool = False
+    ) -> list[Measurement]:
+        """Return the next rows behind a cursor, or before it where the newest come first."""
+
+        def read(window: Window, most: int, behind: Cursor | None) -> list[Measurement]:
+            runs = self.read(chosen._replace(window=window), most, behind)
+            return [row for run in runs for row in run.records()]
+
+        def start_of(window: Window, count: int) -> int:
+            return self.start_of_newest(chosen._replace(window=window), count)
+
+        if newest_first:
+            return newest_rows(read, start_of, chosen.window, limit, after)
+        return read(chosen.window, limit, after)
+
+    def start_of_newest(self, chosen: Chosen, count: int) -> int:
+        """Return an epoch from which on so many chosen rows stand; the start of the window where there are fewer."""
+        order = measurement.c.epoch_us.desc(), measurement.c.number.desc()
+        rows = self._rows(chosen, LIGHT).order_by(*order).offset(count - 1).limit(1)
+        row = self._connection.execute(rows).first()
+        start_us, stop_us = chosen.window.start_us if row is None else row.epoch_us, chosen.window.stop_us
+        found = newest_heads(self._connection, self._key, start_us, stop_us, *self._of_segments(chosen))
+        chunks = (read_chunk(self._connection, self._cache, head) for head in found)
+        epochs_us = (chunk.epochs_us[_positions(chunk, chosen, None, stop_us)] for chunk in chunks)
+        return start_of_last(epochs_us, count, start_us)
+
     def read_blocks(
         self, chosen: Chosen, limit: int, after: Cursor | None
     ) -> tuple[list[MeasurementBlock], Cursor | None]:
@@ -139,10 +167,10 @@ class MeasurementPages:
         rows = self._connection.execute(query).all()
         return [*(ChunkRun(chunk, np.arange(len(chunk.epochs_us))) for chunk in self._chunks(rows)), *sealed]
 
-    def read_unsealed(self, chosen: Chosen) -> Iterator[ChunkRun]:
-        """Yield the rows of the table of rows with their powers."""
+    def read_unsealed(self, chosen: Chosen, columns: Columns = POWERS) -> Iterator[ChunkRun]:
+        """Yield the rows of the table of rows with their powers, or with all that they hold."""
         after: Cursor | None = None
-        query = self._rows(chosen, POWERS).order_by(measurement.c.epoch_us, measurement.c.number).limit(_AT_ONCE)
+        query = self._rows(chosen, columns).order_by(measurement.c.epoch_us, measurement.c.number).limit(_AT_ONCE)
         while rows := self._connection.execute(
             query.where(beyond(measurement.c.epoch_us, measurement.c.number, after))
         ).all():
@@ -200,7 +228,7 @@ class MeasurementPages:
         row = self._connection.execute(self._rows(chosen, LIGHT).order_by(*order).limit(1)).first()
         best = None if row is None else (row.epoch_us, row.number, row.received_at_us)
         start_us = chosen.window.start_us if best is None else best[0]
-        for head in newest_heads(self._connection, self._key, start_us, *self._of_segments(chosen)):
+        for head in newest_heads(self._connection, self._key, start_us, EVER.stop_us, *self._of_segments(chosen)):
             if best is not None and head.day < day_of(best[0]):
                 break
             chunk = read_chunk(self._connection, self._cache, head)

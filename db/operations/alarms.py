@@ -7,12 +7,13 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, delete, func, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from db.database import Repository, beyond, lock_head
+from db.database import Repository, lock_head, page_of
 from db.encoding.json_documents import decode, encode
 from db.measurements.retention import LOGS_AT_ONCE
 from db.schema.alarm_tables import alarm as alarm_table
 from db.schema.alarm_tables import alarm_change, alarm_limits, alarm_memory
 from service.errors import NotFoundError
+from service.ports import ARCHIVE
 from service.records.calibration import Window
 from service.records.operations.alarm import Alarm, AlarmChange
 from service.records.operations.alarm_limits import AlarmLimits
@@ -36,7 +37,9 @@ class SqlAlarms(Repository):
             fresh: dict[_Instance, int] = {}
             return tuple(_store(connection, change, fresh) for change in changes)
 
-        return self._database.write(self._database.lease.under(store))
+        # of one spacecraft, or of the service
+        about = changes[0].alarm.spacecraft_id if changes else None
+        return self._database.write(self._database.leases.under(store, about or ARCHIVE))
 
     def alarm(self, alarm_id: int) -> Alarm:
         """Return one alarm; NotFoundError ``alarm.unknown``."""
@@ -52,7 +55,14 @@ class SqlAlarms(Repository):
         return tuple(_with_id(decode(Alarm, row.document), row.alarm_id) for row in rows)
 
     def alarms(
-        self, spacecraft_id: str, states: Sequence[str], window: Window, limit: int, after: tuple[int, int] | None
+        self,
+        spacecraft_id: str,
+        states: Sequence[str],
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
     ) -> list[Alarm]:
         """Return alarms of a spacecraft and of the service raised in a window, in order of (raised, id)."""
         raised = alarm_table.c.raised_at_us
@@ -60,12 +70,12 @@ class SqlAlarms(Repository):
             _concerns(alarm_table.c.spacecraft_id, spacecraft_id),
             raised >= window.start_us,
             raised < window.stop_us,
-            beyond(raised, alarm_table.c.alarm_id, after),
         )
         if states:
             wanted = [name for state in states for name in _GROUPS.get(state, (state,))]
             query = query.where(alarm_table.c.state.in_(wanted))
-        rows = self._database.fetch(query.order_by(raised, alarm_table.c.alarm_id).limit(limit))
+        page = page_of(query, raised, alarm_table.c.alarm_id, limit, after, newest_first=newest_first)
+        rows = self._database.fetch(page)
         return [_with_id(decode(Alarm, row.document), row.alarm_id) for row in rows]
 
     def changes(self, alarm_id: int) -> list[AlarmChange]:
@@ -104,7 +114,7 @@ class SqlAlarms(Repository):
                 )
             )
 
-        self._database.write(self._database.lease.under(store))
+        self._database.write(self._database.leases.under(store, spacecraft_id or ARCHIVE))
 
     def limits(self, spacecraft_id: str, version: int | None = None) -> AlarmLimits:
         """Return a version of the limits, or the newest; version 0 are the defaults."""
@@ -135,7 +145,8 @@ class SqlAlarms(Repository):
                 connection.execute(delete(table).where(table.c.alarm_id.in_(ids)))
             return len(ids)
 
-        while (rows := self._database.write(self._database.lease.under(drop))) > 0:
+        led = self._database.leases.under(drop, spacecraft_id or ARCHIVE)
+        while (rows := self._database.write(led)) > 0:
             yield rows
 
     def put_limits(self, spacecraft_id: str, limits: AlarmLimits) -> AlarmLimits:

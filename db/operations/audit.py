@@ -23,11 +23,15 @@ class SqlAudit(Repository):
         """Add a deed and wait for its commit."""
         return self._database.submit(lambda connection: append_entry(connection, audit_event)).result()
 
-    def entries(self, wanted: AuditFilter, limit: int, after: int | None) -> list[AuditEntry]:
-        """Return entries with numbers above ``after``, in order."""
-        query = select(audit_entry).where(*_conditions(wanted)).order_by(audit_entry.c.number).limit(limit)
+    def entries(
+        self, wanted: AuditFilter, limit: int, after: int | None, *, newest_first: bool = False
+    ) -> list[AuditEntry]:
+        """Return entries with numbers above ``after``, in order, or those below it in the reverse order."""
+        number = audit_entry.c.number
+        query = select(audit_entry).where(*_conditions(wanted)).limit(limit)
+        query = query.order_by(number.desc() if newest_first else number)
         if after is not None:
-            query = query.where(audit_entry.c.number > after)
+            query = query.where(number < after if newest_first else number > after)
         return [_entry_of(row) for row in self._database.fetch(query)]
 
     def head(self) -> AuditHead:

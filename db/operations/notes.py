@@ -6,11 +6,12 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, delete, or_, select, true
 
-from db.database import Repository, beyond, within
+from db.database import Repository, page_of, within
 from db.encoding.json_documents import decode, encode
 from db.measurements.retention import LOGS_AT_ONCE
 from db.schema.alarm_tables import note as note_table
 from service.errors import NotFoundError
+from service.ports import ARCHIVE
 from service.records.calibration import Window
 from service.records.operations.note import Note
 
@@ -38,16 +39,19 @@ class SqlNotes(Repository):
         return _note_of(row)
 
     def notes(
-        self, window: Window, limit: int, after: tuple[int, int] | None, spacecraft_id: str | None = None
+        self,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        spacecraft_id: str | None = None,
+        *,
+        newest_first: bool = False,
     ) -> list[Note]:
         """Return notes about instants of a window in order of (epoch, id), also those about no spacecraft."""
-        query = select(note_table).where(
-            within(note_table.c.epoch_us, window),
-            beyond(note_table.c.epoch_us, note_table.c.note_id, after),
-            _about(spacecraft_id),
-        )
-        rows = self._database.fetch(query.order_by(note_table.c.epoch_us, note_table.c.note_id).limit(limit))
-        return _notes_of(rows)
+        column = note_table.c
+        query = select(note_table).where(within(column.epoch_us, window), _about(spacecraft_id))
+        page = page_of(query, column.epoch_us, column.note_id, limit, after, newest_first=newest_first)
+        return _notes_of(self._database.fetch(page))
 
     def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:
         """Drop notes about instants before one, a transaction a step."""
@@ -59,7 +63,8 @@ class SqlNotes(Repository):
             connection.execute(delete(note_table).where(note_table.c.note_id.in_(ids)))
             return len(ids)
 
-        while (rows := self._database.write(self._database.lease.under(drop))) > 0:
+        led = self._database.leases.under(drop, spacecraft_id or ARCHIVE)
+        while (rows := self._database.write(led)) > 0:
             yield rows
 
     def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
@@ -67,6 +72,11 @@ class SqlNotes(Repository):
         query = select(note_table).where(_about(spacecraft_id))
         ordered = query.order_by(note_table.c.epoch_us.desc(), note_table.c.note_id.desc()).limit(limit)
         return _notes_of(self._database.fetch(ordered))
+
+    def last_written(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
+        """Return the notes that were stored last, newest first, whatever instant they are about."""
+        query = select(note_table).where(_about(spacecraft_id))
+        return _notes_of(self._database.fetch(query.order_by(note_table.c.note_id.desc()).limit(limit)))
 
 
 def _check(connection: Connection, note_id: int) -> None:

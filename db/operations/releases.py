@@ -2,7 +2,7 @@
 
 from sqlalchemy import ColumnElement, Connection, and_, select, update
 
-from db.database import Repository, beyond, lock_head, within
+from db.database import Repository, lock_head, page_of, within
 from db.encoding.json_documents import decode, encode
 from db.measurements.slow_inputs import store_inputs
 from db.schema.release_tables import release_command, release_made_two_step, release_state, uplink_product
@@ -43,7 +43,7 @@ class SqlReleases(Repository):
                 raise _changed(f"journal entries of version {version + 1} are there already")
             return version + 1
 
-        return self._database.write(self._database.lease.under(store))
+        return self._database.write(self._database.leases.under(store, spacecraft_id), key)
 
     def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command; NotFoundError ``command.unknown``."""
@@ -53,15 +53,21 @@ class SqlReleases(Repository):
             raise NotFoundError("command.unknown", f"There is no command {counter} of this spacecraft.")
         return decode(Command, row.document)
 
-    def commands(self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None) -> list[Command]:
+    def commands(
+        self,
+        spacecraft_id: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
+    ) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
         prepared, counter = release_command.c.prepared_us, release_command.c.counter
         query = select(release_command.c.document).where(
-            release_command.c.spacecraft_key == self._database.key(spacecraft_id),
-            within(prepared, window),
-            beyond(prepared, counter, after),
+            release_command.c.spacecraft_key == self._database.key(spacecraft_id), within(prepared, window)
         )
-        rows = self._database.fetch(query.order_by(prepared, counter).limit(limit))
+        rows = self._database.fetch(page_of(query, prepared, counter, limit, after, newest_first=newest_first))
         return [decode(Command, row.document) for row in rows]
 
     def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, func, select
 
-from db.database import Repository, beyond, lock_head, within
+from db.database import Repository, lock_head, page_of, within
 from db.schema.tables import trace as trace_table
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
@@ -48,16 +48,15 @@ class SqlTraces(Repository):
         after: tuple[int, int] | None,
         source: str | None = None,
         sweep: str | None = None,
+        *,
+        newest_first: bool = False,
     ) -> list[TraceHead]:
         """Return kept traces without their points in order of (epoch, number) beyond a cursor."""
-        query = (
-            _chosen(select(*_HEAD), self._database.key(spacecraft_id), source, sweep)
-            .where(within(trace_table.c.epoch_us, window))
-            .where(beyond(trace_table.c.epoch_us, trace_table.c.trace_id, after))
-            .order_by(trace_table.c.epoch_us, trace_table.c.trace_id)
-            .limit(limit)
-        )
-        return [_head_of(row) for row in self._database.fetch(query)]
+        column = trace_table.c
+        query = _chosen(select(*_HEAD), self._database.key(spacecraft_id), source, sweep)
+        inside = query.where(within(column.epoch_us, window))
+        page = page_of(inside, column.epoch_us, column.trace_id, limit, after, newest_first=newest_first)
+        return [_head_of(row) for row in self._database.fetch(page)]
 
     def trace(
         self, spacecraft_id: str, epoch_us: int, source: str | None = None, sweep: str | None = None

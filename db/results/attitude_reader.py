@@ -17,7 +17,8 @@ from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
-from db.results.stored_rows import ResultSeries, newest_row, stored_rows
+from db.newest_rows import RowPages, newest_rows
+from db.results.stored_rows import ResultSeries, newest_row, page_of_rows, stored_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
 from service.ports import LIVE
 from service.records.calibration import CalibrationMethod, Window
@@ -65,16 +66,21 @@ class AttitudeReader:
         self._stored = ResultSeries(key, attitude, LIVE, method.value)
         self._measured_from_us = kept_from_us(connection, key, "measurements")
 
-    def rows(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
-        """Return rows in order of (epoch, number) beyond a cursor."""
+    def rows(
+        self, window: Window, limit: int, after: tuple[int, int] | None, *, newest_first: bool = False
+    ) -> list[AttitudeRow]:
+        """Return rows in order of (epoch, number) beyond a cursor, or the newest first and before it."""
         begin_us = kept_from_us(self._connection, self._key, "attitude")
         # of measurements that retention took away the attitude alone is left
         left = Window(max(window.start_us, begin_us), min(window.stop_us, self._measured_from_us))
-        found = self._left(left, limit, after)
         rest = Window(max(window.start_us, begin_us, self._measured_from_us), window.stop_us)
-        if len(found) < limit and rest.start_us < rest.stop_us:
-            runs = self._pages.read(self._consumed(rest), limit - len(found), after, columns=LIGHT)
-            found += self._records([measurement for run in runs for measurement in _of_run(run)])
+        parts: list[tuple[Window, RowPages[AttitudeRow]]] = [(left, self._left), (rest, self._measured)]
+        if newest_first:
+            parts = [(rest, self._newest_measured), (left, self._newest_left)]
+        found: list[AttitudeRow] = []
+        for part, read in parts:
+            if len(found) < limit and part.start_us < part.stop_us:
+                found += read(part, limit - len(found), after)
         return found
 
     def newest(self) -> AttitudeRow | None:
@@ -87,9 +93,21 @@ class AttitudeReader:
         return None if row is None else attitude_of(row)
 
     def _left(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
-        if window.start_us >= window.stop_us:
-            return []
         return [attitude_of(row) for row in stored_rows(self._connection, self._stored, window, limit, after)]
+
+    def _newest_left(self, window: Window, limit: int, before: tuple[int, int] | None) -> list[AttitudeRow]:
+        rows = page_of_rows(self._connection, self._stored, window, limit, before, newest_first=True)
+        return [attitude_of(row) for row in rows]
+
+    def _measured(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
+        runs = self._pages.read(self._consumed(window), limit, after, columns=LIGHT)
+        return self._records([measurement for run in runs for measurement in _of_run(run)])
+
+    def _newest_measured(self, window: Window, limit: int, before: tuple[int, int] | None) -> list[AttitudeRow]:
+        def start_of(part: Window, count: int) -> int:
+            return self._pages.start_of_newest(self._consumed(part), count)
+
+        return newest_rows(self._measured, start_of, window, limit, before)
 
     def _consumed(self, window: Window) -> Chosen:
         """Return the selection of the measurements that the chain has consumed."""

@@ -6,9 +6,9 @@ bytes: where its rows were read before a late one came, it is gone, and nothing 
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, and_, delete, select
@@ -17,41 +17,45 @@ from db.database import Database, insert_new, lock_head
 from db.encoding.segments import DAY_US, day_of
 from db.encoding.stored_summaries import ATTITUDE, READ_AT_ONCE, Stored
 from db.encoding.summary_codec import SummaryBlobs, pack_day
+from db.newest_rows import RowPages
+from db.results.carrier_summaries import CarrierRow, blobs_by_plan, store_carriers
+from db.results.state_summaries import store_states, stretch_of
+from db.results.stored_rows import pages
 from db.schema.tables import attitude_summary as table
 from db.schema.tables import head
+from service.core.rows.state_runs import Stretch
 from service.core.rows.summaries import Summaries
 from service.ports import Intervals
 from service.records.calibration import Window
-from service.records.levels.attitude import AttitudeRow, FloatArray
+from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
 from service.records.levels.command import TorqueCommand
 
 #: name under which the commands of all methods are summarised
 TORQUE = "torque"
-#: columns that are sampled in intervals of any length: angles of attitude, impulse of torque
+#: columns of attitude that are sampled in intervals of any length: the angles; of torque there is none
 SAMPLED = 3
-#: rows in memory at once as records
-_PAGE_ROWS = 5000
 #: of a day without rows
-_NOTHING = SummaryBlobs(b"", b"", None, b"")
+NO_ROWS = SummaryBlobs(b"", b"", None, b"")
 Row = AttitudeRow | TorqueCommand
 
 
-class ResultPages(Protocol):
-    """Pages of a series in order of (epoch, number)."""
+class _Made(NamedTuple):
+    """Summaries of one day."""
 
-    def __call__(self, window: Window, limit: int, after: tuple[int, int] | None, /) -> Sequence[Row]:
-        """Return rows beyond a cursor."""
-
-
-def pages(read: ResultPages, window: Window) -> Iterator[Sequence[Row]]:
-    """Yield the rows of a window, some at a time."""
-    after: tuple[int, int] | None = None
-    while rows := read(window, _PAGE_ROWS, after):
-        yield rows
-        after = rows[-1].epoch_us, rows[-1].number
+    attitude: SummaryBlobs
+    by_plan: Mapping[int, SummaryBlobs]
+    #: None of commands
+    states: Stretch | None
 
 
-def complete(database: Database, key: int, name: str, read: ResultPages, before_us: int) -> Iterator[int]:
+def complete(
+    database: Database,
+    key: int,
+    name: str,
+    read: RowPages[Row],
+    before_us: int,
+    read_carriers: RowPages[CarrierRow] | None = None,
+) -> Iterator[int]:
     """Summarise the days of a series that ended before an epoch and have no summary; yield 1 for each."""
     with database.read() as connection:
         consumed_us = connection.scalar(select(head.c.consumed_epoch_us).where(head.c.spacecraft_key == key))
@@ -61,7 +65,7 @@ def complete(database: Database, key: int, name: str, read: ResultPages, before_
     start_us = -(1 << 62)
     while start_us < stop_us and (first := read(Window(start_us, stop_us), 1, None)):
         start_us = day_of(first[0].epoch_us) * DAY_US
-        if start_us not in held and _make(database, key, name, read, start_us):
+        if start_us not in held and _make(database, key, name, read, read_carriers, start_us):
             yield 1
         held.add(start_us)
         while start_us in held:
@@ -69,9 +73,19 @@ def complete(database: Database, key: int, name: str, read: ResultPages, before_
 
 
 def sampled(
-    database: Database, key: int, name: str, read: ResultPages, window: Window, intervals: Intervals
+    database: Database,
+    key: int,
+    name: str,
+    read: RowPages[Row],
+    window: Window,
+    intervals: Intervals,
+    columns: int = SAMPLED,
 ) -> Iterator[Summaries]:
-    """Yield the rows of a window in buckets that lie within one interval each: of days with a sound summary from it."""
+    """Yield the rows of a window in buckets that lie within one interval each: of days with a sound summary from it.
+
+    Of the first columns, where an interval may end anywhere; with more of them, a day in which one ends between two of
+    the buckets is read as rows.
+    """
     query = (
         select(table.c.summary_id, table.c.start_us)
         .where(_is_of(key, name), table.c.day.is_not(None))
@@ -84,13 +98,15 @@ def sampled(
     for start in range(0, len(stored), READ_AT_ONCE):
         some = stored[start : start + READ_AT_ONCE]
         with database.read() as connection:
-            buckets, found = ATTITUDE.read(connection, some, intervals, SAMPLED)
+            buckets, found = ATTITUDE.read(
+                connection, some, intervals, slice(columns), has_rows=columns <= _framed(name)
+            )
         if buckets is not None:
             yield buckets
         for day in (each for each in some if each.summary_id in found):
-            yield from _as_rows(read, Window(rest_us, day.first_us))
+            yield from _as_rows(read, Window(rest_us, day.first_us), columns)
             rest_us = max(rest_us, day.last_us + 1)
-    yield from _as_rows(read, Window(rest_us, window.stop_us))
+    yield from _as_rows(read, Window(rest_us, window.stop_us), columns)
 
 
 def forget_days(connection: Connection, key: int, consumed_epoch_us: int | None, epochs_us: Iterable[int]) -> None:
@@ -102,40 +118,62 @@ def forget_days(connection: Connection, key: int, consumed_epoch_us: int | None,
         connection.execute(delete(table).where(table.c.spacecraft_key == key, is_one))
 
 
-def day_blobs(read: ResultPages, start_us: int) -> SummaryBlobs:
+def day_blobs(read: RowPages[Row], start_us: int, name: str) -> SummaryBlobs:
     """Return the summary of the rows of a day that a method computed."""
-    epochs_us: list[int] = []
-    values: list[FloatArray] = []
-    for rows in pages(read, Window(start_us, start_us + DAY_US)):
-        # a row without a calibration says only that nothing was computed
-        computed = [row for row in rows if isinstance(row, TorqueCommand) or row.calibration_id is not None]
-        epochs_us += [row.epoch_us for row in computed]
-        values += [np.array([_figures(row) for row in computed])] if computed else []
-    return pack_day(np.array(epochs_us, dtype=np.int64), np.concatenate(values), SAMPLED) if values else _NOTHING
+    parts = [_computed(rows) for rows in pages(read, Window(start_us, start_us + DAY_US))]
+    found = [part for part in parts if len(part[0])]
+    if not found:
+        return NO_ROWS
+    epochs_us, values = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
+    return pack_day(epochs_us, values, _framed(name))
+
+
+def _framed(name: str) -> int:
+    """Return of how many columns of a series rows are kept."""
+    return 0 if name == TORQUE else SAMPLED
+
+
+def _computed(rows: Sequence[Row]) -> tuple[IntArray, FloatArray]:
+    """Return epochs and figures of the rows that a method computed."""
+    # a row without a calibration says only that nothing was computed
+    computed = [row for row in rows if isinstance(row, TorqueCommand) or row.calibration_id is not None]
+    epochs_us = np.array([row.epoch_us for row in computed], dtype=np.int64)
+    return epochs_us, np.array([_figures(row) for row in computed], dtype=np.float64)
 
 
 def _figures(row: Row) -> tuple[float, ...]:
-    """Return what is summarised of a row; a new figure stands at the end."""
+    """Return what is summarised of a row, of attitude `ATTITUDE_FIGURES`; a new figure stands at the end."""
     if isinstance(row, TorqueCommand):
         return row.impulse_n_m_s
     others = (row.residual_rms_db, row.common_db, row.downlink_fade_db, row.carriers_used, row.control_allowed)
     return (*row.attitude_deg, *row.sigma_deg, *row.protection_deg, *others)
 
 
-def _as_rows(read: ResultPages, window: Window) -> Iterator[Summaries]:
-    """Yield the sampled columns of the rows of a window."""
+def _as_rows(read: RowPages[Row], window: Window, columns: int) -> Iterator[Summaries]:
+    """Yield the first columns of the rows of a window."""
     if window.start_us < window.stop_us:
         for rows in pages(read, window):
-            epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
-            yield Summaries.of_rows(epochs_us, np.array([_figures(row)[:SAMPLED] for row in rows]))
+            epochs_us, values = _computed(rows)
+            if len(epochs_us):
+                yield Summaries.of_rows(epochs_us, values[:, :columns])
 
 
-def _make(database: Database, key: int, name: str, read: ResultPages, start_us: int) -> bool:
+def _make(
+    database: Database,
+    key: int,
+    name: str,
+    read: RowPages[Row],
+    read_carriers: RowPages[CarrierRow] | None,
+    start_us: int,
+) -> bool:
     """Summarise a day; False when a late row came meanwhile."""
-    write = database.lease.under
+    write = partial(database.leases.under, name=database.name(key))
     summary_id = database.write(write(partial(_begin, key=key, name=name, start_us=start_us)))
-    blobs = day_blobs(read, start_us)
-    return database.write(write(partial(_finish, key=key, summary_id=summary_id, blobs=blobs)))
+    blobs = day_blobs(read, start_us, name)
+    by_plan = {} if read_carriers is None else blobs_by_plan(read_carriers, start_us)
+    states = None if name == TORQUE else stretch_of(cast(Any, read), Window(start_us, start_us + DAY_US))
+    made = _Made(blobs, by_plan, states)
+    return database.write(write(partial(_finish, key=key, summary_id=summary_id, made=made)))
 
 
 def _begin(connection: Connection, key: int, name: str, start_us: int) -> int:
@@ -146,7 +184,7 @@ def _begin(connection: Connection, key: int, name: str, start_us: int) -> int:
     return int(connection.execute(query).scalar_one())
 
 
-def _finish(connection: Connection, key: int, summary_id: int, blobs: SummaryBlobs) -> bool:
+def _finish(connection: Connection, key: int, summary_id: int, made: _Made) -> bool:
     """Give a summary its bytes if it is still there."""
     lock_head(connection, key)
     is_it = and_(table.c.summary_id == summary_id, table.c.day.is_(None))
@@ -156,7 +194,9 @@ def _finish(connection: Connection, key: int, summary_id: int, blobs: SummaryBlo
     # replaced, not updated: its checksum is that of the whole row
     connection.execute(delete(table).where(is_it))
     values = {"spacecraft_key": key, "method": begun.method, "start_us": begun.start_us}
-    connection.execute(table.insert().values(**values, **blobs._asdict()))
+    stored: Any = connection.execute(table.insert().values(**values, **made.attitude._asdict()))
+    store_carriers(connection, stored.inserted_primary_key[0], made.by_plan)
+    store_states(connection, stored.inserted_primary_key[0], made.states)
     return True
 
 

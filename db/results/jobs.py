@@ -1,11 +1,14 @@
 """Jobs, a part of ``service.ports.Results``."""
 
+from collections.abc import Collection
 from dataclasses import asdict
+from typing import Any
 
-from sqlalchemy import Connection, not_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, and_, func, not_, or_, select, true, update
 from sqlalchemy.exc import IntegrityError
 
 from db.database import Repository
+from db.schema.lease_tables import live_member
 from db.schema.tables import calibration as calibration_table
 from db.schema.tables import job as job_table
 from db.schema.tables import replay as replay_table
@@ -22,7 +25,8 @@ class SqlJobs(Repository):
     def add_job(self, job: Job) -> None:
         """Store a new job; ConflictError ``job.exists``."""
         # a job keeps the books of a change; the request's audit entry goes with the change itself
-        self._database.submit(lambda connection: _insert_job(connection, job)).result()
+        member_id = self._database.leases.member
+        self._database.submit(lambda connection: _insert_job(connection, job, member_id)).result()
 
     def update_job(self, job_id: str, state: JobState, progress: float, error: str | None = None) -> None:
         """Store how far a job is."""
@@ -36,32 +40,65 @@ class SqlJobs(Repository):
         row = self._database.fetch_one(select(job_table).where(job_table.c.job_id == job_id))
         if row is None:
             raise _no_job(job_id)
-        return Job(row.job_id, row.kind, JobState(row.state), row.progress, row.created_at_us, row.error)
+        return _job_of(row)
 
-    def fail_unfinished_jobs(self, error: str) -> int:
+    def newest_jobs(self, limit: int) -> list[Job]:
+        """Return the jobs that were made last, newest first."""
+        query = select(job_table).order_by(job_table.c.created_at_us.desc(), job_table.c.job_id.desc())
+        return [_job_of(row) for row in self._database.fetch(query.limit(limit))]
+
+    def fail_unfinished_jobs(self, error: str, but: Collection[str] = ()) -> int:
         """Mark jobs that a former process left unfinished as failed, and their drafts; return how many jobs.
 
-        Those of replays stay: they go on from where they are.
+        Those of replays stay: they go on from where they are. So do those named, and those of processes that live.
         """
         of_replay = select(replay_table.c.job_id).where(replay_table.c.job_id == job_table.c.job_id)
-        jobs = update(job_table).where(job_table.c.state.in_(_UNFINISHED), not_(of_replay.exists()))
+        unfinished = and_(job_table.c.state.in_(_UNFINISHED), not_(of_replay.exists()))
         is_draft = calibration_table.c.state == CalibrationState.DRAFT.value
         drafts = update(calibration_table).where(is_draft, calibration_table.c.result.is_(None))
 
         def change(connection: Connection) -> int:
-            connection.execute(drafts.values(state=CalibrationState.FAILED.value, error=error))
-            return connection.execute(jobs.values(state=JobState.FAILED.value, error=error)).rowcount
+            is_left = and_(unfinished, _is_left(connection), job_table.c.job_id.not_in(but))
+            failed = connection.execute(
+                update(job_table).where(is_left).values(state=JobState.FAILED.value, error=error)
+            ).rowcount
+            # a draft does not name its job: where one goes on, its draft may be any
+            if connection.scalar(select(func.count()).select_from(job_table).where(unfinished)) == 0:
+                connection.execute(drafts.values(state=CalibrationState.FAILED.value, error=error))
+            return failed
+
+        return self._database.write(change)
+
+    def acquire_job(self, job_id: str) -> bool:
+        """Make an unfinished job that of this process; False where it is another's that lives."""
+        is_it = job_table.c.job_id == job_id
+        mine = {"member_id": self._database.leases.member}
+
+        def change(connection: Connection) -> bool:
+            left = and_(is_it, _is_left(connection))
+            return connection.execute(update(job_table).where(left).values(mine)).rowcount > 0
 
         return self._database.write(change)
 
 
-def _insert_job(connection: Connection, record: Job) -> None:
-    values = asdict(record) | {"state": record.state.value}
+def _is_left(connection: Connection) -> ColumnElement[bool]:
+    """Return the condition that a job is not one of a process that lives."""
+    if connection.dialect.name == "sqlite":
+        return true()
+    return or_(job_table.c.member_id.is_(None), job_table.c.member_id.not_in(select(live_member.c.member_id)))
+
+
+def _insert_job(connection: Connection, record: Job, member_id: int | None) -> None:
+    values = asdict(record) | {"state": record.state.value, "member_id": member_id}
     values["job_id"] = values.pop("id")
     try:
         connection.execute(job_table.insert().values(values))
     except IntegrityError as fault:
         raise ConflictError("job.exists", f"Job {record.id!r} exists already.") from fault
+
+
+def _job_of(row: Row[Any]) -> Job:
+    return Job(row.job_id, row.kind, JobState(row.state), row.progress, row.created_at_us, row.error)
 
 
 def _no_job(job_id: str) -> NotFoundError:

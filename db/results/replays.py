@@ -46,10 +46,14 @@ class SqlReplays(Repository):
             raise _no_replay(spacecraft_id, version)
         return _version_of(row)
 
-    def replays(self, spacecraft_id: str, window: Window, limit: int, after_id: int) -> list[ReplayVersion]:
-        """Return the replays whose span overlaps a window, with an id above the given one, in order."""
-        key = self._database.key(spacecraft_id)
-        query = _versions(key).where(replay_table.c.replay_id > after_id).order_by(replay_table.c.replay_id)
+    def replays(
+        self, spacecraft_id: str, window: Window, limit: int, after_id: int | None, *, newest_first: bool = False
+    ) -> list[ReplayVersion]:
+        """Return the replays whose span overlaps a window, beyond an id in order of id, or in the reverse order."""
+        number = replay_table.c.replay_id
+        query = _versions(self._database.key(spacecraft_id)).order_by(number.desc() if newest_first else number)
+        if after_id is not None:
+            query = query.where(number < after_id if newest_first else number > after_id)
         found = (_version_of(row) for row in self._database.fetch(query))
         inside = (
             each for each in found if each.replay.start_us < window.stop_us and window.start_us < each.replay.stop_us

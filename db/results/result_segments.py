@@ -114,13 +114,25 @@ def segments(
     return paged(connection, query, first)
 
 
-def paged(connection: Connection, query: Select[Any], position: ColumnElement[int]) -> Iterator[Any]:
+def newest_segments(
+    connection: Connection, conditions: tuple[ColumnElement[bool], ...], start_us: int, stop_us: int
+) -> Iterator[Any]:
+    """Yield the rows of the table of segments of one series that reach into [start, stop), the latest first."""
+    first = _Head.first_epoch_us
+    query = select(segment_table).where(*conditions, first < stop_us, _Head.last_epoch_us >= start_us)
+    return paged(connection, query.order_by(first.desc()), first, is_descending=True)
+
+
+def paged(
+    connection: Connection, query: Select[Any], position: ColumnElement[int], *, is_descending: bool = False
+) -> Iterator[Any]:
     """Yield the rows of an ordered query of segments, few at a time."""
     limited = query.limit(_AT_ONCE)
     page = connection.execute(limited).all()
     yield from page
     while len(page) == _AT_ONCE:
-        page = connection.execute(limited.where(position > getattr(page[-1], position.key or ""))).all()
+        end = getattr(page[-1], position.key or "")
+        page = connection.execute(limited.where(position < end if is_descending else position > end)).all()
         yield from page
 
 

@@ -11,26 +11,29 @@ from sqlalchemy import ColumnElement, Connection, and_, func, select
 from db.database import Database
 from db.encoding.carrier_codec import unpack_carriers
 from db.encoding.row_mapping import attitude_of, torque_of
-from db.results import attitude_summaries, result_sealing
+from db.results import attitude_summaries, carrier_summaries, result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
-from db.results.attitude_summaries import TORQUE, ResultPages
+from db.results.attitude_summaries import TORQUE
 from db.results.calibrations import SqlCalibrations
+from db.results.carrier_summaries import CarrierRow
 from db.results.checkpoints import checkpoints
 from db.results.jobs import SqlJobs
 from db.results.outcomes import Consumed, Result, store_outcomes
 from db.results.pending import PendingCount
 from db.results.replays import SqlReplays, check_held
+from db.results.state_summaries import state_history
 from db.results.stored_rows import (
     ResultSeries,
     newest_row,
     next_sealed_sequence,
     numbers_where,
+    page_of_rows,
     sealed_of_sequences,
-    stored_rows,
 )
 from db.schema.tables import attitude, torque
+from service.core.rows.state_runs import History
 from service.core.rows.summaries import Summaries
-from service.ports import LIVE, Intervals, Outcome
+from service.ports import LIVE, Intervals, Outcome, SampledCarriers
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow, IntArray
@@ -63,7 +66,8 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         def store(connection: Connection) -> int:
             return store_outcomes(connection, key, version, outcomes, consumed, checkpoint)
 
-        return self._database.write(self._database.lease.under(store) if version == LIVE else store)
+        led = self._database.leases.under(store, spacecraft_id) if version == LIVE else store
+        return self._database.write(led, key)
 
     def checkpoints(
         self, spacecraft_id: str, fingerprint: str, until_number: int, before_us: int | None = None
@@ -79,6 +83,8 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         window: Window,
         limit: int,
         after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
     ) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number of the measurement) beyond a cursor.
 
@@ -88,9 +94,10 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
             if version == LIVE:
-                return AttitudeReader(connection, self._database.segments, key, method).rows(window, limit, after)
+                reader = AttitudeReader(connection, self._database.segments, key, method)
+                return reader.rows(window, limit, after, newest_first=newest_first)
             of = ResultSeries(key, attitude, version, method.value)
-            rows = stored_rows(connection, of, window, limit, after)
+            rows = page_of_rows(connection, of, window, limit, after, newest_first=newest_first)
             check_held(connection, key, version)
         return [attitude_of(row) for row in rows]
 
@@ -98,30 +105,64 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         self, spacecraft_id: str, version: str, method: Method, window: Window
     ) -> dict[tuple[int, int], CarrierResults]:
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
+        rows = self._carrier_rows(spacecraft_id, version, method, window)
+        return {(row.epoch_us, row.number): row.results for row in rows if row.results is not None}
+
+    def _carrier_rows(
+        self,
+        spacecraft_id: str,
+        version: str,
+        method: Method,
+        window: Window,
+        limit: int | None = None,
+        after: tuple[int, int] | None = None,
+    ) -> list[CarrierRow]:
+        """Return what a method made of the carriers at the stored rows beyond a cursor."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            rows = stored_rows(connection, ResultSeries(key, attitude, version, method.value), window)
+            of = ResultSeries(key, attitude, version, method.value)
+            rows = carrier_summaries.carrier_rows(connection, of, window, limit, after)
             check_held(connection, key, version)
-        stored = (row for row in rows if row.carriers is not None)
-        return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in stored}
+        return rows
 
     def sampled_attitude(
-        self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals
+        self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals, figures: int = 3
     ) -> Iterator[Summaries]:
-        """Yield the angles of a window in buckets that lie within one interval each; every row is in one of them."""
-        # only live rows are summarised: under another name there is nothing
-        name = method.value if version == LIVE else ""
+        """Yield the first figures of the computed rows of a window; every row is in one of the buckets."""
         read = partial(self.attitude_rows, spacecraft_id, version, method)
-        key = self._database.key(spacecraft_id)
+        key, name = self._database.key(spacecraft_id), _summary_name(version, method.value)
+        return attitude_summaries.sampled(self._database, key, name, read, window, intervals, figures)
+
+    def sampled_carriers(
+        self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals
+    ) -> Iterator[SampledCarriers]:
+        """Yield deviations and residuals of a window; every row is in one of the buckets."""
+        read = partial(self._carrier_rows, spacecraft_id, version, method)
+        key, name = self._database.key(spacecraft_id), _summary_name(version, method.value)
+        return carrier_summaries.sampled(self._database, key, name, read, window, intervals)
+
+    def sampled_impulse(
+        self, spacecraft_id: str, version: str, window: Window, intervals: Intervals
+    ) -> Iterator[Summaries]:
+        """Yield the impulse of the commands of a window; every command is in one of the buckets."""
+        read = partial(self.commands, spacecraft_id, version)
+        key, name = self._database.key(spacecraft_id), _summary_name(version, TORQUE)
         return attitude_summaries.sampled(self._database, key, name, read, window, intervals)
+
+    def state_history(self, spacecraft_id: str, method: Method, window: Window) -> History:
+        """Return from when until when the live rows of a method had which states, and where rows are missing."""
+        read = partial(self.attitude_rows, spacecraft_id, LIVE, method)
+        return state_history(self._database, self._database.key(spacecraft_id), method.value, read, window)
 
     def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:
         """Summarise live attitude and commands of closed days, a transaction a day."""
-        key = self._database.key(spacecraft_id)
-        readers = {method.value: partial(self.attitude_rows, spacecraft_id, LIVE, method) for method in Method}
-        series: dict[str, ResultPages] = {**readers, TORQUE: partial(self.commands, spacecraft_id, LIVE)}
-        for name, read in series.items():
-            yield from attitude_summaries.complete(self._database, key, name, read, before_us)
+        database, key = self._database, self._database.key(spacecraft_id)
+        for method in Method:
+            read = partial(self.attitude_rows, spacecraft_id, LIVE, method)
+            read_carriers = partial(self._carrier_rows, spacecraft_id, LIVE, method)
+            yield from attitude_summaries.complete(database, key, method.value, read, before_us, read_carriers)
+        commands = partial(self.commands, spacecraft_id, LIVE)
+        yield from attitude_summaries.complete(database, key, TORQUE, commands, before_us)
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
@@ -134,12 +175,20 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         return None if row is None else attitude_of(row)
 
     def commands(
-        self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
+        self,
+        spacecraft_id: str,
+        version: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
     ) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            rows = stored_rows(connection, ResultSeries(key, torque, version), window, limit, after)
+            of = ResultSeries(key, torque, version)
+            rows = page_of_rows(connection, of, window, limit, after, newest_first=newest_first)
             check_held(connection, key, version)
         return [torque_of(row) for row in rows]
 
@@ -162,6 +211,15 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
                 # retention has taken away what followed
                 found = _results(connection, key, following - 1, limit)
         return sorted(found, key=lambda result: result[0])
+
+    def carriers_after(self, spacecraft_id: str, sequence: int, until: int) -> dict[int, CarrierResults]:
+        """Return what is stored of the carriers with the live results of sequences in (sequence, until]."""
+        key, column = self._database.key(spacecraft_id), attitude.c
+        is_wanted = and_(column.spacecraft_key == key, column.sequence > sequence, column.sequence <= until)
+        with self._database.read() as connection:
+            rows = connection.execute(select(column.sequence, column.carriers).where(is_wanted)).all()
+            sealed = [row for row in sealed_of_sequences(connection, key, sequence, until) if hasattr(row, "carriers")]
+        return {row.sequence: unpack_carriers(row.carriers) for row in (*rows, *sealed) if row.carriers is not None}
 
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
@@ -204,6 +262,11 @@ def _alignments_after(connection: Connection, key: int, epoch_us: int) -> tuple[
             found += [(number, alignment) for number, alignment in stated if alignment is not None]
     both = np.array(found, dtype=np.int64).reshape(-1, 2)
     return both[:, 0], both[:, 1]
+
+
+def _summary_name(version: str, name: str) -> str:
+    # only live rows are summarised: under another name there is nothing
+    return name if version == LIVE else ""
 
 
 def _numbered(row: Any) -> tuple[int, Result]:

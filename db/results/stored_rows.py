@@ -3,19 +3,25 @@
 Rows are named tuples with the columns of their table, in its order, as `db.encoding.row_mapping` reads them.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from sqlalchemy import Connection, Table, and_, func, select
 
 from db.database import beyond, within
-from db.results.result_segments import is_of, is_row_of, opened, paged, segments
+from db.newest_rows import PagedRow, RowPages, newest_rows, start_of_last
+from db.results.result_segments import is_of, is_row_of, newest_segments, opened, paged, segments
 from db.schema.tables import attitude, result_segment, torque
 from service.ports import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import BoolArray, IntArray
+
+#: rows in memory at once as records
+_PAGE_ROWS = 5000
+
 
 #: tables of results by the name under which their rows are sealed
 TABLES: dict[str, Table] = {table.name: table for table in (attitude, torque)}
@@ -29,6 +35,14 @@ class ResultSeries(NamedTuple):
     version: str
     #: None for torques
     method: str | None = None
+
+
+def pages(read: RowPages[PagedRow], window: Window) -> Iterator[Sequence[PagedRow]]:
+    """Yield the rows of a window, some at a time."""
+    after: tuple[int, int] | None = None
+    while rows := read(window, _PAGE_ROWS, after):
+        yield rows
+        after = rows[-1].epoch_us, rows[-1].number
 
 
 def stored_rows(
@@ -59,6 +73,34 @@ def stored_rows(
     if not sealed:
         return rows
     return sorted(rows + sealed, key=_position)[:limit]
+
+
+def page_of_rows(
+    connection: Connection,
+    of: ResultSeries,
+    window: Window,
+    limit: int,
+    after: tuple[int, int] | None,
+    *,
+    newest_first: bool = False,
+) -> list[Any]:
+    """Return the first rows of a window beyond a cursor, or the last ones below it, the newest first."""
+    if not newest_first:
+        return stored_rows(connection, of, window, limit, after)
+    read, start_of = partial(stored_rows, connection, of), partial(_start_of_newest, connection, of)
+    return newest_rows(read, start_of, window, limit, after)
+
+
+def _start_of_newest(connection: Connection, of: ResultSeries, window: Window, count: int) -> int:
+    """Return an epoch from which on so many rows of a window stand; its start where there are fewer."""
+    epoch = of.table.c.epoch_us
+    query = select(epoch).where(*is_row_of(*of), within(epoch, window)).order_by(epoch.desc())
+    row = connection.scalar(query.offset(count - 1).limit(1))
+    start_us = window.start_us if row is None else int(row)
+    found = newest_segments(connection, is_of(*of), start_us, window.stop_us)
+    epochs_us = (opened(connection, head).epochs_us for head in found)
+    inside = (each[(each >= window.start_us) & (each < window.stop_us)] for each in epochs_us)
+    return start_of_last(inside, count, start_us)
 
 
 def newest_row(connection: Connection, of: ResultSeries, before_us: int = 1 << 62) -> Any | None:

@@ -276,6 +276,34 @@ attitude_summary = Table(
     UniqueConstraint("spacecraft_key", "method", "start_us", name="attitude_summary_day"),
 )
 
+#: of the results of the carriers of one plan on the day of a summary of attitude; goes with it
+carrier_summary = Table(
+    "carrier_summary",
+    metadata,
+    Column("carrier_summary_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("summary_id", ForeignKey(attitude_summary.c.summary_id, ondelete="CASCADE"), nullable=False),
+    Column("plan_id", Integer, nullable=False),
+    *needed(LargeBinary, "day", "hours"),
+    Column("minute_frames", LargeBinary),
+    checksum_column(),
+    UniqueConstraint("summary_id", "plan_id", name="carrier_summary_plan"),
+)
+
+#: runs of states and gaps on the day of a summary of attitude (db.results.state_summaries); goes with it
+state_summary = Table(
+    "state_summary",
+    metadata,
+    Column(
+        "summary_id",
+        BigInteger().with_variant(Integer, "sqlite"),
+        ForeignKey(attitude_summary.c.summary_id, ondelete="CASCADE"),
+        primary_key=True,
+    ),
+    *needed(BigInteger, "first_us", "last_us", "period_us"),
+    Column("content", LargeBinary, nullable=False),
+    checksum_column(),
+)
+
 #: up to which journal number every row after an alignment has results of some methods
 complete_mark = Table(
     "complete_mark",
@@ -308,6 +336,8 @@ job = Table(
     Column("progress", Figure),
     Column("created_at_us", BigInteger, nullable=False),
     Column("error", Text),
+    #: process on a server that runs it
+    Column("member_id", BigInteger),
 )
 
 replay = Table(

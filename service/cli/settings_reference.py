@@ -1,40 +1,8 @@
-"""Reference of settings: every setting by the name of its environment variable, its default, meaning and origin.
+"""Reference of settings: every setting by the name of its environment variable, its default, meaning and origin."""
 
-Meaning and origin stand with the field (``service.records.setting``); plain fields are matters of operation. A field
-that states none cannot be rendered, so none stays undocumented.
-"""
-
-import dataclasses
-from collections.abc import Iterator
-from typing import Any, NamedTuple
-
-from pydantic import SecretStr
-
+from service.composition.setting_entries import setting_entries
 from service.composition.settings import Settings
-from service.records.setting import CHOSEN, ORIGINS
-
-
-class SettingEntry(NamedTuple):
-    """One setting as it is documented."""
-
-    #: environment variable
-    name: str
-    default: str
-    meaning: str
-    origin: str
-    #: value in force, secrets hidden
-    value: str
-
-
-def setting_entries(settings: Settings) -> Iterator[SettingEntry]:
-    """Yield every setting in the order of its declaration, with the value that some settings give it."""
-    for name, field in Settings.model_fields.items():
-        value = getattr(settings, name)
-        if dataclasses.is_dataclass(value):
-            yield from _stage_entries(name, field.default, value)
-        else:
-            meaning = field.description or ""
-            yield SettingEntry(_variable(name), _shown(field.default), meaning, CHOSEN, _shown(value))
+from service.records.setting import ORIGINS
 
 
 def settings_markdown() -> str:
@@ -54,31 +22,6 @@ def settings_text(settings: Settings) -> str:
     return "\n".join(
         f"{'*' if entry.value != entry.default else ' '} {entry.name:{width}} {entry.value}" for entry in entries
     )
-
-
-def _stage_entries(path: str, default: Any, value: Any) -> Iterator[SettingEntry]:
-    """Yield the settings of a stage's configuration at every depth."""
-    for field in dataclasses.fields(value):
-        inner = f"{path}.{field.name}"
-        inner_default, inner_value = getattr(default, field.name), getattr(value, field.name)
-        if dataclasses.is_dataclass(inner_value):
-            yield from _stage_entries(inner, inner_default, inner_value)
-        else:
-            said = field.metadata
-            shown = _shown(inner_default), said["meaning"], said["origin"], _shown(inner_value)
-            yield SettingEntry(_variable(inner), *shown)
-
-
-def _variable(path: str) -> str:
-    """Return the environment variable of a setting."""
-    return "SOO_" + path.replace(".", "__").upper()
-
-
-def _shown(value: object) -> str:
-    """Return a value as it is printed; a secret only says that it is set."""
-    if isinstance(value, SecretStr):
-        return "(set)"
-    return "none" if value is None else str(value)
 
 
 _HEAD = """# Settings

@@ -276,6 +276,9 @@ class Control(TypedDict):
     reasons: list[str]
     #: Latched until reset, a part of the reasons.
     trips: list[str]
+    #: All that the verdict is made of; those that are not met are its reasons.
+    conditions: list[Json]
+    good_minutes: Json
     armed: bool
     #: Computed commands are zeroed: from a trip until ten good minutes after its reset.
     withheld: bool

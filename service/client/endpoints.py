@@ -6,7 +6,7 @@ dictionaries of the contract. Errors are those of `service.client.problem`.
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 from service.client.call import Call, Epoch, epoch_text, epochs, given, window
 from service.client.documents import (
@@ -21,7 +21,7 @@ from service.client.documents import (
     StatusReply,
 )
 from service.client.endpoint_methods import Series, endpoint, series
-from service.client.event_lines import Follower, StreamEvent
+from service.client.event_lines import EventKind, Follower, StreamEvent
 
 Rows = Sequence[Mapping[str, Any]]
 #: rows a page when nothing else is said: the most that the service gives
@@ -33,20 +33,20 @@ class Endpoints:
 
     @series
     def stream(
-        self, spacecraft_id: str, *, last_event_id: str | None = None, patience_s: float | None = None
+        self,
+        spacecraft_id: str,
+        *,
+        last_event_id: str | None = None,
+        patience_s: float | None = None,
+        events: Sequence[EventKind] = (),
     ) -> Series[StreamEvent]:
         """Yield what happens to a spacecraft, without end; a lost connection is made again where it broke off.
 
-        Parameters
-        ----------
-        spacecraft_id : str
-            Spacecraft.
-        last_event_id : str, optional
-            ``id`` of the last event that was dealt with; None starts with the present.
-        patience_s : float, optional
-            How long the service may be away at a stretch; None: for ever.
+        It goes on behind ``last_event_id``, None: with the present, and waits for a service that is away for
+        ``patience_s``, None: for ever. ``events`` are kinds, all by default; ``dropped`` comes in any case.
         """
-        return Series(_below(spacecraft_id, "/stream"), follower=Follower(last_event_id, patience_s))
+        chosen = f"?{urlencode({'events': events}, doseq=True)}" if events else ""
+        return Series(_below(spacecraft_id, f"/stream{chosen}"), follower=Follower(last_event_id, patience_s))
 
     # Catalogue
 

@@ -15,7 +15,7 @@ from service.client.backoff import Backoff
 from service.client.call import LONGEST_WAIT_S
 from service.client.problem import ServiceUnavailableError
 
-EventKind = Literal["measurement", "attitude", "torque", "alarm", "status", "dropped"]
+EventKind = Literal["measurement", "attitude", "torque", "alarm", "status", "command", "job", "link", "note", "dropped"]
 STREAM_HEADERS = {"Accept": "text/event-stream", "Cache-Control": "no-store"}
 #: the service says something every 15 s; a connection that is silent for three times as long is dead
 SILENCE_S = 45.0
@@ -29,7 +29,7 @@ class StreamEvent:
     #: give it to ``stream(last_event_id=...)`` to go on behind this event
     id: str
     kind: EventKind
-    #: the document that the REST interface tells for the same thing
+    #: the document that the REST interface tells for the same thing; of attitude with the carriers of the row
     data: dict[str, Any]
 
 
@@ -83,11 +83,12 @@ class Follower:
             return None
         fields, data = self._fields, self._data
         self._fields, self._data = {}, []
+        # an id alone: of events that were not chosen
+        self.last_event_id = fields.get("id", self.last_event_id)
         if not data:
             return None
         self._backoff.reset()
         self._away_since_s = None
-        self.last_event_id = fields.get("id", self.last_event_id)
         kind = cast("EventKind", fields.get("event", "message"))
         return StreamEvent(self.last_event_id or "", kind, json.loads("\n".join(data)))
 

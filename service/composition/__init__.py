@@ -1,4 +1,4 @@
 """Composition root: settings from the environment, and the parts put together by them.
 
-Public: bootstrap, settings.
+Public: bootstrap, setting_entries, settings.
 """

@@ -14,11 +14,13 @@ from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
 from service.api.context.monitoring_settings import MonitoringSettings
+from service.composition.setting_entries import entries_in_force
 from service.composition.settings import Settings
+from service.console.pages import with_console
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.checkpoints.chain_state import fingerprint
-from service.ports import Clock, Storage
+from service.ports import Clock, Storage, Term
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarm import Severity
 from service.records.operations.audit import DONE, AuditEvent
@@ -35,7 +37,7 @@ from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
 from service.runtime.jobs.replay_run import replay_in_process
 from service.runtime.jobs.workers import WorkerConfig, Workers
-from service.runtime.live.leadership import Leading, Term, always
+from service.runtime.live.leadership import Leading, always
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 from service.runtime.process_metrics import raised_descriptor_limit
@@ -51,6 +53,7 @@ _OWN_FILES = 256
 def build_storage(settings: Settings) -> Storage:
     """Return the archive of the settings with its schema brought to the present version."""
     storage = SqlStorage(settings.database_url, settings.database_timeout_s)
+    storage.require_sessions()
     storage.migrate()
     return storage
 
@@ -80,11 +83,24 @@ def build_clock(settings: Settings, storage: Storage) -> Clock:
 
 def open_storage(settings: Settings) -> Storage:
     """Return the archive of the settings as it is, for commands that look at it; ValueError when there is none."""
-    file = Path(settings.database_url.partition(":///")[2].partition("?")[0])
-    if settings.database_url.startswith("sqlite") and not file.is_file():
-        message = f"there is no file {file}"
+    return storage_opener(settings)()
+
+
+def storage_opener(settings: Settings) -> Callable[[], Storage]:
+    """Return what opens the archive of the settings, also in another process, as `open_storage` does."""
+    from db.connection.sqlite_files import absolute_url
+
+    return partial(_opened, absolute_url(settings.database_url), settings.database_timeout_s)
+
+
+def _opened(url: str, timeout_s: float) -> Storage:
+    from db.connection.sqlite_files import sqlite_path
+
+    path = sqlite_path(url)
+    if path is not None and not path.is_file():
+        message = f"there is no file {path}"
         raise ValueError(message)
-    return SqlStorage(settings.database_url, settings.database_timeout_s)
+    return SqlStorage(url, timeout_s)
 
 
 def first_administrator(settings: Settings, storage: Storage) -> Path | None:
@@ -185,6 +201,20 @@ def _limits(settings: Settings) -> Limits:
     return Limits(**_chosen(settings, Limits) | derived)
 
 
+def _stated(settings: Settings) -> dict[str, Any]:
+    """Return the members of the interface's context that are settings."""
+    return {
+        "bootstrap_key": _secret(settings.bootstrap_key) or None,
+        "limits": _limits(settings),
+        "monitoring": MonitoringSettings(**_chosen(settings, MonitoringSettings)),
+        "settings": entries_in_force(settings),
+        "clock_kind": settings.clock,
+        "calibration": settings.calibration,
+        "interlock": settings.interlock,
+        "kernels": settings.kernels,
+    }
+
+
 def build_maintenance(settings: Settings, storage: Storage, clock: Clock, turn: Term = always) -> ArchiveMaintenance:
     """Return what seals closed days and drops what is no longer kept."""
     return ArchiveMaintenance(storage, clock, settings.sealing, settings.retention, turn)
@@ -201,7 +231,7 @@ def build_release_service(
         settings.torque,
         ReleasePublisher(storage.audit, feed, notify),
         is_data_service=settings.clock == "data",
-        turn=leading.turn,
+        turn=leading.term,
     )
 
 
@@ -236,16 +266,15 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     """Return the application over a migrated archive; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
     feed = LiveFeed()
-    leading = Leading(storage.lease)
-    alarms = build_alarms(settings, storage, clock, feed, leading.turn)
+    leading = Leading(storage.leases, is_estimator=settings.estimator, changed=lambda sc: supervisor.on_announced(sc))
+    alarms = build_alarms(settings, storage, clock, feed, leading.term)
     release_service = build_release_service(settings, storage, clock, feed, lambda sc: supervisor.notify(sc), leading)
-    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.turn, release_service)
-    jobs = JobRunner(storage.results, clock)
+    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.term, release_service)
     # apart, so that no calibration waits for an analysis
-    analyses = JobRunner(storage.results, clock)
+    jobs, analyses = JobRunner(storage.results, clock), JobRunner(storage.results, clock)
     workers = Workers(settings.workers)
     replayer, end_replays = _replayer(settings, storage, clock)
-    maintainer = build_maintenance(settings, storage, clock, leading.turn)
+    maintainer = build_maintenance(settings, storage, clock, leading.term)
 
     async def start() -> None:
         await asyncio.to_thread(leading.start, [jobs.start, replayer.resume])
@@ -262,10 +291,8 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     context = ApiContext(
         storage=storage,
         clock=clock,
-        bootstrap_key=_secret(settings.bootstrap_key) or None,
-        limits=_limits(settings),
-        monitoring=MonitoringSettings(**_chosen(settings, MonitoringSettings)),
         is_following=lambda: supervisor.is_running,
+        leaders=leading.leaders,
         on_accepted=supervisor.notify,
         on_startup=start,
         on_shutdown=stop,
@@ -278,10 +305,9 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         flights=_flights(settings, analyses, workers),
         workers=workers,
         release_service=release_service,
-        calibration=settings.calibration,
-        kernels=settings.kernels,
+        **_stated(settings),
     )
-    return create_app(context)
+    return with_console(create_app(context))
 
 
 def open_archive_tools(database_url: str | None) -> "ArchiveTools":

@@ -82,6 +82,9 @@ class Settings(BaseSettings):
         None,
         description="administrator's bearer key, accepted while set; without it the first start writes one into a file",
     )
+    estimator: bool = Field(
+        True, description="whether this process estimates its share of the spacecraft; others store rows and answer"
+    )
     clock: Literal["system", "data"] = Field(
         "system", description="`data` lets accepted epochs move the clock of simulated spacecraft"
     )
@@ -92,6 +95,9 @@ class Settings(BaseSettings):
     tls_key: str | None = Field(None, description="file of the certificate's private key, PEM")
     trusted_proxies: TrustedProxies = Field(
         None, description="addresses or networks, by commas, whose X-Forwarded-For and -Proto are believed"
+    )
+    plain_sessions: bool = Field(
+        False, description="whether browsers on other machines may send a key without TLS to open a session"
     )
     request_timeout_s: float = Field(60.0, gt=0, description="a request must be complete within this, s")
     rate_limit: RateLimitConfig = Field(RateLimitConfig(), description="requests by key and class")

@@ -11,6 +11,7 @@ that fails on a row says so in its row and goes on with the next; the other meth
 
 import logging
 import math
+import statistics
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,7 +21,7 @@ from service.pipeline.checkpoints.chain_state import ChainState
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
-from service.pipeline.estimation.carrier_results import carrier_results
+from service.pipeline.estimation.carrier_results import carrier_results, carrier_state
 from service.pipeline.estimation.method import CommandEvidence, MethodRunner
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.pipeline.estimation.paper.runner import PaperRunner
@@ -29,11 +30,12 @@ from service.pipeline.estimation.row_evidence import RowEvidence
 from service.pipeline.inputs.knowledge import Knowledge, Lookup, update
 from service.ports import Outcome
 from service.records.calibration import Calibration
-from service.records.catalogue import CarrierPlan, Method, Release, Spacecraft
+from service.records.catalogue import CarrierPlan, Method, Release
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, SpacecraftChange
 from service.records.journal import SlowInput
 from service.records.levels.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
+from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import AppliedCommand, ReleasedCommand
 from service.records.levels.measurement import Measurement
 
@@ -142,7 +144,7 @@ class Chain:
         self._remember_epoch(measurement.epoch_us)
         self._disagreement = compare(self._disagreement, rows, self._config.robust)
         carriers = carrier_results(self._runners, rows, measurement, plan)
-        return replace(self._with_command(rows), disagreement_deg=self._disagreement.apart_deg, carriers=carriers)
+        return self._with_command(rows, carriers)
 
     def saved(self) -> ChainState | None:
         """Return the state after the newest entry; None where the chain cannot be saved now.
@@ -187,9 +189,11 @@ class Chain:
         plan = self._lookup.plan(measurement.plan_id)
         running = [runner for runner in self._runners if runner.is_running]
         known = running[0].carrier_states() if is_computed and running else {}
-        return measurement, tuple(
-            _carrier_state(measurement, k, name, known) for k, name in enumerate(plan.carrier_ids)
-        )
+        return measurement, tuple(carrier_state(measurement, k, name, known) for k, name in enumerate(plan.carrier_ids))
+
+    def rows_by_kind(self) -> dict[bool, int]:
+        """Return how many rows the robust method has taken since the start, by whether they were ordinary."""
+        return next((dict(each.rows_by_kind) for each in self._runners if isinstance(each, RobustRunner)), {})
 
     def command_evidence(self) -> CommandEvidence | None:
         """Return the evidence of the newest row in time on commands; None where no method has any."""
@@ -228,7 +232,7 @@ class Chain:
     def _remember_epoch(self, epoch_us: int) -> None:
         """Keep the newest epoch and the epochs from which the row period is taken."""
         self._newest_us = epoch_us
-        self._recent_us = np.append(self._recent_us, np.int64(epoch_us))[-self._config.torque.period_rows - 1 :]
+        self._recent_us = np.concatenate((self._recent_us, (epoch_us,)))[-self._config.torque.period_rows - 1 :]
 
     def _remember_swing(self, content: SlowInput) -> None:
         """Let what was sent swing the flexible modes."""
@@ -240,61 +244,44 @@ class Chain:
         elif isinstance(content, ReleasedCommand):
             self._swing = swing_after(self._swing, content.schedule, spacecraft)
 
-    def _command_period_s(self, spacecraft: Spacecraft) -> float:
-        """Return the expected time to the next command: that of the catalogue, or the row period."""
-        if spacecraft.control.release is Release.TWO_STEP:
-            return spacecraft.control.command_period_s
-        return self._row_period_s()
-
-    def _rate_age_s(self) -> float:
-        """Return how old the rate of the body may be."""
-        config = self._config.torque
-        return config.rate_stale_periods * self._row_period_s() + config.rate_stale_margin_s
-
     def _row_period_s(self) -> float:
         """Return the median time between rows."""
         if len(self._recent_us) < 2:
             return self._config.torque.default_period_s
-        return float(np.median(np.diff(self._recent_us))) / US_PER_S
+        # numpy's median costs ten times as much on so few
+        return float(statistics.median(np.diff(self._recent_us).tolist())) / US_PER_S
 
-    def _with_command(self, rows: tuple[AttitudeRow, ...]) -> Outcome:
+    def _with_command(self, rows: tuple[AttitudeRow, ...], carriers: tuple[CarrierResults | None, ...]) -> Outcome:
         """Return the outcome of a row with the torque command that follows from it."""
-        spacecraft = self._knowledge.spacecraft
+        spacecraft, apart_deg = self._knowledge.spacecraft, self._disagreement.apart_deg
         if spacecraft is None or not self._has_commands:
-            return Outcome(rows, None)
+            return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
         wanted = spacecraft.control.method
         if all(runner.method is not wanted for runner in self._runners):
-            return Outcome(rows, None)
+            return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
         driving = next((row for row in rows if row.method is wanted), None) or self._row_of_silent(rows[0], wanted)
         runner = next(runner for runner in self._runners if runner.method is wanted)
         config, disturbance = self._config.torque, runner.disturbance()
+        row_period_s, is_automatic = self._row_period_s(), spacecraft.control.release is Release.AUTOMATIC
+        rate_age_s = config.rate_stale_periods * row_period_s + config.rate_stale_margin_s
         torque = compute_command(
             driving,
             spacecraft,
             self._carry_n_m_s,
-            self._command_period_s(spacecraft),
+            row_period_s if is_automatic else spacecraft.control.command_period_s,
             config,
             disturbance,
             self._knowledge.momentum_n_m_s(driving.epoch_us, config.telemetry_age_s),
             swing=self._swing,
             is_withheld=self._knowledge.is_withheld,
-            body_rate_deg_s=self._knowledge.body_rate_deg_s(driving.epoch_us, self._rate_age_s()),
+            body_rate_deg_s=self._knowledge.body_rate_deg_s(driving.epoch_us, rate_age_s),
         )
         self._carry_n_m_s = torque.carry_n_m_s
-        is_applied = torque.command.control_allowed and spacecraft.control.release is Release.AUTOMATIC
-        return Outcome(rows, torque.command, AppliedCommand(torque.command) if is_applied else None, disturbance)
+        applied = AppliedCommand(torque.command) if torque.command.control_allowed and is_automatic else None
+        return Outcome(rows, torque.command, applied, disturbance, apart_deg, carriers)
 
     def _row_of_silent(self, row: AttitudeRow, method: Method) -> AttitudeRow:
         """Return the row of a method that cannot run on the measurement of a row of another."""
         is_calibrated = self._knowledge.calibration_for(method) is not None
         reason = "not_aligned" if is_calibrated else "no_calibration"
         return row_without_attitude(row.epoch_us, row.received_at_us, row.number, method, (reason,))
-
-
-def _carrier_state(measurement: Measurement, k: int, name: str, known: dict[str, CarrierState]) -> CarrierState:
-    """Return the state of the k-th carrier of a row."""
-    power_dbm = float(measurement.power_dbm[k])
-    flags = 0 if measurement.flags is None else int(measurement.flags[k])
-    state = known.get(name) or CarrierState(name, *(math.nan,) * 5, 0, "uncalibrated")
-    word = "absent" if np.isnan(power_dbm) else state.state
-    return replace(state, power_dbm=power_dbm, flags=flags, state=word)

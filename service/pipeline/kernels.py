@@ -8,13 +8,13 @@ from functools import lru_cache
 from typing import Literal, TypeVar
 
 from service.core.dynamics.orbital_frame_kernel import Fly, compiled_fly
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels
+from service.core.estimation.filtering.rows.row_kernels import ARRAYS, RowKernels, compiled_kernels
 
 _Compiled = TypeVar("_Compiled")
 
 
 @lru_cache(maxsize=2)
-def kernels_named(name: Literal["numba", "numpy"]) -> Kernels:
+def kernels_named(name: Literal["numba", "numpy"]) -> RowKernels:
     """Return a set of kernels."""
     return ARRAYS if name == "numpy" else _compiled(compiled_kernels)
 

@@ -11,32 +11,38 @@ commits its audit entry together with the change.
 """
 
 from service.ports.access import Audit, Keys
-from service.ports.archive import Archive, Intervals, SampledPowers
+from service.ports.archive import Archive, Intervals, MeasuredFigure, SampledPowers
 from service.ports.catalogue import Catalogue
 from service.ports.clock import Clock
-from service.ports.lease import Lease
+from service.ports.lease import ARCHIVE, Leases, Term
 from service.ports.release import Releases
-from service.ports.results import LIVE, Outcome, Results
+from service.ports.results import ATTITUDE_FIGURES, LIVE, AttitudeFigure, Outcome, Results, SampledCarriers
 from service.ports.stations import Links, Traces
 from service.ports.storage import Storage
 from service.ports.watch import Alarms, Notes
 
 __all__ = [
+    "ARCHIVE",
+    "ATTITUDE_FIGURES",
     "LIVE",
     "Alarms",
     "Archive",
+    "AttitudeFigure",
     "Audit",
     "Catalogue",
     "Clock",
     "Intervals",
     "Keys",
-    "Lease",
+    "Leases",
     "Links",
+    "MeasuredFigure",
     "Notes",
     "Outcome",
     "Releases",
     "Results",
+    "SampledCarriers",
     "SampledPowers",
     "Storage",
+    "Term",
     "Traces",
 ]

@@ -32,8 +32,10 @@ class Audit(Protocol):
     def append(self, audit_event: AuditEvent) -> AuditEntry:
         """Add a deed and wait for its commit."""
 
-    def entries(self, wanted: AuditFilter, limit: int, after: int | None) -> list[AuditEntry]:
-        """Return entries with numbers above ``after``, in order."""
+    def entries(
+        self, wanted: AuditFilter, limit: int, after: int | None, *, newest_first: bool = False
+    ) -> list[AuditEntry]:
+        """Return entries with numbers above ``after``, in order, or those below it in the reverse order."""
 
     def head(self) -> AuditHead:
         """Return the newest entry's number and hash as they stand beside the entries."""

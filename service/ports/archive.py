@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from service.core.rows.summaries import Summaries
 from service.records.calibration import Window
@@ -22,8 +22,12 @@ class Intervals(Protocol):
         """Return which of some stretches lie within one interval each, or outside all of them."""
 
 
+#: what is sampled of the carriers of a row as it was measured
+MeasuredFigure = Literal["power_dbm", "c_n0_db_hz"]
+
+
 class SampledPowers(NamedTuple):
-    """Buckets of rows of one plan, powers in the order of the plan."""
+    """Buckets of rows of one plan, powers or C/N0 in the order of the plan."""
 
     plan_id: int
     buckets: Summaries
@@ -66,6 +70,9 @@ class Archive(Protocol):
     def head(self, spacecraft_id: str) -> HeadState:
         """Return where journal and consumer stand."""
 
+    def heads(self) -> dict[str, HeadState]:
+        """Return where journal and consumer of every spacecraft stand."""
+
     def journal_heads(self) -> list[JournalHead]:
         """Return number and digest of the newest entry of every journal; one that is empty has none."""
 
@@ -79,7 +86,14 @@ class Archive(Protocol):
         """Return all slow inputs of some kinds with a number below the given one, in order."""
 
     def inputs(
-        self, spacecraft_id: str, kind: str, window: Window, limit: int, after: tuple[int, int] | None
+        self,
+        spacecraft_id: str,
+        kind: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
     ) -> list[JournalEntry]:
         """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor.
 
@@ -90,7 +104,14 @@ class Archive(Protocol):
         """Return the newest row of the prime source."""
 
     def measurements(
-        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
+        self,
+        spacecraft_id: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        source: str | None = None,
+        *,
+        newest_first: bool = False,
     ) -> list[Measurement]:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
 
@@ -104,7 +125,12 @@ class Archive(Protocol):
         """
 
     def sampled_measurements(
-        self, spacecraft_id: str, window: Window, intervals: Intervals, source: str | None = None
+        self,
+        spacecraft_id: str,
+        window: Window,
+        intervals: Intervals,
+        source: str | None = None,
+        figure: MeasuredFigure = "power_dbm",
     ) -> Iterator[SampledPowers]:
         """Yield the rows of a window in buckets that lie within one interval each; every row is in one of them.
 
@@ -123,6 +149,14 @@ class Archive(Protocol):
 
     def last_number(self, spacecraft_id: str, window: Window) -> int:
         """Return a journal number behind which no row lies in a window; 0 where none does at all."""
+
+    def measurement_parts(
+        self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]
+    ) -> Iterator[MeasurementSeries]:
+        """Yield the rows that feed the estimator as arrays, in order of epoch, as `measurement_series` returns them.
+
+        What is held at once does not grow with the window.
+        """
 
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
         """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""

@@ -25,7 +25,15 @@ class Releases(Protocol):
     def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command; NotFoundError ``command.unknown``."""
 
-    def commands(self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None) -> list[Command]:
+    def commands(
+        self,
+        spacecraft_id: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
+    ) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
 
     def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:

@@ -1,10 +1,11 @@
 """The port of everything the service computed."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, NamedTuple, Protocol, get_args
 
+from service.core.rows.state_runs import History
 from service.core.rows.summaries import Summaries
 from service.ports.archive import Intervals
 from service.records.calibration import (
@@ -26,6 +27,31 @@ from service.records.storage.checkpoint import Checkpoint
 
 #: version under which the live chain writes
 LIVE = "live"
+AttitudeFigure = Literal[
+    "yaw_deg",
+    "roll_deg",
+    "pitch_deg",
+    "yaw_sigma_deg",
+    "roll_sigma_deg",
+    "pitch_sigma_deg",
+    "yaw_protection_deg",
+    "roll_protection_deg",
+    "pitch_protection_deg",
+    "residual_rms_db",
+    "common_db",
+    "downlink_fade_db",
+    "carriers_used",
+    "control_allowed",
+]
+#: figures of an attitude row that are sampled, in the order of their columns
+ATTITUDE_FIGURES: tuple[AttitudeFigure, ...] = get_args(AttitudeFigure)
+
+
+class SampledCarriers(NamedTuple):
+    """Buckets of rows of one plan: deviations of its N carriers, then their residuals, (B, 2 N)."""
+
+    plan_id: int
+    buckets: Summaries
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +145,8 @@ class Results(Protocol):
         window: Window,
         limit: int,
         after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
     ) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number of the measurement) beyond a cursor.
 
@@ -132,11 +160,29 @@ class Results(Protocol):
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
 
     def sampled_attitude(
-        self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals
+        self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals, figures: int = 3
     ) -> Iterator[Summaries]:
-        """Yield the angles of a window, (B, 3), in buckets that lie within one interval each; no row is in two.
+        """Yield figures of a window, (B, figures), in buckets that lie within one interval each; no row is in two.
 
-        Closed days of the live version are read as their summaries, where those have buckets that fit.
+        The figures are the first of `ATTITUDE_FIGURES`, of rows that were computed. Closed days of the live version are
+        read as their summaries, where those have buckets that fit; angles have such buckets for all intervals.
+        """
+
+    def sampled_carriers(
+        self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals
+    ) -> Iterator[SampledCarriers]:
+        """Yield what a method made of the carriers in a window, in buckets as `sampled_attitude` does."""
+
+    def sampled_impulse(
+        self, spacecraft_id: str, version: str, window: Window, intervals: Intervals
+    ) -> Iterator[Summaries]:
+        """Yield the impulses of the commands of a window, (B, 3) N m s, in buckets as `sampled_attitude` does."""
+
+    def state_history(self, spacecraft_id: str, method: Method, window: Window) -> History:
+        """Return from when until when the live rows of a method had which states, and where rows are missing.
+
+        States are status, control allowed, inhibitions, advice, downlink fade and exclusions by carrier. Closed days
+        are read as their summaries; a run or gap that reaches over an end is whole up to the days at the ends.
         """
 
     def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:
@@ -146,7 +192,14 @@ class Results(Protocol):
         """Return the row with the greatest epoch."""
 
     def commands(
-        self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
+        self,
+        spacecraft_id: str,
+        version: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
     ) -> list[TorqueCommand]:
         """Return computed commands in order of (epoch, number) beyond a cursor."""
 
@@ -157,6 +210,9 @@ class Results(Protocol):
         self, spacecraft_id: str, sequence: int, limit: int
     ) -> list[tuple[int, AttitudeRow | TorqueCommand]]:
         """Return live results with a sequence above the given one, in order: what a resumed stream missed."""
+
+    def carriers_after(self, spacecraft_id: str, sequence: int, until: int) -> dict[int, CarrierResults]:
+        """Return what is stored of the carriers with the live results of sequences in (sequence, until]."""
 
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
@@ -185,11 +241,17 @@ class Results(Protocol):
     def job(self, job_id: str) -> Job:
         """Return one job."""
 
-    def fail_unfinished_jobs(self, error: str) -> int:
+    def newest_jobs(self, limit: int) -> list[Job]:
+        """Return the jobs that were made last, newest first."""
+
+    def fail_unfinished_jobs(self, error: str, but: Collection[str] = ()) -> int:
         """Mark jobs that a former process left unfinished as failed, and their drafts; return how many jobs.
 
-        Those of replays stay: they go on from where they are.
+        Those of replays stay: they go on from where they are. So do those named, and those of processes that live.
         """
+
+    def acquire_job(self, job_id: str) -> bool:
+        """Make an unfinished job that of this process; False where it is another's that lives."""
 
     def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
         """Store a replay (its id is ignored) and return it with its id."""
@@ -197,8 +259,10 @@ class Results(Protocol):
     def replay(self, spacecraft_id: str, version: str) -> ReplayVersion:
         """Return the replay that wrote a version, and what became of it; NotFoundError ``replay.unknown``."""
 
-    def replays(self, spacecraft_id: str, window: Window, limit: int, after_id: int) -> list[ReplayVersion]:
-        """Return the replays whose span overlaps a window, with an id above the given one, in order of id."""
+    def replays(
+        self, spacecraft_id: str, window: Window, limit: int, after_id: int | None, *, newest_first: bool = False
+    ) -> list[ReplayVersion]:
+        """Return the replays whose span overlaps a window, beyond an id in order of id, or in the reverse order."""
 
     def replay_checkpoint(self, spacecraft_id: str, version: str, fingerprint: str) -> Checkpoint | None:
         """Return the state from which a replay goes on; None when there is none that fits and is sound."""

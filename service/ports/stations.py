@@ -52,6 +52,8 @@ class Traces(Protocol):
         after: tuple[int, int] | None,
         source: str | None = None,
         sweep: str | None = None,
+        *,
+        newest_first: bool = False,
     ) -> list[TraceHead]:
         """Return kept traces without their points in order of (epoch, number) beyond a cursor."""
 

@@ -5,7 +5,7 @@ from typing import Protocol
 from service.ports.access import Audit, Keys
 from service.ports.archive import Archive
 from service.ports.catalogue import Catalogue
-from service.ports.lease import Lease
+from service.ports.lease import Leases
 from service.ports.release import Releases
 from service.ports.results import Results
 from service.ports.stations import Links, Traces
@@ -26,7 +26,7 @@ class Storage(Protocol):
     traces: Traces
     keys: Keys
     audit: Audit
-    lease: Lease
+    leases: Leases
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

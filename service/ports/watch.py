@@ -26,11 +26,19 @@ class Alarms(Protocol):
         """Return the alarms of a spacecraft, or of the service (None), that stand, those under a cover too."""
 
     def alarms(
-        self, spacecraft_id: str, states: Sequence[str], window: Window, limit: int, after: tuple[int, int] | None
+        self,
+        spacecraft_id: str,
+        states: Sequence[str],
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        *,
+        newest_first: bool = False,
     ) -> list[Alarm]:
         """Return alarms of a spacecraft and of the service raised in a window, in order of (raised, id).
 
-        States are told ones; ``open`` stands for all that are not covered, ``closed`` for normal; none = all.
+        Newest first: in the reverse order, where a cursor bounds from above; so it is in every list that has it. States
+        are told ones; ``open`` stands for all that are not covered, ``closed`` for normal; none = all.
         """
 
     def changes(self, alarm_id: int) -> list[AlarmChange]:
@@ -71,7 +79,13 @@ class Notes(Protocol):
         """Return one note; NotFoundError ``note.unknown``."""
 
     def notes(
-        self, window: Window, limit: int, after: tuple[int, int] | None, spacecraft_id: str | None = None
+        self,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        spacecraft_id: str | None = None,
+        *,
+        newest_first: bool = False,
     ) -> list[Note]:
         """Return notes about instants of a window in order of (epoch, id), also those about no spacecraft."""
 
@@ -83,3 +97,6 @@ class Notes(Protocol):
 
     def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
         """Return the notes with the greatest epochs, newest first."""
+
+    def last_written(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
+        """Return the notes that were stored last, newest first, whatever instant they are about."""

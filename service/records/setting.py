@@ -1,7 +1,7 @@
-"""Setting inside a stage's configuration: its default, its meaning with its unit, and where the default comes from."""
+"""Setting: its value in force, its default, its meaning with its unit, and where each of them comes from."""
 
 from dataclasses import field
-from typing import TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 PUBLISHED = "publication"
 TUNED = "simulated truth"
@@ -15,6 +15,43 @@ ORIGINS: dict[str, str] = {
 }
 
 _Value = TypeVar("_Value")
+SettingSource = Literal["default", "environment", "file", "option"]
+#: units by the end of a name, those that end like another one first
+_UNITS = {
+    "_DB_PER_DAY": "dB/day",
+    "_DB_SQRT_H": "dB/sqrt(h)",
+    "_N_M_S": "N m s",
+    "_N_M": "N m",
+    "_PER_S": "1/s",
+    "_DEG_H": "deg/h",
+    "_DEG_S": "deg/s",
+    "_DEG": "deg",
+    "_DB": "dB",
+    "_DAYS": "days",
+    "_BYTES": "bytes",
+    "_MB": "MB",
+    "_H": "h",
+    "_S": "s",
+}
+
+
+class SettingEntry(NamedTuple):
+    """One setting as it is documented and shown."""
+
+    #: environment variable
+    name: str
+    default: str
+    meaning: str
+    origin: str
+    #: value in force, secrets hidden
+    value: str
+    #: where the value in force was read: a variable, a file of `SOO_SECRETS_DIR`, or an option of the command line
+    source: SettingSource = "default"
+
+    @property
+    def unit(self) -> str | None:
+        """Unit of the value, from its name; None for counts, shares and words."""
+        return next((unit for end, unit in _UNITS.items() if self.name.endswith(end)), None)
 
 
 def setting(default: _Value, meaning: str, origin: str) -> _Value:

@@ -1,4 +1,4 @@
 """Studies: demonstrations and campaigns on simulated truth.
 
-Public: published.
+Public: executors, published.
 """

@@ -1,4 +1,5 @@
 """Access: keys, roles, the audit trail of refused requests.
 
-Public: access_housekeeping, access_middleware, audit_context, auth, key_cache, principals, refusal_audit.
+Public: access_housekeeping, access_middleware, audit_context, auth, key_cache, principals, refusal_audit,
+session_cookie.
 """

@@ -18,7 +18,7 @@ from service.api.access.key_cache import StoredKeys
 from service.api.access.principals import Principal
 from service.api.access.refusal_audit import Refusals
 from service.api.context.dependencies import ApiContext
-from service.api.limits.rate_limits import Allowance, RateLimits
+from service.api.limits.rate_limits import Allowance, RateClass, RateLimits
 from service.api.problems.problems import RequestProblemError, from_soo_error, render
 from service.errors import StorageError
 from service.records.operations.audit import CURRENT_NOTE, AuditContext, AuditEvent, naming_result
@@ -27,6 +27,10 @@ MAX_QUERY_PARAMETERS = 100
 _REFUSED = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
 #: counted by their routes, or not at all: a supervisor restarts a process that does not answer here
 _UNCOUNTED = frozenset({"/healthz", "/readyz", "/metrics"})
+#: comes without a key; counted before its body is read
+_OPENING = ("POST", f"{BASE_PATH}/session")
+#: files of the console
+_STATIC_PATH = "/console"
 _LOG = logging.getLogger(__name__)
 
 
@@ -122,17 +126,19 @@ class _Answer:
             _LOG.warning("refusal with status %d could not be written to the audit log: %s", status, error)
 
     async def _end_without_key(self) -> None:
-        """End an answer that takes long once its key is revoked or has expired."""
+        """End an answer that takes long once its key is revoked or has expired, or its session has ended."""
         principal: Principal | None = self._scope["state"].get("principal")
         ring = self._scope["app"].state.key_ring
         if principal is None or not isinstance(ring, StoredKeys):
             return
+        ends_at_us: int | None = self._scope["state"].get("session_ends_at_us")
         try:
-            holds = await ring.still_holds(principal)
+            is_over = ends_at_us is not None and ends_at_us <= _context(self._scope).clock.system_us()
+            holds = not is_over and await ring.still_holds(principal)
         except StorageError:
             holds = False
         if not holds:
-            _LOG.info("answer to %s was cut off: the key expired or was revoked", principal.name)
+            _LOG.info("answer to %s was cut off: the key expired or was revoked, or the session ended", principal.name)
             raise _KeyEndedError
 
 
@@ -142,9 +148,13 @@ def _check_outside(scope: Scope) -> None:
         detail = f"more than {MAX_QUERY_PARAMETERS} query parameters; no path takes so many"
         raise RequestProblemError(HTTPStatus.BAD_REQUEST, "query.too_many", detail)
     path = scope["path"]
-    if not path.startswith(f"{BASE_PATH}/") and path not in _UNCOUNTED:
+    is_counted_inside = path.startswith(f"{BASE_PATH}/") and (scope["method"], path) != _OPENING
+    if not is_counted_inside and path not in _UNCOUNTED:
         limits: RateLimits = scope["app"].state.rate_limits
-        refuse_above(limits.consume_anonymous(address_of(scope)))
+        is_static = path == "/" or path.startswith(_STATIC_PATH)
+        refuse_above(
+            limits.consume_anonymous(address_of(scope), RateClass.STATIC if is_static else RateClass.ANONYMOUS)
+        )
 
 
 def _refusal(scope: Scope, status: int) -> AuditEvent:

@@ -1,4 +1,4 @@
-"""Authentication and authorisation: bearer keys, permissions, rates.
+"""Authentication and authorisation: keys (Bearer, or by the cookie of a session), permissions, rates.
 
 Keys are compared as digests in constant time and never logged. Without a valid key 401, without the permission 403,
 above the rate 429. Each permitted change is committed together with its audit event.
@@ -12,6 +12,7 @@ from fastapi import Depends, Request
 
 from service.api.access.audit_context import SAFE_METHODS, address_of, audit_event_of, note_of
 from service.api.access.principals import Permission, Principal
+from service.api.access.session_cookie import OfferedKey, offered_key, require_same_origin
 from service.api.limits.rate_limits import Allowance, RateLimits, class_of
 from service.api.problems.problems import RequestProblemError, request_id_of
 from service.records.operations.access_key import without_secrets
@@ -38,26 +39,44 @@ async def authenticated(request: Request) -> Principal:
 
 
 async def known_or_counted(request: Request) -> Principal | None:
-    """Return the holder of the key in the Authorization header; without a valid one None, counted by the address."""
-    ring: KeyRing = request.app.state.key_ring
-    scheme, _, key = request.headers.get("authorization", "").partition(" ")
-    principal = await ring.principal(key.strip()) if scheme.lower() == "bearer" else None
+    """Return the holder of the Bearer key or of the session's; without a valid one None, counted by the address."""
+    principal, offered = None, offered_key(request)
+    if offered is not None and not _is_over(request, offered):
+        principal = await holder_of(request, offered.text)
     if principal is None:
         limits: RateLimits = request.app.state.rate_limits
         refuse_above(limits.consume_anonymous(address_of(request.scope)))
+    elif offered is not None and offered.ends_at_us is not None:
+        require_same_origin(request)
+        request.state.session_ends_at_us = offered.ends_at_us
     return principal
+
+
+async def holder_of(request: Request, key: str) -> Principal | None:
+    """Return the holder of a valid key, None for any other text."""
+    ring: KeyRing = request.app.state.key_ring
+    return await ring.principal(key)
+
+
+def _is_over(request: Request, offered: OfferedKey) -> bool:
+    """Return whether a key came by the cookie of a session that has ended."""
+    now_us = request.app.state.context.clock.system_us()
+    return offered.ends_at_us is not None and bool(offered.ends_at_us <= now_us)
 
 
 async def _holder(request: Request) -> Principal:
-    """Return the holder of the key in the Authorization header; problem 401 without a valid one."""
+    """Return the holder of the request's key; problem 401 without a valid one."""
     principal = await known_or_counted(request)
     if principal is None:
         _LOG.warning("request %s %s refused: no valid key", request_id_of(request), without_secrets(request.url.path))
-        detail = "send a valid key as Authorization: Bearer <key>"
-        raise RequestProblemError(
-            HTTPStatus.UNAUTHORIZED, "key.invalid", detail, headers={"WWW-Authenticate": "Bearer"}
-        )
+        raise refusal_of_key("send a valid key as Authorization: Bearer <key>")
     return principal
+
+
+def refusal_of_key(detail: str) -> RequestProblemError:
+    """Return problem 401."""
+    headers = {"WWW-Authenticate": "Bearer"}
+    return RequestProblemError(HTTPStatus.UNAUTHORIZED, "key.invalid", detail, headers=headers)
 
 
 def _count(request: Request, principal: Principal) -> None:

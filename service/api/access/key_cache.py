@@ -76,7 +76,7 @@ class StoredKeys:
             return None
         with self._used_lock:
             self._used_us[key_id] = now_us
-        return Principal(stored.key.name, stored.key.role, key_id)
+        return Principal(stored.key.name, stored.key.role, key_id, stored.key.expires_at_us)
 
     async def still_holds(self, principal: Principal) -> bool:
         """Return whether a key that was valid is so still, for answers that take long."""
@@ -137,4 +137,4 @@ class StoredKeys:
         """Raise what kept the keys from being read unless those known hold on."""
         if at_s - self._loaded_s > HOLDS_S:
             raise StorageError(error.code, error.detail) from error
-        _LOG.warning("keys could not be read; the keys read last stay valid for now: %s", error)
+        _LOG.warning("keys could not be read; those read last stay valid up to %g s: %s", HOLDS_S, error)

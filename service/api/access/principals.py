@@ -47,6 +47,8 @@ class Principal:
     role: Role
     #: id of the key, which says more than its name: names may repeat
     key_id: str = ""
+    #: of the key, microseconds UTC; None = it is valid until it is revoked
+    expires_at_us: int | None = None
 
     def may(self, permission: Permission) -> bool:
         """Return whether the role carries a permission."""

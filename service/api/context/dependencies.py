@@ -15,8 +15,9 @@ from service.api.context.monitoring_settings import MonitoringSettings
 from service.api.context.plan_widths import PlanWidths
 from service.api.limits.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
-from service.pipeline.config import CalibrationConfig
+from service.pipeline.config import CalibrationConfig, InterlockConfig
 from service.ports import Clock, Storage
+from service.records.setting import SettingEntry
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
@@ -52,7 +53,8 @@ class Limits:
     #: age from which the newest attitude is no longer valid under the system clock: three row periods and 30 s
     expired_after_s: float = 210.0
     #: a silent stream says so this often
-    stream_heartbeat_s: float = 15.0
+    #: a stream ends within this and two seconds after its key was revoked
+    stream_heartbeat_s: float = 2.5
     #: a client of a stream that takes nothing for so long is gone
     stream_stall_s: float = 60.0
     #: live streams at once
@@ -63,6 +65,8 @@ class Limits:
     max_connections: int = 2000
     max_connections_per_address: int = 64
     trusted_proxies: str = ""
+    #: whether a browser on another machine may open a session without TLS
+    plain_sessions: bool = False
     #: evidence traces kept of one source, and bytes that their points may take
     evidence_traces: int = 2880
     evidence_bytes: int = 64 * 1024 * 1024
@@ -101,10 +105,17 @@ class ApiContext:
     release_service: ReleaseService
     #: how harmonics are fitted and carriers judged on demand
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    #: limits of the estimator
+    interlock: InterlockConfig = field(default_factory=InterlockConfig)
     #: administrator's key; None = every request is refused
     bootstrap_key: str | None = field(default=None, repr=False)
     limits: Limits = field(default_factory=Limits)
     monitoring: MonitoringSettings = field(default_factory=MonitoringSettings)
+    #: in force, without secrets
+    settings: tuple[SettingEntry, ...] = ()
+    clock_kind: Literal["system", "data"] = "system"
+    #: name of the process that leads each spacecraft, where the archive knows it
+    leaders: Callable[[], dict[str, str]] = dict
     #: whether the estimator runs
     is_following: Callable[[], bool] = _always
     #: who writes exported levels

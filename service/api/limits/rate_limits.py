@@ -32,6 +32,8 @@ class RateClass(StrEnum):
     CONTROL = "control"
     #: without a valid key, by address
     ANONYMOUS = "anonymous"
+    #: files of the console, by address: a page is some dozens of them, and operators may share an address
+    STATIC = "static"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +54,8 @@ class RateLimitConfig:
         20.0, "requests without a valid key, by address: requests a second; 0 = no limit", CHOSEN
     )
     anonymous_burst: int = setting(200, "the same: requests at once", CHOSEN)
+    static_per_s: float = setting(200.0, "files of the console, by address: requests a second; 0 = no limit", CHOSEN)
+    static_burst: int = setting(2000, "the same: requests at once", CHOSEN)
 
 
 class Allowance(NamedTuple):
@@ -114,7 +118,7 @@ class RateLimits:
         }
         #: of keys; only valid ones get here, so there are no more than keys times classes
         self._keys: dict[tuple[str, RateClass], Bucket] = {}
-        self._addresses: OrderedDict[str, Bucket] = OrderedDict()
+        self._addresses: OrderedDict[tuple[str, RateClass], Bucket] = OrderedDict()
 
     def consume(self, key_id: str, wanted: RateClass) -> Allowance | None:
         """Count a request of a key; None where there is no limit."""
@@ -127,13 +131,13 @@ class RateLimits:
             bucket = self._keys[key_id, wanted] = Bucket(per_s, burst, now_s)
         return bucket.consume(now_s)
 
-    def consume_anonymous(self, address: str) -> Allowance | None:
+    def consume_anonymous(self, address: str, wanted: RateClass = RateClass.ANONYMOUS) -> Allowance | None:
         """Count a request without a valid key; None where there is no limit."""
-        per_s, burst = self._rates[RateClass.ANONYMOUS]
+        per_s, burst = self._rates[wanted]
         if per_s <= 0:
             return None
         now_s = self._monotonic_s()
-        name = network_of(address)
+        name = network_of(address), wanted
         bucket = self._addresses.pop(name, None) or Bucket(per_s, burst, now_s)
         self._addresses[name] = bucket
         if len(self._addresses) > MAX_ADDRESSES:

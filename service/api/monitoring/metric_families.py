@@ -45,6 +45,11 @@ FAMILIES: dict[str, Family] = {
     "soo_journal_lag": Family(
         "gauge", "entries of the journal that the estimator has not consumed yet", ("spacecraft",)
     ),
+    "soo_filter_rows_total": Family(
+        "counter",
+        "rows of the robust method since its chain began, by kind: ordinary, or event (something found or declared)",
+        ("spacecraft", "kind"),
+    ),
     # rows on their way in
     "soo_rows_total": Family(
         "counter", "rows received, by outcome: accepted, duplicates, late (accepted too)", ("spacecraft", "outcome")

@@ -7,7 +7,6 @@ told all the same, with ``soo_ready{part="database"} 0``.
 import logging
 import math
 from collections.abc import Iterable, Iterator
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from service.api.context.dependencies import ApiContext
@@ -26,6 +25,7 @@ from service.api.stream.open_streams import OpenStreams
 from service.api.views.links import link_answers
 from service.api.views.newest import newest_attitude
 from service.api.views.present import present_of
+from service.api.views.shipped import program_version
 from service.errors import StorageError
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
@@ -100,7 +100,7 @@ class Metrics:
     def _process(self) -> Iterator[Sample]:
         """Yield the samples of the process."""
         statistics = process_statistics()
-        yield "soo_build_info", (_version(),), 1.0
+        yield "soo_build_info", (program_version(),), 1.0
         yield "soo_process_resident_memory_bytes", (), float(statistics.rss_bytes)
         yield "soo_process_cpu_seconds_total", (), statistics.cpu_s
         for name, value in (("open_files", statistics.open_files), ("threads", statistics.threads)):
@@ -160,6 +160,8 @@ class Metrics:
                 yield "soo_sample_age_seconds", key, max(0.0, (now_us - source.newest_epoch_us) / US_PER_S)
             if source.rows_missing is not None:
                 yield "soo_rows_missing", key, float(source.rows_missing)
+        for is_ordinary, rows in self._context.supervisor.rows_by_kind(spacecraft_id).items():
+            yield "soo_filter_rows_total", (spacecraft_id, "ordinary" if is_ordinary else "event"), float(rows)
         yield from self._carriers(spacecraft_id, now_us)
 
     def _carriers(self, spacecraft_id: str, now_us: int | None) -> Iterator[Sample]:
@@ -203,11 +205,3 @@ def _angles(spacecraft_id: str, row: AttitudeRow) -> Iterable[Sample]:
 def _label(text: str) -> str:
     """Return a label's value of bounded length."""
     return text[:128]
-
-
-def _version() -> str:
-    """Return the version of the program."""
-    try:
-        return version("soo")
-    except PackageNotFoundError:
-        return "unknown"

@@ -1,5 +1,7 @@
 """Paging: intervals, limits and opaque cursors, the same on every list that may grow.
 
+Lists run from the oldest row to the newest, or with ``order=desc`` back from the newest.
+
 A cursor is the place (start, number) of the last row given, so rows that arrive meanwhile neither shift nor repeat a
 page, and a mark of the query that it belongs to: with another query it is refused. It is URL-safe base64 and means
 nothing to a client.
@@ -10,9 +12,9 @@ import struct
 import zlib
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from fastapi import Depends, Query, Request, Response
 from pydantic import BaseModel
@@ -43,6 +45,7 @@ class PageQuery:
     after: Position | None
     request: Request
     response: Response
+    newest_first: bool = False
 
     @property
     def most(self) -> int:
@@ -175,4 +178,14 @@ async def page_query(
     return PageQuery(window, limit, after, request, response)
 
 
-Page = Annotated[PageQuery, Depends(page_query)]
+#: of lists that are made from their start
+ForwardPage = Annotated[PageQuery, Depends(page_query)]
+OrderParameter = Annotated[Literal["asc", "desc"], Query(description="desc = from the newest row backwards")]
+
+
+async def ordered_page_query(query: ForwardPage, order: OrderParameter = "asc") -> PageQuery:
+    """Return the part of a list that is asked for, in the order that is asked for."""
+    return replace(query, newest_first=order == "desc")
+
+
+Page = Annotated[PageQuery, Depends(ordered_page_query)]

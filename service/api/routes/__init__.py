@@ -3,6 +3,7 @@
 from fastapi import APIRouter
 
 from service.api.routes import (
+    about,
     alarm_limits,
     alarms,
     alignments,
@@ -29,11 +30,14 @@ from service.api.routes import (
     notes,
     operations,
     replays,
+    sampled_quantities,
     samples,
+    session,
     sources,
     spacecraft,
     status,
     stream,
+    timeline,
     torque_commands,
     torques,
     traces,
@@ -43,13 +47,16 @@ ROUTERS: tuple[APIRouter, ...] = (
     # the first router is matched first: this one takes nearly all requests
     measurements_ingest.router,
     *(each.router for each in (spacecraft, carriers, ephemeris, sources, inputs, operations, calibrations, alignments)),
-    *(each.router for each in (harmonics, carrier_selection, status, measurements, samples, traces)),
+    *(
+        each.router
+        for each in (harmonics, carrier_selection, status, measurements, samples, sampled_quantities, timeline, traces)
+    ),
     # torque_commands behind the names of torques, which its ids must not hide
     *(each.router for each in (attitude, carrier_results, torques, torque_commands, control, stream, export)),
     *(each.router for each in (replays, jobs)),
     links.report_router,
     links.router,
     alarms.list_router,
-    *(each.router for each in (alarms, alarm_limits, notes, handover, keys, audit, analyses, closed_loop)),
+    *(each.router for each in (alarms, alarm_limits, notes, handover, keys, audit, analyses, closed_loop, about)),
 )
-PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router,)
+PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router, session.router)

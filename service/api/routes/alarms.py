@@ -36,7 +36,8 @@ def list_alarms(
     """List alarms of a spacecraft and of the service raised in the range, by default the active ones."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     states = state or ["open"]
-    found = context.storage.alarms.alarms(spacecraft_id, states, page.window, page.most, page.after)
+    read = context.storage.alarms.alarms
+    found = read(spacecraft_id, states, page.window, page.most, page.after, newest_first=page.newest_first)
     return page.answer(AlarmPage, found, lambda alarm: (alarm.raised_at_us, alarm.id), partial(_reported, context))
 
 

@@ -38,6 +38,7 @@ def list_attitude(
     context: Context,
 ) -> AttitudePage:
     """List attitude rows in order of epoch, exactly one a measurement and method."""
-    found = context.storage.results.attitude_rows(spacecraft_id, version, method, page.window, page.most, page.after)
+    read = context.storage.results.attitude_rows
+    found = read(spacecraft_id, version, method, page.window, page.most, page.after, newest_first=page.newest_first)
     of = partial(AttitudeAnswer.of, version=version)
     return page.answer(AttitudePage, found, by_epoch, of, method=method, version=version)

@@ -40,6 +40,7 @@ def list_audit(
         target_prefix=target,
     )
     audit = context.storage.audit
-    found = audit.entries(wanted, page.most, None if page.after is None else page.after[1])
+    after = None if page.after is None else page.after[1]
+    found = audit.entries(wanted, page.most, after, newest_first=page.newest_first)
     position = attrgetter("number", "number")
     return page.answer(AuditPage, found, position, AuditEntryAnswer.of, head=AuditHeadAnswer.of(audit.head()))

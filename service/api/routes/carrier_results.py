@@ -27,8 +27,11 @@ def list_carrier_results(
 ) -> CarrierResultPage:
     """List what a method made of one carrier at every measurement, in order of epoch."""
     results = context.storage.results
-    found = results.attitude_rows(spacecraft_id, version, method, page.window, page.most, page.after)
-    window = Window(found[0].epoch_us, found[-1].epoch_us + 1) if found else Window(0, 0)
+    found = results.attitude_rows(
+        spacecraft_id, version, method, page.window, page.most, page.after, newest_first=page.newest_first
+    )
+    ends = sorted((found[0].epoch_us, found[-1].epoch_us)) if found else (0, -1)
+    window = Window(ends[0], ends[1] + 1)
     stored = results.carrier_results(spacecraft_id, version, method, window)
 
     plan_ids = {known.plan_id for known in stored.values()}

@@ -9,12 +9,11 @@ from service.api.context.dependencies import Context
 from service.api.problems.problems import RequestProblemError
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.closed_loop import ClosedLoopAnswer, ClosedLoopDocument, ClosedLoopStartedAnswer
+from service.api.views.jobs import RESULTS
 from service.records.operations.job import JobState
 from service.runtime.jobs.flight_analysis_job import KIND, MOST_RESULTS
 
 router = APIRouter(prefix="/analyses/closed-loop", tags=["analyses"])
-#: path below which results stand
-RESULTS = "/api/v1/analyses/closed-loop"
 
 
 @router.post("", status_code=HTTPStatus.ACCEPTED, openapi_extra=accepts(ClosedLoopDocument))

@@ -12,6 +12,7 @@ from service.api.routes.comments import Caller, CurrentCaller
 from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
 from service.api.views.present import present_of
 from service.errors import FieldError, ForbiddenError
+from service.pipeline.control.control_conditions import control_conditions
 from service.pipeline.control.release.control_verdict import ControlView
 from service.pipeline.control.release.events import OrderKind
 from service.runtime.control.automatic_release import AutomaticRelease
@@ -27,7 +28,7 @@ _CHECK_ORDER = ("roll", "pitch", "yaw")
 
 @router.get("/control")
 def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
-    """Return the state of the interlock and all active reasons."""
+    """Return the state of the interlock, all active reasons, and every condition with its value and limit."""
     return _answer(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
@@ -105,4 +106,5 @@ def _order(caller: Caller, kind: OrderKind, body: OrderDocument) -> ControlAnswe
 def _answer(context: ApiContext, spacecraft_id: str, view: ControlView) -> ControlAnswer:
     """Return the answer of a view of the interlock, with the verdict."""
     present = present_of(context, context.storage.catalogue.spacecraft(spacecraft_id), view)
-    return ControlAnswer.of(view, present.verdict)
+    conditions = control_conditions(view, present.row, present.verdict, context.interlock)
+    return ControlAnswer.of(view, present.verdict, conditions)

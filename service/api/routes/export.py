@@ -11,7 +11,7 @@ from service.api.context.dependencies import Context, Names, SpacecraftId
 from service.api.export.export_chunks import DAY_US, Chunk, by_day
 from service.api.export.export_files import MEDIA_TYPES, OFFERED, ArchiveFile, FileFormat, FileOrder, archive_file
 from service.api.export.export_responses import stream_answer, whole_answer
-from service.api.protocol.paging import EVERYTHING, Page, PageQuery, StartParameter, StopParameter, window_of
+from service.api.protocol.paging import EVERYTHING, ForwardPage, PageQuery, StartParameter, StopParameter, window_of
 from service.api.schemas.archive import ManifestAnswer, PartAnswer
 from service.api.schemas.base import PlanNumber, WindowAnswer
 from service.records.calibration import Window
@@ -75,7 +75,7 @@ def manifest(
     spacecraft_id: SpacecraftId,
     series: Series,
     wanted: Annotated[_Wanted, Depends()],
-    page: Page,
+    page: ForwardPage,
     context: Context,
     names: Names,
     request: Request,

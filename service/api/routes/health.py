@@ -40,12 +40,21 @@ class CatchingUp(BaseModel):
     """At the pace so far; null at the beginning."""
 
 
+class Leader(BaseModel):
+    """Process that estimates, alarms and releases a spacecraft."""
+
+    spacecraft: str
+    process: str
+
+
 class ReadinessAnswer(BaseModel):
     """State of a service that is ready; one that is not answers 503 with a problem that names the parts."""
 
     status: Literal["ready"] = "ready"
     parts: list[PartHealth]
     catching_up: CatchingUp | None = None
+    leaders: list[Leader] = []
+    """Of the spacecraft of an archive on a server; one that is missing is led by nobody."""
 
 
 @router.get("/healthz")
@@ -64,9 +73,11 @@ async def get_readiness(request: Request, context: Context) -> ReadinessAnswer:
     parts = await readiness.parts()
     require_ready(parts)
     restarting = context.supervisor.restarts.under_way
+    leaders = await run_in_threadpool(context.leaders)
     return ReadinessAnswer(
         parts=[PartHealth(name=part.name, detail=part.detail) for part in parts],
         catching_up=None if restarting is None else _catching_up(restarting),
+        leaders=[Leader(spacecraft=name, process=process) for name, process in sorted(leaders.items()) if name],
     )
 
 

@@ -181,7 +181,8 @@ def input_page(
     spacecraft_id: str, kind: str, page: PageQuery, context: ApiContext, model: type[M], row: type[Answer]
 ) -> M:
     """Return the page of inputs of a kind."""
-    entries = context.storage.archive.inputs(spacecraft_id, kind, page.window, page.most, page.after)
+    read = context.storage.archive.inputs
+    entries = read(spacecraft_id, kind, page.window, page.most, page.after, newest_first=page.newest_first)
     return page.answer(model, entries, _position, lambda entry: row.of(entry.content))
 
 

@@ -33,7 +33,8 @@ def list_measurements(
     carrier: Annotated[list[str] | None, Query(max_length=1000, description="Only these carriers")] = None,
 ) -> MeasurementPage:
     """List rows of carrier powers of every source in order of epoch."""
-    found = context.storage.archive.measurements(spacecraft_id, page.window, page.most, page.after, source)
+    read = context.storage.archive.measurements
+    found = read(spacecraft_id, page.window, page.most, page.after, source, newest_first=page.newest_first)
     wanted = None if carrier is None else frozenset(carrier)
 
     def of(row: Measurement) -> MeasurementAnswer:

@@ -44,7 +44,8 @@ def write_note(
 @router.get("")
 def list_notes(page: Page, context: Context, spacecraft_id: SpacecraftParameter = None) -> NotePage:
     """List notes about instants of the range."""
-    found = context.storage.notes.notes(page.window, page.most, page.after, spacecraft_id)
+    read = context.storage.notes.notes
+    found = read(page.window, page.most, page.after, spacecraft_id, newest_first=page.newest_first)
     return page.answer(NotePage, found, lambda note: (note.epoch_us, note.id), NoteAnswer.of)
 
 

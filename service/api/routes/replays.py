@@ -33,8 +33,9 @@ def start_replay(
 @router.get("")
 def list_replays(spacecraft_id: SpacecraftId, page: Page, context: Context) -> ReplayPage:
     """List the replays whose span overlaps an interval, in order of their numbers."""
-    after_id = 0 if page.after is None else page.after[1]
-    found = context.storage.results.replays(spacecraft_id, page.window, page.most, after_id)
+    after_id = None if page.after is None else page.after[1]
+    read = context.storage.results.replays
+    found = read(spacecraft_id, page.window, page.most, after_id, newest_first=page.newest_first)
     return page.answer(ReplayPage, found, lambda each: (0, each.replay.id), ReplayAnswer.of)
 
 

@@ -133,7 +133,7 @@ def list_gaps(
     return GapsAnswer(
         range=WindowAnswer.of(Window(start_us, max(stop_us, start_us + 1))),
         source=source,
-        gaps=[GapAnswer.model_validate({"start": g.start_us, "stop": g.stop_us, "rows_missing": g[2]}) for g in found],
+        gaps=[GapAnswer.of(gap) for gap in found],
         sources=[SourceRowsAnswer.model_validate(each) for each in sources],
     )
 

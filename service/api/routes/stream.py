@@ -1,16 +1,16 @@
-"""Stream: measurements, attitude, torques, alarms and status as server-sent events."""
+"""Stream: measurements, results, alarms, and changes of what is looked up, as server-sent events."""
 
 import asyncio
 import logging
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request
+from fastapi import APIRouter, Header, Query, Request
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Message, Receive, Scope, Send
 
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.stream.event_ids import MAX_ID_LENGTH, cursor_of
+from service.api.stream.event_ids import EVENT_NAMES, MAX_ID_LENGTH, EventName, cursor_of
 from service.api.stream.event_stream import EventStream, StreamParts
 from service.api.stream.open_streams import OpenStreams
 
@@ -66,13 +66,20 @@ async def stream(
     last_event_id: Annotated[
         str | None, Header(max_length=MAX_ID_LENGTH, description="Id of the last event received")
     ] = None,
+    events: Annotated[list[EventName] | None, Query(description="Default all; may be repeated")] = None,
 ) -> EventStreamResponse:
-    """Follow a spacecraft: events measurement, attitude, torque, alarm, status, dropped; Last-Event-ID resumes."""
+    """Follow a spacecraft: events measurement, attitude, torque, alarm, status, dropped; Last-Event-ID resumes.
+
+    Events command, job, link and note tell changes while the stream is open, within some seconds; after a new
+    connection the lists tell what was missed of these. An attitude row comes with the results of its carriers.
+    """
     parts: StreamParts = request.app.state.stream_parts
     resume = cursor_of(spacecraft_id, last_event_id)
     await run_in_threadpool(context.storage.catalogue.spacecraft, spacecraft_id)
     # nothing is waited for between the look and the place: requests that come together cannot pass it
     parts.streams.acquire()
-    response = EventStreamResponse(EventStream(parts, spacecraft_id, resume).chunks(), headers=_HEADERS)
+    response = EventStreamResponse(
+        EventStream(parts, spacecraft_id, resume, events or EVENT_NAMES).chunks(), headers=_HEADERS
+    )
     response.stall_s, response.streams = context.limits.stream_stall_s, parts.streams
     return response

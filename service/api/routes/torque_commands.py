@@ -50,7 +50,8 @@ def prepare_torques(
 def list_commands(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CommandPage:
     """List commands that were prepared in the range, in order of their preparation."""
     context.storage.catalogue.spacecraft(spacecraft_id)
-    found = context.release_service.commands(spacecraft_id, page.window, page.most, page.after)
+    read = context.release_service.commands
+    found = read(spacecraft_id, page.window, page.most, page.after, newest_first=page.newest_first)
     return page.answer(CommandPage, found, attrgetter("prepared_us", "counter"), CommandAnswer.of)
 
 

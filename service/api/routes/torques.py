@@ -27,5 +27,6 @@ def get_torques(spacecraft_id: SpacecraftId, context: Context) -> NewestTorqueAn
 @router.get("/history")
 def list_torques(spacecraft_id: SpacecraftId, version: WantedVersion, page: Page, context: Context) -> TorquePage:
     """List computed commands in order of epoch."""
-    found = context.storage.results.commands(spacecraft_id, version, page.window, page.most, page.after)
+    read = context.storage.results.commands
+    found = read(spacecraft_id, version, page.window, page.most, page.after, newest_first=page.newest_first)
     return page.answer(TorquePage, found, by_epoch, TorqueAnswer.of, version=version)

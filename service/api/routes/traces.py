@@ -65,7 +65,8 @@ def list_traces(
     sweep: SweepParameter = None,
 ) -> TracePage:
     """List kept traces, without their points, in order of epoch."""
-    found = context.storage.traces.heads(spacecraft_id, page.window, page.most, page.after, source, sweep)
+    read = context.storage.traces.heads
+    found = read(spacecraft_id, page.window, page.most, page.after, source, sweep, newest_first=page.newest_first)
     return page.answer(TracePage, found, by_epoch, TraceHeadAnswer.of)
 
 

@@ -1,12 +1,16 @@
 """Documents of attitude rows: the newest, the history and the live stream give the same document."""
 
+from collections.abc import Sequence
 from typing import Any, Self
 
-from service.api.schemas.base import Answer, EpochAnswer, WindowAnswer
+import numpy as np
+
+from service.api.schemas.base import Answer, EpochAnswer, Figure, WindowAnswer
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.record_answers import RecordMembers
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow, Status, row_without_attitude
+from service.records.levels.carrier_results import CARRIER_STATES, STEP_DB, CarrierResults
 
 
 class ExclusionAnswer(Answer):
@@ -47,6 +51,35 @@ class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):
         """Return the answer before the first row."""
         nothing = row_without_attitude(0, 0, 0, method, ("no_attitude",))
         return cls.of(nothing, version, epoch=None, received_at=None, status=Status.NOT_RECEIVED, **others)
+
+
+class RowCarriersAnswer(Answer):
+    """Results of the carriers of a plan at one row; lists in the order of `ids`."""
+
+    plan_id: int
+    ids: list[str]
+    state: list[str]
+    """used, absent, excluded, unselected or uncalibrated."""
+    deviation_db: list[Figure]
+    """Measured minus expected, to 0.002 dB; null = absent or not used."""
+    residual_db: list[Figure]
+    """Deviation minus what the attitude explains, to 0.002 dB."""
+
+    @classmethod
+    def of(cls, results: CarrierResults, ids: Sequence[str]) -> Self:
+        """Return the answer for the carriers of a plan."""
+        levels_db = np.rint(np.stack((results.deviation_db, results.residual_db)) / STEP_DB) * STEP_DB
+        deviation_db, residual_db = np.round(levels_db, 3).tolist()
+        state = [CARRIER_STATES[position] for position in results.state]
+        members = {"plan_id": results.plan_id, "ids": list(ids), "state": state}
+        return cls.model_validate({**members, "deviation_db": deviation_db, "residual_db": residual_db})
+
+
+class AttitudeEventAnswer(AttitudeAnswer):
+    """An attitude row as in events `attitude` of the stream: with what its method makes of the carriers."""
+
+    carriers: RowCarriersAnswer | None
+    """Null where nothing was computed of them, as of late rows."""
 
 
 class NewestAttitudeAnswer(AttitudeAnswer):

@@ -1,5 +1,6 @@
 """Documents of control: state of the interlock, and orders of operators."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import Field
@@ -7,7 +8,8 @@ from pydantic import Field
 from service.api.schemas.base import Answer, CommentText, Document, Epoch, EpochAnswer
 from service.api.schemas.record_answers import members_of
 from service.core.control.envelope import Envelope
-from service.pipeline.control.release.control_verdict import ControlReason, ControlVerdict, ControlView
+from service.pipeline.control.control_conditions import ControlCondition
+from service.pipeline.control.release.control_verdict import ControlReason, ControlVerdict, ControlView, GoodMinutes
 from service.records.operations.release import SignCheck
 
 ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
@@ -60,6 +62,20 @@ class VerdictAnswer(members_of(ControlVerdict, types={"state": ControlState, "re
     """Permission to apply a torque now; the same object in every answer about the present."""
 
 
+class ControlConditionAnswer(
+    members_of(
+        ControlCondition,
+        types={"consequence": Literal["inhibit", "trip", "yaw"], "bound": Literal["greatest", "least"]},
+    ),
+    Answer,
+):
+    """A condition of the verdict, met or not, with its value and limit."""
+
+
+class GoodMinutesAnswer(members_of(GoodMinutes, number=float), Answer):
+    """Progress of the good minutes that arming, and clearing an inhibition, ask for."""
+
+
 class EnvelopeAnswer(members_of(Envelope, number=float), Answer):
     """Largest change of a command about each axis."""
 
@@ -84,26 +100,36 @@ class SignCheckAnswer(
 class ControlAnswer(
     members_of(
         ControlView,
+        without=("condition_values", "has_row"),
         types={
             "state": ControlState,
             "since_us": EpochAnswer | None,
             "reasons": str,
+            "good_minutes": GoodMinutesAnswer,
             "envelope": EnvelopeAnswer,
             "proven_axes": list[_Axis],
             "sign_check": SignCheckAnswer,
         },
-        others={"control": ("state", VerdictAnswer, "")},
+        others={
+            "control": ("state", VerdictAnswer, ""),
+            "conditions": (
+                "good_minutes",
+                list[ControlConditionAnswer],
+                "All that the verdict is made of; those that are not met are its reasons.",
+            ),
+        },
     ),
     Answer,
 ):
     """State of the control interlock of a spacecraft."""
 
     @classmethod
-    def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:
+    def of(cls, view: ControlView, verdict: ControlVerdict, conditions: Sequence[ControlCondition]) -> Self:
         """Return the answer for the state of the interlock."""
         return super().of(
             view,
             control=VerdictAnswer.of(verdict),
+            conditions=[ControlConditionAnswer.of(each) for each in conditions],
             state=verdict.state,
             # before anything ever happened there is no instant
             since=view.since_us or None,

@@ -83,11 +83,16 @@ class ArchiveReader:
     def _results(self, position: Cursor, newest: int) -> tuple[list[FeedEvent], int, int]:
         """Return the next results, the sequence that they reach to, and how many sequences are missing."""
         events, sequence, lost = [], position.sequence, 0
-        for at, result in self._storage.results.results_after(self._spacecraft_id, sequence, self._results_at_once):
+        results = self._storage.results
+        found = results.results_after(self._spacecraft_id, sequence, self._results_at_once)
+        carriers = results.carriers_after(self._spacecraft_id, found[0][0] - 1, found[-1][0]) if found else {}
+        for at, result in found:
             lost += at - sequence - 1
             sequence = at
             kind = "attitude" if isinstance(result, AttitudeRow) else "torque"
-            events.append(FeedEvent(kind, position._replace(sequence=sequence), result))
+            events.append(FeedEvent(kind, position._replace(sequence=sequence), result, carriers.get(sequence)))
+        for plan_id in {each.plan_id for each in carriers.values()}:
+            self._names.of(self._spacecraft_id, plan_id)
         if events or sequence >= newest:
             self._results_at_once = _AT_ONCE
             return events, sequence, lost

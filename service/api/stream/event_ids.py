@@ -5,7 +5,8 @@ to sequence 2084 and all changes of alarms up to sequence 17 were sent.
 """
 
 import re
-from typing import Literal
+from collections.abc import Collection
+from typing import Literal, get_args
 
 from service.api.problems.problems import invalid_request
 from service.api.schemas.base import Answer
@@ -17,6 +18,9 @@ from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent
 MAX_ID_LENGTH = 128
 _EVENT_ID = re.compile(r"([a-z0-9][a-z0-9-]{0,63}):(\d{1,18})\.(\d{1,18})\.(\d{1,18})", re.ASCII)
 _POINTER = "/header/Last-Event-ID"
+#: kinds of events that a client may choose; `dropped` comes in any case
+EventName = Literal["measurement", "attitude", "torque", "alarm", "status", "command", "job", "link", "note"]
+EVENT_NAMES: tuple[EventName, ...] = get_args(EventName)
 #: part of the place that a kind of event moves; others move none
 PART_MOVED = {"measurement": 0, "attitude": 1, "torque": 1, "alarm": 2}
 #: histories by kind of event
@@ -72,12 +76,12 @@ def advanced(position: Cursor, event: FeedEvent) -> Cursor | None:
     return position._replace(number=event.cursor.number) if part == 0 else position._replace(alarm=event.cursor.alarm)
 
 
-def missed_by_slowness(spacecraft_id: str, dropped: DroppedRows) -> DroppedAnswer:
-    """Return what a client is told whose queue was full."""
+def missed_by_slowness(spacecraft_id: str, dropped: DroppedRows, wanted: Collection[str]) -> DroppedAnswer:
+    """Return what a client is told whose queue was full; of kinds that it did not choose nothing."""
     span = ""
     if dropped.first_us is not None and dropped.last_us is not None:
         span = f"?start={format_epoch(dropped.first_us)}&stop={format_epoch(dropped.last_us + 1)}"
-    kinds = [kind for kind in _HISTORIES if dropped.counts[kind]]
+    kinds = [kind for kind in _HISTORIES if dropped.counts[kind] and kind in wanted]
     return DroppedAnswer(
         reason="slow_client",
         counts={kind: dropped.counts[kind] for kind in kinds},

@@ -8,7 +8,8 @@ its queue is told how many events were dropped and gets them from the archive, s
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Collection, Sequence
+from typing import Any
 
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
@@ -17,9 +18,17 @@ from service.api.context.carrier_names import CarrierNameCache
 from service.api.context.dependencies import ApiContext
 from service.api.schemas.status import StatusAnswer
 from service.api.stream.backlog import ArchiveReader
-from service.api.stream.event_cache import EventTexts, StatusTexts
-from service.api.stream.event_ids import DroppedAnswer, advanced, beyond_the_archive, event_id, missed_by_slowness
+from service.api.stream.event_cache import EventTexts
+from service.api.stream.event_ids import (
+    EVENT_NAMES,
+    DroppedAnswer,
+    advanced,
+    beyond_the_archive,
+    event_id,
+    missed_by_slowness,
+)
 from service.api.stream.open_streams import OpenStreams
+from service.api.stream.present_records import READERS, PresentRecords
 from service.errors import StorageError
 from service.records.levels.measurement import Measurement
 from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, Subscription
@@ -51,7 +60,7 @@ class StreamParts:
         self.names = names
         self.streams = streams
         self.texts = EventTexts(names)
-        self.statuses = StatusTexts(context)
+        self.present = PresentRecords(context)
 
 
 class EventStream:
@@ -65,16 +74,28 @@ class EventStream:
         An existing spacecraft.
     resume : Cursor or None
         Position of the client; None: it starts with the present.
+    wanted : collection of str
+        Kinds of events that the client chose.
     """
 
-    def __init__(self, parts: StreamParts, spacecraft_id: str, resume: Cursor | None) -> None:
+    def __init__(
+        self,
+        parts: StreamParts,
+        spacecraft_id: str,
+        resume: Cursor | None,
+        wanted: Collection[str] = EVENT_NAMES,
+    ) -> None:
         self._parts = parts
         self._streams = parts.streams
         self._spacecraft_id = spacecraft_id
         self._resume = resume
         self._position = Cursor(0, 0)
         self._reader = ArchiveReader(parts.context.storage, parts.names, spacecraft_id)
+        self._wanted = frozenset(wanted)
         self._reported_status: StatusAnswer | None = None
+        #: marks of the records of each kind by id, as of the last look
+        self._marks: dict[str, dict[Any, bytes]] = {}
+        self._sent_position: Cursor | None = None
 
     async def chunks(self) -> AsyncIterator[bytes]:
         """Yield the stream until the client goes or the service stops."""
@@ -100,7 +121,7 @@ class EventStream:
         # an id beyond the archive's end comes from before it was set back to a backup; the present is all we know
         is_known = self._resume is not None and all(at <= last for at, last in zip(self._resume, end, strict=True))
         self._position = self._resume if self._resume is not None and is_known else present
-        yield f"retry: {_RETRY_MS}\n\n".encode() + await self._status(loop.time())
+        yield f"retry: {_RETRY_MS}\n\n".encode() + await self._changed(loop.time()) + self._id_alone()
         if self._resume is not None and not is_known:
             yield self._dropped(beyond_the_archive())
         async for chunk in self._missed():
@@ -113,14 +134,17 @@ class EventStream:
                 yield chunk
             if loop.time() >= beat:
                 beat = loop.time() + heartbeat_s
-                yield b": heartbeat\n\n" + await self._changed_status(loop.time() - min(_STATUS_SHARED_S, heartbeat_s))
+                changed = await self._changed(loop.time() - min(_STATUS_SHARED_S, heartbeat_s))
+                yield b": heartbeat\n\n" + changed + self._id_alone()
 
     async def _fresh(self, events: Sequence[FeedEvent], dropped: DroppedRows) -> AsyncIterator[bytes]:
         """Yield queued events that were not sent yet."""
         taken_s = asyncio.get_running_loop().time()
         if dropped:
             self._streams.dropped += sum(dropped.counts.values())
-            yield self._dropped(missed_by_slowness(self._spacecraft_id, dropped))
+            missed = missed_by_slowness(self._spacecraft_id, dropped, self._wanted)
+            if missed.counts:
+                yield self._dropped(missed)
         if dropped or self._has_hole(events):
             async for chunk in self._missed():
                 yield chunk
@@ -128,7 +152,7 @@ class EventStream:
         async for chunk in self._sent(events):
             yield chunk
         if any(event.content is None for event in events):
-            yield await self._changed_status(taken_s)
+            yield await self._changed(taken_s)
 
     def _has_hole(self, events: Sequence[FeedEvent]) -> bool:
         """Return whether the next results do not follow those sent, or are in the archive only."""
@@ -166,31 +190,54 @@ class EventStream:
         if position is None:
             return b""
         self._position = position
-        return (
-            b"" if event.content is None else self._event(event.kind, self._parts.texts.of(self._spacecraft_id, event))
-        )
+        if event.content is None or event.kind not in self._wanted:
+            return b""
+        return self._event(event.kind, self._parts.texts.of(self._spacecraft_id, event))
 
     async def _update_plans(self, events: Sequence[FeedEvent]) -> None:
         """Look up plans that rows name for the first time, outside the event loop."""
-        rows = (event.content for event in events)
         names = self._parts.names
-        for plan_id in {row.plan_id for row in rows if isinstance(row, Measurement)}:
+        rows = [event.content for event in events if isinstance(event.content, Measurement)]
+        carriers = [event.carriers for event in events if event.carriers is not None]
+        for plan_id in {row.plan_id for row in rows} | {each.plan_id for each in carriers}:
             if not names.knows(self._spacecraft_id, plan_id):
                 await run_in_threadpool(names.of, self._spacecraft_id, plan_id)
 
-    async def _status(self, since_s: float) -> bytes:
-        """Return the status event, as the state was at an instant of the loop's clock or later."""
-        self._reported_status = await self._parts.statuses.since(self._spacecraft_id, since_s)
-        return self._event("status", _json(self._reported_status))
+    async def _changed(self, since_s: float) -> bytes:
+        """Return what has changed since the last look, as it was at an instant of the loop's clock or later."""
+        events = [await self._changed_status(since_s)] if "status" in self._wanted else []
+        # in the order of the table: a client finds the same one each time
+        events += [await self._changed_records(kind, since_s) for kind in READERS if kind in self._wanted]
+        return b"".join(events)
 
     async def _changed_status(self, since_s: float) -> bytes:
         """Return the status event when more than the time of day has changed, otherwise nothing."""
         former = self._reported_status
-        status = await self._parts.statuses.since(self._spacecraft_id, since_s)
+        status = await self._parts.present.status(self._spacecraft_id, since_s)
         if former is not None and former.model_copy(update={"now": status.now}) == status:
             return b""
         self._reported_status = status
         return self._event("status", _json(status))
+
+    async def _changed_records(self, kind: str, since_s: float) -> bytes:
+        """Return an event for each record of a kind that is new or another than at the last look; at the first, none.
+
+        A client that begins reads the lists, of which a stream would give the newest only.
+        """
+        present = await self._parts.present.records(self._spacecraft_id, kind, since_s)
+        former = self._marks.get(kind)
+        self._marks[kind] = {name: record.mark for name, record in present.items()}
+        if former is None:
+            return b""
+        changed = (record.text for name, record in present.items() if former.get(name) != record.mark)
+        return b"".join(self._event(kind, text) for text in changed)
+
+    def _id_alone(self) -> bytes:
+        """Return the id alone where it has moved by events that the client did not choose, so that it can resume."""
+        if self._position == self._sent_position:
+            return b""
+        self._sent_position = self._position
+        return f"id: {event_id(self._spacecraft_id, self._position)}\n\n".encode()
 
     def _dropped(self, answer: DroppedAnswer) -> bytes:
         """Return the event that tells of events which did not come."""
@@ -199,6 +246,7 @@ class EventStream:
     def _event(self, kind: str, data: bytes) -> bytes:
         """Return one event as it is sent."""
         self._streams.sent[kind] += 1
+        self._sent_position = self._position
         head = f"id: {event_id(self._spacecraft_id, self._position)}\nevent: {kind}\ndata: "
         return b"".join((head.encode(), data, b"\n\n"))
 

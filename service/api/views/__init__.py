@@ -1,4 +1,4 @@
 """Views of the present: status, newest rows, links, hand-over.
 
-Public: catalogue_findings, handover, links, newest, present, status.
+Public: catalogue_findings, handover, jobs, links, newest, present, shipped, status, timeline.
 """

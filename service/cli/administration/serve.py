@@ -1,4 +1,4 @@
-"""``soo serve``: the service as one process.
+"""``soo serve``: the service as one process, or an estimator without an interface.
 
 Exit codes: 0 ended by a signal, 2 it could not start as told (settings, address, database); the reason is said.
 """
@@ -25,6 +25,7 @@ from service.runtime.log_format import write_log
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
+    from service.api.context.dependencies import ApiContext
     from service.api.server_process import StreamingServer
     from service.composition.settings import Settings
     from service.ports import Storage
@@ -51,21 +52,29 @@ def serve(
         str | None, typer.Option(help="Certificate chain, PEM; with it HTTPS is served.")
     ] = None,
     tls_key: Annotated[str | None, typer.Option(help="Private key of the certificate, PEM.")] = None,
+    *,
+    http: Annotated[bool, typer.Option(help="Serve the interface; without it estimate only, beside others.")] = True,
+    estimator: Annotated[
+        bool | None, typer.Option(help="Estimate a share of the spacecraft; without it store rows and answer.")
+    ] = None,
 ) -> None:
     """Serve the REST interface; creates and migrates its database before it is ready."""
     for number in (signal.SIGTERM, signal.SIGINT):
         # ends a start; once uvicorn serves it stops gracefully first and raises the signal again
         signal.signal(number, lambda *_: sys.exit(0))
-    given = {"database_url": database, "host": host, "port": port, "clock": clock}
+    given = {"database_url": database, "host": host, "port": port, "clock": clock, "estimator": estimator}
     settings = _settings({**given, "tls_certificate": tls_certificate, "tls_key": tls_key})
     _check_tls(settings)
     write_log(settings.log_level, settings.log_format)
+    if not http:
+        _estimate(settings)
+        return
     # the address comes first: where another service listens already, its database is not touched
     with closing(_listener(settings)) as listener:
         _serve(settings, listener)
 
 
-def _settings(given: dict[str, str | int | None]) -> "Settings":
+def _settings(given: dict[str, str | int | bool | None]) -> "Settings":
     """Return the settings of options and environment, or end with what is wrong with them."""
     # pydantic costs more than the command line itself
     from pydantic import ValidationError
@@ -143,6 +152,31 @@ def _serve(settings: "Settings", listener: socket.socket) -> None:
             return
         _LOG.warning("the archive's files were replaced; the service restarts on the new files")
         is_announced = True
+
+
+def _estimate(settings: "Settings") -> None:
+    """Estimate, alarm, release and maintain without an interface until told to stop."""
+    if not settings.database_url.startswith("postgresql"):
+        end("--no-http is for estimators beside services on a PostgreSQL server: set --database")
+    if not settings.estimator:
+        end("--no-http without --estimator has nothing to do")
+    import asyncio
+
+    from service.composition.bootstrap import build_app
+
+    context: ApiContext = build_app(settings, _opened(settings)).state.context
+
+    async def run() -> None:
+        stopped = asyncio.Event()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            asyncio.get_running_loop().add_signal_handler(number, stopped.set)
+        await context.on_startup()
+        typer.echo(json.dumps({"estimator": f"{socket.gethostname()}:{os.getpid()}"}))
+        sys.stdout.flush()
+        await stopped.wait()
+        await context.on_shutdown()
+
+    asyncio.run(run())
 
 
 def _stop_when(is_due: Callable[[], bool], server: "StreamingServer", replaced: Event) -> None:

@@ -1,10 +1,14 @@
 """Operators' commands over the REST interface: calibrate, align, replay."""
 
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service.cli.command_group import end
+from service.cli.extras import Scheduler
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -95,7 +99,15 @@ def replay(
     calibration: Annotated[int | None, typer.Option(help="Use this calibration.")] = None,
     alignment: Annotated[int | None, typer.Option(help="Start from this alignment.")] = None,
     order: Annotated[str, typer.Option(help="`journal` as it was, or `epoch` as it would have been.")] = "journal",
+    commands: Annotated[bool, typer.Option(help="Compute torques too: they cost as much as the filter.")] = True,
     compare: Annotated[bool, typer.Option("--compare", help="Compare with the live rows; exit 1 on a change.")] = False,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=256, help="Compute beside the service, in so many processes.")
+    ] = None,
+    scheduler: Scheduler = None,
+    database: Annotated[
+        str | None, typer.Option(help="SQLAlchemy URL of the archive, for --workers and --scheduler.")
+    ] = None,
     service: ServiceUrl = DEFAULT_SERVICE,
     key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
@@ -108,27 +120,60 @@ def replay(
         "calibration_id": calibration,
         "alignment_id": alignment,
         "order": order,
+        "commands": commands,
     }
-    with connected(service, key_env) as client:
-        wanted = {name: value for name, value in body.items() if value is not None}
-        started = client.request("POST", f"/spacecraft/{spacecraft}/replays", wanted)
-        _wait(client, started["job"], "replay")
-        report: dict[str, Any] = {"id": started["id"], "version": started["version"]}
-        if compare:
-            from service.study.demonstration.replay_check import METHODS, compare_with_live
+    if workers is None and scheduler is None:
+        with connected(service, key_env) as client:
+            wanted = {name: value for name, value in body.items() if value is not None}
+            started = client.request("POST", f"/spacecraft/{spacecraft}/replays", wanted)
+            _wait(client, started["job"], "replay")
+            report: dict[str, Any] = {"id": started["id"], "version": started["version"]}
+    else:
+        report = _replayed_in_parts(spacecraft, body, workers, scheduler, database)
+    if compare:
+        from service.study.demonstration.replay_check import METHODS, compare_with_live
 
-            methods = (method,) if method else METHODS
-            report |= compare_with_live(client, spacecraft, start, stop, methods, started["version"])
+        methods = (method,) if method else METHODS
+        with connected(service, key_env) as client:
+            report |= compare_with_live(client, spacecraft, start, stop, methods, report["version"])
     typer.echo(json.dumps(report) if as_json else ", ".join(f"{name} {value}" for name, value in report.items()))
     if compare and report["rows_different"]:
         raise typer.Exit(1)
 
 
+def _replayed_in_parts(
+    spacecraft: str, body: dict[str, Any], workers: int | None, scheduler: str | None, database: str | None
+) -> dict[str, Any]:
+    """Compute a replay beside the service and return its id and version."""
+    from pydantic import ValidationError
+
+    from service.api.schemas.replays import ReplayDocument
+    from service.cli.operation.parallel_replay import replay_in_parts
+    from service.composition.settings import Settings
+    from service.study.executors import WorkerChoice
+
+    try:
+        wanted = ReplayDocument.model_validate_json(json.dumps(body)).to_replay()
+    except ValidationError as error:
+        end("; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()), cause=error)
+    settings = Settings.model_validate({} if database is None else {"database_url": database})
+    with _shown("replay") as show:
+        replay = replay_in_parts(settings, spacecraft, wanted, WorkerChoice(workers or 2, scheduler), show)
+    return {"id": replay.id, "version": replay.version}
+
+
 def _wait(client: "ServiceClient", job_id: str, what: str) -> None:
-    """Wait for a job behind a progress bar on standard error."""
+    """Wait for a job behind a progress bar."""
+    with _shown(what) as show:
+        client.wait_job(job_id, on_progress=show)
+
+
+@contextmanager
+def _shown(what: str) -> Iterator[Callable[[float], None]]:
+    """Give what moves a progress bar on standard error."""
     from rich.console import Console
     from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=1.0)
-        client.wait_job(job_id, on_progress=lambda share: progress.update(task, completed=share))
+        yield lambda share: progress.update(task, completed=share)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.command_group import end
+from service.cli.extras import Scheduler
 from service.cli.studies.screen import (
     EXIT_MISSED,
     AsJson,
@@ -52,6 +53,7 @@ def closed_loop(
         list[str] | None, typer.Option(help="automatic, truth or off; may be given many times. Default: all.")
     ] = None,
     workers: Annotated[int, typer.Option("--jobs", min=1, max=256, help="Processes.")] = 2,
+    scheduler: Scheduler = None,
     operation_days: Annotated[
         float | None, typer.Option(help="Length of the operation phase; default: that of each scenario.")
     ] = None,
@@ -81,6 +83,7 @@ def closed_loop(
     from service.study.closed_loop.controllers import Sensing
     from service.study.closed_loop.plant_process import PlantFailedError
     from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown
+    from service.study.executors import ClusterError, WorkerChoice
 
     _require("uplink", [uplink], _UPLINKS)
     _require("sensing", sensing or [], [one.value for one in Sensing])
@@ -90,8 +93,8 @@ def closed_loop(
     if silence_h[1] and mode != "onboard":
         end("--silence-h is for --mode onboard; over a link commands are lost as it is")
     settings = (uplink, operation_days, drift_deg_h, yaw_sigma_deg, mode, silence_h)
-    plan = LoopPlan(scenarios, runs, workers, sensings, *settings)
-    with failures_shown(PlantFailedError, BrokenExecutor, OSError), counted("loops") as show:
+    plan = LoopPlan(scenarios, runs, WorkerChoice(workers, scheduler), sensings, *settings)
+    with failures_shown(PlantFailedError, BrokenExecutor, ClusterError, OSError), counted("loops") as show:
         campaign = run_loops(plan, show, flights)
     draw(figures, "closed_loop", lambda study, folder: study.draw_campaign(campaign, folder))
     if as_json:

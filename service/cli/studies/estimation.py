@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from service.cli.command_group import end
+from service.cli.extras import Scheduler
 from service.cli.studies.screen import (
     EXIT_MISSED,
     AsJson,
@@ -31,6 +32,7 @@ def estimation(
     group: Annotated[str | None, typer.Option(help="Scenarios of a group; default `all` where none is named.")] = None,
     seeds: Annotated[int, typer.Option(min=1, max=1000, help="Seeds 1 to this number for each scenario.")] = 10,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Processes.")] = 2,
+    scheduler: Scheduler = None,
     operation_days: Annotated[
         float | None, typer.Option(help="Length of the operation phase; default: that of each scenario.")
     ] = None,
@@ -45,9 +47,10 @@ def estimation(
     from service.study.estimation.campaign import CampaignPlan, run_campaign
     from service.study.estimation.flight.world import ExportFailedError
     from service.study.estimation.report import as_document, markdown, tables, verdict_lines
+    from service.study.executors import ClusterError, WorkerChoice
 
-    plan = CampaignPlan(_scenarios(scenario, group), seeds, workers, operation_days)
-    with failures_shown(ExportFailedError, BrokenExecutor, OSError), counted("worlds") as show:
+    plan = CampaignPlan(_scenarios(scenario, group), seeds, WorkerChoice(workers, scheduler), operation_days)
+    with failures_shown(ExportFailedError, BrokenExecutor, ClusterError, OSError), counted("worlds") as show:
         campaign = run_campaign(plan, show)
     draw(figures, "estimation", lambda study, folder: study.draw_campaign(campaign, folder))
     command = _command(scenario, group, seeds, operation_days)

@@ -94,8 +94,10 @@ def plan_command(
     When the slew ends the spacecraft has no rate and the torque has been balanced until then; after each slice angle
     and rate are back, but for what the shortest pulse cannot express, which the next slice takes.
     """
+    if not np.isfinite(forecast.torque_n_m).all():
+        raise ValueError("the torque to be balanced must be finite")
     request = _request_of(gains, situation, forecast)
-    counts = np.array([abs(situation.attitude_deg[0]) > _YAW_COUNTS_DEG, True, True])
+    counts = (abs(float(situation.attitude_deg[0])) > _YAW_COUNTS_DEG, True, True)
     fitted, slices = _fitted(request, gains.inertia_kg_m2.diagonal(), forecast, envelope, counts)
     horizon_s = forecast.slew_s + slices * forecast.slice_s
     slew = plan_slew(
@@ -121,69 +123,93 @@ def _request_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Requ
     return _Request(np.where(situation.is_allowed, change, 0.0), np.where(situation.is_allowed, rate, 0.0))
 
 
+class _AxisRequest(NamedTuple):
+    """Request about one axis, rad and rad/s; plain numbers, which cost a tenth of arrays of three."""
+
+    change_rad: float
+    rate_rad_s: float
+    inertia_kg_m2: float
+    #: N m, of each slice
+    torques_n_m: list[float]
+    #: whether it settles how long the command may hold
+    counts: bool
+
+
 def _fitted(
-    request: _Request, inertia: FloatArray, forecast: Forecast, envelope: Envelope, counts: BoolArray
+    request: _Request, inertia: FloatArray, forecast: Forecast, envelope: Envelope, counts: tuple[bool, bool, bool]
 ) -> tuple[_Request, int]:
     """Return a wish inside the envelope and how many slices may follow it.
 
     The axes that count (3,) settle how long the command may hold. Yaw, known ten times worse than roll and pitch, makes
     do with what is left until it is far off: a torque of 1e-6 N m leaves nothing to it in an hour.
     """
-    for slices in range(forecast.slices, 0, -1):
-        lower, upper = _bounds(request.rate_rad_s, inertia, forecast, slices, envelope)
-        if ((lower <= request.change_rad) & (request.change_rad <= upper))[counts].all():
-            return _limited(request, inertia, forecast, slices, envelope), slices
-    return _limited(request, inertia, forecast, 0, envelope), 0
+    numbers = (values.tolist() for values in (*request, inertia, forecast.torque_n_m[1:].T))
+    axes = [_AxisRequest(*each) for each in zip(*numbers, counts, strict=True)]
+    slices = forecast.slices
+    while slices and not all(_is_inside(axis, forecast, slices, envelope) for axis in axes if axis.counts):
+        slices -= 1
+    change, rate = zip(*(_limited(axis, forecast, slices, envelope) for axis in axes), strict=True)
+    return _Request(np.array(change), np.array(rate)), slices
 
 
-def _limited(request: _Request, inertia: FloatArray, forecast: Forecast, slices: int, envelope: Envelope) -> _Request:
-    """Return the part of a wish that the envelope has room for."""
+def _is_inside(axis: _AxisRequest, forecast: Forecast, slices: int, envelope: Envelope) -> bool:
+    """Return whether the envelope has room for a request and some slices after it."""
+    lower, upper = _bounds(axis, axis.rate_rad_s, forecast, slices, envelope)
+    return lower <= axis.change_rad <= upper
+
+
+def _limited(axis: _AxisRequest, forecast: Forecast, slices: int, envelope: Envelope) -> tuple[float, float]:
+    """Return change and rate of the part of a request that the envelope has room for."""
     horizon_s = forecast.slew_s + slices * forecast.slice_s
-    gross, turned = _balance(inertia, forecast, slices)
-    # the greatest rate that any slew may take away
-    greatest = np.minimum(
-        np.minimum(np.radians(envelope.rate_change_deg_s), envelope.impulse_n_m_s / inertia - gross),
-        (np.radians(envelope.angle_change_deg) - np.abs(turned)) / horizon_s,
+    gross, turned = _balance(axis, forecast, slices)
+    # the greatest rate that any slew may lose
+    greatest = min(
+        math.radians(envelope.rate_change_deg_s),
+        envelope.impulse_n_m_s / axis.inertia_kg_m2 - gross,
+        (math.radians(envelope.angle_change_deg) - abs(turned)) / horizon_s,
     )
-    rate = np.clip(request.rate_rad_s, -np.maximum(greatest, 0.0), np.maximum(greatest, 0.0))
-    lower, upper = _bounds(rate, inertia, forecast, slices, envelope)
-    return _Request(np.clip(request.change_rad, lower, np.maximum(lower, upper)), rate)
+    rate = min(max(axis.rate_rad_s, -max(greatest, 0.0)), max(greatest, 0.0))
+    lower, upper = _bounds(axis, rate, forecast, slices, envelope)
+    return min(max(axis.change_rad, lower), max(lower, upper)), rate
 
 
-def _balance(inertia: FloatArray, forecast: Forecast, slices: int) -> tuple[FloatArray, FloatArray]:
-    """Return the sum of the rates that balancing gives (3,), rad/s, and what they turn until the horizon, rad."""
+def _balance(axis: _AxisRequest, forecast: Forecast, slices: int) -> tuple[float, float]:
+    """Return the sum of the rates that balancing gives, rad/s, and what they turn until the horizon, rad."""
     horizon_s = forecast.slew_s + slices * forecast.slice_s
-    middles_s = forecast.slew_s + forecast.slice_s * (np.arange(slices) + 0.5)
-    given = forecast.torque_n_m[1 : slices + 1] * forecast.slice_s / inertia
-    return np.abs(given).sum(axis=0), (given * (horizon_s - middles_s)[:, None]).sum(axis=0)
+    gross = turned = 0.0
+    for number, torque_n_m in enumerate(axis.torques_n_m[:slices]):
+        given = torque_n_m * forecast.slice_s / axis.inertia_kg_m2
+        gross += abs(given)
+        turned += given * (horizon_s - (forecast.slew_s + forecast.slice_s * (number + 0.5)))
+    return gross, turned
 
 
 def _bounds(
-    rate: FloatArray, inertia: FloatArray, forecast: Forecast, slices: int, envelope: Envelope
-) -> tuple[FloatArray, FloatArray]:
-    """Return the least and greatest change of the slew (3,), rad, with which a command keeps to the envelope.
+    axis: _AxisRequest, rate: float, forecast: Forecast, slices: int, envelope: Envelope
+) -> tuple[float, float]:
+    """Return the least and greatest change of the slew, rad, with which a command keeps to the envelope.
 
     With x = change over the time between its pulses, the first one gives the rate x - rate, the second one takes x;
     until the horizon ends they turn the spacecraft by change - rate * horizon, the slices by their own part.
     """
     apart_s = (1.0 - LONGEST_SHARE) * forecast.slew_s
     horizon_s = forecast.slew_s + slices * forecast.slice_s
-    gross, turned = _balance(inertia, forecast, slices)
-    angle, step = np.radians(envelope.angle_change_deg), np.radians(envelope.rate_change_deg_s)
-    room = envelope.impulse_n_m_s / inertia - gross
-    lower = [
+    gross, turned = _balance(axis, forecast, slices)
+    angle, step = math.radians(envelope.angle_change_deg), math.radians(envelope.rate_change_deg_s)
+    room = envelope.impulse_n_m_s / axis.inertia_kg_m2 - gross
+    lower = max(
         -angle + rate * horizon_s + turned,
         -angle + rate * forecast.slew_s,
         apart_s * (rate - step),
         apart_s * (rate - room) / 2.0,
-    ]
-    upper = [
+    )
+    upper = min(
         angle + rate * horizon_s + turned,
         angle + rate * forecast.slew_s,
         apart_s * (rate + step),
         apart_s * (rate + room) / 2.0,
-    ]
-    return np.max(lower, axis=0), np.min(upper, axis=0)
+    )
+    return lower, upper
 
 
 def _balancing(

@@ -77,5 +77,7 @@ def tracking_request(
     # be
     yaw_deg, roll_deg, _ = change_deg.tolist()
     exchanged_deg_s = gains.orbital_rate_rad_s * np.array([-roll_deg, yaw_deg, 0.0])
-    pushed_deg_s = np.degrees(np.linalg.solve(gains.inertia_kg_m2, given[3])) * horizon_s / 2.0
-    return SlewRequest(change_deg, given[1] + exchanged_deg_s + pushed_deg_s)
+    rate_deg_s = given[1] + exchanged_deg_s
+    if given[3].any():
+        rate_deg_s += np.degrees(np.linalg.solve(gains.inertia_kg_m2, given[3])) * horizon_s / 2.0
+    return SlewRequest(change_deg, rate_deg_s)

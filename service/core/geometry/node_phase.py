@@ -7,6 +7,8 @@ division is done in floating point.
 """
 
 import math
+from bisect import bisect_right
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +93,45 @@ def node_phase_rad(epoch_us: IntArray, nodes_us: IntArray, nodal_period_s: float
         return np.full(epoch_us.shape, np.nan)
     elapsed_us = np.mod(epoch_us - latest_node_us(epoch_us, nodes_us, nodal_period_s), period_us)
     return np.asarray(2.0 * math.pi * (elapsed_us / period_us), dtype=np.float64)
+
+
+def node_phase_at_rad(epoch_us: int, nodes_us: tuple[int, ...], nodal_period_s: float) -> float:
+    """Return the phase of one epoch, bit for bit that of :func:`node_phase_rad`, in plain numbers: a row has only one.
+
+    Parameters
+    ----------
+    epoch_us : int, microseconds UTC
+        Epoch.
+    nodes_us : tuple of int, microseconds UTC
+        Known ascending nodes in any order.
+    nodal_period_s : float, s
+        Node-to-node period from ballistics.
+
+    Returns
+    -------
+    float, rad
+        In [0, 2 pi), NaN without nodes or without a positive period.
+
+    Examples
+    --------
+    >>> node_phase_at_rad(43_200_000_000, (0,), 86_400.0) == math.pi
+    True
+    """
+    period_us = _period_us(nodal_period_s)
+    if not nodes_us or period_us == 0:
+        return math.nan
+    nodes, spare = _node_table(nodes_us, period_us)
+    index = bisect_right(nodes, epoch_us) - 1
+    since_us = epoch_us - nodes[max(index, 0)]
+    elapsed_us = (since_us - min(since_us // period_us, spare[index]) * period_us) % period_us
+    return 2.0 * math.pi * (elapsed_us / period_us)
+
+
+@lru_cache(maxsize=256)
+def _node_table(nodes_us: tuple[int, ...], period_us: int) -> tuple[list[int], list[int]]:
+    """Return the nodes in order, and after each one the whole periods until the next takes over."""
+    nodes = np.sort(np.array(nodes_us, dtype=np.int64))
+    return nodes.tolist(), _periods_until_next(nodes, period_us).tolist()
 
 
 def _period_us(nodal_period_s: float) -> int:

@@ -40,6 +40,11 @@ class GapSearch:
         self._last_us: int | None = None
         self._period_us = 0.0
 
+    @property
+    def period_us(self) -> int:
+        """Usual distance of the newest rows; 0 where none is known."""
+        return round(self._period_us)
+
     def add(self, epochs_us: IntArray) -> Iterator[Gap]:
         """Yield the gaps that rows in order of epoch complete; rows of one epoch count as one."""
         self._held = np.concatenate([self._held, epochs_us])

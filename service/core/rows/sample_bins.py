@@ -8,7 +8,9 @@ Rows come in pieces of any size and are counted once each, so the counts of all 
 a value. Least and greatest value are kept as they are: no peak is lost however wide the intervals.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,10 @@ from service.core.rows.summaries import Summaries
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+#: lengths of whole intervals, s; longer ones are whole days
+_BELOW_HOUR_S = (1, 2, 5, 10, 15, 20, 30, 60, 120, 300, 600, 900, 1200, 1800)
+_WHOLE_S = (*_BELOW_HOUR_S, 3600, 7200, 10_800, 14_400, 21_600, 28_800, 43_200)
+_DAY_S = 86_400
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +40,29 @@ class Samples:
     #: (B,) microseconds UTC, first row that holds the extreme
     minimum_epochs_us: IntArray
     maximum_epochs_us: IntArray
+
+
+def whole_intervals(start_us: int, stop_us: int, most: int) -> tuple[int, int, int]:
+    """Return the span widened to whole intervals of UTC, start and stop in microseconds, and how many there are.
+
+    They are seconds, minutes, hours or days long, the shortest that are at most ``most``: summaries have their buckets.
+
+    Examples
+    --------
+    >>> whole_intervals(7, 90 * 60_000_000, 3)
+    (0, 5400000000, 3)
+    """
+    steps_us = _step_lengths_us(stop_us - start_us, most)
+    each = ((step_us, start_us // step_us, -(-stop_us // step_us)) for step_us in steps_us)
+    step_us, first, behind = next(found for found in each if found[2] - found[1] <= most)
+    return first * step_us, behind * step_us, behind - first
+
+
+def _step_lengths_us(span_us: int, most: int) -> Iterator[int]:
+    """Yield lengths of intervals, ascending: whole days from about the shortest that would do, without an end."""
+    yield from (1_000_000 * step for step in _WHOLE_S)
+    fewest_days = max(1, span_us // (most * _DAY_S * 1_000_000))
+    yield from (days * _DAY_S * 1_000_000 for days in count(fewest_days))
 
 
 class SampleBins:
@@ -105,6 +134,10 @@ class SampleBins:
             held.minimum_us[:, column],
             held.maximum_us[:, column],
         )
+
+    def all_intervals(self) -> Summaries:
+        """Return what every interval holds, in order, those without a row among them; ``first_us`` is its begin."""
+        return self._held
 
     def _owners(self, epochs_us: IntArray) -> IntArray:
         """Return the interval of each epoch: -1 before the first, ``count`` behind the last."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 #: behind every epoch
-_NEVER_US = 1 << 62
+NEVER_US = 1 << 62
 
 
 class Summaries(NamedTuple):
@@ -38,7 +38,7 @@ class Summaries(NamedTuple):
         """Return each row as a bucket; values (T, C), NaN = absent."""
         wide = values.astype(np.float64)
         is_held = ~np.isnan(wide)
-        held_us = np.where(is_held, epochs_us[:, None], _NEVER_US)
+        held_us = np.where(is_held, epochs_us[:, None], NEVER_US)
         low, high = np.where(is_held, wide, np.inf), np.where(is_held, wide, -np.inf)
         sums = np.where(is_held, wide, 0.0)
         return cls(epochs_us, epochs_us, is_held.astype(np.int64), sums, low, high, held_us, held_us)
@@ -59,8 +59,8 @@ class Summaries(NamedTuple):
         lengths = np.diff(starts, append=len(owners))
         minima = np.minimum.reduceat(self.minima, starts, axis=0)
         maxima = np.maximum.reduceat(self.maxima, starts, axis=0)
-        at_minima = np.where(self.minima == np.repeat(minima, lengths, axis=0), self.minimum_us, _NEVER_US)
-        at_maxima = np.where(self.maxima == np.repeat(maxima, lengths, axis=0), self.maximum_us, _NEVER_US)
+        at_minima = np.where(self.minima == np.repeat(minima, lengths, axis=0), self.minimum_us, NEVER_US)
+        at_maxima = np.where(self.maxima == np.repeat(maxima, lengths, axis=0), self.maximum_us, NEVER_US)
         return Summaries(
             np.minimum.reduceat(self.first_us, starts),
             np.maximum.reduceat(self.last_us, starts),

@@ -1,4 +1,4 @@
 """Calibration of both methods from quiet days and turns.
 
-Public: geometry_calibration, paper_calibration, window_harmonics, windows.
+Public: geometry_calibration, minute_rows, paper_calibration, window_harmonics, windows.
 """

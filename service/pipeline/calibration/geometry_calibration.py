@@ -55,11 +55,12 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
         raise CalibrationError(_too_few(data, refusals, int(np.count_nonzero(is_user_carrier))))
     paper = paper_part(data, config, is_every_axis_needed=False)
     slope = joint.response.slope
-    carriers = tuple(_carrier(one, k, joint, refusals[k]) for k, one in enumerate(paper.carriers))
+    white_db = joint.noise.white_db * data.white_scale
+    carriers = tuple(_carrier(one, k, joint, float(white_db[k]), refusals[k]) for k, one in enumerate(paper.carriers))
     quality = quality_metrics(rows, joint, is_used)
     is_free = is_user_carrier & (joint.group < 0)
     report = report_signs(data, config, rows.positions, joint.fit.free, is_free, quality["yaw_turn_reach_deg"])
-    sigma_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
+    sigma_db = np.hypot(white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
     record = geometry_record(data, rows, joint, is_used)
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
@@ -172,13 +173,15 @@ def _of_paper(warnings: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"paper method: {text}" for text in warnings if "carriers are stable and linear" in text)
 
 
-def _carrier(paper: CarrierCalibration, k: int, joint: JointFit, refusal: str | None) -> CarrierCalibration:
+def _carrier(
+    paper: CarrierCalibration, k: int, joint: JointFit, white_db: float, refusal: str | None
+) -> CarrierCalibration:
     """Return a carrier of the paper part with the noise and the slopes of the joint fit."""
     parts = zip(joint.noise.tau_s.tolist(), joint.noise.sigma_db[k].tolist(), strict=True)
     slope = joint.response.slope[k]
     return replace(
         paper,
-        sigma_white_db=float(joint.noise.white_db[k]),
+        sigma_white_db=white_db,
         noise=tuple(NoiseComponent(tau_s, sigma_db) for tau_s, sigma_db in parts),
         sensitivity_db_per_deg=named_axes(slope) if np.isfinite(slope).all() else paper.sensitivity_db_per_deg,
         rejected_because=paper.rejected_because + ((f"robust: {refusal}",) if refusal is not None else ()),

@@ -74,13 +74,16 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
     noise = fit.identified or identify_noise(residual_db, rows.rows.epoch_s[quiet])
     scatter = _turn_scatter(fit, rows, noise)
     fit = _with_scatter(fit, scatter.mean)
+    # means of several measurements stand on no grid
+    first_dbm = data.quiet_first_dbm if data.row_measurements > 1.0 else None
+    readings_dbm = rows.rows.power_dbm[quiet] if first_dbm is None else first_dbm
     return JointFit(
         fit,
         response_of(fit, geometry),
         noise,
         level_drift(residual_db, rows.rows.epoch_s[quiet], noise, config.reference_walk_db_sqrt_h),
         group,
-        np.array([quantisation_step_db(column) for column in rows.rows.power_dbm[quiet].T]),
+        np.array([quantisation_step_db(column) for column in readings_dbm.T]),
         scatter,
     )
 

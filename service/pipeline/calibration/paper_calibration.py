@@ -226,7 +226,7 @@ def _carrier(
     return CarrierCalibration(
         id=data.plan.carriers[k].id,
         level_dbm=harmonic.offset_dbm,
-        sigma_white_db=noise.sigma_white_db,
+        sigma_white_db=noise.sigma_white_db * data.white_scale,
         noise=(coloured,) if noise.sigma_coloured_db > 0.0 else (),
         harmonic=harmonic,
         sensitivity_db_per_deg=named_axes(sensitivity.symmetric[k]),

@@ -1,5 +1,6 @@
 """Rows of a calibration: what the archive holds for the two windows, brought to the form that the fits take."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,12 +42,21 @@ class CalibrationInput:
     operations: tuple[Operation, ...] = ()
     #: announced, within the turns
     corrections: tuple[Correction, ...] = ()
+    #: measurements behind a row of the quiet window; above 1 rows are means (`minute_rows`)
+    row_measurements: float = 1.0
+    #: (T, N) dBm, of each row of the quiet window its first measurement; None = the row is the measurement
+    quiet_first_dbm: FloatArray | None = None
 
     @property
     def sensors(self) -> tuple[str, str, str]:
         """Sensor of yaw, roll, pitch."""
         request = self.request
         return request.source_yaw, request.source_roll, request.source_pitch
+
+    @property
+    def white_scale(self) -> float:
+        """White noise of a measurement over that of a row."""
+        return math.sqrt(self.row_measurements)
 
 
 @dataclass(frozen=True)

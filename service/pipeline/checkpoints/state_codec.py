@@ -11,6 +11,7 @@ import io
 import json
 import typing
 from enum import Enum
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -31,7 +32,7 @@ class Layout:
         self._classes: dict[str, type] = {}
         self._find(outermost)
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Return what changes with the names, the fields or their types (16 hexadecimal digits)."""
         lines = [f"{name}: {self._members(one)}" for name, one in sorted(self._classes.items())]

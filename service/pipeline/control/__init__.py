@@ -1,1 +1,4 @@
-"""Control (L5): computed commands and the release of torques."""
+"""Control (L5): computed commands and the release of torques.
+
+Public: control_conditions.
+"""

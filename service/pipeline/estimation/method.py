@@ -1,8 +1,10 @@
 """Port of an estimation method: start, changes of its inputs, and steps row by row."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.pipeline.inputs.knowledge import Knowledge
@@ -88,6 +90,24 @@ class MethodRunner(Protocol):
         """Return the torque that acts without being fed forward; None where the method knows of none."""
 
 
+class CarrierColumns(NamedTuple):
+    """Positions of carriers among others, -1 for those that are not among them."""
+
+    positions: IntArray
+    is_complete: bool
+
+    @classmethod
+    def among(cls, carrier_ids: Sequence[str], position_of: Mapping[str, int]) -> "CarrierColumns":
+        """Return the positions of some carriers."""
+        positions = np.array([position_of.get(name, -1) for name in carrier_ids], dtype=np.int64)
+        return cls(positions, bool((positions >= 0).all()))
+
+    def of(self, values: NDArray[Any], absent: float) -> NDArray[Any]:
+        """Return the value of each carrier; those that are not among the others have `absent`."""
+        # the last position stands for them
+        return values[self.positions] if self.is_complete else np.append(values, absent)[self.positions]
+
+
 class CalibratedColumns:
     """Brings the powers of a row into the order of a calibration's carriers.
 
@@ -105,27 +125,26 @@ class CalibratedColumns:
     def __init__(self, carrier_ids: tuple[str, ...], calibrated: CarrierPlan) -> None:
         self._carrier_ids = carrier_ids
         self._calibrated = {carrier.id: carrier for carrier in calibrated.carriers}
-        self._columns: dict[int, IntArray] = {}
+        self._columns: dict[int, CarrierColumns] = {}
 
     def power_dbm(self, measurement: Measurement, plan: CarrierPlan) -> FloatArray:
         """Return the powers (N,) in dBm, NaN where the plan has no such carrier."""
-        # a carrier that the plan does not have stands behind its last
-        return np.append(measurement.power_dbm, np.nan)[self._of(plan)]
+        return self._of(plan).of(measurement.power_dbm, np.nan)
 
     def flags(self, measurement: Measurement, plan: CarrierPlan) -> IntArray:
         """Return the quality flags (N,), zero where none came."""
         if measurement.flags is None:
             return np.zeros(len(self._carrier_ids), dtype=np.int64)
-        return np.append(measurement.flags, 0)[self._of(plan)]
+        return self._of(plan).of(measurement.flags, 0)
 
-    def _of(self, plan: CarrierPlan) -> IntArray:
+    def _of(self, plan: CarrierPlan) -> CarrierColumns:
         if plan.id not in self._columns:
             position = {
                 carrier.id: k
                 for k, carrier in enumerate(plan.carriers)
                 if _is_same_signal(carrier, self._calibrated.get(carrier.id))
             }
-            self._columns[plan.id] = np.array([position.get(c, -1) for c in self._carrier_ids], dtype=np.int64)
+            self._columns[plan.id] = CarrierColumns.among(self._carrier_ids, position)
         return self._columns[plan.id]
 
 

@@ -90,6 +90,8 @@ def declared_between(
     operations: tuple[Operation, ...], names: CarrierIndices, from_us: int, to_us: int, config: OperationConfig
 ) -> Declared | None:
     """Return the effect of the operations on the step between two epochs, None where there is none."""
+    if not operations:
+        return None
     effect, is_any = _Effect(names.carriers, names.transponders), False
     for operation in operations:
         stop_us = operation.stop_us if operation.stop_us is not None else to_us + 1

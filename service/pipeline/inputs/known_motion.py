@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import KnownMotion
+from service.core.estimation.filtering.model.filter_model import KnownMotion, no_motion
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
@@ -163,6 +163,9 @@ def _with(
 
 def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[KnownMotion, CommandedMotion]:
     """Return the motion commanded between two epochs with all late ones, and the remaining changes."""
+    if not (commanded.motions or any(commanded.late_deg) or any(commanded.late_rate_deg_h)):
+        # most rows of a spacecraft that nobody commands
+        return no_motion(), commanded
     correction, rate = np.zeros(3), np.array(commanded.late_rate_deg_h)
     late = np.array(commanded.late_deg)
     # the filter lets a gained rate act for half of the step: a late one acted for all of it, a pulse from its middle on

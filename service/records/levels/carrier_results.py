@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from service.records.levels.attitude import FloatArray, IntArray
 
+#: dB, in which levels are stored and published; half of it is the error of rounding
+STEP_DB = 0.004
 #: stored as their positions, so a new state or hypothesis stands at the end
 CARRIER_STATES = ("used", "absent", "excluded", "unselected", "uncalibrated")
 CARRIER_HYPOTHESES = (None, "dry", "wet", "level_changed", "level_learned")

@@ -16,14 +16,14 @@ from service.errors import ConflictError, FieldError, InvalidInputError, Storage
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Key, Readings
 from service.pipeline.alarms.condition import AlarmCondition
 from service.pipeline.estimation.row_evidence import RowEvidence
-from service.ports import Clock, Storage
+from service.ports import ARCHIVE, Clock, Storage, Term
 from service.records.epoch import US_PER_S
 from service.records.operations.alarm import Alarm, AlarmChange, Handling
 from service.records.operations.alarm_limits import AlarmLimits
 from service.runtime.alarms.clock_checks import ClockChecks
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.alarms.persisted_alarms import PersistedAlarms
-from service.runtime.live.leadership import Term, always, elsewhere
+from service.runtime.live.leadership import always, elsewhere
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.live.row_watchers import Seen
 
@@ -57,7 +57,7 @@ class AlarmService:
     stale_periods : float
         Row periods that are waited for after a start before rows are missed.
     turn : Term
-        Tells whether this service leads: one that does not alarms nobody.
+        Tells which spacecraft this service leads: of others it alarms nobody.
     """
 
     def __init__(
@@ -73,8 +73,8 @@ class AlarmService:
         turn: Term = always,
     ) -> None:
         self._turn = turn
-        #: turn from which on the cases are what the archive holds
-        self._served_turn = 0
+        #: terms from which on the alarms at hand are what the archive holds
+        self._served_turns: dict[str | None, int] = {}
         self._storage = storage
         self._clock = clock
         self._feed = feed
@@ -155,7 +155,7 @@ class AlarmService:
         """Store limits as the next version and hold values against them."""
         with self._lock:
             stored = self._storage.alarms.put_limits(spacecraft_id, limits)
-            if not self._is_on_duty():
+            if not self._is_on_duty(spacecraft_id):
                 return stored
             with self._guarded(spacecraft_id):
                 self._report(self._persisted(spacecraft_id).use_limits(stored, self._now_us(spacecraft_id)))
@@ -164,7 +164,7 @@ class AlarmService:
     def sets_in_force(self, spacecraft_id: str) -> tuple[str, ...]:
         """Return the limit sets in force, as the newest row found them."""
         with self._lock:
-            self._is_on_duty()
+            self._is_on_duty(spacecraft_id)
             return self._persisted(spacecraft_id).engine.context.sets
 
     def present_value(self, alarm: Alarm) -> float:
@@ -178,8 +178,8 @@ class AlarmService:
         """Carry out an operator's order; stored when this returns."""
         with self._lock:
             stored = self._storage.alarms.alarm(alarm_id)
-            if not self._is_on_duty():
-                raise elsewhere()
+            if not self._is_on_duty(stored.spacecraft_id):
+                raise elsewhere(self._storage.leases, stored.spacecraft_id or ARCHIVE)
             persisted = self._persisted(stored.spacecraft_id)
             # what could not be stored before goes first; where it still cannot, nothing has been touched
             self._report(persisted.store(()))
@@ -212,10 +212,10 @@ class AlarmService:
     def _check_rows(self) -> None:
         """Process all rows that wait."""
         with self._lock:
-            if not self._is_on_duty():
-                self._queue.clear()
             while self._queue:
                 spacecraft_id, seen = self._queue.popleft()
+                if not self._is_on_duty(spacecraft_id):
+                    continue
                 with self._guarded(spacecraft_id):
                     persisted = self._persisted(spacecraft_id)
                     if isinstance(seen, RowEvidence):
@@ -230,12 +230,13 @@ class AlarmService:
         is_thorough = self._polls % _CHECKS_A_POLL == 0
         self._polls += 1
         with self._lock:
-            if not self._is_on_duty():
-                return
             with self._guarded(None):
                 for spacecraft in self._storage.catalogue.all_spacecraft():
-                    with self._guarded(spacecraft.id):
-                        self._check_spacecraft(spacecraft.id, is_thorough=is_thorough)
+                    if self._is_on_duty(spacecraft.id):
+                        with self._guarded(spacecraft.id):
+                            self._check_spacecraft(spacecraft.id, is_thorough=is_thorough)
+            if not self._is_on_duty(None):
+                return
             with self._guarded(None):
                 readings = self._checks.of_service(self._clock.system_us()) if is_thorough else iter(())
                 self._check(self._persisted(None), readings, self._clock.system_us())
@@ -274,12 +275,12 @@ class AlarmService:
                 self._feed.publish(spacecraft_id, (event,))
             self._notices.offer(change)
 
-    def _is_on_duty(self) -> bool:
-        """Return whether this service leads; what another one may have changed meanwhile is read again."""
-        turn = self._turn()
-        if turn == 0 or turn != self._served_turn:
-            self._persisted_by_id.clear()
-            self._served_turn = turn
+    def _is_on_duty(self, spacecraft_id: str | None) -> bool:
+        """Return whether this service leads a spacecraft; what another may have changed meanwhile is read again."""
+        turn = self._turn(spacecraft_id or ARCHIVE)
+        if turn == 0 or turn != self._served_turns.get(spacecraft_id):
+            self._persisted_by_id.pop(spacecraft_id, None)
+            self._served_turns[spacecraft_id] = turn
         return turn > 0
 
     def _persisted(self, spacecraft_id: str | None) -> PersistedAlarms:

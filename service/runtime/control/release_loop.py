@@ -1,7 +1,7 @@
 """Release loop: rows and time as they come in, for every spacecraft.
 
-Orders of persons stand in `service.runtime.control.release_service`. Only the service that leads its archive
-judges events; a service that becomes leader again reads its state from the archive.
+Orders of persons stand in `service.runtime.control.release_service`. Only the process that leads a spacecraft
+judges its events; one that becomes its leader again reads the state from the archive.
 """
 
 import logging
@@ -18,7 +18,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import InputsChanged, StoredRow, Tick
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.ports import Clock, Storage
+from service.ports import Clock, Storage, Term
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.runtime.control.release_context import ReleaseContext
@@ -27,7 +27,7 @@ from service.runtime.control.release_publisher import ReleasePublisher
 from service.runtime.control.row_handler import handle_row
 from service.runtime.control.sign_checks import continue_sign_check
 from service.runtime.control.spacecraft_release import SpacecraftRelease
-from service.runtime.live.leadership import Term, always, elsewhere
+from service.runtime.live.leadership import always, elsewhere, is_moving
 
 _LOG = logging.getLogger("soo.release")
 #: facts of the archive hold for so long, unless something came in, s
@@ -56,7 +56,7 @@ class ReleaseLoop:
     _: KW_ONLY
     #: whether the service runs under the data clock: then only simulated spacecraft get commands
     is_data_service: bool = False
-    #: tells whether this service leads
+    #: tells which spacecraft this process leads
     turn: Term = always
     #: a clock that nobody sets
     steady_us: Callable[[], int] = _steady_us
@@ -92,7 +92,9 @@ class ReleaseLoop:
                 context.release.stored_us = max(context.release.stored_us, *epochs_us, 0)
                 for stored in seen:
                     self._on_row(context, spacecraft_id, stored)
-        except Exception:  # noqa: BLE001 rows go on; what was not stored does not hold, and old estimates inhibit
+        except Exception as fault:  # noqa: BLE001 rows go on; what was not stored does not hold, old estimates inhibit
+            if is_moving(fault):
+                return
             _LOG.exception("release of %s could not handle new rows; old estimates inhibit control", spacecraft_id)
 
     @contextmanager
@@ -100,19 +102,19 @@ class ReleaseLoop:
         """Let nobody trip control while rows are stored and handled; yield whether torques are withheld."""
         try:
             release = self._context(spacecraft_id).release
-        except SooError:
-            _LOG.exception("release of %s cannot be read from the archive; check it with `soo doctor`", spacecraft_id)
+        except SooError as fault:
+            # the rows of a spacecraft that moves to another process are refused
+            if not is_moving(fault):
+                _LOG.exception("release of %s cannot be read from the archive; check it by `soo doctor`", spacecraft_id)
             yield False
             return
         with release.lock:
             yield release.state.interlock.is_withholding
 
     def tick(self) -> None:
-        """Let time pass for every spacecraft whose clock does not wait for rows; nothing while another one leads."""
-        if self.turn() == 0:
-            return
+        """Let time pass for every spacecraft that is led here and whose clock does not wait for rows."""
         for spacecraft in self.storage.catalogue.all_spacecraft():
-            if self.clock.is_data(spacecraft.id):
+            if self.turn(spacecraft.id) == 0 or self.clock.is_data(spacecraft.id):
                 continue
             try:
                 with self._present(spacecraft.id) as (context, at):
@@ -131,13 +133,13 @@ class ReleaseLoop:
                 _LOG.exception("release loop failed; it runs again at the next tick")
 
     def _context(self, spacecraft_id: str) -> ReleaseContext:
-        """Return the context of a spacecraft, loaded when this service has become the one that leads.
+        """Return the context of a spacecraft, loaded when this process has become the one that leads it.
 
         NotFoundError ``spacecraft.unknown``; StorageError ``lease.elsewhere`` while another service leads.
         """
-        turn = self.turn()
+        turn = self.turn(spacecraft_id)
         if turn == 0:
-            raise elsewhere()
+            raise elsewhere(self.storage.leases, spacecraft_id)
         with self._making:
             context = self._contexts.get(spacecraft_id)
             if context is None or context.turn != turn:

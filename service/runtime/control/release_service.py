@@ -42,7 +42,7 @@ class ReleaseService(ReleaseLoop):
 
     def control(self, spacecraft_id: str) -> ControlView:
         """Return the view of the interlock; NotFoundError ``spacecraft.unknown``."""
-        if self.turn() == 0:
+        if self.turn(spacecraft_id) == 0:
             return self._stored_view(spacecraft_id)
         with self._present(spacecraft_id) as (context, at):
             return self._view(context, at)
@@ -119,17 +119,23 @@ class ReleaseService(ReleaseLoop):
 
     def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command as it is now; NotFoundError ``command.unknown``."""
-        if self.turn() == 0:
+        if self.turn(spacecraft_id) == 0:
             return self.storage.releases.command(spacecraft_id, counter)
         with self._present(spacecraft_id) as (context, at):
             context.release.handle(events.Tick(at))
             return context.release.command(counter)
 
     def commands(
-        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None = None
+        self,
+        spacecraft_id: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None = None,
+        *,
+        newest_first: bool = False,
     ) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
-        return self.storage.releases.commands(spacecraft_id, window, limit, after)
+        return self.storage.releases.commands(spacecraft_id, window, limit, after, newest_first=newest_first)
 
     def uplink(self, spacecraft_id: str, counter: int) -> UplinkProduct:
         """Return the product of a released command; NotFoundError ``uplink.unknown``."""

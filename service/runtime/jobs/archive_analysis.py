@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from service.errors import ConflictError, InvalidInputError, NotFoundError
+from service.pipeline.calibration.minute_rows import minute_rows
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning.candidates import MIN_USABLE, Candidates, candidates_of
@@ -63,14 +64,15 @@ def window_harmonics(
     plan = storage.catalogue.plan(spacecraft_id)
     ephemeris = storage.catalogue.ephemeris(spacecraft_id)
     names = _wanted_carriers(plan, carrier)
-    series = storage.archive.measurement_series(spacecraft_id, window, names)
+    rows = minute_rows(storage.archive.measurement_parts(spacecraft_id, window, names), names, ())
+    series = rows.series
     if method is Method.PAPER:
         fits = paper_harmonics(series, ephemeris, window.stop_us, config)
     else:
         longitude_deg = storage.catalogue.spacecraft(spacecraft_id).longitude_deg
         wanted = [one for one in plan.carriers if one.id in names]
         fits = robust_harmonics(series, ephemeris, window.stop_us, wanted, longitude_deg)
-    return WindowHarmonics(plan.id, ephemeris.id, len(series.epochs_us), fits)
+    return WindowHarmonics(plan.id, ephemeris.id, int(rows.measurements.sum()), fits)
 
 
 def recommend_carriers(

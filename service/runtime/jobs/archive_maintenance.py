@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from itertools import chain
 from typing import TypeVar
 
-from service.ports import Clock, Storage
+from service.ports import ARCHIVE, Clock, Storage, Term
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.storage.archive_maintenance import (
     LOGS,
@@ -24,7 +24,7 @@ from service.records.storage.archive_maintenance import (
     SealingConfig,
 )
 from service.runtime.jobs.archive_analysis import runnable_methods
-from service.runtime.live.leadership import Term, always
+from service.runtime.live.leadership import always
 
 _LOG = logging.getLogger("soo.maintenance")
 _DAY_US = 86_400 * US_PER_S
@@ -47,7 +47,7 @@ class ArchiveMaintenance:
     retention : RetentionConfig
         How long series are kept.
     turn : Term, optional
-        Tells whether this service leads: another one's archive is its own to look after.
+        Tells which spacecraft this process leads: those of others are theirs to maintain.
     """
 
     def __init__(
@@ -89,16 +89,20 @@ class ArchiveMaintenance:
             self._thread.join()
 
     def poll_once(self) -> None:
-        """Do all that is due now; a spacecraft whose archive fails does not keep the others from it."""
+        """Do all that is due now of what this process leads; a spacecraft that fails keeps no other one from it."""
         for spacecraft in self._storage.catalogue.all_spacecraft():
             if self._stopping.is_set():
                 return
+            if not self._turn(spacecraft.id):
+                continue
             with self._guarded(spacecraft.id):
                 self._drop(spacecraft.id)
                 self._drop_replays(spacecraft.id)
                 self._drop_logs(spacecraft.id, self._clock.now_us(spacecraft.id))
                 self._seal(spacecraft.id)
                 self._summarise(spacecraft.id)
+        if not self._turn(ARCHIVE):
+            return
         with self._guarded("the service"):
             self._drop_logs(None, self._clock.system_us())
             for rows in self._paced(self._storage.archive.complete_checksums()):
@@ -116,8 +120,7 @@ class ArchiveMaintenance:
     def _run(self) -> None:
         while not self._stopping.wait(self._sealing.period_s):
             try:
-                if self._turn():
-                    self.poll_once()
+                self.poll_once()
             except Exception:  # noqa: BLE001 as above
                 _LOG.exception("archive maintenance failed; it is retried")
 

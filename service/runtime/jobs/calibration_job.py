@@ -5,6 +5,7 @@ from threading import Lock
 
 from service.errors import BusyError, ConflictError, SooError
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
@@ -121,17 +122,25 @@ class Calibrator:
         """Read what the archive holds for a draft."""
         catalogue, archive, request = self._storage.catalogue, self._storage.archive, draft.request
         plan = catalogue.plan(spacecraft_id, draft.plan_id)
+        operations = self._operations(spacecraft_id, request)
+        edges_us = mean_edges_us(request, operations)
+        quiet, turns = (
+            minute_rows(archive.measurement_parts(spacecraft_id, window, plan.carrier_ids), plan.carrier_ids, edges_us)
+            for window in (request.quiet, request.turns)
+        )
         return CalibrationInput(
             request,
             plan,
             catalogue.ephemeris(spacecraft_id, draft.ephemeris_id),
-            archive.measurement_series(spacecraft_id, request.quiet, plan.carrier_ids),
-            archive.measurement_series(spacecraft_id, request.turns, plan.carrier_ids),
+            quiet.series,
+            turns.series,
             archive.reference_series(spacecraft_id, request.turns),
             archive.reference_series(spacecraft_id, request.quiet),
             catalogue.spacecraft(spacecraft_id),
-            self._operations(spacecraft_id, request),
+            operations,
             self._corrections(spacecraft_id, request),
+            quiet.usual_measurements,
+            quiet.first_dbm,
         )
 
     def _corrections(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Correction, ...]:

@@ -8,7 +8,7 @@ import logging
 import threading
 import uuid
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 
 from service.errors import SooError
 from service.ports import Clock, Results
@@ -29,7 +29,7 @@ class JobInterruptedError(Exception):
 
 
 class JobRunner:
-    """Runs jobs one after another in a thread of its own.
+    """Runs jobs one after another.
 
     Parameters
     ----------
@@ -37,23 +37,24 @@ class JobRunner:
         Where jobs are kept.
     clock : Clock
         For creation times.
+    executor : Executor, optional
+        Runs one piece of work at a time; a thread of its own by default.
     """
 
-    def __init__(self, results: Results, clock: Clock) -> None:
+    def __init__(self, results: Results, clock: Clock, executor: Executor | None = None) -> None:
         self._results = results
         self._clock = clock
-        self._executor = ThreadPoolExecutor(1, thread_name_prefix="soo-job")
+        self._executor = executor or ThreadPoolExecutor(1, thread_name_prefix="soo-job")
         self._is_stopping = threading.Event()
         self._lock = threading.Lock()
-        #: jobs of this process that have not ended
-        self._unfinished = 0
+        #: jobs of this runner that have not ended
+        self._unfinished: set[str] = set()
 
     def start(self) -> None:
-        """Mark what a process that has ended left unfinished; called when this service begins to lead."""
+        """Mark what a process that has ended left unfinished; called when this one begins to lead the archive."""
         with self._lock:
-            # unfinished jobs cannot be told from those of other services but by having none here
-            if not self._unfinished:
-                self._results.fail_unfinished_jobs("the service was restarted while the job ran; start it again")
+            text = "the service was restarted while the job ran; start it again"
+            self._results.fail_unfinished_jobs(text, tuple(self._unfinished))
 
     def stop(self) -> None:
         """Ask the running job to end at its next progress report and wait for it."""
@@ -65,13 +66,13 @@ class JobRunner:
         job = Job(f"{kind}-{uuid.uuid4().hex[:12]}", kind, JobState.QUEUED, 0.0, self._clock.system_us())
         with self._lock:
             self._results.add_job(job)
-            self._unfinished += 1
+            self._unfinished.add(job.id)
         return job
 
     def resume(self, job: Job, work: Callable[[Progress], None]) -> None:
         """Queue the work of a job that a former process left unfinished."""
         with self._lock:
-            self._unfinished += 1
+            self._unfinished.add(job.id)
         self.run(job, work)
 
     def run(self, job: Job, work: Callable[[Progress], None]) -> None:
@@ -100,4 +101,4 @@ class JobRunner:
             self._results.update_job(job_id, JobState.FAILED, 1.0, f"internal error, see the log: {error!r}")
         finally:
             with self._lock:
-                self._unfinished -= 1
+                self._unfinished.discard(job_id)

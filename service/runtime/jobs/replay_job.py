@@ -76,7 +76,8 @@ class Replayer:
         results = self._storage.results
         for spacecraft in self._storage.catalogue.all_spacecraft():
             for found in results.replays(spacecraft.id, _EVER, _EVERY, 0):
-                if found.state in _UNFINISHED and (spacecraft.id, found.replay.id) not in self._here:
+                is_here = (spacecraft.id, found.replay.id) in self._here
+                if found.state in _UNFINISHED and not is_here and results.acquire_job(found.replay.job_id):
                     _LOG.info("%s of %s goes on", found.replay.version, spacecraft.id)
                     self._jobs.resume(results.job(found.replay.job_id), self._work(spacecraft.id, found.replay))
 

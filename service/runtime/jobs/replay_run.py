@@ -48,6 +48,22 @@ class _Passed(NamedTuple):
     position: tuple[int, int] | None
 
 
+class _Begun(NamedTuple):
+    """Journal number of the last entry that a new chain knows, and the epoch from which it runs rows."""
+
+    number: int
+    epoch_us: int
+
+
+class ReplaySpan(NamedTuple):
+    """Part of a replay: entries of the journal of which it computes the rows."""
+
+    #: journal number behind which it begins; None = where the replay begins
+    after: int | None
+    #: journal number of the last entry
+    until: int
+
+
 class ReplayRun:
     """Run of a replay that is stored.
 
@@ -82,10 +98,11 @@ class ReplayRun:
     def run(self, report: Progress) -> None:
         """Compute and store the rows of the span; ConflictError ``replay.deleted`` if it is deleted meanwhile."""
         kept = self._storage.results.replay_checkpoint(self._id, self._replay.version, fingerprint(self._config))
-        passed = self._by_epoch if self._replay.order == "epoch" else self._by_journal
+        is_by_epoch = self._replay.order == "epoch"
+        passed = self._by_epoch(kept) if is_by_epoch else self._by_journal(kept, self._last_number())
         chosen: list[Outcome] = []
         kept_s = time.monotonic()
-        for each in passed(kept):
+        for each in passed:
             if each.outcome is not None and (within := _within(each.outcome, self._replay)) is not None:
                 chosen.append(within)
             is_due = each.position is not None and time.monotonic() - kept_s >= _CHECKPOINT_S
@@ -96,29 +113,78 @@ class ReplayRun:
                 report(each.progress)
         self._save(chosen, None)
 
+    def spans(self, least_entries: int) -> tuple[ReplaySpan, ...]:
+        """Divide the replay where its chain can begin: at alignments, and at checkpoints of the live run that fit.
+
+        One span where it cannot: in order of epoch, and with an alignment in place of the journal's.
+
+        Parameters
+        ----------
+        least_entries : int
+            Entries of the journal in a span, at least.
+        """
+        last = self._last_number()
+        is_divisible = self._replay.order == "journal" and not self._replay.is_fixed_alignment
+        begin, *possible = self._beginnings(last) if is_divisible else [0]
+        cuts: list[int] = []
+        for cut in possible:
+            if min(cut - max([begin, *cuts]), last - cut) >= least_entries:
+                cuts.append(cut)
+        return tuple(ReplaySpan(after, until) for after, until in zip([None, *cuts], [*cuts, last], strict=True))
+
+    def run_span(self, span: ReplaySpan) -> list[Outcome]:
+        """Compute and store the rows of a span; return outcomes of rows of former spans, which are stored after those.
+
+        An alignment computes rows that were stored before it. Those that have angles by then keep them, and only who
+        has computed the former spans knows which have.
+        """
+        passed = self._by_epoch(None) if self._replay.order == "epoch" else self._by_span(span)
+        chosen: list[Outcome] = []
+        former: list[Outcome] = []
+        for each in passed:
+            within = None if each.outcome is None else _within(each.outcome, self._replay)
+            if within is not None:
+                (former if within.rows[0].number <= (span.after or 0) else chosen).append(within)
+            if len(chosen) >= _OUTCOMES_AT_ONCE:
+                self._save(chosen, None)
+                chosen = []
+        self._save(chosen, None)
+        return former
+
     def _save(self, outcomes: list[Outcome], position: tuple[int, int] | None) -> None:
         checkpoint = None if position is None else checkpoint_of(self._chain, self._config, *position)
         self._storage.results.save_outcomes(self._id, self._replay.version, outcomes, 0, None, checkpoint)
 
-    def _by_journal(self, own: Checkpoint | None) -> Iterator[_Passed]:
-        """Pass the entries in the order of the journal, as far as they can give a row of the span."""
-        archive, newest_number = self._storage.archive, min(self._newest_number, self._last_number())
-        first = self._storage.results.alignment_number(self._id, self._alignment.id)
-        kept = self._restored(own) or self._restored_live(first, newest_number)
-        if kept is None:
-            update_before(self._chain, archive, self._id, first, self._alignment.epoch_us)
-        position = first - 1 if kept is None else kept.number
-        newest_us = self._alignment.epoch_us if kept is None else kept.epoch_us
+    def _by_journal(self, own: Checkpoint | None, until: int) -> Iterator[_Passed]:
+        """Pass the entries in the order of the journal until one of them."""
+        first = self._first_number()
+        kept = self._restored(own) or self._restored_live(first, until, self._replay.start_us)
+        return self._consumed(kept or self._aligned(first, self._alignment.epoch_us), 0, until)
+
+    def _by_span(self, span: ReplaySpan) -> Iterator[_Passed]:
+        """Pass the entries of a span; the chain goes on from the newest state before it."""
+        if span.after is None:
+            return self._by_journal(None, span.until)
+        number, epoch_us = max(each for each in self._alignments() if each[0] <= span.after + 1)
+        kept = self._restored_live(number, span.after, None)
+        return self._consumed(kept or self._aligned(number, epoch_us), span.after, span.until)
+
+    def _consumed(self, begun: Checkpoint | _Begun, after: int, until: int) -> Iterator[_Passed]:
+        """Pass what the chain makes of the entries after one and until another, from where its state is on."""
+        archive, first = self._storage.archive, self._first_number()
+        position, newest_us = begun.number, begun.epoch_us
         trips = trips_after(archive, self._id, first)
-        while position < newest_number:
+        while position < until:
             entries = archive.journal(self._id, position, _ENTRIES_AT_ONCE)
             if not entries:
                 return
             for entry in entries:
-                if not self._heeds(entry) or entry.number > newest_number:
+                if not self._heeds(entry) or entry.number > until:
                     continue
-                progress = (entry.number - first) / max(1, newest_number - first)
+                progress = (entry.number - first) / max(1, until - first)
                 for outcome in consume(self._chain, entry, archive, self._id):
+                    if entry.number <= after:
+                        continue
                     yield _Passed(progress, without_torque_after(trips, outcome), None)
                 if isinstance(entry.content, Measurement):
                     newest_us = max(newest_us, entry.content.epoch_us)
@@ -161,22 +227,56 @@ class ReplayRun:
         self._chain.restore(state)
         return own
 
-    def _restored_live(self, first: int, newest_number: int) -> Checkpoint | None:
-        """Restore the chain from the newest checkpoint of the live run before the span, and return the checkpoint.
+    def _restored_live(self, first: int, newest_number: int, before_us: int | None) -> Checkpoint | None:
+        """Restore the chain from the newest checkpoint of the live run before an epoch, and return the checkpoint.
 
         None where the replay has another calibration or alignment than the live run: no checkpoint holds for it.
         """
-        if self._replay.calibration_id is not None or self._replay.is_fixed_alignment:
+        if not self._is_live():
             return None
-        start_us = self._replay.start_us
-        return restored_checkpoint(self._storage, self._id, self._chain, self._config, first, newest_number, start_us)
+        return restored_checkpoint(self._storage, self._id, self._chain, self._config, first, newest_number, before_us)
+
+    def _is_live(self) -> bool:
+        """Return whether the chain of this replay has the states of the live one."""
+        return self._replay.calibration_id is None and not self._replay.is_fixed_alignment
+
+    def _aligned(self, number: int, epoch_us: int) -> _Begun:
+        """Bring a new chain to the entry before an alignment."""
+        update_before(self._chain, self._storage.archive, self._id, number, epoch_us)
+        return _Begun(number - 1, epoch_us)
+
+    def _first_number(self) -> int:
+        """Return the journal number of the alignment that the replay starts from."""
+        return self._storage.results.alignment_number(self._id, self._alignment.id)
 
     def _last_number(self) -> int:
         """Return the journal number of the last entry that can give a row of the span: a row or an alignment."""
-        results, window = self._storage.results, Window(self._replay.start_us, self._replay.stop_us)
-        aligned = [each.id for each in results.alignments(self._id) if each.epoch_us < window.stop_us]
-        numbers = [results.alignment_number(self._id, alignment_id) for alignment_id in aligned]
-        return max(self._storage.archive.last_number(self._id, window), *numbers, 0)
+        window = Window(self._replay.start_us, self._replay.stop_us)
+        numbers = [number for number, epoch_us in self._alignments() if epoch_us < window.stop_us]
+        last = max(self._storage.archive.last_number(self._id, window), *numbers, 0)
+        return min(self._newest_number, last)
+
+    def _alignments(self) -> list[tuple[int, int]]:
+        """Return journal number and epoch of every alignment."""
+        results = self._storage.results
+        return [(results.alignment_number(self._id, each.id), each.epoch_us) for each in results.alignments(self._id)]
+
+    def _beginnings(self, last: int) -> list[int]:
+        """Return the journal numbers up to the last one behind which the chain can begin, in order.
+
+        The first is where the replay begins.
+        """
+        begin, found = self._first_number() - 1, []
+        if self._is_live():
+            for state in self._storage.results.checkpoints(self._id, fingerprint(self._config), last):
+                if state.number <= begin:
+                    break
+                if state.epoch_us < self._replay.start_us:
+                    begin = state.number
+                    break
+                found.append(state.number)
+        found += [number - 1 for number, _ in self._alignments() if begin < number - 1 < last]
+        return [begin, *sorted(set(found))]
 
     def _heeds(self, entry: JournalEntry) -> bool:
         """Return whether an entry of the journal counts in this replay."""
@@ -194,6 +294,17 @@ def replay_in_process(
         job_id = storage.results.replay(spacecraft_id, version).replay.job_id
         report = partial(storage.results.update_job, job_id, JobState.RUNNING)
         ReplayRun(storage, config, spacecraft_id, version).run(report)
+    finally:
+        storage.close()
+
+
+def run_span_in_process(
+    open_storage: Callable[[], Storage], config: ChainConfig, spacecraft_id: str, version: str, span: ReplaySpan
+) -> list[Outcome]:
+    """Run a span of a replay, as `ReplayRun.run_span` does, in a process that has no storage yet."""
+    storage = open_storage()
+    try:
+        return ReplayRun(storage, config, spacecraft_id, version).run_span(span)
     finally:
         storage.close()
 

@@ -4,8 +4,11 @@ It looks at the archive some times a second. Rows and changes of alarms are told
 where they stand, and each stream reads them from the archive, as it does after a gap.
 """
 
+from collections.abc import Mapping
+
 from service.ports import Storage
 from service.records.levels.measurement import Measurement
+from service.records.levels.series import HeadState
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 
 #: entries and changes read in one go
@@ -28,9 +31,18 @@ class Relay:
         self._feed = feed
         self._positions: dict[str, Cursor] = {}
 
-    def forget(self) -> None:
+    def forget(self, spacecraft_id: str) -> None:
         """Begin with the present when it is needed again."""
-        self._positions.clear()
+        self._positions.pop(spacecraft_id, None)
+
+    def behind(self, heads: Mapping[str, HeadState]) -> set[str]:
+        """Return the spacecraft with subscribers of which something may have been stored since their last poll."""
+        alarm = self._storage.alarms.newest_sequence()
+        present = {name: Cursor(head.newest_number, head.result_sequence, alarm) for name, head in heads.items()}
+        # who subscribes from here on finds in the archive what was stored up to this present
+        quiet = {name for name in present if not self._feed.has_subscribers(name)}
+        self._positions |= {name: present[name] for name in quiet}
+        return {name for name in present.keys() - quiet if self._positions.get(name) != present[name]}
 
     def poll(self, spacecraft_id: str) -> None:
         """Publish the entries since the last poll."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from service.records.levels.attitude import AttitudeRow
+from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import TorqueCommand
 from service.records.levels.measurement import Measurement
 from service.records.operations.alarm import AlarmChange
@@ -38,6 +39,8 @@ class FeedEvent:
     #: of an alarm's event only ``alarm`` counts
     cursor: Cursor
     content: Content
+    #: of an attitude row what its method makes of the carriers
+    carriers: CarrierResults | None = field(default=None, compare=False)
 
     @property
     def at_us(self) -> int | None:

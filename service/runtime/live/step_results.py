@@ -1,7 +1,8 @@
 """Results of some entries of the journal, as the supervisor stores them and tells of them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 
 from service.pipeline.chain import Chain
 from service.pipeline.control.release.events import StoredRow
@@ -9,6 +10,7 @@ from service.ports import Outcome
 from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import AttitudeRow
+from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import TorqueCommand
 from service.records.levels.measurement import Measurement
 from service.runtime.live.journal_consumer import Trip, without_torque_after
@@ -58,16 +60,24 @@ def result_events(
     calibration holds.
     """
     events: list[FeedEvent] = []
-    results = [result for outcome in outcomes for result in (*outcome.rows, outcome.command) if result is not None]
+    results = [result for outcome in outcomes for result in _results(outcome)]
     is_whole = len(results) == last - first
     if is_whole:
         events += [
-            FeedEvent(_kind(result), Cursor(number, sequence), result)
-            for sequence, result in enumerate(results, start=first + 1)
+            FeedEvent(_kind(result), Cursor(number, sequence), result, carriers)
+            for sequence, (result, carriers) in enumerate(results, start=first + 1)
         ]
     if not is_whole or any(isinstance(entry.content, _RESTARTING) for entry in entries):
         events.append(FeedEvent("status", Cursor(number, last), None))
     return tuple(events)
+
+
+def _results(outcome: Outcome) -> Iterator[tuple[AttitudeRow | TorqueCommand, CarrierResults | None]]:
+    """Yield the results of a row in the order in which they are stored, with what is known of the carriers."""
+    # nothing is known of the carriers of a late row
+    yield from zip_longest(outcome.rows, outcome.carriers)
+    if outcome.command is not None:
+        yield outcome.command, None
 
 
 def _kind(result: AttitudeRow | TorqueCommand) -> str:

@@ -17,7 +17,7 @@ from service.errors import NotFoundError, StorageError
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.release.events import StoredRow
-from service.ports import LIVE, Outcome, Storage
+from service.ports import LIVE, Outcome, Storage, Term
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import CarrierState
@@ -27,7 +27,7 @@ from service.records.storage.checkpoint import Checkpoint
 from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
 from service.runtime.live.follower_relay import Relay
 from service.runtime.live.journal_consumer import consume, trips_after
-from service.runtime.live.leadership import Term, always
+from service.runtime.live.leadership import always, is_moving
 from service.runtime.live.live_feed import FeedEvent, LiveFeed
 from service.runtime.live.row_cache import FreshRows
 from service.runtime.live.row_publisher import RowPublisher
@@ -81,7 +81,7 @@ class Supervisor:
     watcher : Watcher, optional
         Who looks at the rows.
     turn : Term, optional
-        Tells whether this service leads; while another one does, the feed is told what that one has stored.
+        Tells which spacecraft this process leads; of the others the feed gets what their leaders have stored.
     release : ReleaseWatcher, optional
         Who releases torques.
     """
@@ -139,9 +139,14 @@ class Supervisor:
             self._due[spacecraft_id] = max(up_to, self._due.get(spacecraft_id, 0))
             self._wake.notify()
 
+    def on_announced(self, spacecraft_id: str) -> None:
+        """Follow a spacecraft that another process has changed, where it is led or listened to here."""
+        if self._turn(spacecraft_id) or self._feed.has_subscribers(spacecraft_id):
+            self.notify(spacecraft_id)
+
     def is_catching_up(self, spacecraft_id: str) -> bool:
         """Return whether this service leads and the chain is still brought back to where results were stored."""
-        turn, follower = self._turn(), self._followers.get(spacecraft_id)
+        turn, follower = self._turn(spacecraft_id), self._followers.get(spacecraft_id)
         if turn == 0 or not self.is_running or (follower is not None and follower.turn == turn):
             return False
         return self._storage.archive.head(spacecraft_id).consumed_number > 0
@@ -154,6 +159,11 @@ class Supervisor:
         with follower.lock:
             return follower.chain.carrier_states()
 
+    def rows_by_kind(self, spacecraft_id: str) -> dict[bool, int]:
+        """Return how many rows the robust method has taken since the start, by whether they were ordinary."""
+        follower = self._followers.get(spacecraft_id)
+        return {} if follower is None else follower.chain.rows_by_kind()
+
     def is_disagreeing(self, spacecraft_id: str) -> bool:
         """Return whether the methods have told different roll or pitch angles for long."""
         follower = self._followers.get(spacecraft_id)
@@ -164,6 +174,7 @@ class Supervisor:
 
     def _run(self) -> None:
         """Follow journals until stopped."""
+        polled_s = -math.inf
         while True:
             with self._wake:
                 if not self._due and not self._is_stopping:
@@ -171,7 +182,11 @@ class Supervisor:
                 if self._is_stopping:
                     break
                 due, self._due = self._due, {}
-            for spacecraft_id, up_to in sorted((due or dict.fromkeys(self._grown(), _UNKNOWN)).items()):
+            if time.monotonic() - polled_s >= _POLL_S:
+                # what nobody has announced, also while others keep this thread busy
+                due = dict.fromkeys(self._grown(), _UNKNOWN) | due
+                polled_s = time.monotonic()
+            for spacecraft_id, up_to in sorted(due.items()):
                 self._follow_guarded(spacecraft_id, up_to)
             time.sleep(_PAUSE_S)
         self._keep_states()
@@ -183,18 +198,20 @@ class Supervisor:
     def _grown(self) -> tuple[str, ...]:
         """Return the spacecraft of which another service may have taken something in."""
         try:
-            known = self._storage.catalogue.all_spacecraft()
-            return tuple(each.id for each in known if self._is_to_be_followed(each.id))
+            heads = self._storage.archive.heads()
+            led = {each for each in heads if self._turn(each)}
+            others = {each: head for each, head in heads.items() if each not in led}
+            grown = {each for each in led if self._is_to_be_consumed(each, heads[each].newest_number)}
+            return (*grown, *(self._relay.behind(others) if others else ()))
         except StorageError:
             # the users of the archive report the error
             return ()
 
-    def _is_to_be_followed(self, spacecraft_id: str) -> bool:
-        """Return whether there is something to consume, or to pass on."""
-        turn, follower = self._turn(), self._followers.get(spacecraft_id)
-        if turn == 0 or follower is None or follower.turn != turn:
-            return True
-        return self._storage.archive.head(spacecraft_id).newest_number > follower.consumed_number
+    def _is_to_be_consumed(self, spacecraft_id: str, newest_number: int) -> bool:
+        """Return whether there are entries that the chain of this term has not consumed."""
+        follower = self._followers.get(spacecraft_id)
+        is_present = follower is not None and follower.turn == self._turn(spacecraft_id)
+        return not is_present or follower is None or newest_number > follower.consumed_number
 
     def _follow_guarded(self, spacecraft_id: str, up_to: float) -> None:
         """Follow one journal; a fault is logged, the state is rebuilt and the journal tried again."""
@@ -205,10 +222,13 @@ class Supervisor:
                 # deleted
                 self._followers.pop(spacecraft_id, None)
                 return
-            _LOG.exception(
-                "computing new rows of %s failed; its state is rebuilt from the archive and the step retried",
-                spacecraft_id,
-            )
+            if is_moving(fault):
+                _LOG.warning("another process leads %s now: %s", spacecraft_id, fault)
+            else:
+                _LOG.exception(
+                    "computing new rows of %s failed; its state is rebuilt from the archive and the step retried",
+                    spacecraft_id,
+                )
             self._followers.pop(spacecraft_id, None)
             timer = threading.Timer(_RETRY_S, self.notify, (spacecraft_id,))
             timer.daemon = True
@@ -216,18 +236,18 @@ class Supervisor:
 
     def _follow(self, spacecraft_id: str, up_to: float) -> None:
         """Consume the entries of one journal up to a number, or to its end."""
-        turn = self._turn()
+        turn = self._turn(spacecraft_id)
         if turn == 0:
             self._followers.pop(spacecraft_id, None)
             self._relay.poll(spacecraft_id)
             return
-        self._relay.forget()
+        self._relay.forget(spacecraft_id)
         follower = self._followers.get(spacecraft_id)
         if follower is None or follower.turn != turn:
             follower = self._rebuild(spacecraft_id, turn)
             if follower is None:
                 return
-        while not self._is_stopping and self._turn() == turn and follower.consumed_number < up_to:
+        while not self._is_stopping and self._turn(spacecraft_id) == turn and follower.consumed_number < up_to:
             index = (spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
             fresh = self._fresh.after(*index)
             entries = fresh or self._storage.archive.journal(*index)
@@ -365,9 +385,8 @@ class Supervisor:
 
     def _keep_states(self) -> None:
         """Store the state of every chain that has moved on since its last checkpoint, at a clean stop."""
-        turn = self._turn()
         for spacecraft_id, follower in self._followers.items():
-            number = follower.consumed_number
+            turn, number = self._turn(spacecraft_id), follower.consumed_number
             checkpoint = self._checkpoint(follower, number, 1) if turn and follower.turn == turn else None
             if checkpoint is None:
                 continue

@@ -11,7 +11,7 @@ from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.flight_store import keep, kept
 from service.study.closed_loop.merit import GroupMerit, group_merit
 from service.study.closed_loop.run import YAW_SIGMA_DEG, LoopResult, LoopUnit, fly_unit
-from service.study.estimation.campaign import do_work, process_pool
+from service.study.executors import WorkerChoice, do_work, executor_of
 
 #: called after each run with how many are done and how many there are
 Show = Callable[[int, int], None]
@@ -22,7 +22,7 @@ class LoopPlan(NamedTuple):
 
     scenarios: tuple[str, ...]
     runs: int
-    workers: int = 2
+    workers: WorkerChoice = WorkerChoice()
     sensings: tuple[Sensing, ...] = tuple(Sensing)
     uplink: str = "link"
     operation_days: float | None = None
@@ -67,8 +67,8 @@ def run_loops(plan: LoopPlan, show: Show, folder: Path | None = None) -> LoopCam
     ------
     PlantFailedError
         The plant does not know a scenario, or failed.
-    BrokenExecutor
-        A process of the study was ended by someone else.
+    BrokenExecutor, ClusterError
+        A process of the study was ended by someone else, or the cluster cannot compute.
     """
     began_s = time.monotonic()
     keys = [(scenario, sensing) for scenario in plan.scenarios for sensing in plan.sensings]
@@ -77,7 +77,7 @@ def run_loops(plan: LoopPlan, show: Show, folder: Path | None = None) -> LoopCam
     queue = sorted((unit for some in units.values() for unit in some), key=lambda u: u.sensing is not Sensing.AUTOMATIC)
     flown = {} if folder is None else {unit: old for unit in queue if (old := kept(folder, unit)) is not None}
     show(len(flown), len(queue))
-    with process_pool(plan.workers) as pool:
+    with executor_of(plan.workers) as pool:
         flying = {pool.submit(do_work, fly_unit, unit): unit for unit in queue if unit not in flown}
         for done in as_completed(flying):
             flown[flying[done]] = done.result()

@@ -1,23 +1,12 @@
-"""The campaign: units spread over processes, their results put together and held against the bounds.
+"""The campaign: units spread over workers, their results put together and held against the bounds."""
 
-Processes are started afresh, with one thread a matrix product, and leave signals to their parent; whatever ends the
-campaign early ends them and the simulators that they wait for.
-"""
-
-import multiprocessing
-import os
 import platform
-import signal
-import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from importlib.metadata import version
-from types import FrameType
-from typing import NamedTuple, NoReturn, TypeVar
+from typing import NamedTuple
 
 from service.study.estimation.accuracy import AXES, Statistics, accuracy_statistics
 from service.study.estimation.baselines import BASELINES, UNINFORMED
@@ -31,14 +20,11 @@ from service.study.estimation.scenarios import SNAPSHOT
 from service.study.estimation.trials.snapshot_trials import SnapshotTrials, run_trials, trial_statistics
 from service.study.estimation.unit import Course, Unit, UnitResult, run_unit
 from service.study.estimation.yardstick import yardstick_statistics
-
-_Asked = TypeVar("_Asked")
-_Message = TypeVar("_Message")
+from service.study.executors import WorkerChoice, do_work, executor_of
 
 METHODS = ("robust", "paper")
 #: the slope of yaw scatters by 0.1 from calibration to calibration; its mean is to be judged to 0.03
 _SNAPSHOT_SEEDS = 16
-_THREADS = "OPENBLAS_NUM_THREADS"
 
 
 class CampaignPlan(NamedTuple):
@@ -46,7 +32,7 @@ class CampaignPlan(NamedTuple):
 
     scenarios: tuple[str, ...]
     seeds: int
-    workers: int = 2
+    workers: WorkerChoice = WorkerChoice()
     #: None = as long as each scenario is
     operation_days: float | None = None
 
@@ -87,14 +73,14 @@ def run_campaign(plan: CampaignPlan, show: Show) -> Campaign:
     ------
     ExportFailedError
         The simulator does not know a scenario, or failed.
-    BrokenExecutor
-        A process of the study was ended by someone else.
+    BrokenExecutor, ClusterError
+        A process of the study was ended by someone else, or the cluster cannot compute.
     """
     began_s = time.monotonic()
     seeds = range(1, plan.seeds + 1)
     units = [Unit(name, seed, plan.operation_days) for name in plan.scenarios if name != SNAPSHOT for seed in seeds]
     trials = range(1, max(plan.seeds, _SNAPSHOT_SEEDS) + 1) if SNAPSHOT in plan.scenarios else range(0)
-    with process_pool(plan.workers) as pool:
+    with executor_of(plan.workers) as pool:
         reported: dict[Future[UnitResult], Unit] = {
             pool.submit(do_work, run_unit, unit): unit for unit in _longest_first(units)
         }
@@ -193,52 +179,3 @@ def _longest_first(units: Sequence[Unit]) -> list[Unit]:
     """Return the units so that no long one is left to the end."""
     slow = {"long14": 0, "nominal_10s": 1}
     return sorted(units, key=lambda unit: slow.get(unit.scenario, 2))
-
-
-@contextmanager
-def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Give processes, one thread a matrix product; end them with what they have started when the study ends early."""
-    former = os.environ.get(_THREADS)
-    os.environ[_THREADS] = "1"
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(max_workers=workers, mp_context=context, initializer=_prepare_worker)
-    try:
-        yield pool
-    except BaseException:
-        for child in multiprocessing.active_children():
-            child.terminate()
-        raise
-    finally:
-        # waits for the pool's own thread, which the interpreter would otherwise meet half gone at its end
-        pool.shutdown(wait=True, cancel_futures=True)
-        if former is None:
-            del os.environ[_THREADS]
-        else:
-            os.environ[_THREADS] = former
-
-
-def _prepare_worker() -> None:
-    """Leave Ctrl-C to the parent; asked to end, unwind, so that a simulator that runs is ended too."""
-
-    def end(_number: int, _frame: FrameType | None) -> NoReturn:
-        sys.exit(1)
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, end)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """Wait for the end of a parent that was killed, which could ask nobody to end, and end."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def do_work(run: Callable[[_Asked], _Message], asked: _Asked) -> _Message:
-    """Do one piece of work in a process of the pool, which would take its end for a result and go on."""
-    try:
-        return run(asked)
-    except SystemExit:
-        os._exit(1)

@@ -10,12 +10,13 @@ add stands in `hidden_motion`.
 
 import cmath
 import math
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.kernels import array_kernels
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import (
     CarrierModel,
@@ -83,7 +84,7 @@ def motion_over(step_us: int, settings: FilterSettings) -> TransitionMatrices:
     Returns
     -------
     TransitionMatrices
-        Arrays nobody may write: one answer serves every step of the same length.
+        Nobody may write to the arrays: one answer serves every step of the same length.
     """
     hours = step_us / 1e6 / _S_PER_H
     turn = complex(0.0, settings.coupling_per_h)
@@ -100,9 +101,11 @@ def motion_over(step_us: int, settings: FilterSettings) -> TransitionMatrices:
         response[DRIFT] = math.exp(-elapsed / settings.drift_tau_h) * np.eye(3)
         noise += 0.5 * hours * weight * (response * intensity) @ response.T
     noise = 0.5 * (noise + noise.T)
-    transition.setflags(write=False)
-    noise.setflags(write=False)
     return TransitionMatrices(transition, noise)
+
+
+#: `move_state`, compiled or not
+Mover = Callable[..., tuple[Gaussian, FloatArray]]
 
 
 class Weather(NamedTuple):
@@ -119,6 +122,46 @@ class Weather(NamedTuple):
     declared: Declared | None = None
 
 
+def move_state(
+    model: CarrierModel,
+    state: Gaussian,
+    motion: TransitionMatrices,
+    push: FloatArray,
+    core_variance: FloatArray,
+    common_sigma: FloatArray,
+    common_tau_s: FloatArray,
+    seconds: float,
+    rain_factor: float,
+    slow_scale: float,
+    held_variance_db2: FloatArray,
+) -> tuple[Gaussian, FloatArray]:
+    """Return the state after a step, and the error (N,) of the calibration that it holds then, dB^2.
+
+    Hidden states (E,) stand behind the common parts, with columns of the transition (9, 9 + E) and, after those of the
+    common parts, sigma and correlation time (G + E,) of their own. Push (9,) and variance (11,) are what the step adds
+    to the first states; the calibration's error was `held_variance_db2` (N,) before.
+    """
+    mean, covariance, factor = array_kernels.fade(
+        state.mean, state.covariance, rain_factor, seconds, common_tau_s, model.coloured_tau_s
+    )
+    array_kernels.turn(mean, covariance, motion.transition, motion.noise, push, core_size(model))
+    variance = array_kernels.model_variance(model.coefficient_covariance, mean[ATTITUDE])
+    array_kernels.add_process_noise(
+        covariance,
+        factor,
+        core_variance,
+        common_sigma,
+        model.coloured_sigma_db,
+        model.coloured_tau_s,
+        model.reference_walk_db,
+        slow_scale**2,
+        seconds / _S_PER_H,
+        held_variance_db2,
+        variance,
+    )
+    return Gaussian(mean, covariance), variance
+
+
 def predict(
     model: CarrierModel,
     settings: FilterSettings,
@@ -126,7 +169,7 @@ def predict(
     step_us: int,
     known: KnownMotion,
     weather: Weather,
-    kernels: Kernels = ARRAYS,
+    mover: Mover = move_state,
     from_us: int = 0,
 ) -> tuple[Gaussian, FloatArray]:
     """Return the state after a step, before its measurement.
@@ -145,8 +188,8 @@ def predict(
         Commanded corrections and torques of the step.
     weather : Weather
         Rain, suspicion, scale of noise, declared operations.
-    kernels : Kernels
-        Who does the arithmetic.
+    mover : callable
+        `move_state`, compiled or not.
     from_us : int, microseconds UTC
         Epoch of the state: the hour of the day counts for a torque that goes round with the Sun.
 
@@ -170,31 +213,26 @@ def predict(
         hidden_sigma, hidden_tau_s = hidden_noise(hidden, len(known.unreported), settings)
         common_sigma = np.concatenate([common_sigma, hidden_sigma])
         common_tau_s = np.concatenate([common_tau_s, hidden_tau_s])
-    mean, covariance, factor = kernels.fade(
-        state.mean, state.covariance, rain_factor, seconds, common_tau_s, model.coloured_tau_s
-    )
-    first_hidden = core_size(model)
-    kernels.turn(mean, covariance, transition, motion.noise, _push(hours, known), first_hidden)
-    variance = kernels.model_variance(model.coefficient_covariance, mean[ATTITUDE])
-    kernels.add_process_noise(
-        covariance,
-        factor,
+    moved, variance = mover(
+        model,
+        state,
+        TransitionMatrices(transition, motion.noise),
+        _push(hours, known),
         np.array(_core_variance(settings, hours, known, weather)),
         common_sigma,
-        model.coloured_sigma_db,
-        model.coloured_tau_s,
-        model.reference_walk_db,
-        weather.slow_scale**2,
-        hours,
+        common_tau_s,
+        seconds,
+        rain_factor,
+        weather.slow_scale,
         weather.model_variance_db2,
-        variance,
     )
     if hidden > len(known.unreported):
-        add_scale_noise(covariance, first_hidden + len(known.unreported), settings, hours)
+        add_scale_noise(moved.covariance, core_size(model) + len(known.unreported), settings, hours)
     if weather.declared is not None:
-        covariance.ravel()[:: len(mean) + 1] += _declared_variance(model, weather.declared, hours, len(mean))
-        _move_together(model, covariance, weather.declared.group_step_db)
-    return Gaussian(mean, covariance), variance
+        size = len(moved.mean)
+        moved.covariance.ravel()[:: size + 1] += _declared_variance(model, weather.declared, hours, size)
+        _move_together(model, moved.covariance, weather.declared.group_step_db)
+    return moved, variance
 
 
 def _push(hours: float, known: KnownMotion) -> FloatArray:

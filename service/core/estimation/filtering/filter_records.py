@@ -55,6 +55,10 @@ class FilterStep(NamedTuple):
     common_db: float
     rain_db: float
     integrity: Integrity
+    #: (N,) dB, measured minus what attitude, chain, rain and common parts explain; NaN = absent
+    residual_db: FloatArray
+    #: whether nothing was found that takes a row through its stages one by one
+    is_ordinary: bool = True
 
 
 def start(model: CarrierModel, epoch_us: int, gaussian: Gaussian) -> FilterState:

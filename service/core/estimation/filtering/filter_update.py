@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.kernels import array_kernels
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray, pattern_change
 from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
@@ -61,14 +61,15 @@ class Innovation(NamedTuple):
 
 def expected_db(model: CarrierModel, mean: FloatArray, carriers: IntArray) -> FloatArray:
     """Return the deviations (n,) that a state makes, dB."""
-    own = mean[core_size(model, hidden_count(model, len(mean))) :].reshape(-1, model.carriers).sum(axis=0)
+    own = mean[core_size(model, hidden_count(model, len(mean))) :].reshape(-1, len(model.rain_share)).sum(axis=0)
     return np.asarray((site_db(model, mean) + own)[carriers])
 
 
 def site_db(model: CarrierModel, mean: FloatArray) -> FloatArray:
     """Return the deviations (N,) of attitude, chain, rain and common parts, without the carriers' own states, dB."""
     common = mean[CHAIN] + mean[common_states(model)].sum() - model.rain_share * mean[RAIN]
-    return np.asarray(pattern_change(model, mean[ATTITUDE]).deviation_db + common)
+    site: FloatArray = pattern_change(model, mean[ATTITUDE]).deviation_db + common
+    return site
 
 
 def innovate(
@@ -77,10 +78,8 @@ def innovate(
     deviation_db: FloatArray,
     carriers: IntArray,
     white_db2: FloatArray,
-    at_deg: FloatArray | None = None,
-    kernels: Kernels = ARRAYS,
 ) -> Innovation:
-    """Return the innovations of some carriers.
+    """Return the innovations of some carriers, their patterns linearised at the predicted attitude.
 
     Parameters
     ----------
@@ -94,19 +93,27 @@ def innovate(
         Which carriers.
     white_db2 : ndarray, shape (N,), dB^2
         White noise of every carrier.
-    at_deg : ndarray, shape (3,), deg, optional
-        Attitude at which the patterns are linearised; default the predicted one.
-    kernels : Kernels
-        Who does the arithmetic.
 
     Returns
     -------
     Innovation
         Of the carriers in the order given.
     """
-    innovation_db, jacobian = kernels.linearise(
+    return _innovate_at(model, state, deviation_db, carriers, white_db2, state.mean[ATTITUDE])
+
+
+def _innovate_at(
+    model: CarrierModel,
+    state: Gaussian,
+    deviation_db: FloatArray,
+    carriers: IntArray,
+    white_db2: FloatArray,
+    at_deg: FloatArray,
+) -> Innovation:
+    """Return the innovations of some carriers, patterns linearised at an attitude (3,), deg."""
+    innovation_db, jacobian = array_kernels.linearise(
         state.mean,
-        state.mean[ATTITUDE] if at_deg is None else at_deg,
+        at_deg,
         model.gradient_db_deg,
         model.hessian_db_deg2,
         model.rain_share,
@@ -115,8 +122,8 @@ def innovate(
         len(model.common_sigma_db),
         hidden_count(model, len(state.mean)),
     )
-    cross = kernels.project(state.covariance, jacobian, carriers, model.carriers)
-    predicted = kernels.spread(cross, jacobian, carriers, model.carriers)
+    cross = array_kernels.project(state.covariance, jacobian, carriers, len(model.rain_share))
+    predicted = array_kernels.spread(cross, jacobian, carriers, len(model.rain_share))
     return Innovation(carriers, innovation_db, predicted, white_db2[carriers], jacobian, cross)
 
 
@@ -136,7 +143,6 @@ def update(
     state: Gaussian,
     deviation_db: FloatArray,
     innovation: Innovation,
-    kernels: Kernels = ARRAYS,
 ) -> Updated:
     """Return the state after its measurement.
 
@@ -150,8 +156,6 @@ def update(
         The measurement.
     innovation : Innovation
         Of the carriers to be used, white noise raised where one is trusted less; n >= 1.
-    kernels : Kernels
-        Who does the arithmetic.
 
     Returns
     -------
@@ -159,26 +163,26 @@ def update(
         New state. Rain below zero is put to zero along its correlations.
     """
     carriers, white = innovation.carriers, innovation.white_db2
-    mean, whitened, residual = _updated(state, innovation, kernels)
-    own = whitened[:, ATTITUDE]
-    shift, nis = (residual @ own) / np.sqrt(np.einsum("ij,ij->j", own, own)), float(residual @ residual)
+    mean, whitened, residual = _updated(state, innovation)
+    own = np.ascontiguousarray(whitened[:, ATTITUDE])
+    shift, nis = (residual @ own) / np.sqrt((own * own).sum(axis=0)), float(residual @ residual)
     at_deg = state.mean[ATTITUDE]
     for _ in range(_MAX_PASSES):
         if float(np.abs(mean[ATTITUDE] - at_deg).max()) <= _RELINEARISE_DEG:
             break
         at_deg = mean[ATTITUDE]
-        all_white = np.zeros(model.carriers)
+        all_white = np.zeros(len(deviation_db))
         all_white[carriers] = white
-        again = innovate(model, state, deviation_db, carriers, all_white, at_deg, kernels)
-        mean, whitened, residual = _updated(state, again, kernels)
-    covariance = kernels.reduce(state.covariance, whitened)
+        again = _innovate_at(model, state, deviation_db, carriers, all_white, at_deg)
+        mean, whitened, residual = _updated(state, again)
+    covariance = array_kernels.reduce(state.covariance, whitened)
     return Updated(_with_rain_above_zero(mean, covariance), shift, nis, len(carriers))
 
 
-def _updated(state: Gaussian, innovation: Innovation, kernels: Kernels) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _updated(state: Gaussian, innovation: Innovation) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean after the innovations, W and w."""
     _, nu, predicted, white, _, cross = innovation
-    return kernels.update_state(state.mean, nu, predicted, white, cross)
+    return array_kernels.update_state(state.mean, nu, predicted, white, cross)
 
 
 def _with_rain_above_zero(mean: FloatArray, covariance: FloatArray) -> Gaussian:

@@ -82,13 +82,45 @@ class BestCandidate(NamedTuple):
     second_gain: FloatArray
 
 
-def choose_candidate(normal: FloatArray, moment: FloatArray) -> BestCandidate:
-    """Return the cheapest feasible candidate of each row.
+class CandidateSystems(NamedTuple):
+    """Solved systems of the 27 candidates of each row, before anything was measured.
+
+    Parameters
+    ----------
+    inverse : ndarray, shape (T, 27, 3, 3)
+        Inverse of the scaled normal matrix; without meaning where it is singular.
+    is_regular : ndarray of bool, shape (T, 27)
+        False where the inverse does not exist.
+    """
+
+    inverse: FloatArray
+    is_regular: BoolArray
+
+
+def solve_candidates(normal: FloatArray) -> CandidateSystems:
+    """Return the inverses of the 27 systems of each row.
 
     Parameters
     ----------
     normal : ndarray, shape (T, 36)
         Scaled normal matrices of the six columns, flattened; zero rows for columns that are zero.
+    """
+    zero = np.zeros((len(normal), 1))
+    elements = np.concatenate([normal, zero, zero + 1.0], axis=1)
+    factors = elements[:, _ADJUGATE]
+    adjugate = factors[:, 0] * factors[:, 3] - factors[:, 1] * factors[:, 2]
+    determinant = np.vecdot(elements[:, _PAIRS[:, 0]], adjugate[:, :, 0])
+    is_regular = determinant > MIN_DETERMINANT
+    return CandidateSystems(adjugate / np.where(is_regular, determinant, 1.0)[:, :, np.newaxis, np.newaxis], is_regular)
+
+
+def choose_candidate(candidates: CandidateSystems, moment: FloatArray) -> BestCandidate:
+    """Return the cheapest feasible candidate of each row.
+
+    Parameters
+    ----------
+    candidates : CandidateSystems
+        Of each row.
     moment : ndarray, shape (T, 6)
         Scaled right-hand sides.
 
@@ -98,15 +130,9 @@ def choose_candidate(normal: FloatArray, moment: FloatArray) -> BestCandidate:
         Of equal costs the candidate with more free angles wins, then the first in the order + - 0, yaw first. The
         candidate with three zeros is always feasible, so a choice always exists.
     """
-    rows = np.arange(len(normal))
-    zero = np.zeros((len(normal), 1))
-    elements = np.concatenate([normal, zero, zero + 1.0], axis=1)
-    side = np.concatenate([moment, zero], axis=1)[:, _SIDES]
-    factors = elements[:, _ADJUGATE]
-    adjugate = factors[:, 0] * factors[:, 3] - factors[:, 1] * factors[:, 2]
-    determinant = np.vecdot(elements[:, _PAIRS[:, 0]], adjugate[:, :, 0])
-    is_regular = determinant > MIN_DETERMINANT
-    inverse = adjugate / np.where(is_regular, determinant, 1.0)[:, :, np.newaxis, np.newaxis]
+    inverse, is_regular = candidates
+    rows = np.arange(len(moment))
+    side = np.concatenate([moment, np.zeros((len(moment), 1))], axis=1)[:, _SIDES]
     solution = (inverse @ side[..., np.newaxis])[..., 0]
     is_feasible = is_regular & (solution * CANDIDATE_SIGNS >= 0.0).all(axis=2)
     gain = np.where(is_feasible, np.vecdot(solution, side), -math.inf)

@@ -8,12 +8,18 @@ search began or in which order the carriers stand.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.paper.octant_candidates import OCTANT_SIGNS, choose_candidate
+from service.core.estimation.paper.octant_candidates import (
+    OCTANT_SIGNS,
+    CandidateSystems,
+    choose_candidate,
+    solve_candidates,
+)
 
 __all__ = ["OCTANT_SIGNS", "OctantFix", "OctantFixes", "predict_deviation_db", "solve_octants", "solve_octants_rows"]
 
@@ -135,7 +141,12 @@ def solve_octants(
     >>> fix.attitude_deg.round(9), fix.octant
     (array([-0.2,  0.1, -0.3]), 5)
     """
-    fixes = solve_octants_rows(plus, minus, deviation_db[np.newaxis], sigma_db)
+    row_db = deviation_db[np.newaxis]
+    if sigma_db is None:
+        system = _system_of(plus.tobytes(), minus.tobytes(), np.isfinite(deviation_db).tobytes())
+    else:
+        system = _normal_system(np.concatenate([plus, minus], axis=1), np.isfinite(row_db), sigma_db)
+    fixes = _fixes(system, row_db, is_weighted=sigma_db is not None)
     return OctantFix(
         attitude_deg=fixes.attitude_deg[0],
         cost=float(fixes.cost[0]),
@@ -166,40 +177,24 @@ def solve_octants_rows(
     OctantFixes
         Rows agree with :func:`solve_octants` to rounding, not bit for bit: sums of a batch are ordered differently.
     """
-    system = _normal_system(np.concatenate([plus, minus], axis=1), deviation_db, sigma_db)
-    choice = choose_candidate(system.normal, system.moment)
-    position = np.arange(len(system.normal))[:, np.newaxis], choice.columns
-    scale = system.length[position]
-    angles = np.zeros_like(system.length)
-    angles[position] = attitude = choice.solution / scale
-    residual = system.measured - angles @ system.design.T
-    cost = np.vecdot(system.weights * residual, residual)
-    is_present = system.weights > 0.0
-    count = is_present.sum(axis=1)
-    variance = cost / np.maximum(count - 3, 1) if sigma_db is None else 1.0
-    fixes = OctantFixes(
-        attitude_deg=attitude,
-        cost=cost,
-        octant=choice.octant,
-        covariance_deg2=choice.octant_inverse * np.reshape(variance, (-1, 1, 1)) / _outer(scale),
-        residual_db=np.where(is_present, residual, math.nan),
-        second_best_cost=np.maximum(system.cost_at_zero - choice.second_gain, cost),
-        carriers_used=count,
-    )
-    is_determined = choice.is_regular & (count >= MIN_CARRIERS)
-    return fixes if is_determined.all() else _blanked(fixes, is_determined)
+    system = _normal_system(np.concatenate([plus, minus], axis=1), np.isfinite(deviation_db), sigma_db)
+    return _fixes(system, deviation_db, is_weighted=sigma_db is not None)
 
 
 class _System(NamedTuple):
-    """Normal equations of T rows in six columns: design (N, 6), the rest with leading axis T, scaled for the kernel."""
+    """Normal equations of T rows in six columns, scaled: all that depends only on the carriers that are present."""
 
+    #: (N, 6)
     design: FloatArray
-    measured: FloatArray
+    #: (T, N)
+    is_present: BoolArray
+    #: (T, N)
     weights: FloatArray
-    cost_at_zero: FloatArray
-    normal: FloatArray
-    moment: FloatArray
+    #: (T,)
+    carriers_used: IntArray
+    #: (T, 6)
     length: FloatArray
+    candidates: CandidateSystems
 
 
 def _outer(vectors: FloatArray) -> FloatArray:
@@ -207,30 +202,55 @@ def _outer(vectors: FloatArray) -> FloatArray:
     return vectors[:, :, np.newaxis] * vectors[:, np.newaxis, :]
 
 
-def _normal_system(design: FloatArray, deviation_db: FloatArray, sigma_db: FloatArray | None) -> _System:
+# some sets of carriers for each spacecraft of a fleet, 5 kB each
+@lru_cache(maxsize=512)
+def _system_of(plus: bytes, minus: bytes, is_measured: bytes) -> _System:
+    """Return the equations of one row of equal weights: from row to row the carriers hardly ever change."""
+    columns = [np.frombuffer(each).reshape(-1, 3) for each in (plus, minus)]
+    return _normal_system(np.concatenate(columns, axis=1), np.frombuffer(is_measured, dtype=np.bool_)[np.newaxis], None)
+
+
+def _normal_system(design: FloatArray, is_measured: BoolArray, sigma_db: FloatArray | None) -> _System:
     """Return the scaled normal equations; absent carriers weigh nothing."""
     is_known = np.isfinite(design)
-    is_present = np.isfinite(deviation_db) & is_known.all(axis=1)
+    is_present = is_measured & is_known.all(axis=1)
     if sigma_db is None:
         weights = is_present.astype(np.float64)
     else:
         is_present = is_present & (sigma_db > 0.0) & np.isfinite(sigma_db)
         weights = is_present / np.where(is_present, sigma_db, 1.0) ** 2
     safe = np.where(is_known, design, 0.0)
-    measured = np.where(is_present, deviation_db, 0.0)
-    weighted = weights * measured
     normal = weights @ _outer(safe).reshape(-1, 36)
     length = np.sqrt(normal[:, ::7])
     length[length == 0.0] = 1.0
-    return _System(
-        design=safe,
-        measured=measured,
-        weights=weights,
-        cost_at_zero=np.vecdot(weighted, measured),
-        normal=normal / _outer(length).reshape(-1, 36),
-        moment=weighted @ safe / length,
-        length=length,
+    candidates = solve_candidates(normal / _outer(length).reshape(-1, 36))
+    return _System(safe, is_present, weights, is_present.sum(axis=1), length, candidates)
+
+
+def _fixes(system: _System, deviation_db: FloatArray, *, is_weighted: bool) -> OctantFixes:
+    """Return the optimum of each row of deviations (T, N)."""
+    measured = np.where(system.is_present, deviation_db, 0.0)
+    weighted = system.weights * measured
+    choice = choose_candidate(system.candidates, weighted @ system.design / system.length)
+    position = np.arange(len(measured))[:, np.newaxis], choice.columns
+    scale = system.length[position]
+    angles = np.zeros_like(system.length)
+    angles[position] = attitude = choice.solution / scale
+    residual = measured - angles @ system.design.T
+    cost = np.vecdot(system.weights * residual, residual)
+    count = system.carriers_used
+    variance = 1.0 if is_weighted else cost / np.maximum(count - 3, 1)
+    fixes = OctantFixes(
+        attitude_deg=attitude,
+        cost=cost,
+        octant=choice.octant,
+        covariance_deg2=choice.octant_inverse * np.reshape(variance, (-1, 1, 1)) / _outer(scale),
+        residual_db=np.where(system.is_present, residual, math.nan),
+        second_best_cost=np.maximum(np.vecdot(weighted, measured) - choice.second_gain, cost),
+        carriers_used=count,
     )
+    is_determined = choice.is_regular & (count >= MIN_CARRIERS)
+    return fixes if is_determined.all() else _blanked(fixes, is_determined)
 
 
 def _blanked(fixes: OctantFixes, is_determined: BoolArray) -> OctantFixes:

@@ -42,6 +42,9 @@ class RejectionReason(IntEnum):
     SIGMA = 3
 
 
+_USED, _ABSENT, _GATE, _SIGMA = (int(reason) for reason in RejectionReason)
+
+
 class RejectedFix(NamedTuple):
     """Fix of the carriers that were left.
 
@@ -124,17 +127,15 @@ def reject_faded_carriers(
     row = _Row(plus, minus, deviation_db, min_carriers)
     is_present: BoolArray = np.isfinite(deviation_db) & np.isfinite(plus).all(axis=1) & np.isfinite(minus).all(axis=1)
     gated = _gate(row, is_present, gate_db)
-    is_used, fix, is_sigma_exhausted = _sigma_rule(row, gated.is_kept, gated.fix, gate_sigma)
-    reason = np.full(len(is_used), int(RejectionReason.SIGMA))
-    reason[~gated.is_kept] = RejectionReason.GATE
-    reason[~is_present] = RejectionReason.ABSENT
-    reason[is_used] = RejectionReason.USED
+    clipped = _sigma_rule(row, gated.is_kept, gated.fix, gate_sigma)
+    is_used = clipped.is_used
+    reason = np.where(is_used, _USED, np.where(gated.is_kept, _SIGMA, np.where(is_present, _GATE, _ABSENT)))
     return RejectedFix(
-        fix=fix,
+        fix=clipped.fix,
         rejected=is_present & ~is_used,
         reason=reason,
-        residual_db=np.where(is_present, row.residual_db(fix), math.nan),
-        is_exhausted=gated.is_exhausted or is_sigma_exhausted,
+        residual_db=np.where(is_present, clipped.residual_db, math.nan),
+        is_exhausted=gated.is_exhausted or clipped.is_exhausted,
     )
 
 
@@ -161,7 +162,7 @@ def _gate(row: _Row, is_present: BoolArray, gate_db: float) -> _Gated:
         worst, misfit_db = _worst_misfit(row, is_kept, fix, gate_db)
     for carrier in gone[:-1]:
         is_kept[carrier] = _single_misfit(row, is_kept, carrier) >= -gate_db
-    if is_kept[gone].any():
+    if gone and is_kept[gone].any():
         fix = row.solve(is_kept)
     return _Gated(is_kept, fix, misfit_db < -gate_db)
 
@@ -195,22 +196,35 @@ def _misfit_db(residual_db: FloatArray, cost_reduction: FloatArray) -> FloatArra
     return np.where(np.isnan(cost_reduction), 0.0, np.copysign(size_db, residual_db))
 
 
-def _sigma_rule(row: _Row, is_kept: BoolArray, fix: OctantFix, gate_sigma: float) -> tuple[BoolArray, OctantFix, bool]:
-    """Return the carriers that the paper's rule uses, their fix, and whether it wanted fewer than may be left."""
+class _Clipped(NamedTuple):
+    """Carriers and fix after pass 3."""
+
+    is_used: BoolArray
+    fix: OctantFix
+    #: (N,) dB, measured minus model of the fix
+    residual_db: FloatArray
+    #: the rule wanted fewer carriers than may be left
+    is_exhausted: bool
+
+
+def _sigma_rule(row: _Row, is_kept: BoolArray, fix: OctantFix, gate_sigma: float) -> _Clipped:
+    """Return the carriers that the paper's rule uses."""
     is_used, seen = is_kept, [is_kept]
     while True:
-        residual_db = np.abs(row.residual_db(fix))
-        sigma_db = np.sqrt(np.square(residual_db[is_used]).sum() / max(int(is_used.sum()), 1))
+        residual_db = row.residual_db(fix)
+        size_db = np.abs(residual_db)
+        sigma_db = math.sqrt((size_db[is_used] ** 2).sum() / max(np.count_nonzero(is_used), 1))
         # negated, so that without a fix (NaN) nothing is rejected
-        tested = is_kept & ~(residual_db >= max(gate_sigma * sigma_db, ROUNDING_DB))
+        tested = is_kept & ~(size_db >= max(gate_sigma * sigma_db, ROUNDING_DB))
         if (tested == is_used).all():
-            return is_used, fix, False
+            return _Clipped(is_used, fix, residual_db, is_exhausted=False)
         if tested.sum() < row.min_carriers:
-            return is_used, fix, True
+            return _Clipped(is_used, fix, residual_db, is_exhausted=True)
         is_used = tested
         repeats = [k for k, one in enumerate(seen) if np.array_equal(one, tested)]
         if repeats:
             smallest = min(seen[repeats[0] :], key=lambda one: int(one.sum()))
-            return smallest, row.solve(smallest), False
+            fix = row.solve(smallest)
+            return _Clipped(smallest, fix, row.residual_db(fix), is_exhausted=False)
         seen.append(tested)
         fix = row.solve(is_used)

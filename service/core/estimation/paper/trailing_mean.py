@@ -64,10 +64,10 @@ def push(window_state: TrailingMean, epoch_us: int, row: FloatArray) -> Trailing
     """
     if window_state.epoch_us.size and epoch_us <= window_state.epoch_us[-1]:
         return window_state
-    kept = window_state.epoch_us > epoch_us - window_state.horizon_us
+    first = rows_until(window_state.epoch_us, epoch_us - window_state.horizon_us)
     return _frozen(
-        np.concatenate([window_state.epoch_us[kept], [epoch_us]]),
-        np.concatenate([window_state.rows[kept], row[np.newaxis]]),
+        np.concatenate([window_state.epoch_us[first:], [epoch_us]]),
+        np.concatenate([window_state.rows[first:], row[np.newaxis]]),
         window_state.horizon_us,
     )
 
@@ -90,11 +90,18 @@ def mean(state: TrailingMean, window_s: float = 900.0, min_rows: int = 8) -> Flo
         Means, NaN = absent.
     """
     newest_us = state.epoch_us[-1] if state.epoch_us.size else 0
-    rows = state.rows[state.epoch_us > newest_us - round(window_s * 1e6)]
+    rows = state.rows[rows_until(state.epoch_us, newest_us - round(window_s * 1e6)) :]
     is_present = np.isfinite(rows)
+    if len(rows) >= max(min_rows, 1) and is_present.all():
+        return np.asarray(rows.sum(axis=0) / len(rows))
     count = is_present.sum(axis=0)
     total = np.where(is_present, rows, 0.0).sum(axis=0)
     return np.where(count >= max(min_rows, 1), total / np.maximum(count, 1), np.nan)
+
+
+def rows_until(epochs_us: IntArray, instant_us: int) -> int:
+    """Return how many of the epochs, which increase, are not after an instant."""
+    return int(epochs_us.searchsorted(instant_us, side="right"))
 
 
 def _frozen(epoch_us: IntArray, rows: FloatArray, horizon_us: int) -> TrailingMean:

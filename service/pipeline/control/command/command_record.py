@@ -101,13 +101,12 @@ def impulse_of(pulses: Sequence[AxisPulse]) -> FloatArray:
     return impulse
 
 
-def predicted(pulses: Sequence[AxisPulse], inertia_kg_m2: FloatArray, period_s: float) -> Prediction:
+def predicted(pulses: Sequence[AxisPulse], inverse_1_kg_m2: FloatArray, period_s: float) -> Prediction:
     """Return the exact effect of pulses at the end of their span: each one's rate turns the body from its middle on."""
     turned = np.zeros(3)
     for pulse in pulses:
         turned[pulse.axis] += pulse.impulse_n_m_s * (period_s - pulse.start_s - 0.5 * pulse.duration_s)
-    inverse = np.linalg.inv(inertia_kg_m2)
-    return Prediction(inverse @ turned, inverse @ impulse_of(pulses))
+    return Prediction(inverse_1_kg_m2 @ turned, inverse_1_kg_m2 @ impulse_of(pulses))
 
 
 def _pulse(epoch_us: int, pulse: AxisPulse) -> Pulse:

@@ -223,7 +223,7 @@ def _situation_at(row: AttitudeRow, start_us: int, design: ControlDesign, distur
     """Return the spacecraft at an instant after its row."""
     ahead_s = max(0.0, (start_us - row.epoch_us) / US_PER_S)
     pushed_deg_s2 = np.zeros(3)
-    if disturbance is not None:
+    if disturbance is not None and ahead_s > 0.0:
         middle_us = (row.epoch_us + start_us) // 2
         pushed_deg_s2 = np.degrees(np.linalg.solve(design.gains.inertia_kg_m2, disturbance.torque_n_m(middle_us)))
     rates = _rates(row)
@@ -263,7 +263,7 @@ def _allocated(
         pulses = tuple(pulse for pulse in shorter if pulse.duration_s >= design.drive.min_pulse_s)
         shares = _shares(pulses, span, design.wheels, momentum_n_m_s)
         is_cut = True
-    prediction = predicted(pulses, design.gains.inertia_kg_m2, span.period_s)
+    prediction = predicted(pulses, design.inverse_1_kg_m2, span.period_s)
     return command_of(row, spacecraft, span, pulses, prediction, shares, is_saturated=is_cut)
 
 

@@ -14,6 +14,7 @@ from service.core.control.wheels import body_torque_limit_n_m
 from service.core.dynamics.orbital_frame_model import Law, OrbitalFrameGains
 from service.pipeline.config import TorqueConfig
 from service.records.catalogue import Release, Spacecraft
+from service.records.levels.attitude import FloatArray
 
 #: a drive without steps is given these shares of its limit as steps: finer than any torque that is asked for
 _FINE_SHARE = 1e-6
@@ -25,6 +26,8 @@ class ControlDesign(NamedTuple):
     """The law of one spacecraft."""
 
     gains: Gains
+    #: (3, 3) inverse of the tensor of inertia in the order yaw, roll, pitch
+    inverse_1_kg_m2: FloatArray
     drive: Drive
     wheels: Wheels
 
@@ -55,7 +58,9 @@ def control_design(spacecraft: Spacecraft, config: TorqueConfig) -> ControlDesig
         spacecraft.wheels.momentum_limit_n_m_s,
         min(config.least_wheel_momentum_n_m_s, 0.5 * spacecraft.wheels.momentum_limit_n_m_s),
     )
-    return ControlDesign(gains, Drive(limit_n_m, quantum_n_m, config.min_pulse_s, config.time_step_s), wheels)
+    drive = Drive(limit_n_m, quantum_n_m, config.min_pulse_s, config.time_step_s)
+    inverse = np.asarray(np.linalg.inv(gains.inertia_kg_m2), dtype=np.float64)
+    return ControlDesign(gains, inverse, drive, wheels)
 
 
 def gyro_design(spacecraft: Spacecraft, config: TorqueConfig, period_s: float | None = None) -> Law:

@@ -116,7 +116,7 @@ def _wanted(
 def _share_within_envelope(torque_n_m: FloatArray, design: ControlDesign, period_s: float, of_envelope: float) -> float:
     """Return the share of a mean torque that one command may give, whenever within its period it acts."""
     impulse = np.abs(torque_n_m) * period_s
-    rate_deg_s = np.degrees(np.abs(np.linalg.inv(design.gains.inertia_kg_m2)) @ impulse)
+    rate_deg_s = np.degrees(np.abs(design.inverse_1_kg_m2) @ impulse)
     asked = (rate_deg_s * period_s, rate_deg_s, impulse)
     limits = (_ENVELOPE.angle_change_deg, _ENVELOPE.rate_change_deg_s, _ENVELOPE.impulse_n_m_s)
     greatest = max(float(value.max()) / limit for value, limit in zip(asked, limits, strict=True))

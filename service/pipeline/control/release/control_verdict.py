@@ -3,19 +3,31 @@
 Every answer about the present carries this one object.
 """
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from service.core.control.envelope import Envelope
 from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
 from service.pipeline.control.release.command_states import OPEN, UNREPORTED
 from service.pipeline.control.release.events import ReleaseState
-from service.pipeline.control.release.interlock_conditions import Condition, Consequence
+from service.pipeline.control.release.interlock import unreported_since_us
+from service.pipeline.control.release.interlock_conditions import (
+    MEASURES,
+    Condition,
+    Consequence,
+    Measure,
+    condition_limits,
+    input_values,
+    row_values,
+)
 from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.release_checks import sent_within_an_hour
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.records.catalogue import ControlMode, Release, Spacecraft
+from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow, Axes
 from service.records.levels.command import TorqueCommand
 from service.records.operations.release import SignCheck
@@ -25,7 +37,7 @@ _GIVING = frozenset({State.ARMED.name, State.ENGAGED.name, State.RECOVERY.name})
 #: reasons that withhold yaw alone
 _YAW_ONLY = frozenset(each.word for each in Condition if each.consequence is Consequence.YAW)
 #: reasons that are neither conditions of the interlock nor inhibitions of rows and commands
-_OTHERS = {
+OTHER_REASONS = {
     "not_armed": "control is not armed",
     "good_minutes": "{good_min:g} minutes without a reason are not over",
     "no_attitude": "no attitude has been computed yet",
@@ -68,9 +80,10 @@ _NEXT_STEPS = {
     "Stop the other service on this archive; then POST .../control:reset.": "lease",
 }
 _NEXT_STEP = {code: step for step, codes in _NEXT_STEPS.items() for code in codes.split()}
-_CONDITIONS = {each.word: each for each in Condition if each.consequence is not Consequence.ALARM}
+#: conditions that a verdict names, by code
+CONDITIONS = {each.word: each for each in Condition if each.consequence is not Consequence.ALARM}
 #: every code that a verdict may name
-CODES = frozenset((*_CONDITIONS, *INHIBITIONS, *CONTROL_INHIBITIONS, *_OTHERS))
+CODES = frozenset((*CONDITIONS, *INHIBITIONS, *CONTROL_INHIBITIONS, *OTHER_REASONS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +108,23 @@ class ControlVerdict:
 
 
 @dataclass(frozen=True, slots=True)
+class GoodMinutes:
+    """Progress of the time without a condition that inhibits or trips, which arming and clearing ask for."""
+
+    since_us: Annotated[int | None, "Null: such a condition stands."]
+    elapsed_s: Annotated[float, "Not more than what is needed."]
+    needed_s: float
+
+
+class ConditionValue(NamedTuple):
+    """Value of a condition and its limit; NaN: not known, or none."""
+
+    measure: Measure
+    value: float = math.nan
+    limit: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class ControlView:
     """View of the interlock of one spacecraft; a text beside a type is the description in the interface."""
 
@@ -102,6 +132,11 @@ class ControlView:
     since_us: int
     reasons: Annotated[tuple[ControlReason, ...], "Codes of the reasons of `control`."]
     trips: Annotated[tuple[str, ...], "Latched until reset, a part of the reasons."]
+    good_minutes: GoodMinutes
+    #: of the conditions of the interlock that are judged by a number
+    condition_values: Mapping[str, ConditionValue]
+    #: without one, conditions that lie in it are not judged
+    has_row: bool
     is_armed: bool
     is_withheld: Annotated[bool, "Computed commands are zeroed: from a trip until ten good minutes after its reset."]
     release: Release
@@ -129,7 +164,9 @@ def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings 
     >>> reason_of("hand_over").text
     'roll or pitch beyond 0.6 deg: over to the sensor mode (alarm)'
     """
-    known = INHIBITIONS | CONTROL_INHIBITIONS | _OTHERS | {word: each.meaning for word, each in _CONDITIONS.items()}
+    known = (
+        INHIBITIONS | CONTROL_INHIBITIONS | OTHER_REASONS | {word: each.meaning for word, each in CONDITIONS.items()}
+    )
     figures = (settings or ReleaseSettings()).figures
     text, next_step = known.get(code, code).format(**figures), _NEXT_STEP.get(code, _NEXT_STEP["estimator"])
     return ControlReason(code, text, since_us, next_step)
@@ -146,6 +183,9 @@ def control_view(state: ReleaseState, spacecraft: Spacecraft, settings: ReleaseS
         since_us=interlock.since_us,
         reasons=tuple(reason_of(word, since.get(word) or None, settings) for word in interlock.reasons),
         trips=tuple(condition.word for condition in interlock.trips),
+        good_minutes=_good_minutes(interlock.good_since_us, now_us, settings),
+        condition_values=_condition_values(state, settings, now_us),
+        has_row=interlock.row is not None,
         is_armed=interlock.is_armed,
         is_withheld=interlock.is_withholding,
         release=spacecraft.control.release,
@@ -194,3 +234,31 @@ def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRo
     if view is not None and view.release == Release.AUTOMATIC and state != State.TRIPPED.name:
         state = State.INHIBITED.name if is_forbidden else State.ENGAGED.name
     return ControlVerdict(state in _GIVING and not is_forbidden, state, tuple(found.values()))
+
+
+def _good_minutes(since_us: int | None, now_us: int, settings: ReleaseSettings) -> GoodMinutes:
+    """Return how many of the good minutes have passed."""
+    elapsed_s = 0.0 if since_us is None else (now_us - since_us) / US_PER_S
+    return GoodMinutes(since_us, min(max(elapsed_s, 0.0), settings.good_s), settings.good_s)
+
+
+def _condition_values(state: ReleaseState, settings: ReleaseSettings, now_us: int) -> dict[str, ConditionValue]:
+    """Return values and limits of the conditions of the interlock."""
+    interlock = state.interlock
+    unreported = [each for each in state.commands if each.state in UNREPORTED]
+    innovation_us, ended_us = interlock.innovation_since_us, [unreported_since_us(each) for each in unreported]
+    values = {
+        **row_values(interlock.row, now_us),
+        **input_values(interlock.inputs, now_us),
+        Condition.INNOVATION: 0.0 if innovation_us is None else (now_us - innovation_us) / US_PER_S,
+        Condition.UNREPORTED: len(unreported),
+    }
+    if ended_us:
+        values[Condition.REPORT_LATE] = max(now_us - min(ended_us), 0) / US_PER_S
+    if interlock.row is None:
+        del values[Condition.INNOVATION]
+    limits = condition_limits(interlock.row, settings)
+    return {
+        condition.word: ConditionValue(measure, values.get(condition, math.nan), limits.get(condition, math.nan))
+        for condition, measure in MEASURES.items()
+    }

@@ -139,7 +139,7 @@ def conditions_at(
 ) -> tuple[Condition, ...]:
     """Return everything that stands, in the order of the table of conditions."""
     unreported = [command for command in commands if command.state in UNREPORTED]
-    oldest_us = min((max(each.stop_us, each.released_us or 0) for each in unreported), default=None)
+    oldest_us = min(map(unreported_since_us, unreported), default=None)
     stands = {
         **row_conditions(interlock.row, at.now_us, settings),
         **input_conditions(interlock.inputs, at.now_us, settings),
@@ -151,6 +151,11 @@ def conditions_at(
         Condition.YAW_SIGN: "yaw" not in interlock.proven_axes,
     }
     return tuple(condition for condition in Condition if stands.get(condition))
+
+
+def unreported_since_us(command: Command) -> int:
+    """Return since when the report of a released command could be there."""
+    return max(command.stop_us, command.released_us or 0)
 
 
 def fire(

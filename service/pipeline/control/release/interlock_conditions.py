@@ -3,10 +3,13 @@
 Law of this file: what is not known counts as bad. A condition is judged from facts and an instant alone.
 """
 
+import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow, Axes, Status
 
 
@@ -69,6 +72,48 @@ class Condition(Enum):
         return self.meaning.format(**settings.figures)
 
 
+class Measure(NamedTuple):
+    """Quantity that a condition holds against a limit."""
+
+    name: str
+    unit: str
+    #: the limit is the smallest good value; else the greatest
+    is_least: bool = False
+
+
+#: conditions that are judged by a number
+MEASURES: dict[Condition, Measure] = {
+    Condition.ESTIMATE_OLD: Measure("age of the newest estimate", "s"),
+    Condition.SIGMA_ROLL: Measure("sigma of roll", "deg"),
+    Condition.SIGMA_PITCH: Measure("sigma of pitch", "deg"),
+    Condition.FADE: Measure("downlink fade", "dB"),
+    Condition.REDUNDANCY: Measure("carriers beyond the unknowns", "", is_least=True),
+    Condition.EPHEMERIS: Measure("how far ahead the ephemeris reaches", "s", is_least=True),
+    Condition.INNOVATION: Measure("time outside of the band", "s"),
+    Condition.REPORT_LATE: Measure("time since the end of the oldest command without a report", "s"),
+    Condition.HAND_OVER: Measure("greater of roll and pitch", "deg"),
+    Condition.CLOCK_JUMP: Measure("jump of the clock", "s"),
+    Condition.MOMENTUM: Measure("momentum of the fullest wheel", "%"),
+    Condition.RESPONSE_MISSED: Measure("log-likelihood ratio", ""),
+    Condition.UNREPORTED: Measure("released commands without a report", ""),
+    Condition.LEASE: Measure("holders of the lease", ""),
+    Condition.SIGMA_YAW: Measure("sigma of yaw", "deg"),
+    Condition.YAW_BEYOND: Measure("size of yaw", "deg"),
+}
+#: conditions that lie in the newest row: without one they are not judged
+OF_ROW = frozenset(
+    {
+        Condition.ESTIMATOR,
+        Condition.SIGMA_ROLL,
+        Condition.SIGMA_PITCH,
+        Condition.FADE,
+        Condition.REDUNDANCY,
+        Condition.GAP,
+        Condition.HAND_OVER,
+        Condition.SIGMA_YAW,
+        Condition.YAW_BEYOND,
+    }
+)
 #: reasons of the estimator that the interlock judges itself, by wider limits
 OWN_AFFAIR = frozenset({"beyond_validity", "sigma_roll", "sigma_pitch"})
 #: an attitude has three unknowns
@@ -145,7 +190,7 @@ def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSetti
     if row is None:
         return {Condition.ESTIMATE_OLD: True}
     stale_us = settings.stale_us(row.period_s)
-    attitude_deg, sigma_deg, hand_over_deg = row.attitude_deg, row.sigma_deg, settings.hand_over_deg
+    attitude_deg, sigma_deg = row.attitude_deg, row.sigma_deg
     # negated, so that what is not a number is bad
     return {
         # an estimate from the future is as little to be believed as an old one
@@ -156,9 +201,60 @@ def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSetti
         Condition.FADE: row.is_fading,
         Condition.REDUNDANCY: row.redundancy < settings.min_redundancy,
         Condition.GAP: row.is_after_gap,
-        Condition.HAND_OVER: not (abs(attitude_deg.roll) <= hand_over_deg and abs(attitude_deg.pitch) <= hand_over_deg),
+        Condition.HAND_OVER: not greater_angle_deg(attitude_deg) <= settings.hand_over_deg,
         Condition.SIGMA_YAW: not sigma_deg.yaw <= settings.yaw_sigma_limit_deg,
         Condition.YAW_BEYOND: not abs(attitude_deg.yaw) <= settings.recovery_deg,
+    }
+
+
+def row_values(row: InterlockRow | None, now_us: int) -> dict[Condition, float]:
+    """Return the values of `MEASURES` that lie in the newest row; NaN: not known."""
+    if row is None:
+        return {}
+    attitude_deg, sigma_deg = row.attitude_deg, row.sigma_deg
+    return {
+        Condition.ESTIMATE_OLD: abs(now_us - row.epoch_us) / US_PER_S,
+        Condition.SIGMA_ROLL: sigma_deg.roll,
+        Condition.SIGMA_PITCH: sigma_deg.pitch,
+        Condition.REDUNDANCY: row.redundancy,
+        Condition.HAND_OVER: greater_angle_deg(attitude_deg),
+        Condition.SIGMA_YAW: sigma_deg.yaw,
+        Condition.YAW_BEYOND: abs(attitude_deg.yaw),
+    }
+
+
+def greater_angle_deg(attitude_deg: Axes) -> float:
+    """Return the greater size of roll and pitch; NaN where one is not known.
+
+    Examples
+    --------
+    >>> greater_angle_deg(Axes(yaw=2.0, roll=-0.3, pitch=0.1))
+    0.3
+    """
+    # NaN hides behind the greater of two numbers, depending on their order
+    is_known = not (math.isnan(attitude_deg.roll) or math.isnan(attitude_deg.pitch))
+    return max(abs(attitude_deg.roll), abs(attitude_deg.pitch)) if is_known else math.nan
+
+
+def condition_limits(row: InterlockRow | None, settings: ReleaseSettings) -> dict[Condition, float]:
+    """Return the limits of `MEASURES`; that of an age needs the period of rows, a fade has none."""
+    by_row = {} if row is None else {Condition.ESTIMATE_OLD: settings.stale_us(row.period_s) / US_PER_S}
+    return {
+        **by_row,
+        Condition.SIGMA_ROLL: settings.roll_sigma_limit_deg,
+        Condition.SIGMA_PITCH: settings.pitch_sigma_limit_deg,
+        Condition.REDUNDANCY: settings.min_redundancy,
+        Condition.EPHEMERIS: settings.ephemeris_ahead_s,
+        Condition.INNOVATION: settings.innovation_s,
+        Condition.REPORT_LATE: settings.report_s,
+        Condition.HAND_OVER: settings.hand_over_deg,
+        Condition.CLOCK_JUMP: settings.clock_jump_s,
+        Condition.MOMENTUM: 100.0 * settings.momentum_share_limit,
+        Condition.RESPONSE_MISSED: settings.missed_log_ratio,
+        Condition.UNREPORTED: settings.max_unreported,
+        Condition.LEASE: 1,
+        Condition.SIGMA_YAW: settings.yaw_sigma_limit_deg,
+        Condition.YAW_BEYOND: settings.recovery_deg,
     }
 
 
@@ -175,6 +271,16 @@ def input_conditions(inputs: InterlockInputs, now_us: int, settings: ReleaseSett
         Condition.LEASE: inputs.lease_holders > 1,
         Condition.DISAGREEMENT: inputs.is_disagreeing,
     }
+
+
+def input_values(inputs: InterlockInputs, now_us: int) -> dict[Condition, float]:
+    """Return the values of `MEASURES` that lie in the other inputs."""
+    values: dict[Condition, float] = {Condition.LEASE: inputs.lease_holders}
+    if inputs.ephemeris_stop_us is not None:
+        values[Condition.EPHEMERIS] = (inputs.ephemeris_stop_us - now_us) / US_PER_S
+    if inputs.momentum_share is not None:
+        values[Condition.MOMENTUM] = 100.0 * inputs.momentum_share
+    return values
 
 
 def _is_ephemeris_stale(inputs: InterlockInputs, now_us: int, settings: ReleaseSettings) -> bool:

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 from service.pipeline.control.release.command_states import COMMAND_TRANSITIONS, MEANINGS, CommandTransition
-from service.pipeline.control.release.interlock_conditions import Condition, Consequence
+from service.pipeline.control.release.control_verdict import OTHER_REASONS
+from service.pipeline.control.release.interlock_conditions import MEASURES, Condition, Consequence
 from service.pipeline.control.release.interlock_states import TRANSITIONS, Guard, State, Trigger
 from service.pipeline.control.release.settings import ReleaseSettings
 
@@ -52,6 +53,7 @@ def reference_page() -> str:
         "What is not known counts as bad; only a momentum that no telemetry tells is passed over. A trip takes arming\n"
         "and authorisation away: after the reset come ten good minutes, and an operator arms again. In release\n"
         "`automatic` nobody arms: torques are withheld from the trip until these ten good minutes are over.",
+        *_in_the_interface(),
         "## States of a command",
         "```mermaid\n" + command_diagram() + "\n```",
         _table(("state", "meaning"), [(f"`{state}`", meaning) for state, meaning in MEANINGS.items()]),
@@ -61,6 +63,31 @@ def reference_page() -> str:
         "`automatic` computed commands count as applied and have no state here: one beyond the envelope trips.",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _in_the_interface() -> tuple[str, ...]:
+    """Return the section on the conditions as the interface answers them."""
+    return (
+        "## Conditions in the interface",
+        "`conditions` of `GET .../control` lists these conditions (an alarm is none), [those of a row and its\n"
+        "command](data-levels.md) and those of arming, with `met`, `value`, `limit`, `bound`, `unit` and `since`.\n"
+        "Those that are not met are the reasons of `control`; control is allowed when all are met that withhold more\n"
+        "than yaw. `met` is null where nothing is known to judge by, or another reason comes first. `good_minutes`\n"
+        "tells how much of the ten good minutes has passed.",
+        _table(
+            ("condition", "value", "unit", "limit is the"),
+            [
+                (f"`{each.word}`", measure.name, measure.unit or "-", "least" if measure.is_least else "greatest")
+                for each, measure in MEASURES.items()
+            ],
+        ),
+        "Of a row: `fade` and `downlink_fade` in dB without a limit, `beyond_validity` and `protection_level` in deg,\n"
+        "the greater of roll and pitch. `good_minutes` counts seconds.",
+        _table(
+            ("condition of arming and of the newest answer", "stands when"),
+            [(f"`{code}`", text.format(**ReleaseSettings().figures)) for code, text in OTHER_REASONS.items()],
+        ),
+    )
 
 
 def _conditions_of(consequence: Consequence) -> str:

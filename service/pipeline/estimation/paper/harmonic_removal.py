@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.paper.harmonic import evaluate_harmonic
-from service.core.geometry.node_phase import node_phase_rad
+from service.core.geometry.node_phase import node_phase_at_rad, node_phase_rad
 from service.pipeline.estimation.paper.snapshot_fix import answer_db, sensitivity_model
 from service.records.calibration import Alignment, Calibration, CarrierReference, ReferenceRule
 from service.records.catalogue import Ephemeris, Method
@@ -88,8 +88,6 @@ def references_of(alignment: Alignment, method: Method) -> tuple[CarrierReferenc
 
 def remove_harmonic(power_dbm: FloatArray, epoch_us: int, expected: ExpectedPower, ephemeris: Ephemeris) -> Deviation:
     """Return the deviation of one row whose powers stand in the calibration's order of carriers."""
-    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
-    phase = node_phase_rad(np.array([epoch_us], dtype=np.int64), nodes_us, ephemeris.nodal_period_s)
-    harmonic = evaluate_harmonic(phase, expected.amplitude_db, expected.phase_rad)[0]
-    expected_dbm = expected.reference_dbm + harmonic
+    phase = node_phase_at_rad(epoch_us, ephemeris.ascending_nodes_us, ephemeris.nodal_period_s)
+    expected_dbm = expected.reference_dbm + evaluate_harmonic(phase, expected.amplitude_db, expected.phase_rad)
     return Deviation(epoch_us, expected_dbm, power_dbm - expected_dbm)

@@ -5,6 +5,7 @@ state is a value: a step takes one and returns the next, so that a replay can st
 fix of its own and leaves the state alone.
 """
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -115,7 +116,7 @@ def step_paper(
         is_yaw_controllable=model.is_yaw_controllable,
     )
     verdict = judge(fix, context, config.interlock)
-    rates = np.full(3, np.nan) if is_late else rate_deg_s(after.fixes, config.estimation.rate_window_s)
+    rates = None if is_late else rate_deg_s(after.fixes, config.estimation.rate_window_s)
     row = _row(measurement, model, fix, verdict, rates, _fade_db(after, model, config))
     return PaperStep(row, deviation, fix, after)
 
@@ -175,7 +176,7 @@ def _averaged_fix(state: PaperState, model: PaperModel, epoch_us: int, config: C
 
 def _remember_fix(state: PaperState, fix: AttitudeFix, config: ChainConfig) -> PaperState:
     """Add a fix to the history that rates are taken from."""
-    if not np.isfinite(fix.attitude_deg).all():
+    if not all(map(math.isfinite, fix.attitude_deg.tolist())):
         return state
     fixes = remember_fix(state.fixes, fix.epoch_us, fix.attitude_deg, config.estimation.rate_window_s)
     return state._replace(fixes=fixes)
@@ -185,7 +186,7 @@ def _rows_in_window(state: PaperState, config: ChainConfig) -> int:
     """Return how many rows the trailing mean of a window with rows rests on."""
     epochs_us = state.window.epoch_us
     oldest_us = epochs_us[-1] - int(config.estimation.averaging_window_s * US_PER_S)
-    return int(np.count_nonzero(epochs_us > oldest_us))
+    return len(epochs_us) - trailing_mean.rows_until(epochs_us, oldest_us)
 
 
 def _fade_deviation_db(window: TrailingMean, model: PaperModel, config: ChainConfig) -> FloatArray:
@@ -208,22 +209,21 @@ def _row(
     model: PaperModel,
     fix: AttitudeFix,
     verdict: RowPermission,
-    rates_deg_s: FloatArray,
+    rates_deg_s: FloatArray | None,
     fade_db: float,
 ) -> AttitudeRow:
     """Return the archive's row of one outcome."""
-    is_fix = bool(np.isfinite(fix.attitude_deg).all())
-    sigma_deg = np.sqrt(np.diag(fix.covariance_deg2))
+    angles = named_axes(fix.attitude_deg)
     used_db = fix.residual_db[np.isfinite(fix.residual_db)]
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
         received_at_us=measurement.received_at_us,
         number=measurement.number,
         method=Method.PAPER,
-        attitude_deg=named_axes(fix.attitude_deg),
-        sigma_deg=named_axes(sigma_deg),
-        rates_deg_s=named_axes(rates_deg_s) if np.isfinite(rates_deg_s).all() else None,
-        status=Status.ACQUIRED if is_fix else Status.INVALID,
+        attitude_deg=angles,
+        sigma_deg=named_axes(np.sqrt(fix.covariance_deg2.diagonal())),
+        rates_deg_s=None if rates_deg_s is None else named_axes(rates_deg_s),
+        status=Status.ACQUIRED if all(map(math.isfinite, angles)) else Status.INVALID,
         control_allowed=verdict.is_allowed,
         control_allowed_axes=verdict.allowed_axes,
         inhibitions=verdict.inhibitions,
@@ -232,7 +232,7 @@ def _row(
         downlink_fade="downlink_fade" in verdict.inhibitions,
         downlink_fade_db=fade_db,
         common_db=float("nan"),
-        residual_rms_db=float(np.sqrt(np.mean(used_db**2))) if len(used_db) else float("nan"),
+        residual_rms_db=math.sqrt((used_db**2).sum() / len(used_db)) if len(used_db) else float("nan"),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
     )

@@ -26,20 +26,20 @@ NO_FIXES = FixHistory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
 
 def remember_fix(history: FixHistory, epoch_us: int, attitude_deg: FloatArray, window_s: float) -> FixHistory:
     """Return the history with a fix added and everything older than the window dropped."""
-    keep = history.epochs_us > epoch_us - int(window_s * US_PER_S)
+    first = history.epochs_us.searchsorted(epoch_us - int(window_s * US_PER_S), side="right")
     return FixHistory(
-        np.concatenate([history.epochs_us[keep], [epoch_us]]),
-        np.concatenate([history.attitude_deg[keep], attitude_deg[None, :]]),
+        np.concatenate([history.epochs_us[first:], [epoch_us]]),
+        np.concatenate([history.attitude_deg[first:], attitude_deg[None, :]]),
     )
 
 
-def rate_deg_s(history: FixHistory, window_s: float) -> FloatArray:
-    """Return the slope (3,) in deg/s of the fixes in the window; NaN while they cover less than a third of it."""
+def rate_deg_s(history: FixHistory, window_s: float) -> FloatArray | None:
+    """Return the slope (3,) in deg/s of the fixes in the window; None while they cover less than a third of it."""
     if len(history.epochs_us) < 3:
-        return np.full(3, np.nan)
+        return None
     time_s = (history.epochs_us - history.epochs_us[-1]) / US_PER_S
     if -time_s[0] < window_s / 3.0:
-        return np.full(3, np.nan)
-    centred_s = time_s - time_s.mean()
+        return None
+    centred_s = time_s - time_s.sum() / len(time_s)
     slope: FloatArray = centred_s @ history.attitude_deg / float(centred_s @ centred_s)
     return slope

@@ -15,6 +15,9 @@ from service.pipeline.config import EstimationConfig
 from service.records.calibration import Calibration
 from service.records.levels.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray, IntArray
 
+# numbers: a member of an enumeration is compared at the cost of an array
+_USED, _ABSENT = int(RejectionReason.USED), int(RejectionReason.ABSENT)
+
 
 @dataclass(frozen=True)
 class SensitivityModel:
@@ -75,7 +78,7 @@ def solve_attitude(
         min_carriers=config.min_carriers,
     )
     # a carrier without all its coefficients took no part, whatever its level
-    is_used = outcome.reason == RejectionReason.USED
+    is_used = outcome.reason == _USED
     return AttitudeFix(
         epoch_us,
         outcome.fix.attitude_deg,
@@ -95,14 +98,14 @@ def _variance_ratio(fix: OctantFix, sigma_db: FloatArray) -> float:
     """
     scatter_db2 = fix.cost / max(fix.carriers_used - 3, 1)
     known_db = sigma_db[np.isfinite(sigma_db)]
-    known_mean_db2 = float(np.mean(known_db**2)) if len(known_db) else 0.0
+    known_mean_db2 = float((known_db**2).sum()) / len(known_db) if len(known_db) else 0.0
     return max(1.0, known_mean_db2 / scatter_db2) if scatter_db2 > 0.0 else 1.0
 
 
 def _exclusions(model: SensitivityModel, reason: IntArray) -> tuple[Exclusion, ...]:
     """Return the selected carriers that did not enter, each with its reason."""
-    is_out = model.is_selected & (reason != RejectionReason.USED)
-    is_absent = reason == RejectionReason.ABSENT
+    is_out = model.is_selected & (reason != _USED)
     return tuple(
-        Exclusion(model.carrier_ids[k], "absent" if is_absent[k] else "uplink_fade") for k in np.flatnonzero(is_out)
+        Exclusion(model.carrier_ids[k], "absent" if reason[k] == _ABSENT else "uplink_fade")
+        for k in is_out.nonzero()[0].tolist()
     )

@@ -1,5 +1,6 @@
 """Rows of the robust method: what the filter or a snapshot says, in the words of the archive."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -63,11 +64,11 @@ def filtered_row(
         "no_ephemeris": fixed.is_without_ephemeris,
         "beyond_validity": max(map(abs, announced.attitude_deg[1:].tolist())) > validity_limit_deg,
     }
-    standing = {reason for reason, stands in conditions.items() if stands} | set(announced.integrity.reasons)
+    standing = {*announced.integrity.reasons, *(reason for reason, stands in conditions.items() if stands)}
     # whatever the filter holds against control stands, in the usual order where it has one
-    inhibitions = tuple(dict.fromkeys(one for one in (*INHIBITIONS, *announced.integrity.reasons) if one in standing))
+    in_order = (*INHIBITIONS, *announced.integrity.reasons) if standing else ()
+    inhibitions = tuple(dict.fromkeys(one for one in in_order if one in standing))
     advice = {"realign": announced.integrity.is_realignment_advised, "state_torque": is_torque_to_be_stated}
-    residual_db = fixed.residual_db[announced.used]
     is_raining = announced.state.rain.is_raining
     common = announced.state.gaussian.mean[common_states(model.filter)]
     return AttitudeRow(
@@ -76,7 +77,7 @@ def filtered_row(
         number=measurement.number,
         method=Method.ROBUST,
         attitude_deg=named_axes(announced.attitude_deg),
-        sigma_deg=named_axes(np.sqrt(np.diag(announced.covariance_deg2))),
+        sigma_deg=named_axes(np.sqrt(announced.covariance_deg2.diagonal())),
         rates_deg_s=named_axes(fixed.rates_deg_s),
         status=Status.ACQUIRED if len(announced.used) >= MIN_CARRIERS else Status.EXPIRED,
         control_allowed=not inhibitions,
@@ -89,7 +90,7 @@ def filtered_row(
         downlink_fade=is_raining,
         downlink_fade_db=float(announced.rain_db) if is_raining else 0.0,
         common_db=float(announced.common_db + common.sum()),
-        residual_rms_db=_rms(residual_db),
+        residual_rms_db=_rms(fixed.residual_db[announced.used]),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
         protection_deg=named_axes(announced.protection_deg),
@@ -183,4 +184,4 @@ def _moved_groups(model: RobustModel, fixed: Fixed) -> set[int]:
 def _rms(values: FloatArray) -> float:
     """Return the root mean square of the figures that are there, NaN when there are none."""
     present = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(present**2))) if len(present) else float("nan")
+    return math.sqrt(float(present @ present) / len(present)) if len(present) else math.nan

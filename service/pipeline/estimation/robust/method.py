@@ -67,6 +67,8 @@ class RobustStep(NamedTuple):
     deviation_db: FloatArray
     residual_db: FloatArray
     state: RobustState
+    #: whether nothing was found or declared, so that compiled stages carried the row
+    is_ordinary: bool = True
 
 
 def initial_state(
@@ -163,7 +165,7 @@ def step_robust(
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
     is_without_orbit = not np.isfinite(expected_dbm).any()
-    residual_db = deviation_db - site_db(model.filter, found.state.gaussian.mean)
+    residual_db = found.residual_db
     fixed = Fixed(found, deviation_db, is_frozen, rates_deg_s(model, found), declared, is_without_orbit, residual_db)
     row = filtered_row(
         measurement,
@@ -176,7 +178,7 @@ def step_robust(
         is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(found, model, len(released)),
     )
     after = RobustState(found.state, commanded, readings, released, measurement.source)
-    return RobustStep(row, expected_dbm, deviation_db, residual_db, after)
+    return RobustStep(row, expected_dbm, deviation_db, residual_db, after, found.is_ordinary)
 
 
 def _late_step(

@@ -157,7 +157,8 @@ def _with_daily_error(model: CarrierModel, error_db: FloatArray) -> CarrierModel
     sigma_db = model.coloured_sigma_db.copy()
     at = np.arange(model.carriers)
     sigma_db[at, component] = np.hypot(sigma_db[at, component], error_db)
-    return model._replace(coloured_sigma_db=sigma_db)
+    # the filter's compiled stages know arrays in one piece
+    return CarrierModel._make(map(np.ascontiguousarray, model._replace(coloured_sigma_db=sigma_db)))
 
 
 def _references(

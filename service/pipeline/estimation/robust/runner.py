@@ -75,6 +75,7 @@ class RobustRunner:
         self._state: RobustState | None = None
         self._columns: CalibratedColumns | None = None
         self._last: tuple[RobustStep, RobustModel] | None = None
+        self.rows_by_kind = {True: 0, False: 0}  # in time, by whether they were ordinary; no part of the state
         self._reported: list[tuple[Motion, Spacecraft | None]] = []
         #: released and not reported, by counter
         self._open: dict[int, tuple[ReleasedCommand, Spacecraft | None]] = {}
@@ -174,6 +175,7 @@ class RobustRunner:
         self._state = outcome.state
         if not is_late:
             self._last = (outcome, self._model)
+            self.rows_by_kind[outcome.is_ordinary] += 1
             self._applied(partial(_again, consume))
         return outcome.row
 

@@ -10,6 +10,7 @@ import numpy as np
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
@@ -122,15 +123,21 @@ def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibr
     """
     quiet, turns = ground.phases["quiet"], ground.phases["turns"]
     request = CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY, *ground.sensors)
+    edges_us = mean_edges_us(request, ())
+    still, turned = (
+        minute_rows([ground.series(window, plan.carrier_ids)], plan.carrier_ids, edges_us) for window in (quiet, turns)
+    )
     data = CalibrationInput(
         request,
         plan,
         ephemeris,
-        ground.series(quiet, plan.carrier_ids),
-        ground.series(turns, plan.carrier_ids),
+        still.series,
+        turned.series,
         ground.references_in(turns),
         ground.references_in(quiet),
         ground.spacecraft,
+        row_measurements=still.usual_measurements,
+        quiet_first_dbm=still.first_dbm,
     )
     try:
         result = calibrate_geometry(data, CalibrationConfig())

@@ -14,7 +14,7 @@ import numpy as np
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES, Branches, Mixture, solve_mixture
 from service.core.estimation.filtering.anchor.protection import protection_levels_deg
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, AnchorKernels
 from service.core.estimation.filtering.model.filter_model import (
     BoolArray,
     CarrierModel,
@@ -111,52 +111,74 @@ def protection_now_deg(watch: AnchorWatch, epoch_us: int, sigma_deg: FloatArray)
     """Return the protection levels (3,) of yaw, roll and pitch at an epoch, deg, NaN = not known."""
     if epoch_us - watch.answered_us > _VALID_US:
         return np.full(3, np.nan)
-    return np.asarray(watch.level_deg + _LEVEL_SIGMAS * np.maximum(sigma_deg - watch.sigma_deg, 0.0))
+    level_deg: FloatArray = watch.level_deg + _LEVEL_SIGMAS * np.maximum(sigma_deg - watch.sigma_deg, 0.0)
+    return level_deg
 
 
-def push_anchor(
+def push_residuals(watch: AnchorWatch, residual_db: FloatArray, white_db2: FloatArray) -> AnchorWatch:
+    """Return the watch one minute later.
+
+    Parameters
+    ----------
+    watch : AnchorWatch
+        Before the minute.
+    residual_db : ndarray, shape (N,), dB
+        Measured minus what attitude, chain and rain of the state explain; NaN = absent.
+    white_db2 : ndarray, shape (N,), dB^2
+        White noise of the row.
+    """
+    return AnchorWatch(
+        residuals_db=np.concatenate((watch.residuals_db[1:], residual_db.reshape(1, -1))),
+        white_db2=np.concatenate((watch.white_db2[1:], white_db2.reshape(1, -1))),
+        minutes=watch.minutes + 1,
+        since_us=watch.since_us,
+        answered_us=watch.answered_us,
+        level_deg=watch.level_deg,
+        sigma_deg=watch.sigma_deg,
+        hypothesis=watch.hypothesis,
+        probability=watch.probability,
+        hypothesis_since_us=watch.hypothesis_since_us,
+    )
+
+
+def is_question_due(watch: AnchorWatch, epoch_us: int) -> bool:
+    """Return whether the references of the alignment are to be asked after a minute."""
+    return watch.minutes <= _MEAN_MINUTES or epoch_us - watch.answered_us >= _PERIOD_US
+
+
+def ask_anchor(
     model: CarrierModel,
     watch: AnchorWatch,
     carriers: CarrierWatch,
     state: Gaussian,
-    residual_db: FloatArray,
-    white_db2: FloatArray,
     epoch_us: int,
     *,
     is_raining: bool,
     reported_wet: FloatArray | None = None,
-    kernels: Kernels = ARRAYS,
-) -> tuple[AnchorWatch, Mixture | None]:
-    """Return the watch one minute later, and the answer where it is time for one.
+    kernels: AnchorKernels = ARRAYS,
+) -> tuple[AnchorWatch, Mixture]:
+    """Return the watch with the answer of the references, and the answer.
 
     Parameters
     ----------
     model : CarrierModel
         The carriers.
     watch : AnchorWatch
-        Before the minute.
+        With the newest minute.
     carriers : CarrierWatch
         Which are set aside, their references by the alignment.
     state : Gaussian
         State of the filter.
-    residual_db : ndarray, shape (N,), dB
-        Measured minus what attitude, chain and rain of the state explain; NaN = absent.
-    white_db2 : ndarray, shape (N,), dB^2
-        White noise of the row.
     epoch_us : int, microseconds UTC
         Of the minute.
     is_raining : bool
         Whether rain over the receiving site takes from all carriers.
     reported_wet : ndarray, shape (N,), optional
         1 where rain over the station is reported, 0 where none is, NaN where nobody says.
-    kernels : Kernels
+    kernels : AnchorKernels
         Who does the arithmetic.
     """
-    rows = np.concatenate([watch.residuals_db[1:], residual_db[None, :]])
-    white = np.concatenate([watch.white_db2[1:], white_db2[None, :]])
-    watch = watch._replace(residuals_db=rows, white_db2=white, minutes=watch.minutes + 1)
-    if watch.minutes > _MEAN_MINUTES and epoch_us - watch.answered_us < _PERIOD_US:
-        return watch, None
+    rows, white = watch.residuals_db, watch.white_db2
     is_there = np.isfinite(rows)
     count = is_there.sum(axis=0)
     mean_db = np.nansum(rows, axis=0) / np.maximum(count, 1) - np.nan_to_num(carriers.aligned_reference_db)

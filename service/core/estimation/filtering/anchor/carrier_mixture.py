@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, AnchorKernels
 from service.core.estimation.filtering.model.filter_model import FloatArray
 
 #: combinations kept, the rest among them
@@ -64,7 +64,7 @@ def solve_mixture(
     residual_db: FloatArray,
     branches: Branches,
     prior_sigma: FloatArray,
-    kernels: Kernels = ARRAYS,
+    kernels: AnchorKernels = ARRAYS,
 ) -> Mixture:
     """Return the error of an attitude as a mixture over what may be wrong with the carriers.
 
@@ -78,7 +78,7 @@ def solve_mixture(
         Hypotheses of the carriers.
     prior_sigma : ndarray, shape (4,), deg, the last dB
         Error of yaw, roll, pitch and of the shared part before the carriers are asked, one standard deviation.
-    kernels : Kernels
+    kernels : AnchorKernels
         Who does the arithmetic.
     """
     present = np.flatnonzero(np.isfinite(residual_db))

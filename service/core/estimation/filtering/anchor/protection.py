@@ -9,14 +9,14 @@ as in satellite navigation, where the combinations are those of faulty satellite
 import numpy as np
 
 from service.core.estimation.filtering.anchor.carrier_mixture import Mixture
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, AnchorKernels
 from service.core.estimation.filtering.model.filter_model import FloatArray
 
 #: probability with which the error of a row may pass the level
 RISK = 1e-4
 
 
-def protection_levels_deg(mixture: Mixture, risk: float = RISK, kernels: Kernels = ARRAYS) -> FloatArray:
+def protection_levels_deg(mixture: Mixture, risk: float = RISK, kernels: AnchorKernels = ARRAYS) -> FloatArray:
     """Return the protection levels (3,) of yaw, roll and pitch, deg, at most 3 deg."""
     sigma = np.sqrt(np.diagonal(mixture.covariance_deg2, axis1=1, axis2=2))
     return kernels.levels(mixture.probability, mixture.mean_deg, sigma, risk)

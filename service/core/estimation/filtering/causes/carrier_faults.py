@@ -34,23 +34,14 @@ from service.core.estimation.filtering.model.filter_state import (
 LESS_TRUSTED = 2.0
 SKIPPED = 4.0
 SKIPS_TO_FLAG = 4
-MIN_FLAGGED_MINUTES = 30.0
 #: a carrier that was off for longer must show its level first
 ABSENT_MINUTES = 30.0
 QUIET_ROWS = 20
-#: a carrier that is at its level again is known sooner
-MIN_BACK_MINUTES = 15.0
-BACK_ROWS = 12
 QUIET_STD_DB = 0.32
-QUIET_SHIFT_DB = 0.22
-#: a lower level is rain or a wet antenna as long as one may last, minutes
-WET_MINUTES = 360.0
 #: rows after which another level is believed, and what its halves may differ by, dB
 STANDING_ROWS = 60
 STANDING_SHIFT_DB = 0.12
 SAME_LEVEL_DB = 0.2
-#: what a restored reference may have moved meanwhile, dB
-_RESTORED_SIGMA_DB = 0.1
 _LARGEST_VALUE = 3.0
 #: counters are sums of fractions of a minute
 _ROUNDING = 1e-6
@@ -108,11 +99,21 @@ def trusted_white_db2(white_db2: FloatArray, excess: FloatArray) -> FloatArray:
     excess : ndarray, shape (n,)
         abs(innovation) / sigma.
     """
-    return np.asarray(white_db2 * np.maximum(1.0, excess / LESS_TRUSTED))
+    raised: FloatArray = white_db2 * np.maximum(1.0, excess / LESS_TRUSTED)
+    return raised
 
 
-def count_skips(watch: CarrierWatch, present: IntArray, excess: FloatArray, minutes: float) -> CarrierWatch:
-    """Return the watch after a row's skips.
+def count_row(
+    watch: CarrierWatch,
+    present: IntArray,
+    excess: FloatArray,
+    is_measured: BoolArray,
+    minutes: float,
+    values: FloatArray,
+) -> CarrierWatch:
+    """Return the watch with a row's skips and absences, and a minute's test values.
+
+    A value counts for three at most: an impulse is skipped, not flagged, and a jump takes four minutes either way.
 
     Parameters
     ----------
@@ -122,17 +123,37 @@ def count_skips(watch: CarrierWatch, present: IntArray, excess: FloatArray, minu
         Carriers judged; the counters of the others stand.
     excess : ndarray, shape (n,)
         abs(innovation) / sigma of them.
+    is_measured : ndarray, shape (N,)
+        Carriers that are there, or that nobody expects.
     minutes : float
         Minutes for which the row stands, at most 1.
+    values : ndarray, shape (N,)
+        Test values of unit variance of a closed minute, NaN = none.
     """
     skips = watch.skip_minutes.copy()
     skips[present] = np.where(excess > SKIPPED, skips[present] + minutes, 0.0)
-    return watch._replace(skip_minutes=skips)
+    return CarrierWatch(
+        skip_minutes=skips,
+        is_flagged=watch.is_flagged,
+        flagged_minutes=watch.flagged_minutes,
+        saved_reference_db=watch.saved_reference_db,
+        saved_variance_db2=watch.saved_variance_db2,
+        residuals_db=watch.residuals_db,
+        cusum=push_cusum(watch.cusum, np.minimum(np.maximum(values, -_LARGEST_VALUE), _LARGEST_VALUE)),
+        absent_minutes=np.where(is_measured, 0.0, watch.absent_minutes + minutes),
+        is_relearned=watch.is_relearned,
+        aligned_reference_db=watch.aligned_reference_db,
+        aligned_variance_db2=watch.aligned_variance_db2,
+    )
 
 
-def count_absence(watch: CarrierWatch, is_measured: BoolArray, minutes: float) -> CarrierWatch:
-    """Return the watch after a row in which some carriers (N,) were not measured."""
-    return watch._replace(absent_minutes=np.where(is_measured, 0.0, watch.absent_minutes + minutes))
+def failed(watch: CarrierWatch) -> BoolArray:
+    """Return the carriers (N,) in use whose skips, sums or absence are beyond their limits."""
+    is_beyond = watch.skip_minutes >= SKIPS_TO_FLAG - _ROUNDING
+    is_beyond |= np.maximum(watch.cusum.up, watch.cusum.down) > THRESHOLD
+    is_beyond |= watch.absent_minutes >= ABSENT_MINUTES - _ROUNDING
+    is_failed: BoolArray = is_beyond & ~watch.is_flagged
+    return is_failed
 
 
 def flag_failed(
@@ -158,10 +179,7 @@ def flag_failed(
     CarrierWatch
         Watch after.
     """
-    is_failed = watch.skip_minutes >= SKIPS_TO_FLAG - _ROUNDING
-    is_failed |= np.maximum(watch.cusum.up, watch.cusum.down) > THRESHOLD
-    is_failed |= watch.absent_minutes >= ABSENT_MINUTES - _ROUNDING
-    is_failed &= ~watch.is_flagged
+    is_failed = failed(watch)
     if not is_failed.any():
         return state, watch
     positions = reference_states(model, np.arange(model.carriers), hidden_count(model, len(state.mean)))
@@ -220,77 +238,16 @@ def watch_flagged(watch: CarrierWatch, residual_db: FloatArray, minutes: float) 
     minutes : float
         Minutes that have passed.
     """
-    rows = np.concatenate([watch.residuals_db[1:], residual_db[None, :]])
-    return watch._replace(
-        residuals_db=rows, flagged_minutes=np.where(watch.is_flagged, watch.flagged_minutes + minutes, 0.0)
+    return CarrierWatch(
+        skip_minutes=watch.skip_minutes,
+        is_flagged=watch.is_flagged,
+        flagged_minutes=np.where(watch.is_flagged, watch.flagged_minutes + minutes, 0.0),
+        saved_reference_db=watch.saved_reference_db,
+        saved_variance_db2=watch.saved_variance_db2,
+        residuals_db=np.concatenate((watch.residuals_db[1:], residual_db.reshape(1, -1))),
+        cusum=watch.cusum,
+        absent_minutes=watch.absent_minutes,
+        is_relearned=watch.is_relearned,
+        aligned_reference_db=watch.aligned_reference_db,
+        aligned_variance_db2=watch.aligned_variance_db2,
     )
-
-
-def push_carrier_values(watch: CarrierWatch, values: FloatArray) -> CarrierWatch:
-    """Return the watch with one minute's test values (N,) of unit variance, NaN = none.
-
-    A value counts for three at most: an impulse is skipped, not flagged, and a jump takes four minutes either way.
-    """
-    counted = np.minimum(np.maximum(values, -_LARGEST_VALUE), _LARGEST_VALUE)
-    return watch._replace(cusum=push_cusum(watch.cusum, counted))
-
-
-def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> tuple[Gaussian, CarrierWatch]:
-    """Release the flagged carriers that are quiet again.
-
-    Returns
-    -------
-    Gaussian
-        The same state where none is released; else the released begin with the old reference, or a free one at the new
-        level.
-    CarrierWatch
-        Watch after; references that were learned again are marked.
-    """
-    is_back = watch.is_flagged & (watch.flagged_minutes >= MIN_BACK_MINUTES)
-    if not is_back.any():
-        return state, watch
-    is_quiet = is_back & (watch.flagged_minutes >= MIN_FLAGGED_MINUTES)
-    level_db, back_db = (watch.residuals_db[-rows:].mean(axis=0) for rows in (QUIET_ROWS, BACK_ROWS))
-    # the level before the flag may have been a wet one
-    known_db = np.array([watch.saved_reference_db, watch.aligned_reference_db])
-    variance_db2 = np.array([watch.saved_variance_db2, watch.aligned_variance_db2])
-    distance_db = np.abs(back_db - known_db)
-    nearest = np.where(np.isnan(distance_db), np.inf, distance_db).argmin(axis=0), np.arange(model.carriers)
-    is_back &= distance_db[nearest] < SAME_LEVEL_DB
-    is_new = np.isnan(watch.saved_reference_db)
-    is_dry = (level_db > np.fmax(*known_db)) | (watch.flagged_minutes >= WET_MINUTES)
-    is_quiet &= is_new | is_dry
-    # what lies so low or so far that it cannot come back need not be asked how still it stands
-    if is_back.any():
-        is_back &= _is_still(watch.residuals_db[-BACK_ROWS:])
-    if is_quiet.any():
-        is_quiet &= is_new | (halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB)
-        is_quiet &= _is_still(watch.residuals_db[-QUIET_ROWS:])
-    is_quiet |= is_back
-    if not is_quiet.any():
-        return state, watch
-    chosen = np.flatnonzero(is_quiet)
-    is_back = is_back[chosen]
-    reference_db = np.where(is_back, known_db[nearest][chosen], level_db[chosen])
-    variance = np.where(is_back, variance_db2[nearest][chosen] + _RESTORED_SIGMA_DB**2, FREE_REFERENCE_DB2)
-    relearned = watch.is_relearned.copy()
-    relearned[chosen] = np.where(is_back, relearned[chosen] & (nearest[0][chosen] == 0), True)
-    return (
-        reset_carriers(model, state, chosen, reference_db, variance),
-        watch._replace(
-            is_flagged=watch.is_flagged & ~is_quiet,
-            cusum=reset_cusum(watch.cusum, is_quiet),
-            is_relearned=relearned,
-        ),
-    )
-
-
-def halves_differ_db(rows_db: FloatArray) -> FloatArray:
-    """Return how far the means of the two halves of rows (T, N) lie apart (N,), NaN where a row is absent."""
-    half = len(rows_db) // 2
-    return np.asarray(np.abs(rows_db[half:].mean(axis=0) - rows_db[:half].mean(axis=0)))
-
-
-def _is_still(rows_db: FloatArray) -> BoolArray:
-    """Return whether each carrier neither scatters nor drifts over rows (T, N)."""
-    return np.asarray((rows_db.std(axis=0) < QUIET_STD_DB) & (halves_differ_db(rows_db) < QUIET_SHIFT_DB))

@@ -15,7 +15,6 @@ from service.core.estimation.filtering.causes.fault_hypotheses import (
     GROUP_STEP_DB,
     JUMP_DEG,
     Cause,
-    Chooser,
     LikeliestCause,
 )
 from service.core.estimation.filtering.causes.rain_state import (
@@ -41,6 +40,10 @@ _SUSPECT = 3.0
 _SEVERAL = 3
 
 
+#: what a row says of a common change: none, one of the sums, one that a chooser must explain
+NOTHING, SLOW_CHANGE, SUDDEN_CHANGE = 0, 1, 2
+
+
 class CommonInnovation(NamedTuple):
     """Median innovation of the fully affected band; NaN with too few of them."""
 
@@ -59,45 +62,30 @@ class Widened(NamedTuple):
 
 def common_innovation(model: CarrierModel, innovation: Innovation) -> CommonInnovation:
     """Return the common part of a row's innovations."""
-    is_full = model.is_full_band[innovation.carriers]
-    if is_full.all():
-        return CommonInnovation(*common_value(innovation.innovation_db, innovation.covariance_db2))
+    is_full = (model.rain_share >= 0.5 * model.rain_share.max())[innovation.carriers]
     full = np.flatnonzero(is_full)
     if len(full) < _SEVERAL:
-        return CommonInnovation(float("nan"), float("nan"))
-    spread = innovation.covariance_db2[full][:, full]
-    return CommonInnovation(*common_value(innovation.innovation_db[full], spread))
+        return CommonInnovation(np.nan, np.nan)
+    spread = (innovation.predicted_db2 + np.diag(innovation.white_db2))[full][:, full]
+    median_db, value = common_value(innovation.innovation_db[full], spread)
+    return CommonInnovation(median_db, value)
 
 
-def find_cause(
-    model: CarrierModel,
-    rain: RainWatch,
-    innovation: Innovation,
-    excess: FloatArray,
-    common: CommonInnovation,
-    chooser: Chooser,
-) -> LikeliestCause | None:
-    """Return the common cause of changes of a row's carriers, None = there is none.
+def suspicion(rain: RainWatch, excess: FloatArray, common: CommonInnovation) -> int:
+    """Return whether carriers changed together in a row: `NOTHING`, `SLOW_CHANGE` or `SUDDEN_CHANGE`.
 
     Parameters
     ----------
-    model : CarrierModel
-        The carriers.
     rain : RainWatch
         Sums of the common level, this row included.
-    innovation : Innovation
-        Of all carriers that are not flagged.
     excess : ndarray, shape (n,)
-        abs(innovation) / sigma of them.
+        abs(innovation) / sigma of all carriers that are not flagged.
     common : CommonInnovation
         Common part of them.
-    chooser : callable
-        ``chooser(model, innovation) -> Choice``.
     """
-    suspects = np.count_nonzero(excess > _SUSPECT)
-    if suspects >= _SEVERAL or abs(common.value) > SUDDEN:
-        return chooser(model, innovation)
-    return LikeliestCause(Cause.COMMON) if is_down(rain) or is_up(rain) else None
+    if np.count_nonzero(excess > _SUSPECT) >= _SEVERAL or abs(common.value) > SUDDEN:
+        return SUDDEN_CHANGE
+    return SLOW_CHANGE if is_down(rain) or is_up(rain) else NOTHING
 
 
 def widen(

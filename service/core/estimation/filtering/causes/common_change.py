@@ -51,17 +51,9 @@ def push_cusum(sums: Cusum, values: FloatArray, slack: float = SLACK) -> Cusum:
     >>> push_cusum(quiet_cusum(2), np.array([1.6, np.nan])).up
     array([1., 0.])
     """
-    up, down = sums.up + values, sums.down - values
-    up -= slack
-    down -= slack
-    np.maximum(up, 0.0, out=up)
-    np.maximum(down, 0.0, out=down)
-    # one product tells whether any value is NaN; most rows have none
-    if math.isnan(values @ values):
-        is_absent = np.isnan(values)
-        np.copyto(up, sums.up, where=is_absent)
-        np.copyto(down, sums.down, where=is_absent)
-    return Cusum(up, down)
+    up, down = np.maximum(sums.up + values - slack, 0.0), np.maximum(sums.down - values - slack, 0.0)
+    is_absent = np.isnan(values)
+    return Cusum(np.where(is_absent, sums.up, up), np.where(is_absent, sums.down, down))
 
 
 def reset_cusum(sums: Cusum, chosen: BoolArray) -> Cusum:
@@ -91,5 +83,5 @@ def common_value(innovation_db: FloatArray, covariance_db2: FloatArray) -> tuple
     count = len(innovation_db)
     ordered = np.sort(innovation_db)
     median = 0.5 * float(ordered[(count - 1) // 2] + ordered[count // 2])
-    total, own = float(covariance_db2.sum()) / count**2, float(covariance_db2.trace()) / count**2
+    total, own = float(covariance_db2.sum()) / count**2, float(np.trace(covariance_db2)) / count**2
     return median, median / math.sqrt(total + (0.5 * math.pi - 1.0) * own)

@@ -63,8 +63,16 @@ def dry_watch() -> RainWatch:
 def push_common(watch: RainWatch, value: float, chain_db: float) -> RainWatch:
     """Return the watch with one minute's common value of unit variance, and the chain gain before it, dB."""
     sums = push_cusum(watch.cusum, np.array([value]))
-    is_at_zero = float(sums.down[0]) == 0.0
-    return watch._replace(cusum=sums, base_chain_db=chain_db if is_at_zero else watch.base_chain_db)
+    return RainWatch(
+        is_raining=watch.is_raining,
+        wet_minutes=watch.wet_minutes,
+        dry_minutes=watch.dry_minutes,
+        hold_minutes=watch.hold_minutes,
+        base_chain_db=chain_db if float(sums.down[0]) == 0.0 else watch.base_chain_db,
+        history_db=watch.history_db,
+        cusum=sums,
+        is_steady=watch.is_steady,
+    )
 
 
 def is_down(watch: RainWatch) -> bool:
@@ -119,16 +127,29 @@ def pass_minutes(state: Gaussian, watch: RainWatch, minutes: float) -> tuple[Gau
     if not watch.is_raining:
         return state, watch
     rain_db = float(state.mean[RAIN])
-    after = watch._replace(
+    after = RainWatch(
+        is_raining=True,
         wet_minutes=watch.wet_minutes + minutes,
         dry_minutes=watch.dry_minutes + minutes if rain_db < DRY_DB else 0.0,
+        hold_minutes=watch.hold_minutes,
+        base_chain_db=watch.base_chain_db,
         history_db=np.append(watch.history_db[1:], rain_db),
+        cusum=watch.cusum,
+        is_steady=watch.is_steady,
     )
     is_steady = _is_steady(after, rain_db)
     if after.dry_minutes < DRY_MINUTES and not is_steady:
         return state, after
-    return _into_chain(state), dry_watch()._replace(
-        hold_minutes=after.hold_minutes, base_chain_db=float(state.mean[CHAIN]) - rain_db, is_steady=is_steady
+    dry = dry_watch()
+    return _into_chain(state), RainWatch(
+        is_raining=False,
+        wet_minutes=0.0,
+        dry_minutes=0.0,
+        hold_minutes=after.hold_minutes,
+        base_chain_db=float(state.mean[CHAIN]) - rain_db,
+        history_db=dry.history_db,
+        cusum=dry.cusum,
+        is_steady=is_steady,
     )
 
 

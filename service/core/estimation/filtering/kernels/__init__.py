@@ -1,4 +1,4 @@
 """Kernels of the attitude filter: compiled loops, and the same in arrays.
 
-Public: kernels.
+Public: anchor_kernels, array_kernels, kernels, loop_kernels.
 """

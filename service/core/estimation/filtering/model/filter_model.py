@@ -54,11 +54,6 @@ class CarrierModel(NamedTuple):
         """Number of coloured components K of a carrier."""
         return int(self.coloured_sigma_db.shape[1])
 
-    @property
-    def is_full_band(self) -> BoolArray:
-        """(N,) carriers of the band that rain over the receiving site takes fully."""
-        return np.asarray(self.rain_share >= 0.5 * self.rain_share.max())
-
 
 class FedForward(NamedTuple):
     """Torque that the loop on board takes away by a known profile, as accelerations in deg/h^2 by yaw, roll, pitch.
@@ -151,7 +146,7 @@ def pattern_change(model: CarrierModel, attitude_deg: FloatArray) -> PatternChan
     PatternChange
         Deviations in dB and gradients in dB/deg at the attitude.
     """
-    bend = model.hessian_db_deg2 @ attitude_deg
+    bend = (model.hessian_db_deg2.reshape(-1, 3) @ attitude_deg).reshape(-1, 3)
     gradient = model.gradient_db_deg + bend
     return PatternChange((model.gradient_db_deg + 0.5 * bend) @ attitude_deg, gradient)
 

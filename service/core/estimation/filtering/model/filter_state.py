@@ -52,7 +52,8 @@ def core_size(model: CarrierModel, hidden: int = 0) -> int:
 
 def hidden_count(model: CarrierModel, states: int) -> int:
     """Return how many hidden states a vector of a size has."""
-    return states - core_size(model) - model.carriers * (model.components + 1)
+    carriers, components = model.coloured_sigma_db.shape
+    return int(states - core_size(model) - carriers * (components + 1))
 
 
 def carrier_states(model: CarrierModel, carriers: IntArray, hidden: int = 0) -> IntArray:

@@ -146,7 +146,11 @@ def pass_commands(
 
 
 def push_row(
-    model: CarrierModel, watch: CommandWatch, used: Innovation, covariance: FloatArray, *, is_shared: bool
+    model: CarrierModel,
+    watch: CommandWatch,
+    used: Innovation,
+    covariance: FloatArray,
+    is_shared: bool,  # noqa: FBT001 numba knows no arguments by keyword alone
 ) -> CommandWatch:
     """Return the watch after an update.
 
@@ -171,35 +175,49 @@ def push_row(
     if not len(sensitivity) or float(np.abs(sensitivity[ATTITUDE, 0]).max()) < _LEAST_DEG:
         return watch
     expected_db = _seen(model, used, sensitivity)
-    weighted = expected_db / used.white_db2[:, None]
-    own = np.zeros((model.carriers, 2))
+    weighted = expected_db / used.white_db2.reshape(-1, 1)
+    count, core = len(model.rain_share), used.core_jacobian.shape[1]
+    own, spread = np.zeros((count, 2)), np.empty(sensitivity.shape)
     own[used.carriers] = weighted
-    spread = np.concatenate([used.core_jacobian.T @ weighted, *[own] * (model.components + 1)])
+    spread[:core] = used.core_jacobian.T @ weighted
+    for first in range(core, len(spread), count):
+        spread[first : first + count] = own
     removed = covariance @ spread
     left = sensitivity - removed
     if is_shared:
-        return watch._replace(sensitivity=left)
-    whitened = (expected_db - _seen(model, used, removed)) / used.white_db2[:, None]
-    return watch._replace(
-        sensitivity=left,
-        score=watch.score + whitened.T @ used.innovation_db,
-        information=watch.information + whitened.T @ expected_db,
-    )
+        return CommandWatch(left, watch.score, watch.information, watch.share, watch.minutes_left)
+    whitened = (expected_db - _seen(model, used, removed)) / used.white_db2.reshape(-1, 1)
+    score = watch.score + whitened.T @ used.innovation_db
+    return CommandWatch(left, score, watch.information + whitened.T @ expected_db, watch.share, watch.minutes_left)
 
 
 def _seen(model: CarrierModel, used: Innovation, change: FloatArray) -> FloatArray:
     """Return the effect of changes (D, 2) of the state on the carriers used (n, 2), dB."""
     core = used.core_jacobian.shape[1]
-    own = change[core:].reshape(-1, model.carriers, 2).sum(axis=0)
-    return np.asarray(used.core_jacobian @ change[:core] + own[used.carriers])
+    own = change[core:].reshape(-1, len(model.rain_share), 2).sum(axis=0)
+    seen: FloatArray = used.core_jacobian @ change[:core] + own[used.carriers]
+    return seen
+
+
+def share_gain(watch: CommandWatch, share: float) -> float:
+    """Return the log likelihood ratio of a share against the believed one."""
+    excused = watch.information[0, 1] / (watch.information[1, 1] + _UNTOLD_YAW_DEG_H**-2)
+    score = float(watch.score[0] - excused * watch.score[1])
+    information = float(watch.information[0, 0] - excused * watch.information[0, 1])
+    return (share - watch.share) * score - 0.5 * (share - watch.share) ** 2 * information
 
 
 def share_gains(watch: CommandWatch) -> dict[float, float]:
     """Return the log likelihood ratio of each share against the believed one."""
-    excused = watch.information[0, 1] / (watch.information[1, 1] + _UNTOLD_YAW_DEG_H**-2)
-    score = float(watch.score[0] - excused * watch.score[1])
-    information = float(watch.information[0, 0] - excused * watch.information[0, 1])
-    return {s: (s - watch.share) * score - 0.5 * (s - watch.share) ** 2 * information for s in SHARES}
+    return {share: share_gain(watch, share) for share in SHARES}
+
+
+def is_share_likelier(watch: CommandWatch) -> bool:
+    """Return whether another share than the believed one explains the commands beyond chance."""
+    greatest = 0.0
+    for share in SHARES:
+        greatest = max(greatest, share_gain(watch, share))
+    return greatest > BELIEVED
 
 
 def likelier_share(watch: CommandWatch) -> float | None:

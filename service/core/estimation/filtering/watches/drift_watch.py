@@ -10,8 +10,6 @@ craft that drifts less than it may is no reason to believe less in the measureme
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.filter_state import DRIFT, Gaussian
 
@@ -35,7 +33,12 @@ class DriftWatch(NamedTuple):
     @property
     def scale(self) -> float:
         """Factor in the steps that the prediction sees, >= 1."""
-        return float(_STEP ** math.floor(self.log_scale / math.log(_STEP) + 1e-9))
+        return drift_scale(self.log_scale)
+
+
+def drift_scale(log_scale: float) -> float:
+    """Return the factor in the steps that the prediction sees, >= 1, of its logarithm."""
+    return float(_STEP ** math.floor(log_scale / math.log(_STEP) + 1e-9))
 
 
 def usual_drift() -> DriftWatch:
@@ -53,7 +56,7 @@ def scaled_settings(settings: FilterSettings, watch: DriftWatch) -> FilterSettin
 
 
 def push_drift(
-    watch: DriftWatch, settings: FilterSettings, state: Gaussian, minutes: float
+    watch: DriftWatch, drift_deg_h: tuple[float, float, float], state: Gaussian, minutes: float
 ) -> tuple[DriftWatch, Gaussian]:
     """Return the watch after some minutes, and the state, whose drift is wider where the factor grew a step.
 
@@ -61,27 +64,28 @@ def push_drift(
     ----------
     watch : DriftWatch
         Before.
-    settings : FilterSettings
-        As configured, without the factor.
+    drift_deg_h : tuple of float
+        Drift as configured, without the factor.
     state : Gaussian
         State after the update.
     minutes : float
         Minutes of data that have passed.
     """
-    mean, variance = state.mean[DRIFT].tolist(), np.diagonal(state.covariance)[DRIFT].tolist()
-    surplus = 0.0
-    for drift, uncertain, sigma in zip(mean, variance, settings.drift_deg_h, strict=True):
-        sigma2 = (watch.scale * sigma) ** 2
-        known = sigma2 - uncertain
+    surplus, scale = 0.0, drift_scale(watch.log_scale)
+    for axis, sigma in enumerate(drift_deg_h):
+        position = DRIFT.start + axis
+        sigma2 = (scale * sigma) ** 2
+        known = sigma2 - float(state.covariance[position, position])
         if known > _LEAST_KNOWN * sigma2:
             # an axis speaks as far as it is known
-            surplus += known / sigma2 * (min(drift**2 / known, _CUT) - 1.0) / 3.0
+            surplus += known / sigma2 * (min(float(state.mean[position]) ** 2 / known, _CUT) - 1.0) / 3.0
     log_scale = watch.log_scale + surplus * minutes / FOLLOW_MINUTES
     pushed = DriftWatch(min(math.log(LARGEST), max(0.0, log_scale)))
-    if pushed.scale <= watch.scale:
+    grown = drift_scale(pushed.log_scale)
+    if grown <= scale:
         return pushed, state
     covariance = state.covariance.copy()
-    growth = (pushed.scale / watch.scale) ** 2 - 1.0
-    positions = np.arange(DRIFT.start, DRIFT.stop)
-    covariance[positions, positions] += growth * (watch.scale * np.array(settings.drift_deg_h)) ** 2
+    for axis, sigma in enumerate(drift_deg_h):
+        position = DRIFT.start + axis
+        covariance[position, position] += ((grown / scale) ** 2 - 1.0) * (scale * sigma) ** 2
     return pushed, Gaussian(state.mean, covariance)

@@ -5,7 +5,6 @@
 which keeps unit variance. The law of this file: at one row a minute or fewer every row is a minute.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,11 +25,12 @@ class MinuteSums(NamedTuple):
 
 
 class Minute(NamedTuple):
-    """Values of a closed minute."""
+    """Sums after a row, and the values of the minute that it closes."""
 
     sums: MinuteSums
-    #: (M,) unit variance, NaN = no row; None = the minute is not over
-    values: FloatArray | None
+    is_over: bool
+    #: (M,) unit variance, NaN = no row; of the rows so far while the minute lasts
+    values: FloatArray
 
 
 def empty_minute(series: int, epoch_us: int) -> MinuteSums:
@@ -39,7 +39,7 @@ def empty_minute(series: int, epoch_us: int) -> MinuteSums:
 
 
 def push_minute(sums: MinuteSums, epoch_us: int, values: FloatArray) -> Minute:
-    """Return the sums with one row more, and the minute's values when it is over.
+    """Return the sums with one row more, and the minute's values.
 
     Parameters
     ----------
@@ -51,19 +51,10 @@ def push_minute(sums: MinuteSums, epoch_us: int, values: FloatArray) -> Minute:
         Values of unit variance, NaN = none in this row.
     """
     is_over = epoch_us - sums.start_us >= _MINUTE_US
-    if is_over and not sums.rows.any():
-        # the usual row is a minute of its own
-        return Minute(empty_minute(len(values), epoch_us), _finite(values))
     is_present = np.isfinite(values)
     total = sums.total + np.where(is_present, values, 0.0)
     rows = sums.rows + is_present
-    if not is_over:
-        return Minute(MinuteSums(sums.start_us, total, rows), None)
     closed = np.where(rows > 0.0, total / np.sqrt(np.maximum(rows, 1.0)), np.nan)
-    return Minute(empty_minute(len(values), epoch_us), closed)
-
-
-def _finite(values: FloatArray) -> FloatArray:
-    """Return the values with NaN for what is not finite."""
-    # one product tells of all: cheaper than a test of each
-    return values if math.isfinite(values @ values) else np.where(np.isfinite(values), values, np.nan)
+    return Minute(
+        empty_minute(len(values), epoch_us) if is_over else MinuteSums(sums.start_us, total, rows), is_over, closed
+    )

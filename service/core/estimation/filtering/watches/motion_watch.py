@@ -61,15 +61,22 @@ def still_watch(epoch_us: int) -> MotionWatch:
     return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), np.zeros(3), np.zeros(3), np.zeros(3))
 
 
-def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray, *, is_pushed: bool = False) -> MotionWatch:
-    """Return the watch with the shifts (3,) of one row, in sigmas; `is_pushed` = a torque is among the states."""
-    sums, values = push_minute(watch.minute, epoch_us, shift)
-    if values is None:
-        return watch._replace(minute=sums)
-    pushed = push_cusum(watch.cusum, values)
-    is_alarm = np.maximum(pushed.up, pushed.down) > THRESHOLD
-    if not is_alarm.any():
-        return watch._replace(minute=sums, cusum=pushed)
+def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray) -> MotionWatch:
+    """Return the watch with the shifts (3,) of one row, in sigmas."""
+    sums, is_over, values = push_minute(watch.minute, epoch_us, shift)
+    cusum = push_cusum(watch.cusum, values) if is_over else watch.cusum
+    return MotionWatch(sums, cusum, watch.minutes_left, watch.reported_minutes, watch.alarms)
+
+
+def alarmed_axes(watch: MotionWatch) -> BoolArray:
+    """Return the axes (3,) whose shifts are beyond their limit."""
+    is_alarm: BoolArray = np.maximum(watch.cusum.up, watch.cusum.down) > THRESHOLD
+    return is_alarm
+
+
+def with_alarms(watch: MotionWatch, *, is_pushed: bool) -> MotionWatch:
+    """Return the watch after its alarms; `is_pushed` = a torque is among the states."""
+    is_alarm = alarmed_axes(watch)
     left = np.where(is_alarm, FOLLOWED_MINUTES, watch.minutes_left)
     alarms = watch.alarms + is_alarm
     minutes = np.full(3, FOLLOWED_MINUTES)
@@ -78,7 +85,7 @@ def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray, *, is_pushe
             [alarms < _EXPLAINED_ALARMS, alarms == _EXPLAINED_ALARMS], [0.0, EXPLAINED_MINUTES], minutes
         )
     reported = np.where(is_alarm, np.maximum(minutes, watch.reported_minutes), watch.reported_minutes)
-    return MotionWatch(sums, reset_cusum(pushed, is_alarm), left, reported, alarms)
+    return MotionWatch(watch.minute, reset_cusum(watch.cusum, is_alarm), left, reported, alarms)
 
 
 def newly_explained(before: MotionWatch, after: MotionWatch) -> BoolArray:
@@ -88,7 +95,8 @@ def newly_explained(before: MotionWatch, after: MotionWatch) -> BoolArray:
 
 def forget_shifts(watch: MotionWatch, epoch_us: int) -> MotionWatch:
     """Return the watch with sums of nothing: what moved the row is known and was no motion."""
-    return watch._replace(minute=empty_minute(3, epoch_us), cusum=quiet_cusum(3))
+    left, reported = watch.minutes_left, watch.reported_minutes
+    return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), left, reported, watch.alarms)
 
 
 def follow_all(watch: MotionWatch) -> MotionWatch:

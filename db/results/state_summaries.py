@@ -1,0 +1,113 @@
+"""Summaries of the states of live rows: runs of status, inhibitions, exclusions and others, and gaps, by day.
+
+They are made, stored and deleted together with the summary of the attitude of their day.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import starmap
+from typing import Any
+
+import zstandard
+from sqlalchemy import Connection, select
+
+from db.database import Database
+from db.encoding.segments import DAY_US
+from db.measurements.checksum_check import agrees
+from db.newest_rows import RowPages
+from db.results.stored_rows import pages
+from db.schema.row_checksum import checksum_of
+from db.schema.tables import attitude_summary, state_summary
+from service.core.rows.row_gaps import Gap
+from service.core.rows.state_runs import History, RowState, StateRun, Stretch, StretchSearch, joined_stretches
+from service.records.calibration import Window
+from service.records.levels.attitude import AttitudeRow
+
+#: kind under which gaps are stored beside the runs, rows missing in the place of rows
+_GAP = "gap"
+
+
+def stretch_of(read: RowPages[AttitudeRow], window: Window) -> Stretch | None:
+    """Return runs and gaps of the rows of a window; None where there is no row."""
+    search = StretchSearch()
+    for rows in pages(read, window):
+        search.add([row.epoch_us for row in rows], _states(rows))
+    return search.end()
+
+
+def store_states(connection: Connection, summary_id: int, stretch: Stretch | None) -> None:
+    """Store the states that go with a summary of attitude."""
+    if stretch is None:
+        return
+    gaps = (((_GAP, "", ""), *gap) for gap in stretch.gaps)
+    flat = [(*state, *numbers) for state, *numbers in (*stretch.runs, *gaps)]
+    values: dict[str, Any] = {
+        "summary_id": summary_id,
+        "first_us": stretch.first_us,
+        "last_us": stretch.last_us,
+        "period_us": stretch.period_us,
+        "content": zstandard.ZstdCompressor().compress(json.dumps(flat, separators=(",", ":")).encode()),
+    }
+    connection.execute(state_summary.insert().values(values))
+
+
+def state_history(database: Database, key: int, method: str, read: RowPages[AttitudeRow], window: Window) -> History:
+    """Return runs and gaps of a window: of days with a sound summary from it, of the others from their rows."""
+    day = attitude_summary.c
+    query = (
+        select(state_summary, day.start_us)
+        .join(attitude_summary, day.summary_id == state_summary.c.summary_id)
+        .where(day.spacecraft_key == key, day.method == method)
+        .where(day.start_us > window.start_us - DAY_US, day.start_us < window.stop_us)
+        .order_by(day.start_us)
+    )
+    stretches, rest_us = [], window.start_us
+    for row in database.fetch(query):
+        stored = _stored(row)
+        if stored is not None:
+            stretches += [stretch_of(read, Window(rest_us, row.start_us)) if rest_us < row.start_us else None, stored]
+            rest_us = row.start_us + DAY_US
+    if rest_us < window.stop_us:
+        stretches.append(stretch_of(read, Window(rest_us, window.stop_us)))
+    return joined_stretches([each for each in stretches if each is not None], window.start_us, window.stop_us)
+
+
+def _stored(row: Any) -> Stretch | None:
+    """Return a stored stretch, None where it is damaged: its rows are still there."""
+    if not agrees(row.checksum, partial(checksum_of, state_summary, row._asdict())):
+        return None
+    runs, gaps = [], []
+    for kind, name, carrier, *numbers in json.loads(zstandard.ZstdDecompressor().decompress(row.content)):
+        if kind == _GAP:
+            gaps.append(Gap(*numbers))
+        else:
+            runs.append(StateRun(RowState(kind, name, carrier), *numbers))
+    return Stretch(row.first_us, row.last_us, row.period_us, runs, gaps)
+
+
+def _states(rows: Sequence[AttitudeRow]) -> Iterator[tuple[RowState, ...]]:
+    """Yield the states of rows, one object for neighbours that have the same."""
+    before: tuple[Any, ...] = ()
+    states: tuple[RowState, ...] = ()
+    for row in rows:
+        held = (row.status, row.control_allowed, row.inhibitions, row.advice, row.downlink_fade, row.excluded)
+        if held != before:
+            before, states = held, tuple(dict.fromkeys(_states_of(row)))
+        yield states
+
+
+def _states_of(row: AttitudeRow) -> Iterator[RowState]:
+    """Yield the states of a row."""
+    yield RowState("status", row.status.value)
+    if row.control_allowed:
+        yield RowState("control", "allowed")
+    yield from (RowState("inhibition", name) for name in row.inhibitions)
+    yield from (RowState("advice", name) for name in row.advice)
+    if row.downlink_fade:
+        yield RowState("fade", "downlink")
+    yield from starmap(_exclusion, row.excluded)
+
+
+def _exclusion(carrier: str, reason: str) -> RowState:
+    return RowState("exclusion", reason, carrier)

@@ -1,0 +1,4 @@
+"""Console of the operators: static pages, read by a browser, that use the REST interface alone.
+
+Public: pages.
+"""

@@ -1,0 +1,46 @@
+/** @file The one sentence: what is known, whether torques may go, the worst reason, the next step. */
+
+import { meaning, number, utc, words } from "../words.js";
+
+/** Reasons that follow from others, or hold back yaw alone, are named last. */
+const LAST = ["fade", "redundancy", "estimator", "tripped", "operation", "sigma_yaw", "yaw_beyond", "yaw_sign", "good_minutes", "not_armed"];
+/** What the number of a condition is measured in, and its digits. */
+const UNITS = { deg: ["deg", 2], dB: ["db", 1], "%": ["percent", 0] };
+
+/** Return the reasons of a verdict, the one to act on first. */
+export function ranked(reasons) {
+  return [...reasons].sort((one, other) => LAST.indexOf(one.code) - LAST.indexOf(other.code));
+}
+
+/**
+ * Return the sentence.
+ * @param {any} status Answer of `GET …/status`.
+ * @param {any} row Newest row of the method that drives control.
+ * @param {any[]} conditions Of `GET …/control`.
+ */
+export function sentence(status, row, conditions) {
+  const { allowed, reasons } = status.control;
+  const [worst, ...others] = ranked(reasons);
+  const more = others.length ? words("views.now.more", { count: others.length }) : "";
+  const reason = worst && [reasonText(worst, conditions, row), more].filter(Boolean).join(" ");
+  const next = worst && meaning("reasons", worst.code, "next");
+  const key = allowed ? (worst ? "allowedBut" : "allowed") : "forbidden";
+  return words(`views.now.sentence.${key}`, { known: knowledge(row), reason, next });
+}
+
+/** Return what is known of the angles. */
+function knowledge(row) {
+  if (!row) return meaning("statuses", "NOT_RECEIVED");
+  if (row.status !== "ACQUIRED") return meaning("statuses", row.status);
+  const sigma = Math.max(row.sigma_deg.roll ?? NaN, row.sigma_deg.pitch ?? NaN);
+  return Number.isFinite(sigma) ? words("views.now.known", { sigma: number(2 * sigma, 2) }) : meaning("statuses", "ACQUIRED");
+}
+
+function reasonText(reason, conditions, row) {
+  const condition = conditions.find((each) => each.code === reason.code);
+  const value = ["fade", "downlink_fade"].includes(reason.code) ? row?.downlink_fade_db : condition?.value;
+  const unit = UNITS[["fade", "downlink_fade"].includes(reason.code) ? "dB" : condition?.unit];
+  const size = Number.isFinite(value) && unit ? `${number(value, unit[1])} ${words(`app.unit.${unit[0]}`)}` : "";
+  const since = reason.since ?? condition?.since;
+  return [meaning("reasons", reason.code), size, since && words("views.now.since", { at: utc(since, "minute") })].filter(Boolean).join(" ");
+}
