@@ -7,12 +7,14 @@ from bench import (
     bench_chain,
     bench_export,
     bench_ingest,
+    bench_replay,
     bench_spool,
     bench_start,
     bench_storage,
     bench_stream,
     bench_summaries,
 )
+from bench.load import bench_memory, fleet
 
 
 def main() -> int:
@@ -22,11 +24,14 @@ def main() -> int:
         bench_storage,
         bench_ingest,
         bench_chain,
+        bench_replay,
         bench_alarms,
         bench_stream,
         bench_start,
         bench_export,
         bench_summaries,
+        bench_memory,
+        fleet,
     )
     is_met = [each.main() for each in measured]
     return 0 if all(is_met) else 1

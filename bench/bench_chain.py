@@ -17,10 +17,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels
 from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion
+from service.core.estimation.filtering.rows.row_kernels import ARRAYS, RowKernels, compiled_kernels
 from service.pipeline.chain import METHODS, Chain
 from service.pipeline.config import ChainConfig
 from service.records.catalogue import Method
@@ -64,10 +62,6 @@ def main() -> bool:
     for name, kernels in sets.items():
         for carriers in (16, 32):
             _show(f"{carriers} carriers, {name}", measure_filter(carriers, options.steps, kernels))
-    print("prediction and update in it")
-    for name, kernels in sets.items():
-        for carriers in (16, 32):
-            _show(f"{carriers} carriers, {name}", measure_arithmetic(carriers, options.steps, kernels))
     return True
 
 
@@ -91,7 +85,7 @@ def yardstick_s(repeats: int = 40) -> float:
     return statistics.median(taken)
 
 
-def measure_filter(carriers: int, steps: int, kernels: Kernels, seed: int = 5) -> StepTimes:
+def measure_filter(carriers: int, steps: int, kernels: RowKernels, seed: int = 5) -> StepTimes:
     """Return the time of one step of the robust filter."""
     model, settings = carrier_model(carriers, components=3, common=2), FilterSettings()
     state, taken = start(model, START_US, aligned(model)), []
@@ -100,25 +94,6 @@ def measure_filter(carriers: int, steps: int, kernels: Kernels, seed: int = 5) -
         reported = step(model, settings, state, START_US + row * MINUTE, row_db, no_motion(), kernels=kernels)
         taken.append(time.thread_time() - began)
         state = reported.state
-    return _figures(taken)
-
-
-def measure_arithmetic(carriers: int, steps: int, kernels: Kernels, seed: int = 5) -> StepTimes:
-    """Return the time that prediction and update take of a step."""
-    model, settings, used = carrier_model(carriers, components=3, common=2), FilterSettings(), np.arange(carriers)
-    state, variance, taken = aligned(model), np.zeros(carriers), []
-    for row_db in _deviations_db(carriers, steps, seed):
-        weather = Weather(
-            is_raining=False,
-            is_unannounced=(False, False, False),
-            slow_scale=1.0,
-            model_variance_db2=variance,
-        )
-        began = time.thread_time()
-        ahead, variance = predict(model, settings, state, MINUTE, no_motion(), weather, kernels)
-        innovation = innovate(model, ahead, row_db, used, model.white_sigma_db**2, kernels=kernels)
-        state = update(model, ahead, row_db, innovation, kernels).state
-        taken.append(time.thread_time() - began)
     return _figures(taken)
 
 

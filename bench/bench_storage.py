@@ -207,11 +207,17 @@ def measure_results(url: str, options: argparse.Namespace, *, has_carriers: bool
     assert sealed == 3 * len(measured), f"{sealed} results sealed of {3 * len(measured)}"
     names = ("result_segment", "result_segment_sequence", "sqlite_autoindex_result_segment_1")
     segments = _size(storage, *names) / len(measured)
+    # a day is summarised when the chain has consumed a later one
+    storage.results.save_outcomes("bench", LIVE, [], measured[-1].number, measured[-1].epoch_us + DAY_US)
+    assert sum(storage.results.complete_summaries("bench", 1 << 60)) == 3
+    names = ("attitude_summary", "sqlite_autoindex_attitude_summary_1", "carrier_summary")
+    summaries = _size(storage, *names, "sqlite_autoindex_carrier_summary_1") / len(measured)
     storage.close()
     print(f"results: {attitude:.0f} B a row of attitude (two a measurement), {torque:.0f} B a torque command")
     print(f"  sealed at {sealed / sealing_s:.0f} rows a second of processor time")
     of_carriers = f"with {options.carriers} carriers" if has_carriers else "without carriers"
     goal = GOAL_CARRIERS if has_carriers else GOAL_RESULTS
+    print(f"  {summaries:.0f} B more for their summaries, at a row in ten seconds: minutes of six rows")
     return judge(f"sealed results of a measurement, {of_carriers}", segments, goal, "B")
 
 

@@ -41,7 +41,14 @@ CARRIERS = 16
 STEP_US = 60_000_000
 START_US = 1_700_000_000_000_000 // DAY_US * DAY_US
 #: what the time with ten times the rows may be, and attitude over powers
-GOALS = {"samples, powers": 1.5, "samples, attitude": 1.5, "status": 1.2, "append": 1.2, "outcome": 1.2}
+GOALS = {
+    "samples, powers": 1.5,
+    "samples, attitude": 1.5,
+    "samples, carriers": 1.5,
+    "status": 1.2,
+    "append": 1.2,
+    "outcome": 1.2,
+}
 GOAL_ATTITUDE = 1.5
 _AT_ONCE = 7200
 _INTERVAL_ROWS = 1000
@@ -194,6 +201,10 @@ async def _answers(app: Any, intervals: int) -> dict[str, float]:
             ("status", "status"),
             ("samples, powers", f"measurements/samples?count={intervals}"),
             ("samples, attitude", f"attitude/samples?count={intervals}&method=robust"),
+            (
+                "samples, carriers",
+                f"samples?quantity=deviation_db&quantity=residual_db&method=robust&count={intervals}",
+            ),
         ):
             began = time.process_time()
             answer = await client.get(f"/api/v1/spacecraft/bench/{path}")

@@ -87,6 +87,23 @@ async def test_pages_follow_one_another_without_loss_or_repetition(soo, spacecra
     assert len(set(seen)) == 12
 
 
+async def test_pages_from_the_end_are_those_from_the_start_turned_round(soo, spacecraft):
+    await soo.client.post(SC, json=spacecraft)
+    rows = [{"epoch": f"2026-11-20T00:00:{k:02d}.000000Z", "roll_deg": 0.1} for k in range(5)]
+    for source in ("star_tracker", "earth_sensor"):
+        await soo.client.post(f"{BASE}/attitude-references:batch", json={"source": source, "references": rows})
+    url, seen = f"{BASE}/attitude-references?limit=3&order=desc", []
+    while url:
+        answer = await soo.client.get(url)
+        seen += answer.json()["rows"]
+        link = answer.headers.get("link")
+        url = link and link.removeprefix("<").removesuffix('>; rel="next"')
+    assert seen[::-1] == (await soo.client.get(f"{BASE}/attitude-references")).json()["rows"]
+    cursor = (await soo.client.get(f"{BASE}/attitude-references?limit=3&order=desc")).json()["next"]
+    other = await soo.client.get(f"{BASE}/attitude-references?limit=3&cursor={cursor}")
+    assert (other.status_code, other.json()["code"]) == (422, "cursor.invalid")
+
+
 async def test_a_correction_that_overlaps_the_range_is_listed(soo, spacecraft):
     await soo.client.post(SC, json=spacecraft)
     await soo.client.post(f"{BASE}/corrections:batch", json={"corrections": [{"start": T0, "stop": T2, "yaw_deg": 1}]})
@@ -184,6 +201,7 @@ async def test_bad_batches_are_refused_whole(soo, spacecraft, path, body, status
         ("stop=2026-11-21", "epoch.malformed", "/query/stop"),
         ("start=2026-11-21T00:00:00Z&stop=2026-11-21T00:00:00Z", "range.invalid", "/query/start"),
         ("start=2026-11-22T00:00:00Z&stop=2026-11-21T00:00:00Z", "range.invalid", "/query/start"),
+        ("order=newest", "value.choice", "/query/order"),
         ("cursor=", "cursor.invalid", "/query/cursor"),
         ("cursor=abc", "cursor.invalid", "/query/cursor"),
         ("cursor=%F0%9F%98%80", "cursor.invalid", "/query/cursor"),

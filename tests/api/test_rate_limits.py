@@ -60,6 +60,17 @@ async def test_public_paths_are_counted_by_address_but_not_the_sign_of_life(limi
         assert (await limited.client.get(path, headers=anonymous)).status_code == 200
 
 
+async def test_files_of_the_console_have_a_rate_of_their_own(limited):
+    # nothing is served there without the console, but it is counted all the same
+    limited.app.state.rate_limits = RateLimits(RateLimitConfig(static_burst=3, anonymous_burst=1), lambda: 0.0)
+    anonymous = {"Authorization": ""}
+    paths = ("/", "/console/app.js", "/console/", "/console/store.js")
+    statuses = [(await limited.client.get(path, headers=anonymous)).status_code for path in paths]
+    assert statuses == [404, 404, 404, 429]
+    statuses = [(await limited.client.get("/openapi.json", headers=anonymous)).status_code for _ in range(2)]
+    assert statuses == [200, 429]
+
+
 @pytest.mark.parametrize("is_key_needed", [False, True])
 async def test_wrong_keys_of_others_keep_health_checks_and_holders_of_a_key_in(limited, is_key_needed):
     context = limited.app.state.context

@@ -322,3 +322,22 @@ async def test_release_automatic_of_a_real_spacecraft_is_set_by_two_approvers(so
     assert (await soo.client.patch(URL, json={"name": "Y"}, headers=carl)).status_code == 200
     back = await soo.client.patch(URL, json={"control": {"release": "two_step"}}, headers=carl)
     assert back.json()["control"]["release"] == "two_step"
+
+
+async def test_conditions_of_an_empty_archive_are_null_where_nothing_is_known(soo, spacecraft):
+    assert (await soo.client.post("/api/v1/spacecraft", json=spacecraft)).status_code == 201
+    control = (await soo.client.get(f"{URL}/control")).json()
+    conditions = {each["code"]: each for each in control["conditions"]}
+    unmet = {code for code, each in conditions.items() if each["met"] is False}
+    assert unmet == set(control["reasons"]) > {"not_aligned", "no_attitude", "ephemeris"}
+    assert conditions["sigma_roll"] == {
+        "code": "sigma_roll",
+        "met": None,
+        "consequence": "inhibit",
+        "value": None,
+        "limit": 0.06,
+        "bound": "greatest",
+        "unit": "deg",
+        "since": None,
+    }
+    assert control["good_minutes"] == {"since": None, "elapsed_s": 0.0, "needed_s": 600.0}

@@ -130,6 +130,7 @@ def test_notes_are_added_and_told_in_order_of_their_epochs(storage, make):
     assert storage.notes.notes(make.ever, 10, None) == [early, other, general, late, fixed]
     assert storage.notes.notes(make.ever, 2, (10, early.id), "craft") == [general, late]
     assert storage.notes.newest(2, "craft") == [fixed, late]
+    assert storage.notes.last_written(3, "craft") == [fixed, general, early]
 
 
 def test_unknown_alarms_and_notes_are_told_so(storage):

@@ -196,7 +196,9 @@ def test_an_operation_is_revised_and_listed_in_its_newest_revision(setting):
         assert caught.value.code == "operation.unknown"
 
 
-def test_references_come_as_arrays_by_sensor(setting):
+@pytest.mark.parametrize("page_rows", [1, 3, 99])
+def test_references_come_as_arrays_by_sensor(setting, monkeypatch, page_rows):
+    monkeypatch.setattr("db.measurements.archive.RECORD_PAGE_ROWS", page_rows)
     sent = [reference(30, roll=0.3), reference(10, roll=0.1), reference(20, "earth_sensor"), reference(99)]
     setting.storage.archive.append_inputs(setting.id, sent)
     earth, star = setting.storage.archive.reference_series(setting.id, Window(0, 99))

@@ -305,6 +305,17 @@ def test_series_match_columns_by_carrier_id_across_plans(setting, make):
     )
 
 
+def test_parts_of_a_series_are_the_series(setting, monkeypatch):
+    monkeypatch.setattr("db.measurements.archive.BLOCK_PAGE_ROWS", 3)
+    setting.append(range(10, 90, 10))
+    asked = setting.id, Window(0, 71), ["c02", "none", "c01"]
+    parts = list(setting.storage.archive.measurement_parts(*asked))
+    series = setting.storage.archive.measurement_series(*asked)
+    assert [len(part.epochs_us) for part in parts] == [3, 3, 1]
+    np.testing.assert_array_equal(np.concatenate([part.epochs_us for part in parts]), series.epochs_us)
+    np.testing.assert_array_equal(np.concatenate([part.power_dbm for part in parts]), series.power_dbm)
+
+
 def test_an_empty_series_has_its_columns(setting):
     series = setting.storage.archive.measurement_series(setting.id, Window(0, 1), ["c00", "c01"])
     assert series.power_dbm.shape == (0, 2)

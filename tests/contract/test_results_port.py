@@ -3,10 +3,12 @@
 from dataclasses import replace
 from uuid import uuid4
 
+import numpy as np
 import pytest
 
+from service.core.rows.sample_bins import SampleBins
 from service.errors import ConflictError, NotFoundError
-from service.ports import Outcome
+from service.ports import LIVE, Outcome
 from service.records.calibration import (
     Alignment,
     CalibrationMethod,
@@ -23,8 +25,12 @@ from service.records.calibration import (
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, CalibrationActivation
 from service.records.levels.attitude import NO_ANGLES, Axes
+from service.records.levels.carrier_results import CarrierResults
 from service.records.operations.job import Job, JobState, Replay
+from service.records.storage.checkpoint import Checkpoint
 
+HOURS = SampleBins(0, 86_400_000_000, 24, 1)
+CARRIERS = CarrierResults(1, *np.ones((2, 3)), *np.zeros((2, 3), dtype=np.int64))
 AXES = Axes(0.1, -0.2, 0.3)
 REQUEST = CalibrationRequest(Window(0, 10), Window(10, 20), CalibrationMethod.GEOMETRY, source_yaw="radio_beacon")
 CARRIER = CarrierCalibration(
@@ -137,6 +143,9 @@ def test_jobs_are_followed_and_those_of_a_dead_process_fail(storage):
     results.update_job("job-1", JobState.RUNNING, 0.1 + 0.2)
     # the progress is stored, not computed: equal without tolerance
     assert results.job("job-1") == Job("job-1", "calibration", JobState.RUNNING, 0.1 + 0.2, 5)
+    results.add_job(Job("job-0a", "replay", JobState.QUEUED, 0.0, 1 << 60))
+    assert [job.id for job in results.newest_jobs(2)] == ["job-0a", "job-2"]
+    results.update_job("job-0a", JobState.DONE, 1.0)
     with pytest.raises(ConflictError) as caught:
         results.add_job(Job("job-1", "replay", JobState.QUEUED, 0.0, 5))
     assert caught.value.code == "job.exists"
@@ -251,6 +260,9 @@ def test_a_deleted_version_is_nobodys_to_read_or_write_and_its_rows_go(setting, 
         lambda: results.delete_replay(setting.id, gone),
         lambda: results.attitude_rows(setting.id, gone, Method.ROBUST, make.ever, 9, None),
         lambda: results.commands(setting.id, gone, make.ever, 9, None),
+        lambda: list(results.sampled_attitude(setting.id, gone, Method.ROBUST, make.ever, HOURS)),
+        lambda: list(results.sampled_carriers(setting.id, gone, Method.ROBUST, make.ever, HOURS)),
+        lambda: list(results.sampled_impulse(setting.id, gone, make.ever, HOURS)),
     )
     assert {code_of(call) for call in calls} == {"replay.unknown"}
     assert code_of(lambda: setting.consume(written, gone)) == "replay.deleted"
@@ -261,6 +273,35 @@ def test_a_deleted_version_is_nobodys_to_read_or_write_and_its_rows_go(setting, 
     assert len(results.commands(setting.id, kept, make.ever, 9, None)) == 3
     # the number is not given again
     assert add() == "replay-3"
+
+
+@pytest.mark.parametrize("read", ["sampled_attitude", "sampled_carriers"])
+def test_a_version_that_is_deleted_while_it_is_sampled_gives_no_part(setting, add, written, monkeypatch, read):
+    monkeypatch.setattr("db.results.stored_rows._PAGE_ROWS", 1)
+    results, version = setting.storage.results, add()
+    setting.consume([replace(each, carriers=(CARRIERS,)) for each in written], version)
+    found = getattr(results, read)(setting.id, version, Method.ROBUST, EVER, HOURS)
+    next(found)
+    results.delete_replay(setting.id, version)
+    assert code_of(lambda: list(found)) == "replay.unknown"
+
+
+def test_results_and_their_checkpoint_are_stored_together_or_not_at_all(setting, make, written, monkeypatch):
+    """A kill between the two: the transaction is gone, and the next process computes the rows again."""
+    results, made = setting.storage.results, Checkpoint(7, 30, "fits", b"state")
+
+    def killed(*_):
+        raise RuntimeError
+
+    with monkeypatch.context() as patch:
+        patch.setattr("db.results.outcomes.store_checkpoint", killed)
+        with pytest.raises(RuntimeError):
+            results.save_outcomes(setting.id, LIVE, written, 7, 30, made)
+    assert setting.storage.archive.head(setting.id).consumed_number == 0
+    assert results.results_after(setting.id, 0, 9) == []
+    results.save_outcomes(setting.id, LIVE, written, 7, 30, made)
+    assert [sequence for sequence, _ in results.results_after(setting.id, 0, 9)] == [1, 2, 3, 4, 5, 6]
+    assert list(results.checkpoints(setting.id, "fits", 7)) == [made]
 
 
 def test_retention_takes_finished_versions_by_their_age(setting, add, written):

@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-ROWS = re.findall(r"^\| ([^|]+) \| `([A-Za-z_]+)` \|", (ROOT / "docs/reference/glossary.md").read_text(), re.MULTILINE)
+PAGE = (ROOT / "docs/reference/glossary.md").read_text()
+ROWS = re.findall(r"^\| ([^|]+) \| `([A-Za-z_]+)` \|", PAGE, re.MULTILINE)
 
 
 def test_identifiers_exist() -> None:
@@ -17,3 +18,8 @@ def test_identifiers_exist() -> None:
 def test_terms_stand_once_and_in_order() -> None:
     terms = [term.lower() for term, _ in ROWS]
     assert terms == sorted(set(terms))
+
+
+def test_a_row_has_four_cells() -> None:
+    rows = [line for line in PAGE.splitlines() if line.startswith("|")]
+    assert [row for row in rows if len(re.findall(r"(?<!\\)\|", row)) != 5] == []

@@ -8,7 +8,8 @@ from pydantic import SecretStr
 from typer.testing import CliRunner
 
 from service.cli.app import app
-from service.cli.settings_reference import setting_entries, settings_markdown
+from service.cli.settings_reference import settings_markdown
+from service.composition.setting_entries import setting_entries
 from service.composition.settings import Settings
 from service.records.setting import ORIGINS
 
@@ -41,6 +42,7 @@ def test_each_variable_reaches_its_setting(name: str, monkeypatch: pytest.Monkey
     special = {"SOO_CLOCK": "data", "SOO_LOG_LEVEL": "debug", "SOO_KERNELS": "numpy", "SOO_BOOTSTRAP_KEY": "a-secret"}
     special["SOO_TRUSTED_PROXIES"] = "10.0.0.1"
     special |= {"SOO_LOG_FORMAT": "text", "SOO_ACCESS_LOG": "False", "SOO_METRICS_NEED_KEY": "True"}
+    special |= {"SOO_ESTIMATOR": "False", "SOO_PLAIN_SESSIONS": "True"}
     special |= {"SOO_ALARM_NOTICES_FROM": "critical", "SOO_ALARM_MAIL_SECURITY": "tls"}
     is_number = re.fullmatch(r"\d+(\.\d+)?(e-?\d+)?", default)
     other = special.get(name) or (str(type_of(default)(float(default) * 2.0 or 3.0)) if is_number else f"{default}x")

@@ -4,6 +4,8 @@ import json
 import re
 from pathlib import Path
 
+import yaml
+
 from service.api.monitoring.metric_families import FAMILIES, MAX_CARRIERS, MAX_LINKS, MAX_SOURCES, MAX_SPACECRAFT
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,6 +47,26 @@ def test_labels_in_expressions_are_those_of_the_metric() -> None:
         for name, selector in re.findall(r"\b(soo_[a-z_]+)\{([^}]*)\}", expression):
             labels = set(re.findall(r"(\w+)=~?\"", selector))
             assert labels <= set(FAMILIES[re.sub(r"_bucket$", "", name)].labels), expression
+
+
+def test_grafana_finds_the_dashboard_and_the_source_that_it_asks_for() -> None:
+    provisioning = DASHBOARD.parent / "provisioning"
+    (source,) = yaml.safe_load((provisioning / "datasources" / "soo.yml").read_text())["datasources"]
+    (provider,) = yaml.safe_load((provisioning / "dashboards" / "soo.yml").read_text())["providers"]
+    dashboard = json.loads(DASHBOARD.read_text())
+    (chooser,) = [each for each in dashboard["templating"]["list"] if each["type"] == "datasource"]
+    used = {panel["datasource"]["uid"] for panel in dashboard["panels"]}
+    assert (source["type"], used) == (chooser["query"], {f"${{{chooser['name']}}}"})
+    assert (source["isDefault"], source["url"], provider["type"]) == (True, "$SOO_PROMETHEUS_URL", "file")
+    compose = yaml.safe_load((ROOT / "deploy" / "fleet" / "docker-compose.yml").read_text())["services"]["grafana"]
+    mounts = dict(volume.split(":")[:2] for volume in compose["volumes"])
+    assert mounts["../grafana/soo.json"] == f"{provider['options']['path']}/{DASHBOARD.name}"
+    for kind in ("datasources", "dashboards"):
+        path = f"provisioning/{kind}/soo.yml"
+        assert mounts[f"../grafana/{path}"] == f"/etc/grafana/{path}"
+    assert compose["environment"].keys() == {"SOO_PROMETHEUS_URL"}
+    for word in ("deploy/grafana/provisioning/", provider["options"]["path"], "SOO_PROMETHEUS_URL"):
+        assert word in PAGE
 
 
 def test_rules_say_what_to_do() -> None:

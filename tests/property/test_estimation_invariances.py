@@ -13,7 +13,7 @@ from service.core.estimation.paper.rejection import RejectionReason, reject_fade
 from service.core.estimation.paper.sensitivity import fit_turn_sensitivity
 from service.core.estimation.paper.trailing_mean import empty_window, mean, push
 from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir
-from service.core.geometry.node_phase import latest_node_us, node_phase_rad
+from service.core.geometry.node_phase import latest_node_us, node_phase_at_rad, node_phase_rad
 
 SEEDS = st.integers(0, 2**32 - 1)
 CARRIERS = st.integers(4, 24)
@@ -202,6 +202,11 @@ def test_whole_periods_change_no_phase(epoch_us, periods, period_s, nodes):
     phase_rad = node_phase_rad(epochs_us, nodes_us, float(period_s))
     assert np.array_equal(phase_rad, node_phase_rad(epochs_us + periods * period_us, nodes_us, float(period_s)))
     assert 0.0 <= phase_rad[0] < 2.0 * np.pi
+    # late nodes, a hole in the list and any order leave the phase of one row that of many
+    uneven_us = (nodes_us + np.arange(nodes) ** 3 * 300_000_000)[::-1]
+    for listed_us in (nodes_us, uneven_us):
+        alone_rad = node_phase_at_rad(epoch_us, tuple(listed_us.tolist()), float(period_s))
+        assert alone_rad == node_phase_rad(epochs_us, listed_us, float(period_s))[0]
     node_us = latest_node_us(epochs_us, nodes_us, float(period_s))
     assert 0 <= epoch_us - node_us[0] < period_us
 

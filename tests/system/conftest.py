@@ -3,12 +3,10 @@
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -16,59 +14,8 @@ import chaos_clients as chaos
 import httpx
 import pytest
 from release_ground import seed_archive
+from service_process import KEY, ServiceProcess, serving_on
 from storage_trial import Trial
-
-KEY = "a-key-for-tests-only"
-#: the compiler would take longer than the tests of a module
-PLAIN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}
-#: a start takes 2 s alone; the machine may be busy with other tests
-START_TIMEOUT_S = 120.0
-
-
-class ServiceProcess:
-    """One ``soo serve``; what it writes goes to files, so that no pipe fills."""
-
-    def __init__(self, folder: Path, database: Path, arguments: list[str], environment: dict[str, str]) -> None:
-        number = len(list(folder.glob("service-*.out")))
-        self.output, self.log = folder / f"service-{number}.out", folder / f"service-{number}.err"
-        command = [sys.executable, "-m", "service", "serve", "--database", f"sqlite:///{database}", *arguments]
-        with self.output.open("wb") as output, self.log.open("wb") as log:
-            self.process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=log, env=environment
-            )
-
-    def await_announcement(self) -> dict[str, Any]:
-        """Return the line that tells where it listens."""
-        deadline = time.monotonic() + START_TIMEOUT_S
-        while time.monotonic() < deadline:
-            text = self.output.read_text()
-            if text.endswith("\n"):
-                return dict(json.loads(text.splitlines()[0]))
-            if self.process.poll() is not None:
-                break
-            time.sleep(0.02)
-        raise AssertionError(f"no announcement, exit code {self.process.poll()}:\n{self.log.read_text()}")
-
-    @property
-    def url(self) -> str:
-        """Address, known once it listens."""
-        return str(self.await_announcement()["url"])
-
-    def client(self) -> httpx.Client:
-        """Return a client with the key of the tests."""
-        return httpx.Client(
-            base_url=self.url, headers={"Authorization": f"Bearer {KEY}"}, timeout=120.0, trust_env=False
-        )
-
-    def end(self, number: signal.Signals = signal.SIGTERM, timeout_s: float = 120.0) -> tuple[int, float]:
-        """Send a signal and return exit code and seconds until the end."""
-        began = time.monotonic()
-        self.process.send_signal(number)
-        return self.process.wait(timeout_s), time.monotonic() - began
-
-    def written(self) -> str:
-        """Return all that it wrote so far."""
-        return self.output.read_text() + self.log.read_text()
 
 
 @pytest.fixture(scope="session")
@@ -102,17 +49,8 @@ def compiled_environment() -> dict[str, str]:
 def serving(compiled_environment: dict[str, str]) -> Callable[..., AbstractContextManager[ServiceProcess]]:
     """Give a function that runs a service under the clock of the data, and fails where it logs a traceback."""
 
-    @contextmanager
-    def serve(database: Path, **settings: str) -> Iterator[ServiceProcess]:
-        environment = {**compiled_environment, **PLAIN, **settings}
-        service = ServiceProcess(database.parent, database, ["--port", "0", "--clock", "data"], environment)
-        try:
-            yield service
-            said = service.written()
-            assert "Traceback" not in said, said[said.index("Traceback") - 500 :][:5000]
-        finally:
-            service.process.kill()
-            service.process.wait()
+    def serve(database: Path, **settings: str) -> AbstractContextManager[ServiceProcess]:
+        return serving_on(database, {**compiled_environment, **settings})
 
     return serve
 

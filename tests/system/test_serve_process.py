@@ -115,6 +115,8 @@ CANNOT_BE = {
     ("--database", "oracle://x/y"): "oracle",
     ("--database", "sqlite:////nowhere/at/all/soo.db"): "unable to open database",
     ("--host", "no.such.host.invalid"): "cannot listen",
+    ("--no-http",): "--no-http is for estimators beside services on a PostgreSQL server",
+    ("--no-http", "--no-estimator", "--database", "postgresql+psycopg://x@/y"): "has nothing to do",
 }
 
 

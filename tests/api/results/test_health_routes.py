@@ -62,6 +62,13 @@ async def test_a_service_that_catches_up_is_ready_and_says_how_long_it_takes(ben
     assert answer.json()["catching_up"] == {"spacecraft": "yamal-202", "rows_left": 1200, "seconds_left": 1.5}
 
 
+async def test_a_ready_service_tells_who_leads(bench):
+    assert (await bench.client.get("/readyz")).json()["leaders"] == []
+    change(bench, leaders=lambda: {"": "host-2:7", "yamal-202": "host-1:7"})
+    leaders = (await bench.client.get("/readyz")).json()["leaders"]
+    assert leaders == [{"spacecraft": "yamal-202", "process": "host-1:7"}]
+
+
 async def test_an_estimator_that_is_behind_is_named(bench, make):
     bench.append([make.now_us + k * make.s for k in range(5)])
     change(bench, monitoring=replace(bench.context.monitoring, ready_lag=3))
@@ -101,6 +108,7 @@ async def test_metrics_tell_the_archive_and_the_interface(bench, make, monkeypat
         for k, word in enumerate(["used", "absent", "excluded"])
     ]
     monkeypatch.setattr(bench.context.supervisor, "carrier_states", lambda _: (row, tuple(states)))
+    monkeypatch.setattr(bench.context.supervisor, "rows_by_kind", lambda _: {True: 97, False: 3})
     body = {"plan_id": 1, "source": "sa-1", "measurements": [{"epoch": "2026-11-21T04:00:00Z", "power_dbm": [-42] * 6}]}
     assert (await bench.client.post(f"{bench.url}/measurements:batch", json=body)).json()["refused"]
     await bench.client.get("/api/v1/nothing/here")
@@ -110,6 +118,7 @@ async def test_metrics_tell_the_archive_and_the_interface(bench, make, monkeypat
     reported, sc = samples(answer.text), make.sc
     assert reported["soo_sample_age_seconds", sc, "sa-1"] == 90.0
     assert [reported["soo_series_status", sc, f"c{k:02d}"] for k in range(3)] == [1.0, 0.0, 2.0]
+    assert [reported["soo_filter_rows_total", sc, kind] for kind in ("ordinary", "event")] == [97.0, 3.0]
     assert reported["soo_attitude_deg", sc, "paper", "roll"] == -0.02
     assert reported["soo_attitude_sigma_deg", sc, "paper", "pitch"] == 0.02
     assert reported["soo_attitude_status", sc, "paper"] == 1.0

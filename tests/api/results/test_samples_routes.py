@@ -5,8 +5,11 @@ import pytest
 
 from service.core.rows.row_gaps import STRETCH_ROWS
 from service.ports import Outcome
-from service.records.epoch import format_epoch
+from service.records.catalogue import Method
+from service.records.epoch import format_epoch, parse_epoch
 from service.records.levels.attitude import NO_ANGLES, Axes
+from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.measurement import CarrierDetails
 
 pytestmark = pytest.mark.anyio
 
@@ -106,3 +109,119 @@ async def test_a_cursor_belongs_to_its_query(bench, make):
     for path, params in (("/measurements/history", {"source": "sa-1"}), ("/attitude/history", {})):
         refusal = await bench.refused("GET", f"/spacecraft/{make.sc}{path}", params={**params, "cursor": page["next"]})
         assert refusal == (422, "cursor.invalid", ["/query/cursor"])
+
+
+def plain_samples(rows, start_us, stop_us, interval_us):
+    """Return epoch, n, avg, min, max, epochs of the extremes of (epoch, value) pairs, the slow way."""
+    found = []
+    for begin_us in range(start_us, stop_us, interval_us):
+        held = [(epoch_us, value) for epoch_us, value in rows if begin_us <= epoch_us < begin_us + interval_us]
+        held = [(epoch_us, float(value)) for epoch_us, value in held if not np.isnan(value)]
+        if held:
+            values = [value for _, value in held]
+            extremes = [extreme(values) for extreme in (min, max)]
+            epochs = [format_epoch(next(epoch_us for epoch_us, v in held if v == each)) for each in extremes]
+            found.append((format_epoch(begin_us), len(held), pytest.approx(np.mean(values)), *extremes, *epochs))
+    return found
+
+
+def series_of(reported):
+    """Return the samples of each series by quantity, method and carrier, empty intervals left out."""
+    names = ("n", "avg", "min", "max", "min_epoch", "max_epoch")
+    by_name = {}
+    for each in reported["series"]:
+        cells = zip(reported["epochs"], *(each[name] for name in names), strict=True)
+        by_name[each["quantity"], each["method"], each["carrier"]] = [cell for cell in cells if cell[1]]
+    return by_name
+
+
+@pytest.mark.parametrize("seed", range(3))
+async def test_quantities_are_those_of_the_rows(bench, make, seed):
+    """Two methods, two plans, closed days summarised, a late row behind them, any span and number of intervals."""
+    rng = np.random.default_rng(seed)
+    turned = bench.storage.catalogue.put_plan(make.sc, [make.carrier(k) for k in range(5, -1, -1)], "turned").id
+    begin_us = make.now_us // 86_400_000_000 * 86_400_000_000
+    epochs_us = np.unique(begin_us + rng.integers(0, 3 * 86_400_000_000, 400)).tolist()
+    late_us = epochs_us.pop(50)
+    held = []
+
+    def store(some_us, plan_id):
+        powers, stated = (rng.normal(-50, 1, (len(some_us), 6)).astype(np.float32) for _ in range(2))
+        powers[rng.random(powers.shape) < 0.1] = np.nan
+        details = CarrierDetails(*np.full((4, 1, 1), 1.0, dtype=np.float32) * stated)
+        for row in bench.append(some_us, powers, plan_id=plan_id, details=details):
+            levels_db = rng.normal(0, 1, (2, 6))
+            levels_db[rng.random(levels_db.shape) < 0.1] = np.nan
+            carriers = CarrierResults(row.plan_id, *levels_db, *np.zeros((2, 6), dtype=np.int64))
+            rows = tuple(
+                make.row(row, method=method, attitude_deg=Axes(*rng.normal(0, 1, 3)), residual_rms_db=rng.random())
+                for method in Method
+            )
+            held.append((row, rows, carriers))
+        new = held[-len(some_us) :]
+        bench.consume([Outcome(rows, None, carriers=(carriers, carriers)) for _, rows, carriers in new])
+
+    store(epochs_us[:200], 1)
+    store(epochs_us[200:], turned)
+    list(bench.storage.archive.seal(make.sc, 1 << 60, 1 << 60))
+    assert sum(bench.storage.results.complete_summaries(make.sc, 1 << 60)) >= 4
+    store([late_us], turned)
+    held.sort(key=lambda each: each[0].epoch_us)
+    bounds = sorted(rng.choice(3 * 86_400, 2, replace=False).tolist())
+    span = {"start": format_epoch(begin_us + bounds[0] * make.s), "stop": format_epoch(begin_us + bounds[1] * make.s)}
+    quantities = ["pitch_deg", "residual_rms_db", "control_allowed", "deviation_db", "residual_db", "expected_dbm"]
+    quantities += ["power_dbm", "c_n0_db_hz"]
+    for count in (1, 9, int(rng.integers(1, 400))):
+        reported = await bench.get("/samples", quantity=quantities, carrier=["c01", "c04"], count=count, **span)
+        bounds_us = [parse_epoch(reported["range"][name]) for name in ("start", "stop")]
+        interval_us = reported["interval_s"] * make.s
+        assert bounds_us[0] <= begin_us + bounds[0] * make.s
+        assert bounds_us[1] >= begin_us + bounds[1] * make.s
+        assert (bounds_us[1] - bounds_us[0]) // interval_us <= count
+        found = series_of(reported)
+        assert len(found) == 3 * 2 + 3 * 2 * 2 + 2 * 2
+        for (quantity, method, carrier), samples in found.items():
+            pairs = [(row.epoch_us, value_of(quantity, method, carrier, row, rows, each)) for row, rows, each in held]
+            assert samples == plain_samples(pairs, *bounds_us, interval_us), quantity
+
+
+def value_of(quantity, method, carrier, row, rows, carriers):
+    """Return what a row says of a quantity."""
+    position = None if carrier is None else int(carrier[1:]) if row.plan_id == 1 else 5 - int(carrier[1:])
+    if quantity == "power_dbm":
+        return row.power_dbm[position]
+    if quantity == "c_n0_db_hz":
+        return row.details.c_n0_db_hz[position]
+    if quantity == "expected_dbm":
+        return row.power_dbm[position] - np.rint(carriers.deviation_db[position] / 0.004) * 0.004
+    if carrier is not None:
+        return np.rint(getattr(carriers, quantity)[position] / 0.004) * 0.004
+    of = next(each for each in rows if each.method == method)
+    return of.attitude_deg.pitch if quantity == "pitch_deg" else float(getattr(of, quantity))
+
+
+async def test_quantities_of_nothing_and_too_many(bench, make):
+    for version in ("live", bench.replay()):
+        quantities = ["yaw_deg", "yaw_impulse_n_m_s", "residual_db", "power_dbm"]
+        empty = await bench.get("/samples", quantity=quantities, version=version)
+        assert empty["epochs"] == []
+        assert all(each["n"] == [] for each in empty["series"])
+    plan = bench.storage.catalogue.put_plan(make.sc, [make.carrier(k) for k in range(60)], "wide")
+    bench.append([make.now_us], -50.0, plan_id=plan.id)
+    span = {"start": format_epoch(make.now_us), "stop": format_epoch(make.now_us + 9000 * make.s)}
+    params = {"count": 10_000, "quantity": "residual_db", "method": "robust", **span}
+    refusal = await bench.refused("GET", f"/spacecraft/{make.sc}/samples", params=params)
+    assert refusal == (422, "samples.count", ["/query/count"])
+
+
+async def test_expected_levels_of_too_many_rows(bench, make, monkeypatch):
+    """The bound is on rows, the answer names what to ask for in their place."""
+    monkeypatch.setattr("service.api.routes.sampled_quantities._EXPECTED_ROWS", 5)
+    monkeypatch.setattr("service.api.routes.sampled_quantities._PAGE_ROWS", 2)
+    bench.append([make.now_us + k for k in range(5)], -50.0)
+    within = await bench.get("/samples", quantity="expected_dbm", count=1)
+    assert (within["epochs"], within["series"]) == ([], [])
+    bench.append([make.now_us + 5], -50.0)
+    params = {"quantity": "expected_dbm"}
+    refusal = await bench.refused("GET", f"/spacecraft/{make.sc}/samples", params=params)
+    assert refusal == (422, "samples.rows", ["/query/quantity"])

@@ -45,6 +45,7 @@ async def test_stream_tells_what_the_rest_interface_tells(served, source, bench,
         source.publish(events)
         measurement, attitude, torque = reader.consume(3)
         assert measurement.data == (await bench.get("/measurements/history"))["rows"][-1]
+        assert attitude.data.pop("carriers") is None
         assert attitude.data == (await bench.get("/attitude/history"))["rows"][-1]
         assert torque.data == (await bench.get("/torques/history"))["rows"][-1]
         assert [event.kind for event in (measurement, attitude, torque)] == ["measurement", "attitude", "torque"]

@@ -29,7 +29,8 @@ from service.runtime.clock import system_now_us
 
 DAY_US = 86_400_000_000
 #: made of rows of closed days and of replays; sealing, summaries and replays have their own tests
-MADE_OF_ROWS = {"attitude_summary", "power_summary", "replay_checkpoint", "result_segment"}
+SUMMARIES = {"attitude_summary", "carrier_summary", "power_summary", "state_summary"}
+MADE_OF_ROWS = SUMMARIES | {"replay_checkpoint", "result_segment"}
 TABLES = {
     table.name: table for table in metadata.sorted_tables if "checksum" in table.c and table.name not in MADE_OF_ROWS
 }

@@ -1,5 +1,6 @@
 """Samples read from summaries are those of the rows, whenever days are sealed, summarised, and met by late rows."""
 
+import math
 import random
 from dataclasses import astuple
 
@@ -8,13 +9,15 @@ import pytest
 from sqlalchemy import delete, select, update
 
 from db.encoding.segments import DAY_US
+from db.maintenance.summary_check import compare_summaries
 from db.results import attitude_summaries
-from db.schema.tables import attitude_summary, power_summary
+from db.schema.tables import attitude_summary, carrier_summary, power_summary
 from service.core.rows.sample_bins import SampleBins
-from service.ports import LIVE, Outcome
+from service.ports import ATTITUDE_FIGURES, LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import NO_ANGLES, Axes
+from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.measurement import CarrierDetails
 
 ALWAYS = 1 << 60
@@ -46,31 +49,64 @@ def equal(found, wanted, columns):
 
 
 def check_powers(setting, window, count, source=None):
-    """Compare samples of powers with those of the rows; the columns are those of the plan."""
+    """Compare samples of C/N0 and powers with those of the rows; the columns are those of the plan."""
     archive = setting.storage.archive
-    found, wanted = (SampleBins(window.start_us, window.stop_us, count, 3) for _ in range(2))
     plans = {setting.plan_id: [0, 1, 2]}
-    for plan_id, buckets in archive.sampled_measurements(setting.id, window, found, source):
-        found.add_summaries(buckets, np.array(plans.get(plan_id, [2, 1, 0])))
     rows = archive.measurements(setting.id, window, 1_000_000, None, source)
     epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
-    powers = [row.power_dbm[plans.get(row.plan_id, [2, 1, 0])] for row in rows]
-    wanted.add(epochs_us, np.array(powers).reshape(-1, 3))
-    equal(found, wanted, 3)
+    columns = [plans.get(row.plan_id, [2, 1, 0]) for row in rows]
+    details = [CarrierDetails(*np.full((4, 3), np.nan)) if row.details is None else row.details for row in rows]
+    for figure, those in (("c_n0_db_hz", details), ("power_dbm", rows)):
+        found, wanted = (SampleBins(window.start_us, window.stop_us, count, 3) for _ in range(2))
+        for plan_id, buckets in archive.sampled_measurements(setting.id, window, found, source, figure):
+            found.add_summaries(buckets, np.array(plans.get(plan_id, [2, 1, 0])))
+        values = [getattr(each, figure)[of] for each, of in zip(those, columns, strict=True)]
+        wanted.add(epochs_us, np.array(values).reshape(-1, 3))
+        equal(found, wanted, 3)
     return found
+
+
+def figures_of(row):
+    others = (row.residual_rms_db, row.common_db, row.downlink_fade_db, row.carriers_used, row.control_allowed)
+    return [*row.attitude_deg, *row.sigma_deg, *row.protection_deg, *others]
 
 
 def check_attitude(setting, window, count, method=Method.ROBUST, version=LIVE):
-    """Compare samples of attitude with those of the rows."""
+    """Compare samples of attitude and of its carriers with those of the rows."""
     results = setting.storage.results
-    found, wanted = (SampleBins(window.start_us, window.stop_us, count, 3) for _ in range(2))
-    for buckets in results.sampled_attitude(setting.id, version, method, window, found):
-        found.add_summaries(buckets)
     rows = results.attitude_rows(setting.id, version, method, window, 1_000_000, None)
+    rows = [row for row in rows if row.calibration_id is not None]
     epochs_us = np.array([row.epoch_us for row in rows], dtype=np.int64)
-    wanted.add(epochs_us, np.array([row.attitude_deg for row in rows]).reshape(-1, 3))
-    equal(found, wanted, 3)
+    for columns in (len(ATTITUDE_FIGURES), 3):
+        found, wanted = (SampleBins(window.start_us, window.stop_us, count, columns) for _ in range(2))
+        for buckets in results.sampled_attitude(setting.id, version, method, window, found, columns):
+            found.add_summaries(buckets)
+        values = np.array([figures_of(row)[:columns] for row in rows], dtype=np.float64)
+        wanted.add(epochs_us, values.reshape(-1, columns))
+        equal(found, wanted, columns)
+    check_carriers(setting, window, count, method, version)
     return found
+
+
+def check_carriers(setting, window, count, method, version):
+    """Compare samples of deviations and residuals, plan by plan, with those of the rows."""
+    results = setting.storage.results
+    found, wanted = {}, {}
+    grid = SampleBins(window.start_us, window.stop_us, count, 6)
+    for plan_id, buckets in results.sampled_carriers(setting.id, version, method, window, grid):
+        found.setdefault(plan_id, SampleBins(window.start_us, window.stop_us, count, 6)).add_summaries(buckets)
+    for (epoch_us, _), each in results.carrier_results(setting.id, version, method, window).items():
+        bins = wanted.setdefault(each.plan_id, SampleBins(window.start_us, window.stop_us, count, 6))
+        bins.add(np.array([epoch_us]), np.concatenate((each.deviation_db, each.residual_db))[None])
+    for plan_id in found.keys() | wanted.keys():
+        none = SampleBins(window.start_us, window.stop_us, count, 6)
+        equal(found.get(plan_id, none), wanted.get(plan_id, none), 6)
+
+
+def carriers_of(dice, row):
+    """Return results of the carriers of a row; a fifth of them are absent."""
+    levels_db = [[math.nan if dice.random() < 0.2 else dice.gauss(0, 1) for _ in range(3)] for _ in "dr"]
+    return CarrierResults(row.plan_id, *np.array(levels_db), *np.zeros((2, 3), dtype=np.int64))
 
 
 def some_rows(setting, make, dice, plans, step_us, day):
@@ -82,7 +118,8 @@ def some_rows(setting, make, dice, plans, step_us, day):
     plain_id, setting.plan_id = setting.plan_id, dice.choice(plans)
     details = None
     if dice.random() < 0.2:
-        details = CarrierDetails(*np.full((4, len(epochs_us), 3), 0.5, dtype=np.float32))
+        stated = np.array([dice.choice([math.nan, dice.uniform(60, 90)]) for _ in range(12 * len(epochs_us))])
+        details = CarrierDetails(*stated.astype(np.float32).reshape(4, len(epochs_us), 3))
     before = setting.storage.archive.head(setting.id).newest_number
     setting.append(epochs_us, powers, source=dice.choice(["sa-1", "sa-1", "sa-2"]), details=details)
     setting.plan_id = plain_id
@@ -91,7 +128,9 @@ def some_rows(setting, make, dice, plans, step_us, day):
         row = entry.content
         if getattr(row, "feeds_estimator", False) and dice.random() < 0.8:
             angles = NO_ANGLES if dice.random() < 0.1 else Axes(*(dice.choice([0.5, dice.gauss(0, 1)]) for _ in "abc"))
-            outcomes.append(Outcome((make.attitude_row(row, attitude_deg=angles),), make.torque_command(row)))
+            carriers = carriers_of(dice, row) if dice.random() < 0.9 else None
+            made = make.attitude_row(row, attitude_deg=angles, common_db=dice.gauss(0, 1))
+            outcomes.append(Outcome((made,), make.torque_command(row), carriers=(carriers,)))
     setting.consume(outcomes)
 
 
@@ -114,6 +153,7 @@ def test_samples_are_those_of_the_rows(setting, make, seed, step_us):
     for count in (1, 3, 7, 96, 997):
         check_powers(setting, Window(0, 4 * DAY_US), count)
         check_attitude(setting, Window(0, 4 * DAY_US), count)
+    assert summaries(setting, carrier_summary)
 
 
 @pytest.fixture
@@ -125,7 +165,9 @@ def summed(setting, make):
         setting.append(epochs_us, np.round([dice.uniform(-60, -50) for _ in epochs_us], 2))
     outcomes = [
         Outcome(
-            (make.attitude_row(row, attitude_deg=Axes(*(dice.gauss(0, 1) for _ in "abc"))),), make.torque_command(row)
+            (make.attitude_row(row, attitude_deg=Axes(*(dice.gauss(0, 1) for _ in "abc"))),),
+            make.torque_command(row),
+            carriers=(carriers_of(dice, row),),
         )
         for row in setting.rows()
     ]
@@ -150,6 +192,29 @@ def test_closed_days_are_read_from_summaries(summed, monkeypatch):
         angles.add_summaries(buckets)
     equal(powers, plain[0], 3)
     equal(angles, plain[1], 3)
+    # of intervals that are whole hours all figures, and those of the carriers
+    monkeypatch.setattr("db.results.results.SqlResults._carrier_rows", lambda *_: [])
+    hours = SampleBins(span.start_us, span.stop_us, 48, 6)
+    for _, buckets in summed.storage.results.sampled_carriers(summed.id, LIVE, Method.ROBUST, span, hours):
+        hours.add_summaries(buckets)
+    assert sum(int(hours.samples(column).counts.sum()) for column in range(6)) > 2 * 288 * 6 * 0.7
+
+
+def test_c_n0_of_closed_days_is_read_from_summaries(setting, monkeypatch):
+    """Of whole hours; a day without any says nothing, and its rows are not opened for that."""
+    for day in range(2):
+        epochs_us = [day * DAY_US + k * STEP_US for k in range(288)]
+        stated = np.array([math.nan, 80.0, 81.5], dtype=np.float32) * np.ones((4, 288, 1), dtype=np.float32)
+        setting.append(epochs_us, details=CarrierDetails(*stated) if day else None)
+    seal(setting)
+    monkeypatch.setattr("db.measurements.power_summaries.read_chunk", None)
+    hours = SampleBins(0, 2 * DAY_US, 48, 3)
+    read = setting.storage.archive.sampled_measurements(setting.id, Window(0, 2 * DAY_US), hours, None, "c_n0_db_hz")
+    for _, buckets in read:
+        hours.add_summaries(buckets)
+    assert [int(hours.samples(k).counts.sum()) for k in range(3)] == [0, 288, 288]
+    assert hours.samples(1).starts_us[0] == DAY_US
+    assert set(hours.samples(2).means) == {81.5}
 
 
 def test_an_archive_without_summaries_is_answered_from_rows_until_it_has_them(summed):
@@ -167,8 +232,14 @@ def test_an_archive_without_summaries_is_answered_from_rows_until_it_has_them(su
     check_attitude(summed, Window(0, 3 * DAY_US), 50)
 
 
-@pytest.mark.parametrize("column", ["hours", "row_frames"])
-@pytest.mark.parametrize("table", [power_summary, attitude_summary])
+@pytest.mark.parametrize(
+    ("table", "column"),
+    [
+        *((table, column) for table in (power_summary, attitude_summary) for column in ("hours", "row_frames")),
+        (carrier_summary, "day"),
+        (carrier_summary, "hours"),
+    ],
+)
 def test_a_damaged_summary_is_passed_over(summed, caplog, table, column):
     blob = bytearray(getattr(summaries(summed, table)[0], column))
     # of every frame
@@ -176,10 +247,26 @@ def test_a_damaged_summary_is_passed_over(summed, caplog, table, column):
     name = next(iter(table.primary_key.columns))
     is_it = name == summaries(summed, table)[0][0]
     change(summed, update(table).where(is_it).values({column: bytes(blob)}))
-    check_powers(summed, Window(0, 3 * DAY_US), 50)
-    for method in Method:
-        check_attitude(summed, Window(0, 3 * DAY_US), 50, method)
+    for count in (1, 50, 72):
+        check_powers(summed, Window(0, 3 * DAY_US), count)
+        for method in Method:
+            check_attitude(summed, Window(0, 3 * DAY_US), count, method)
     assert f"{table.name} " in caplog.text
+
+
+def test_the_doctor_compares_the_carriers_of_a_day_with_their_rows(summed):
+    database = summed.storage._database
+
+    def diagnosed():
+        with database.read() as connection:
+            return next(compare_summaries(connection, database.key(summed.id), "craft"))
+
+    assert diagnosed().state == "ok"
+    first, second = summaries(summed, carrier_summary)
+    is_second = carrier_summary.c.carrier_summary_id == second.carrier_summary_id
+    change(summed, update(carrier_summary).where(is_second).values(hours=first.hours))
+    assert diagnosed().state == "fault"
+    assert diagnosed().detail.endswith("differ from their rows: 1970-01-02")
 
 
 def test_a_late_row_while_its_day_is_summarised(summed, make, monkeypatch):
@@ -189,8 +276,8 @@ def test_a_late_row_while_its_day_is_summarised(summed, make, monkeypatch):
     late = next(row for row in summed.rows() if row.epoch_us == DAY_US + 5)
     read = attitude_summaries.day_blobs
 
-    def read_then_late(reader, start_us):
-        blobs = read(reader, start_us)
+    def read_then_late(reader, start_us, name):
+        blobs = read(reader, start_us, name)
         if start_us == DAY_US:
             summed.consume([Outcome((make.attitude_row(late, attitude_deg=Axes(9.0, 9.0, 9.0)),), None)])
         return blobs
@@ -226,7 +313,7 @@ def test_summaries_go_with_their_rows(summed):
     for series in ("measurements", "attitude", "torques"):
         list(archive.drop_before(summed.id, series, 2 * DAY_US))
     assert len(summaries(summed, power_summary)) == 1
-    assert summaries(summed, attitude_summary) == []
+    assert summaries(summed, attitude_summary) == summaries(summed, carrier_summary) == []
     check_powers(summed, Window(0, 3 * DAY_US), 50)
     check_attitude(summed, Window(0, 3 * DAY_US), 50)
 

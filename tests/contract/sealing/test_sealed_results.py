@@ -58,6 +58,11 @@ def answers(setting, windows, alignment):
         "pending": [results.pending(name, chosen) for chosen in ([Method.PAPER], list(Method))],
         "after the alignment": results.rows_after(name, alignment),
         "sequences": [results.results_after(name, after, 9) for after in range(0, last + 1, 7)],
+        "carriers of sequences": [
+            (sequence, pack_carriers(each))
+            for after in range(0, last + 1, 7)
+            for sequence, each in sorted(results.carriers_after(name, after, after + 9).items())
+        ],
     }
     for version in (LIVE, REPLAYED):
         found[f"newest {version}"] = [results.newest_attitude(name, version, method) for method in Method]

@@ -5,9 +5,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 
 from db.encoding.carrier_codec import pack_carriers
+from db.results import checkpoints
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, ChainConfig
 from service.ports import LIVE
@@ -21,6 +23,7 @@ from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
 from service.runtime.jobs.replay_run import ReplayRun
+from service.runtime.live import supervisor
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -192,6 +195,28 @@ def morning(station):
     station.send([60.5, 96.5], source="sa-2")
     station.send(range(130, 140), source="sa-2")
     yield
+
+
+def live_morning_of_states(directory):
+    """Live a morning with a state of the chain after nearly every entry of the journal, all of them kept."""
+    station = Station(directory)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(supervisor, "PERIOD_US", MINUTE)
+        patch.setattr(supervisor, "_STEP_S", 0.0)
+        patch.setattr(supervisor, "_ENTRIES_AT_ONCE", 3)
+        patch.setattr(checkpoints, "LATEST", 1000)
+        with station.supervised() as settle:
+            for _ in morning(station):
+                settle()
+    station.close()
+
+
+def everything(station, version):
+    """Return all that a version holds, as text with every digit."""
+    found = station.storage.results.replay(SC, version)
+    carriers = [station.carriers(method, version, 0, 400) for method in BOTH]
+    rows = [text(station.rows(method, version)) for method in BOTH]
+    return found.attitude_rows, found.torque_rows, rows, text(station.commands(version)), carriers
 
 
 def text(results):

@@ -72,15 +72,15 @@ class Served:
     thread: threading.Thread
 
     @contextmanager
-    def open(self, last_event_id: str | None = None) -> Iterator[httpx.Response]:
-        """Give a stream's response while it is open."""
+    def open(self, last_event_id: str | None = None, *events: str) -> Iterator[httpx.Response]:
+        """Give a stream's response while it is open, of some kinds of events or of all."""
         headers = {"Authorization": f"Bearer {self.key}"}
         if last_event_id is not None:
             headers["Last-Event-ID"] = last_event_id
         transport = httpx.HTTPTransport(socket_options=[(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)])
         with (
             httpx.Client(transport=transport, timeout=120) as client,
-            client.stream("GET", self.url + STREAM, headers=headers) as response,
+            client.stream("GET", self.url + STREAM, headers=headers, params={"events": events}) as response,
         ):
             yield response
 

@@ -71,9 +71,9 @@ class FakeReleases:
             raise NotFoundError("command.unknown", "no such command")
         return self.views[counter]
 
-    def commands(self, spacecraft_id, window, limit, after):
+    def commands(self, spacecraft_id, window, limit, after, *, newest_first=False):
         found = [each for each in self.views.values() if window.start_us <= each.prepared_us < window.stop_us]
-        return sorted(found, key=lambda each: (each.prepared_us, each.counter))[:limit]
+        return sorted(found, key=lambda each: (each.prepared_us, each.counter), reverse=newest_first)[:limit]
 
     def product(self, spacecraft_id, form, counter):
         if (form, counter) not in self.products:
@@ -116,6 +116,7 @@ class FakeArchive:
             calibrations=lambda *_: (self._calibration(),),
         )
         self.audit = SimpleNamespace(append=self.audit_events.append)
+        self.leases = SimpleNamespace(leaders=lambda: {CRAFT.id: "host-1:7"})
 
     def change_spacecraft(self, **changes: object) -> None:
         """Change the catalogue's statement; fields of ``control`` by their own names."""

@@ -5,7 +5,7 @@ from typing import Any
 
 from service.core.control.envelope import Envelope
 from service.errors import SooError
-from service.pipeline.control.release.control_verdict import ControlView, reason_of
+from service.pipeline.control.release.control_verdict import ControlView, GoodMinutes, reason_of
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
 from service.records.operations.release import (
@@ -32,6 +32,9 @@ CONTROL = ControlView(
     since_us=AT_US,
     reasons=(reason_of("yaw_sign", AT_US),),
     trips=(),
+    good_minutes=GoodMinutes(AT_US - 900 * S, 600.0, 600.0),
+    condition_values={},
+    has_row=True,
     is_armed=True,
     is_withheld=False,
     release="two_step",
@@ -131,8 +134,8 @@ class ScriptedReleaseService:
         self._answer("command", spacecraft_id, counter)
         return self.command_view
 
-    def commands(self, spacecraft_id: str, *page: Any) -> list[Command]:
-        self._answer("commands", spacecraft_id, *page)
+    def commands(self, spacecraft_id: str, *page: Any, newest_first: bool) -> list[Command]:
+        self._answer("commands", spacecraft_id, *page, newest_first)
         later = replace(self.command_view, counter=8, prepared_us=AT_US + S)
         positions = [(each.prepared_us, each.counter) for each in (self.command_view, later)]
         after = page[2] or (0, 0)

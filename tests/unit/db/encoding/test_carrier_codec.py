@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from db.encoding.carrier_codec import STEP_DB, pack_carriers, unpack_carriers
+from db.encoding.carrier_codec import pack_carriers, unpack_carriers
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
-from service.records.levels.carrier_results import CARRIER_HYPOTHESES, CARRIER_STATES, CarrierResults
+from service.records.levels.carrier_results import CARRIER_HYPOTHESES, CARRIER_STATES, STEP_DB, CarrierResults
 
 LEVELS = st.floats(-131.0, 131.0) | st.just(float("nan"))
 

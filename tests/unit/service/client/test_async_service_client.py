@@ -122,6 +122,19 @@ async def test_streams_go_on_behind_the_last_event_they_gave():
     assert asked == [None, "a:1.0.0", "a:1.0.0", "a:3.0.0"]
 
 
+def test_kinds_of_events_are_chosen():
+    asked = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(request.url.query)
+        return httpx.Response(200, content=b"id: a:1.0.0\nevent: note\ndata: {}\n\n")
+
+    with ServiceClient("http://service", http=httpx.MockTransport(answer)) as client:
+        assert next(client.stream("a", events=["note", "alarm"])).kind == "note"
+        assert next(client.stream("a")).kind == "note"
+    assert asked == [b"events=note&events=alarm", b""]
+
+
 def test_a_refused_stream_ends_with_the_problem():
     answer = httpx.Response(422, json={"code": "cursor.invalid", "detail": "no id"})
     with (

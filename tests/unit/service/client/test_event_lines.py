@@ -31,6 +31,12 @@ def test_what_was_cut_off_is_forgotten_with_its_connection():
     assert [event.id for event in follower.consume(b"id: a:2.0.0\nevent: status\ndata: {}\n\n")] == ["a:2.0.0"]
 
 
+def test_an_id_alone_says_how_far_the_stream_has_got():
+    follower = Follower()
+    assert list(follower.consume(b"id: a:1.0.0\n\n: heartbeat\n\nid: a:5.0.0\n\n")) == []
+    assert follower.headers()["Last-Event-ID"] == "a:5.0.0"
+
+
 def test_without_an_id_none_is_sent():
     assert "Last-Event-ID" not in Follower().headers()
     assert Follower("a:1.0.0").headers()["Last-Event-ID"] == "a:1.0.0"

@@ -16,6 +16,8 @@ PLAIN = {
     "SOO_LOG_LEVEL": ("log_level", "debug", "debug"),
     "SOO_LOG_FORMAT": ("log_format", "text", "text"),
     "SOO_ACCESS_LOG": ("access_log", "false", False),
+    "SOO_ESTIMATOR": ("estimator", "false", False),
+    "SOO_PLAIN_SESSIONS": ("plain_sessions", "true", True),
     "SOO_METRICS_NEED_KEY": ("metrics_need_key", "true", True),
     "SOO_READY_LAG": ("ready_lag", "7", 7),
     "SOO_MIN_FREE_DISK_BYTES": ("min_free_disk_bytes", "1000", 1000),

@@ -158,6 +158,22 @@ def test_the_next_service_goes_on_with_what_is_unfinished_once(busy, monkeypatch
     assert len(busy.rows(Method.ROBUST, waiting)) > 50
 
 
+def test_months_without_rows_and_changes_of_the_plan_within_a_span(busy):
+    with busy.supervised() as settle:
+        busy.send(range(200_000, 200_020), source="sa-2")
+        settle()
+    span = {"start": 70, "stop": 300_000}
+    live = [busy.rows(method, **span) for method in BOTH]
+    assert len(live[0]) > 80
+    version = busy.replay(**span)
+    assert repr([busy.rows(method, version, **span) for method in BOTH]) == repr(live)
+    assert repr(busy.commands(version, **span)) == repr(busy.commands(**span))
+    by_epoch = busy.replay(**span, order="epoch")
+    for method, rows in zip(BOTH, live, strict=True):
+        epochs_us = [row.epoch_us for row in busy.rows(method, by_epoch, **span)]
+        assert epochs_us == [row.epoch_us for row in rows]
+
+
 def test_a_span_without_rows_gives_a_version_without_rows(busy, monkeypatch):
     version = stored(busy, monkeypatch, start_us=at(200_000), stop_us=at(300_000), order="epoch")
     run(busy, version)

@@ -11,7 +11,7 @@ from db.results import checkpoints
 from db.results.checkpoints import LATEST
 from db.schema.tables import checkpoint as table
 from service.pipeline.checkpoints.chain_state import fingerprint
-from service.pipeline.config import ChainConfig
+from service.pipeline.config import ChainConfig, RobustConfig
 from service.ports import LIVE
 from service.records.storage.checkpoint import Checkpoint
 from service.runtime.jobs import replay_run
@@ -221,5 +221,6 @@ def test_the_latest_and_one_of_each_day_are_kept(busy):
     assert numbers == [19, 18, 17, 15, 11, 7, 3]
 
 
-def test_other_kernels_take_no_state_of_these():
-    assert fingerprint(ChainConfig(kernels="numba")) != FITS
+def test_other_kernels_and_settings_take_no_state_of_these():
+    others = (ChainConfig(kernels="numba"), ChainConfig(robust=RobustConfig(min_white_db=0.03)))
+    assert FITS not in {fingerprint(each) for each in others}

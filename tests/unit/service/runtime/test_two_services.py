@@ -1,6 +1,7 @@
 """Two services on one archive: one estimates, the other tells what that one stored and takes over when it ends."""
 
 import asyncio
+import time
 from contextlib import contextmanager
 from unittest.mock import Mock, patch
 
@@ -27,8 +28,8 @@ def _often():
 def service_on(ground, feed=None):
     """Run what estimates in a service of its own on the archive of a ground; give its lead and its supervisor."""
     storage = SqlStorage(str(ground.storage._database.engines.write.url))
-    leading = Leading(storage.lease)
-    supervisor = Supervisor(storage, feed or LiveFeed(), ground.config, turn=leading.turn)
+    leading = Leading(storage.leases)
+    supervisor = Supervisor(storage, feed or LiveFeed(), ground.config, turn=leading.term)
     leading.start()
     supervisor.start()
     try:
@@ -52,12 +53,12 @@ def test_rows_are_those_of_one_service_whichever_estimates(new_ground, wait):
         alone.append(range(1, 61))
         alone.settle(supervisor)
     with service_on(shared) as (second_to_last, _), service_on(shared) as (standing_by, _):
-        assert (second_to_last.turn(), standing_by.turn()) == (1, 0)
+        assert (second_to_last.term(shared.id), standing_by.term(shared.id)) == (1, 0)
         # nobody tells the one that leads of rows that came in elsewhere
         shared.append(range(1, 31))
         wait(shared.is_settled)
         second_to_last.stop()
-        wait(lambda: standing_by.turn() == 1)
+        wait(lambda: standing_by.term(shared.id) == 1)
         shared.append(range(31, 61))
         wait(shared.is_settled)
     assert rows_of(shared) == rows_of(alone)
@@ -68,22 +69,24 @@ def test_rows_are_those_of_one_service_whichever_estimates(new_ground, wait):
 def test_a_turn_that_was_lost_begins_anew_and_doubles_nothing(new_ground, wait):
     ground = new_ground()
     ground.align()
-    lease = Mock()
-    lease.acquire.return_value = lease.is_held.return_value = True
-    leading = Leading(lease)
-    supervisor = Supervisor(ground.storage, LiveFeed(), ground.config, turn=leading.turn)
+    leases = Mock()
+    leases.wait.side_effect = lambda limit_s: time.sleep(limit_s) or frozenset()
+    leases.ended.return_value = 0
+    leases.poll.return_value = lambda _: 1
+    leading = Leading(leases)
+    supervisor = Supervisor(ground.storage, LiveFeed(), ground.config, turn=leading.term)
     begun = []
     leading.start([lambda: begun.append(1)])
     supervisor.start()
     try:
         ground.append(range(1, 11))
         wait(ground.is_settled)
-        lease.acquire.return_value = lease.is_held.return_value = False
-        wait(lambda: leading.turn() == 0)
+        leases.poll.return_value = lambda _: 0
+        wait(lambda: leading.term(ground.id) == 0)
         ground.append(range(11, 21))
         assert len(ground.rows()) == 10
-        lease.acquire.return_value = lease.is_held.return_value = True
-        wait(lambda: leading.turn() == 2)
+        leases.poll.return_value = lambda _: 2
+        wait(lambda: leading.term(ground.id) == 2)
         wait(ground.is_settled)
     finally:
         supervisor.stop()
@@ -126,5 +129,3 @@ def test_alarms_are_the_business_of_the_service_that_leads(new_ground):
     desk._check_clock()
     assert not alarms.save.called
     assert not alarms.save_memory.called
-    with pytest.raises(StorageError, match=r"lease\.elsewhere"):
-        Leading(Mock()).require()

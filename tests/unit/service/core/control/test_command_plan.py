@@ -123,3 +123,12 @@ def test_a_drive_without_steps_gives_long_weak_pulses_that_do_not_overlap():
     plan = plan_command(GAINS, fine, situation, forecast((2e-7, -4e-7, 3e-7)), Envelope())
     predicted_effect(plan.pulses, INERTIA, np.eye(3), plan.horizon_s)
     assert max(abs(pulse.torque_n_m) for pulse in plan.pulses) <= 0.05
+
+
+@pytest.mark.parametrize("torque", [np.nan, np.inf])
+def test_a_torque_that_is_not_finite_is_refused(torque):
+    situation = Situation(np.array([0.0, 0.1, -0.1]), NOTHING, EVERY)
+    expected = forecast((0.0, 6e-7, 0.0))
+    expected.torque_n_m[-1, 1] = torque
+    with pytest.raises(ValueError, match="must be finite"):
+        plan_command(GAINS, DRIVE, situation, expected, Envelope())

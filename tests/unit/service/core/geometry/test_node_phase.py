@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from service.core.geometry.node_phase import latest_node_us, node_phase_rad
+from service.core.geometry.node_phase import latest_node_us, node_phase_at_rad, node_phase_rad
 
 PERIOD_S = 86_328.0  # 23.98 h, the paper's
 PERIOD_US = 86_328_000_000
@@ -74,6 +74,7 @@ def test_the_phase_covers_the_turn_and_never_reaches_it():
 @pytest.mark.parametrize("period_s", [0.0, -1.0, math.nan, math.inf])
 def test_without_a_usable_period_the_phase_is_absent_and_a_node_is_an_error(period_s):
     assert np.isnan(node_phase_rad(NODES_US, NODES_US, period_s)).all()
+    assert math.isnan(node_phase_at_rad(0, (0,), period_s))
     with pytest.raises(ValueError, match="period"):
         latest_node_us(NODES_US, NODES_US, period_s)
 
@@ -81,5 +82,6 @@ def test_without_a_usable_period_the_phase_is_absent_and_a_node_is_an_error(peri
 def test_without_nodes_the_phase_is_absent_and_a_node_is_an_error():
     none = np.array([], dtype=np.int64)
     assert np.isnan(node_phase_rad(NODES_US, none, PERIOD_S)).all()
+    assert math.isnan(node_phase_at_rad(0, (), PERIOD_S))
     with pytest.raises(ValueError, match="listed node"):
         latest_node_us(NODES_US, none, PERIOD_S)

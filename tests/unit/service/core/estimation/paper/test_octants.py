@@ -136,6 +136,18 @@ def test_carriers_that_all_feel_one_mixture_are_no_fix():
     assert is_absent(solve_octants(mixture, mixture, np.linspace(-1.0, 1.0, 8), None))
 
 
+def test_each_set_of_carriers_has_its_own_equations():
+    rng = np.random.default_rng(32)
+    models = [random_model(rng, 8) for _ in range(3)]
+    for number in range(90):
+        plus, minus = models[number % 3]
+        deviation_db = np.where(rng.random(8) < 0.2, np.nan, rng.standard_normal(8))
+        equal = solve_octants(plus, minus, deviation_db, None)
+        weighted = solve_octants(plus, minus, deviation_db, np.ones(8))
+        assert np.array_equal(equal.attitude_deg, weighted.attitude_deg, equal_nan=True)
+        assert (equal.octant, equal.carriers_used) == (weighted.octant, weighted.carriers_used)
+
+
 def test_rows_of_a_batch_that_cannot_be_solved_do_not_spoil_the_others():
     rng = np.random.default_rng(31)
     plus, minus = random_model(rng, 7)

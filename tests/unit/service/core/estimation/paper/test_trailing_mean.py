@@ -35,6 +35,13 @@ def test_the_window_is_open_at_its_old_end():
     assert mean(filled(rows), window_s=120.0, min_rows=1)[0] == 2.0
 
 
+def test_an_absent_neighbour_leaves_every_bit_of_a_mean():
+    rows = np.random.default_rng(2).standard_normal((40, 3))
+    with_gap = rows.copy()
+    with_gap[33, 0] = np.nan
+    assert np.array_equal(mean(filled(rows))[1:], mean(filled(with_gap))[1:])
+
+
 def test_an_empty_window_has_no_mean():
     assert np.isnan(mean(empty_window(4), min_rows=0)).all()
 

@@ -24,11 +24,11 @@ def test_a_steady_turn_gives_its_rate():
 
 @pytest.mark.parametrize(("count", "is_known"), [(0, False), (2, False), (10, False), (11, True), (31, True)])
 def test_less_than_a_third_of_the_window_gives_none(count, is_known):
-    assert np.isfinite(rate_deg_s(history(count), WINDOW_S)).all() == is_known
+    assert (rate_deg_s(history(count), WINDOW_S) is not None) == is_known
 
 
 def test_two_fixes_far_apart_are_not_enough():
-    assert np.isnan(rate_deg_s(history(2, step_s=900), WINDOW_S)).all()
+    assert rate_deg_s(history(2, step_s=900), WINDOW_S) is None
     assert np.isfinite(rate_deg_s(history(3, step_s=400), WINDOW_S)).all()
 
 

@@ -303,3 +303,16 @@ def test_what_is_known_of_each_carrier_is_that_of_the_newest_row_in_order(flight
     assert known["c00"].deviation_db == pytest.approx(flight.row(9).power_dbm[0] - truth[0], abs=1e-5)
     assert np.isnan(known["c15"].deviation_db)
     assert known["c00"].sigma_db == pytest.approx(np.sqrt(0.05**2 + 0.02**2 + 0.01**2), rel=1e-6)
+
+
+def test_rows_are_counted_by_whether_something_was_found(flight):
+    flight.run(range(1, 6))
+    assert flight.chain.rows_by_kind() == {True: 5, False: 0}
+    # a receiving chain that loses three decibels in every carrier
+    flight.run(range(6, 9), np.full(16, -3.0))
+    counts = flight.chain.rows_by_kind()
+    assert counts[False] > 0
+    assert sum(counts.values()) == 8
+    # a late row leaves the state and the counts
+    flight.robust(flight.row(2.5, is_late=True))
+    assert flight.chain.rows_by_kind() == counts

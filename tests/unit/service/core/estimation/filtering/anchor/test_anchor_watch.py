@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.anchor.anchor_watch import (
+    ask_anchor,
     calm_anchor,
     carrier_hypotheses,
     is_contradicted,
+    is_question_due,
     protection_now_deg,
-    push_anchor,
+    push_residuals,
 )
 from service.core.estimation.filtering.anchor.carrier_mixture import Mixture
 from service.core.estimation.filtering.causes.carrier_faults import healthy
@@ -34,17 +36,11 @@ def run(
     answers = []
     for minute in range(1, minutes + 1):
         residual_db = model.gradient_db_deg @ error_deg + rng.normal(0.0, noise_db, 12) - loss_db
-        watch, answer = push_anchor(
-            model,
-            watch,
-            carriers,
-            state,
-            residual_db,
-            np.full(12, noise_db**2),
-            minute * MINUTE_US,
-            is_raining=False,
-            reported_wet=reported,
-        )
+        watch, answer = push_residuals(watch, residual_db, np.full(12, noise_db**2)), None
+        if is_question_due(watch, minute * MINUTE_US):
+            watch, answer = ask_anchor(
+                model, watch, carriers, state, minute * MINUTE_US, is_raining=False, reported_wet=reported
+            )
         answers.append(answer)
     return watch, answers
 

@@ -9,7 +9,7 @@ from mixture_models import CALM, PRIOR, STORM, branches, jacobian
 import service.core.estimation.filtering.anchor.carrier_mixture as module
 from service.core.estimation.filtering.anchor.carrier_mixture import DRY, Branches, solve_mixture
 from service.core.estimation.filtering.anchor.protection import protection_levels_deg
-from service.core.estimation.filtering.kernels.kernels import compiled_kernels
+from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
 
 
 def by_hand(design, residual_db, hypotheses):
@@ -95,7 +95,7 @@ def test_without_readings_the_error_is_what_it_was_before():
 
 @pytest.mark.parametrize("carriers", [1, 4, 16])
 def test_compiled_the_same_source_gives_the_same_mixture_and_levels(carriers):
-    rng, compiled = np.random.default_rng(10), compiled_kernels()
+    rng, compiled = np.random.default_rng(10), compiled_kernels().anchor
     design, residual_db = jacobian(rng, carriers), rng.normal(0.0, 0.4, carriers)
     plain = solve_mixture(design, residual_db, branches(carriers), PRIOR)
     first, second = (solve_mixture(design, residual_db, branches(carriers), PRIOR, compiled) for _ in range(2))

@@ -5,18 +5,15 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.causes.carrier_faults import (
-    MIN_BACK_MINUTES,
     QUIET_ROWS,
     STANDING_ROWS,
-    WET_MINUTES,
-    count_skips,
+    count_row,
     flag_failed,
     healthy,
-    push_carrier_values,
-    release_quiet,
     trusted_white_db2,
     watch_flagged,
 )
+from service.core.estimation.filtering.causes.carrier_return import MIN_BACK_MINUTES, WET_MINUTES, release_quiet
 from service.core.estimation.filtering.model.filter_state import reference_states
 
 EVERYONE = np.arange(6)
@@ -30,6 +27,16 @@ def model():
 @pytest.fixture
 def state(model):
     return filter_models.aligned(model)
+
+
+def count_skips(watch, present, excess, minutes):
+    """Return the watch after a row that closes no minute, every carrier measured."""
+    return count_row(watch, present, excess, np.ones(6, dtype=bool), minutes, np.full(6, np.nan))
+
+
+def push_carrier_values(watch, values):
+    """Return the watch after a row without an excess that closes a minute."""
+    return count_row(watch, EVERYONE, np.zeros(6), np.ones(6, dtype=bool), 1.0, values)
 
 
 def flagged(model, state, carrier=2):

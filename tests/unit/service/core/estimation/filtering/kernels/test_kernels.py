@@ -1,14 +1,14 @@
-"""Claims about the two sets of kernels: the same arithmetic, once in numpy and once as compiled loops."""
+"""Claims about the stages of a row: the same arithmetic in numpy and compiled, with loops for large products."""
+
+from types import FunctionType
 
 import filter_models
 import numpy as np
 import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.kernels import loop_kernels
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels, sources
+from service.core.estimation.filtering.kernels import array_kernels, loop_kernels
 from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     KnownMotion,
@@ -17,11 +17,11 @@ from service.core.estimation.filtering.model.filter_model import (
 )
 from service.core.estimation.filtering.model.filter_state import core_size
 from service.core.estimation.filtering.model.hidden_motion import inserted
+from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels
 
-#: the first run after a change of the loops compiles them: six seconds of an idle processor
+#: the first run after a change of the stages compiles them: a minute of an idle processor
 MINUTE_US = 60_000_000
-#: the loops as Python runs them: slow, but every line of them is seen by the coverage
-UNCOMPILED = Kernels(*sources(loop_kernels))
+LOOPS = {name: each for name, each in vars(loop_kernels).items() if isinstance(each, FunctionType)}
 
 
 @pytest.fixture(scope="module")
@@ -30,96 +30,121 @@ def compiled():
     return compiled_kernels()
 
 
-def walk(model, state, kernels, rows, shares=0):
-    """Return the states of some rows with rain, commands, a jump and carriers that come and go."""
-    rng, settings, states = np.random.default_rng(11), FilterSettings(torque_deg_h2=(0.1, 0.1, 0.2)), []
-    variance = np.zeros(model.carriers)
+@pytest.fixture
+def _loops(monkeypatch):
+    """Let the loops do the arithmetic as Python runs them: slow, but every line of them is seen by the coverage."""
+    for name, loops in LOOPS.items():
+        monkeypatch.setattr(array_kernels, name, loops)
+
+
+def walk(model, kernels, rows, shares=None):
+    """Return the steps of some rows with commands, a jump, a gap and carriers that come and go."""
+    rng, settings = np.random.default_rng(11), FilterSettings(torque_deg_h2=(0.1, 0.1, 0.2))
+    state, epoch_us, steps = start(model, 0, filter_models.aligned(model)), 0, []
+    if shares is not None:
+        hidden = np.diag(np.concatenate([np.ones(shares), np.full(9, 0.01)]) ** 2)
+        state = state._replace(gaussian=inserted(state.gaussian, core_size(model), hidden))
     for row in range(rows):
         known = KnownMotion(*(0.01 * rng.standard_normal((3, 3))))
-        known = known._replace(unreported=0.01 * rng.standard_normal((shares, 2, 3)))
-        weather = Weather(row % 5 == 0, (False, row % 3 == 0, False), 1.3, variance)
-        step_us = MINUTE_US * (1 + row % 4)
-        state, variance = predict(model, settings, state, step_us, known, weather, kernels, 3_600_000_000 * row)
+        known = known._replace(unreported=0.01 * rng.standard_normal((shares or 0, 2, 3)))
+        epoch_us += (1 + row % 4) * MINUTE_US // 2
         deviation_db = 0.2 * rng.standard_normal(model.carriers) - 3.0 * (row == rows // 2)
-        carriers = np.flatnonzero(rng.random(model.carriers) < 0.8)
-        innovation = innovate(model, state, deviation_db, carriers, model.white_sigma_db**2, None, kernels)
-        state = update(model, state, deviation_db, innovation, kernels).state
-        states.append((state.mean, state.covariance, variance))
-    return states
+        deviation_db[rng.random(model.carriers) < 0.2] = np.nan
+        found = step(model, settings, state, epoch_us, deviation_db, known, kernels=kernels)
+        state = found.state
+        steps.append(found)
+    return steps
 
 
 def assert_alike(first, second, tolerance):
-    for (mean, covariance, variance), (other_mean, other, other_variance) in zip(first, second, strict=True):
-        sigma = np.sqrt(np.diagonal(covariance))
+    for one, other in zip(first, second, strict=True):
+        sigma = np.sqrt(np.diagonal(one.state.gaussian.covariance))
         # relative to the sigmas: an element that happens to be near zero has no relative accuracy of its own
+        (mean, covariance), (other_mean, other_covariance) = one.state.gaussian, other.state.gaussian
         assert np.abs((mean - other_mean) / sigma).max() <= tolerance
-        assert np.abs((covariance - other) / np.outer(sigma, sigma)).max() <= tolerance
-        np.testing.assert_allclose(variance, other_variance, rtol=1e-10, atol=1e-20)
+        assert np.abs((covariance - other_covariance) / np.outer(sigma, sigma)).max() <= tolerance
+        np.testing.assert_allclose(one.innovation_db, other.innovation_db, rtol=0.0, atol=tolerance)
+        np.testing.assert_array_equal(one.used, other.used)
+        assert one.is_ordinary is other.is_ordinary
 
 
-@pytest.mark.parametrize(("components", "common"), [(1, 0), (3, 2)])
-def test_both_sets_agree(compiled, components, common):
+@pytest.mark.parametrize(("components", "common", "shares"), [(1, 0, None), (3, 2, None), (2, 1, 0), (2, 1, 2)])
+def test_both_sets_agree(compiled, components, common, shares):
     model = filter_models.carrier_model(components=components, common=common)
     model = model._replace(coefficient_covariance=model.coefficient_covariance + 1e-5)
-    start = filter_models.aligned(model)
-    arrays, loops = walk(model, start, ARRAYS, 40), walk(model, start, compiled, 40)
-    assert_alike(arrays, loops, 1e-10)  # 1e-12 of one row, and forty rows build upon one another
+    arrays, loops = walk(model, ARRAYS, 40, shares), walk(model, compiled, 40, shares)
+    assert_alike(arrays, loops, 1e-9)  # 1e-12 of one row, and forty rows build upon one another
     assert_alike(arrays[:1], loops[:1], 1e-12)
+    assert {each.is_ordinary for each in arrays} == {True, False}  # the jump is none of the ordinary rows
 
 
-@pytest.mark.parametrize("shares", [0, 2])
-def test_both_sets_agree_on_hidden_states(compiled, shares):
-    model = filter_models.carrier_model(components=2, common=1)
-    hidden = np.concatenate([np.ones(shares), np.full(9, 0.1)])
-    state = inserted(filter_models.aligned(model), core_size(model), np.diag(hidden**2))
-    arrays, loops = (walk(model, state, kernels, 40, shares) for kernels in (ARRAYS, compiled))
-    assert_alike(arrays, loops, 1e-10)
-    assert_alike(arrays[:1], loops[:1], 1e-12)
-    assert_alike(walk(model, state, UNCOMPILED, 2, shares), walk(model, state, compiled, 2, shares), 1e-12)
-    for _, covariance, _ in loops:
-        np.testing.assert_array_equal(covariance, covariance.T)
-
-
+@pytest.mark.usefixtures("_loops")
 def test_the_loops_are_python_too(compiled):
     model = filter_models.carrier_model(carriers=6, components=2, common=1)
-    start = filter_models.aligned(model)
     # the processor's own exponential and root may differ from the library's in the last place
-    assert_alike(walk(model, start, UNCOMPILED, 3), walk(model, start, compiled, 3), 1e-12)
+    assert_alike(walk(model, ARRAYS, 3), walk(model, compiled, 3), 1e-12)
 
 
 @pytest.mark.parametrize("name", ["arrays", "compiled"])
 def test_a_set_gives_the_same_bits_twice_and_a_covariance_that_stays_one(compiled, name):
     kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
     model = filter_models.carrier_model(common=1)
-    first, second = (walk(model, filter_models.aligned(model), kernels, 60) for _ in range(2))
-    for (mean, covariance, _), (other_mean, other, _) in zip(first, second, strict=True):
+    first, second = (walk(model, kernels, 60) for _ in range(2))
+    for one, other in zip(first, second, strict=True):
+        (mean, covariance), (other_mean, other_covariance) = one.state.gaussian, other.state.gaussian
         np.testing.assert_array_equal(mean, other_mean)
-        np.testing.assert_array_equal(covariance, other)
+        np.testing.assert_array_equal(covariance, other_covariance)
         np.testing.assert_array_equal(covariance, covariance.T)
         scale = np.sqrt(np.diagonal(covariance))
         assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > 1e-9
 
 
-@pytest.mark.parametrize("name", ["arrays", "compiled"])
-def test_a_precise_row_on_free_references_leaves_a_positive_covariance(compiled, name):
-    kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
+def test_a_state_of_other_memory_is_the_same_to_the_compiled_set(compiled):
+    """A state that was restored, or cut out of another one, compiles nothing again."""
+    model = filter_models.carrier_model(common=1)
+    state = start(model, 0, filter_models.aligned(model))
+    deviation_db = 0.1 * np.random.default_rng(2).standard_normal(model.carriers)
+    covariance = np.asfortranarray(state.gaussian.covariance)
+    covariance.setflags(write=False)
+    other = state._replace(gaussian=state.gaussian._replace(covariance=covariance))
+    first, second = (
+        step(model, FilterSettings(), each, MINUTE_US, deviation_db, no_motion(), kernels=compiled)
+        for each in (state, other)
+    )
+    np.testing.assert_array_equal(first.state.gaussian.covariance, second.state.gaussian.covariance)
+
+
+def _after_precise_rows():
+    """Return the covariance after many precise rows on free references."""
     model = filter_models.carrier_model()._replace(white_sigma_db=np.full(12, 1e-4))
     state = filter_models.aligned(model)
     wide = state.covariance.copy()
     wide[-12:, -12:] += 9.0 * (np.eye(12) + 1.0)
     state = state._replace(covariance=wide)
-    for _ in range(200):
-        row = innovate(model, state, np.zeros(12), np.arange(12), model.white_sigma_db**2, None, kernels)
-        state = update(model, state, np.zeros(12), row, kernels).state
-    assert (np.diagonal(state.covariance) > 0.0).all()
-    scale = np.sqrt(np.diagonal(state.covariance))
+    for _ in range(50):
+        row = innovate(model, state, np.zeros(12), np.arange(12), model.white_sigma_db**2)
+        state = update(model, state, np.zeros(12), row).state
+    return state.covariance
+
+
+def assert_positive(covariance):
+    assert (np.diagonal(covariance) > 0.0).all()
+    scale = np.sqrt(np.diagonal(covariance))
     # nothing is added between the rows, which operation never does
-    assert np.linalg.eigvalsh(state.covariance / np.outer(scale, scale)).min() > -1e-12
+    assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > -1e-12
 
 
-@pytest.mark.parametrize("name", ["arrays", "compiled", "uncompiled"])
-def test_innovations_without_a_covariance_are_refused(compiled, name):
-    kernels = {"arrays": ARRAYS, "compiled": compiled, "uncompiled": UNCOMPILED}[name]
+def test_a_precise_row_on_free_references_leaves_a_positive_covariance():
+    assert_positive(_after_precise_rows())
+
+
+@pytest.mark.usefixtures("_loops")
+def test_so_do_the_loops():
+    assert_positive(_after_precise_rows())
+
+
+@pytest.mark.parametrize("kernels", [array_kernels, loop_kernels])
+def test_innovations_without_a_covariance_are_refused(kernels):
     with pytest.raises(np.linalg.LinAlgError):
         kernels.update_state(
             np.zeros(2), np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), np.zeros((2, 2))
@@ -129,30 +154,5 @@ def test_innovations_without_a_covariance_are_refused(compiled, name):
 def test_the_error_of_the_calibration_is_that_of_the_model():
     model, attitude_deg = filter_models.carrier_model(), np.array([0.2, -0.1, 0.3])
     expected = model_variance_db2(model.coefficient_covariance, attitude_deg)
-    variance = UNCOMPILED.model_variance(model.coefficient_covariance, attitude_deg)
+    variance = loop_kernels.model_variance(model.coefficient_covariance, attitude_deg)
     np.testing.assert_allclose(variance, expected, rtol=1e-13)  # sums of 81 products
-
-
-@pytest.mark.parametrize("name", ["arrays", "compiled"])
-def test_a_step_of_either_set_replays_bit_for_bit(compiled, name):
-    kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
-    first, second = (driven(filter_models, kernels, 30) for _ in range(2))
-    np.testing.assert_array_equal(first.covariance, second.covariance)
-    np.testing.assert_array_equal(first.mean, second.mean)
-
-
-def test_steps_of_both_sets_agree(compiled):
-    arrays, loops = driven(filter_models, ARRAYS, 30), driven(filter_models, compiled, 30)
-    # thirty rows build upon one another
-    np.testing.assert_allclose(arrays.mean, loops.mean, rtol=0.0, atol=1e-10)
-    np.testing.assert_allclose(arrays.covariance, loops.covariance, rtol=0.0, atol=1e-12)
-
-
-def driven(filter_models, kernels, rows):
-    """Return the state vector after some rows of the whole filter."""
-    model, rng = filter_models.carrier_model(), np.random.default_rng(5)
-    state = start(model, 0, filter_models.aligned(model))
-    for row in range(1, rows + 1):
-        deviation_db = 0.2 * rng.standard_normal(model.carriers)
-        state = step(model, FilterSettings(), state, row * MINUTE_US, deviation_db, no_motion(), kernels=kernels).state
-    return state.gaussian

@@ -48,8 +48,7 @@ def test_the_calibrations_error_rides_on_the_component_of_about_an_hour():
     assert model_error_component(model.coloured_tau_s).tolist() == [1] * model.carriers
 
 
-def test_sizes_and_bands():
+def test_sizes():
     model = filter_models.carrier_model(carriers=12, components=3)
     assert (model.carriers, model.components) == (12, 3)
-    assert model.is_full_band.tolist() == [True] * 9 + [False] * 3
     assert not any(part.any() for part in no_motion())

@@ -29,7 +29,7 @@ def drifting(drift_deg_h, known_share=0.75):
 def pushed(ratio, minutes, known_share=0.75):
     watch, state = usual_drift(), drifting(ratio * SIGMA, known_share)
     for _ in range(minutes):
-        watch, _ = push_drift(watch, SETTINGS, state, 1.0)
+        watch, _ = push_drift(watch, SETTINGS.drift_deg_h, state, 1.0)
     return watch
 
 
@@ -61,7 +61,7 @@ def test_an_unknown_drift_says_nothing():
 
 def test_a_step_of_the_factor_widens_the_drift_and_nothing_else():
     watch, state = DriftWatch(0.0866), drifting(3.0 * SIGMA)  # just below the first step of 2^(1/8)
-    after, wider = push_drift(watch, SETTINGS, state, 1.0)
+    after, wider = push_drift(watch, SETTINGS.drift_deg_h, state, 1.0)
     assert after.scale > watch.scale
     growth = wider.covariance - state.covariance
     np.testing.assert_allclose(np.diagonal(growth)[DRIFT], (2.0**0.25 - 1.0) * SIGMA**2, rtol=1e-9)
@@ -72,7 +72,7 @@ def test_a_step_of_the_factor_widens_the_drift_and_nothing_else():
 def test_the_factor_follows_time_and_not_rows():
     state = drifting(3.0 * SIGMA)
     one, many = usual_drift(), usual_drift()
-    one, _ = push_drift(one, SETTINGS, state, 1.0)
+    one, _ = push_drift(one, SETTINGS.drift_deg_h, state, 1.0)
     for _ in range(6):
-        many, _ = push_drift(many, SETTINGS, state, 1.0 / 6.0)
+        many, _ = push_drift(many, SETTINGS.drift_deg_h, state, 1.0 / 6.0)
     assert many.log_scale == pytest.approx(one.log_scale, rel=1e-12)

@@ -15,14 +15,14 @@ def test_ten_second_rows_are_added_up_with_unit_variance():
     rng, values = np.random.default_rng(1), []
     sums = empty_minute(1, 0)
     for row in range(1, 6 * 2000 + 1):
-        sums, value = push_minute(sums, row * 10_000_000, rng.standard_normal(1))
-        if value is not None:
+        sums, is_over, value = push_minute(sums, row * 10_000_000, rng.standard_normal(1))
+        if is_over:
             values.append(float(value[0]))
     assert len(values) == 2000
     assert abs(np.std(values) - 1.0) < 0.05  # 2000 draws are good to 1.6 %
 
 
 def test_a_gap_closes_the_minute():
-    sums, value = push_minute(empty_minute(1, 0), 5_000_000, np.array([2.0]))
-    assert value is None
+    sums, is_over, _ = push_minute(empty_minute(1, 0), 5_000_000, np.array([2.0]))
+    assert not is_over
     assert push_minute(sums, 9_000_000_000, np.array([2.0])).values[0] == 4.0 / np.sqrt(2.0)

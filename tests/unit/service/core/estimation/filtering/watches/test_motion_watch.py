@@ -4,21 +4,29 @@ import numpy as np
 
 from service.core.estimation.filtering.watches.motion_watch import (
     FOLLOWED_MINUTES,
+    alarmed_axes,
     follow_all,
     forget_shifts,
     newly_explained,
     pass_motion,
     push_shift,
     still_watch,
+    with_alarms,
 )
 
 MINUTE_US = 60_000_000
 
 
+def shifted(watch, epoch_us, shift, *, is_pushed=False):
+    """Return the watch after a row, as the filter does it."""
+    pushed = push_shift(watch, epoch_us, shift)
+    return with_alarms(pushed, is_pushed=is_pushed) if alarmed_axes(pushed).any() else pushed
+
+
 def test_shifts_of_one_sign_raise_their_axis_for_an_hour():
     watch = still_watch(0)
     for minute in range(1, 20):
-        watch = push_shift(watch, minute * MINUTE_US, np.array([0.1, -1.6, 0.5]))
+        watch = shifted(watch, minute * MINUTE_US, np.array([0.1, -1.6, 0.5]))
         if any(watch.is_unannounced):
             break
     assert minute == 10  # 10 (1.6 - 0.6) > 9
@@ -34,7 +42,7 @@ def reported_minutes(minutes, **settings):
     watch, announced = still_watch(0), []
     for minute in range(1, minutes):
         before = watch
-        watch = push_shift(pass_motion(watch, 1.0), minute * MINUTE_US, np.array([0.0, 1.6, 0.0]), **settings)
+        watch = shifted(pass_motion(watch, 1.0), minute * MINUTE_US, np.array([0.0, 1.6, 0.0]), **settings)
         announced.append((watch.is_followed[1], watch.is_unannounced[1], bool(newly_explained(before, watch)[1])))
     assert not any(watch.is_unannounced[axis] for axis in (0, 2))
     return announced
@@ -53,7 +61,7 @@ def test_what_a_torque_may_explain_is_reported_for_a_quarter_of_an_hour():
     watch, reported = still_watch(0), 0
     for minute in range(1, 120):
         shift = np.array([0.0, 1.6 if minute <= 20 else 0.0, 0.0])
-        watch = push_shift(pass_motion(watch, 1.0), minute * MINUTE_US, shift, is_pushed=True)
+        watch = shifted(pass_motion(watch, 1.0), minute * MINUTE_US, shift, is_pushed=True)
         reported += watch.is_unannounced[1]
     assert reported == 15
     assert not watch.alarms.any()  # still for an hour: the next alarm is a first one
@@ -62,13 +70,13 @@ def test_what_a_torque_may_explain_is_reported_for_a_quarter_of_an_hour():
 def test_what_no_torque_explains_is_reported_for_an_hour():
     announced = reported_minutes(60, is_pushed=True)
     assert all(one[1] for one in announced[19:])
-    jumped = push_shift(follow_all(still_watch(0)), MINUTE_US, np.zeros(3), is_pushed=True)
+    jumped = shifted(follow_all(still_watch(0)), MINUTE_US, np.zeros(3), is_pushed=True)
     left = pass_motion(jumped, FOLLOWED_MINUTES - 1.0)
     assert left.is_unannounced == (True, True, True)
 
 
 def test_rows_inside_a_minute_wait_for_its_end():
-    watch = push_shift(still_watch(0), 10_000_000, np.full(3, 50.0))
+    watch = shifted(still_watch(0), 10_000_000, np.full(3, 50.0))
     assert not any(watch.is_unannounced)
     assert not any(forget_shifts(watch, 10_000_000).minute.total)
 

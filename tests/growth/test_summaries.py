@@ -4,10 +4,10 @@ import pytest
 
 from bench.bench_summaries import GOAL_ATTITUDE, GOALS, measure
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(1200)]
 
-#: rows of the larger archive: four months at a row a minute
-ROWS = 200_000
+#: rows of the larger archive: six weeks at a row a minute
+ROWS = 60_000
 #: how much of a goal a machine that does other things at the same time may take
 SLACK = 2.0
 

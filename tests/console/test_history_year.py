@@ -1,0 +1,121 @@
+"""Figures of a year of rows a minute, both methods: request, drawing and zoom, in processor time."""
+
+import os
+import statistics
+import time
+import urllib.parse
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import expect
+from release_ground import OPERATION_US, PAYLOAD, record, seed_archive
+from service_process import serving_on
+
+from db.encoding.segments import DAY_US
+from db.encoding.summary_codec import pack_day
+from db.results.state_summaries import store_states
+from db.schema.tables import attitude_summary
+from db.storage import SqlStorage
+from service.core.rows.state_runs import RowState, StateRun, Stretch
+from service.ports import ATTITUDE_FIGURES
+from service.records.catalogue import Method
+from service.records.epoch import format_epoch
+from service.records.levels.measurement import MeasurementBatch
+
+DAYS = 365
+MINUTE_US = 60_000_000
+FIRST_US = OPERATION_US // DAY_US * DAY_US - DAYS * DAY_US
+#: s; twice the figures that are reached on an idle machine
+REQUEST_S, DRAWN_S, ZOOM_S = 0.6, 2.0, 0.5
+REPEATS = 5
+
+
+def seed_year(url: str) -> None:
+    """Lay a row and the summaries of a year into an archive: charts of closed days are read from these alone."""
+    storage = SqlStorage(url)
+    # the first row of all, and one from which the clock of the data goes on
+    rows_us = np.array([FIRST_US, OPERATION_US - 60 * MINUTE_US], dtype=np.int64)
+    powers = np.asarray(PAYLOAD.power_dbm(rows_us, (0.0, 0.0, 0.0)), dtype=np.float32)
+    index, is_stale = np.arange(2), np.zeros(2, dtype=np.bool_)
+    batch = MeasurementBatch("yamal-202", "sa-1", 1, OPERATION_US, index, rows_us, powers, (None, None), is_stale)
+    storage.archive.append_measurements(batch).result()
+    random = np.random.default_rng(1)
+    key = storage._database.key("yamal-202")
+    with storage._database.engines.write.begin() as connection:
+        for start_us in range(FIRST_US, FIRST_US + DAYS * DAY_US, DAY_US):
+            for method in Method:
+                epochs_us = start_us + MINUTE_US * np.arange(DAY_US // MINUTE_US)
+                values = random.normal(0.02, 0.01, (len(epochs_us), len(ATTITUDE_FIGURES)))
+                blobs = pack_day(epochs_us, values, 3)._asdict()
+                day = {"spacecraft_key": key, "method": method.value, "start_us": start_us, **blobs}
+                made = connection.execute(attitude_summary.insert().values(day)).inserted_primary_key[0]
+                store_states(connection, made, states_of(epochs_us, random))
+    storage.close()
+
+
+def states_of(epochs_us: np.ndarray, random: np.random.Generator) -> Stretch:
+    """Return a day with twenty stretches of fade and one status."""
+    starts = np.sort(random.choice(len(epochs_us) // 20, 20, replace=False)) * 20
+    fades = [StateRun(RowState("fade", "downlink"), *map(int, epochs_us[[k, k + 9]]), 10) for k in starts]
+    whole = StateRun(RowState("status", "ACQUIRED"), int(epochs_us[0]), int(epochs_us[-1]), len(epochs_us))
+    return Stretch(whole.start_us, whole.stop_us, MINUTE_US, [whole, *fades], [])
+
+
+def processor_s(process_id: int) -> float:
+    """Return the processor time of a process so far."""
+    fields = Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    """Give a service with a year of summaries."""
+    database = tmp_path_factory.mktemp("year") / "soo.db"
+    seed_archive(f"sqlite:///{database}", record("yamal-202"))
+    seed_year(f"sqlite:///{database}")
+    with serving_on(database, os.environ) as started:
+        yield started
+
+
+def test_a_year_of_both_methods(new_page, ground, service, screenshot, record_property):
+    page = new_page()
+    ticks = page.context.new_cdp_session(page)
+    ticks.send("Performance.setTimeDomain", {"timeDomain": "threadTicks"})
+    ticks.send("Performance.enable")
+
+    def page_s():
+        metrics = ticks.send("Performance.getMetrics")["metrics"]
+        return next(each["value"] for each in metrics if each["name"] == "TaskDuration")
+
+    def taken(act):
+        """Return wall time, processor time of the page, and of the service until a span is drawn."""
+        before = time.perf_counter(), page_s(), processor_s(service.process.pid)
+        act()
+        expect(page.locator(".history[aria-busy=true]")).to_be_visible()
+        expect(page.locator(".history[aria-busy=false]")).to_be_visible()
+        after = time.perf_counter(), page_s(), processor_s(service.process.pid)
+        return [late - early for early, late in zip(before, after, strict=True)]
+
+    span = {"start": format_epoch(FIRST_US), "stop": format_epoch(FIRST_US + DAYS * DAY_US)}
+    year = f"#/history?{urllib.parse.urlencode(span)}"
+    page.goto(f"/console/{year}")
+    expect(page.locator(".history[aria-busy=false] canvas")).to_have_count(3)
+    expect(page.locator(".history")).to_have_attribute("data-rows", str(DAYS))
+    screenshot(page, "history-year")
+    loads = []
+    for _ in range(REPEATS):
+        page.get_by_role("link", name="Now").click()
+        expect(page.locator(".history")).to_have_count(0)
+        loads.append(taken(lambda: page.evaluate("(hash) => { location.hash = hash }", year)))
+    page.locator(".plots").focus()
+    zooms = [taken(lambda key=key: page.keyboard.press(key)) for key in ("+", "-", "+", "-", "+")]
+    figures = {
+        name: [round(statistics.median(each[column] for each in found), 3) for column in range(3)]
+        for name, found in (("load", loads), ("zoom", zooms))
+    }
+    print(figures)
+    record_property("figures", figures)
+    assert figures["load"][1] <= DRAWN_S
+    assert figures["zoom"][1] <= ZOOM_S
+    assert figures["zoom"][2] <= REQUEST_S

@@ -1,0 +1,121 @@
+"""The live stream as seen on the page: cut and restored, shared by tabs, clocks that differ, a killed service."""
+
+import os
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import expect
+from release_ground import ReleaseGround, record, seed_archive
+from service_process import KEY, PLAIN, ServiceProcess
+
+TABS = 7
+
+
+def roll_of(ground: ReleaseGround) -> str:
+    """Return the newest roll angle as the page writes it."""
+    return f"{round(ground.get('/attitude')['roll_deg'], 3) + 0.0:.3f}"
+
+
+class Restarted:
+    """A service that a test kills and starts again at the same address."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._database = folder, folder / "soo.db"
+        seed_archive(f"sqlite:///{self._database}", record("yamal-202"))
+        self._port = "0"
+        self.start()
+
+    def start(self) -> None:
+        """Start it and wait until it listens."""
+        arguments = ["--port", self._port, "--clock", "data"]
+        self.process = ServiceProcess(self._folder, self._database, arguments, {**os.environ, **PLAIN})
+        self.url = self.process.url
+        self._port = self.url.rpartition(":")[2]
+
+    def kill(self) -> None:
+        """End it as a lost machine does."""
+        self.process.process.send_signal(signal.SIGKILL)
+        self.process.process.wait()
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Restarted]:
+    restarted = Restarted(tmp_path_factory.mktemp("restarted"))
+    yield restarted
+    restarted.kill()
+
+
+@pytest.fixture(scope="module")
+def ground(service: Restarted) -> Iterator[ReleaseGround]:
+    with httpx.Client(base_url=service.url, headers={"Authorization": f"Bearer {KEY}"}, timeout=120.0) as client:
+        station = ReleaseGround(client, "yamal-202")
+        station.align()
+        station.rows(5)
+        yield station
+
+
+def test_a_killed_service_is_told_and_its_rows_come_after_the_start_once_each(new_context, service, ground, open_view):
+    # the browser itself logs each connection that it cannot make
+    page = new_context().new_page()
+    open_view(page, "now")
+    service.kill()
+    expect(page.get_by_text("cut since")).to_be_visible()
+    expect(page.locator(".gauge.is-stale")).to_have_count(3)
+    expect(page.get_by_role("region", name="Roll", exact=True).locator(".age")).to_contain_text("old")
+    service.start()
+    ground.rows(3)
+    expect(page.get_by_text("cut since")).to_have_count(0)
+    expect(page.locator(".gauge.is-stale")).to_have_count(0)
+    expect(page.get_by_role("region", name="Roll", exact=True).locator(".value")).to_have_text(roll_of(ground))
+
+
+def test_seven_tabs_share_one_stream_and_the_next_goes_on_when_the_first_closes(new_context, ground, open_view):
+    context = new_context()
+    streams: list[str] = []
+    context.on("request", lambda sent: streams.append(sent.url) if sent.url.endswith("/stream") else None)
+    pages = [open_view(context.new_page(), "now") for _ in range(TABS)]
+    assert len(streams) == 1
+    ground.rows(1)
+    text = roll_of(ground)
+    for page in pages:
+        expect(page.get_by_role("region", name="Roll", exact=True).locator(".value")).to_have_text(text)
+    pages[0].close()
+    with context.expect_event("request", lambda sent: sent.url.endswith("/stream")) as resumed:
+        pass
+    assert resumed.value.headers["last-event-id"].startswith("yamal-202:")
+    ground.rows(1)
+    text = roll_of(ground)
+    for page in pages[1:]:
+        expect(page.get_by_role("region", name="Roll", exact=True).locator(".value")).to_have_text(text)
+
+
+@pytest.mark.parametrize(("hours", "said"), [(1, "ahead"), (-1, "behind")])
+def test_a_workstation_an_hour_off_is_told(new_page, ground, open_view, hours, said):
+    page = new_page()
+    page.add_init_script(f"const now = Date.now; Date.now = () => now() + {hours * 3_600_000};")
+    open_view(page, "now")
+    expect(page.locator(".offset")).to_contain_text(re.compile(rf"this workstation is (1 hr|59 min) {said}"))
+    expect(page.locator("header .utc")).to_contain_text("2027-01-15")
+
+
+def test_a_service_that_is_busy_is_asked_again_after_the_time_it_names(new_page, ground, open_view):
+    page = new_page(allowed=(503,))
+    refused: list[Any] = []
+
+    def refuse(route: Any) -> None:
+        if len(refused) < 2:
+            refused.append(route)
+            problem = {"title": "Service Unavailable", "status": 503, "code": "stream.too_many", "detail": "full"}
+            route.fulfill(status=503, json=problem, headers={"Retry-After": "1"})
+        else:
+            route.fallback()
+
+    page.route("**/stream", refuse)
+    page.goto("/console/")
+    expect(page.locator(".link[title*='Too many live streams']")).to_be_visible()
+    expect(page.locator(".link .symbol.normal")).to_be_visible()
