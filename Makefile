@@ -10,7 +10,7 @@ DOCS_VENV := .venv-docs
 DOCS_STAMP := $(DOCS_VENV)/.installed
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help install install-dev run demo-check test test-all mutants clients lint types imports locks check coverage bench nightly docs map hooks schema lock clean
+.PHONY: help install install-dev run demo-check test test-all mutants console-check clients lint types imports locks check coverage bench nightly docs map hooks schema lock clean
 
 help: ## show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -20,6 +20,8 @@ $(STAMP): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-build.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	# a minute now, so that the first row does not wait for the compiler
+	$(BIN)/python -m service.pipeline.first_rows
 	touch $@
 
 $(DEV_STAMP): $(STAMP) requirements-dev.lock
@@ -63,6 +65,9 @@ test-all: $(DEV_STAMP) ## run the slow tests too, as continuous integration does
 mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; print how many were killed
 	$(BIN)/python tests/mutation/mutants.py
 
+console-check: $(DEV_STAMP) ## look at the console in the system's chromium; pictures in build/console
+	$(BIN)/python -m pytest -p no:randomly tests/console
+
 # without unraisableexception: the sockets that a client leaves to the collector are its own
 clients: $(STAMP) $(CLIENTS_STAMP) ## drive the simulated analyzer with third-party programs, print what each did
 	SOO_ANALYZER=$(BIN)/soo-analyzer $(CLIENTS_VENV)/bin/python -m pytest -p no:unraisableexception tests/clients
@@ -87,7 +92,7 @@ coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
 
 bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 	$(BIN)/python -m bench
-	$(BIN)/python -m pytest -q -s -p no:randomly tests/speed
+	$(BIN)/python -m pytest -q -s -p no:randomly tests/speed tests/growth
 
 nightly: export SOO_TEST_PROFILE := nightly
 nightly: $(DEV_STAMP) ## long tests, and new examples of every property
