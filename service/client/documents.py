@@ -117,7 +117,7 @@ class Verdict(TypedDict):
     allowed: bool
     #: ENGAGED under release automatic: computed commands count as applied.
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
-    #: All active reasons; while allowed, those that withhold yaw alone.
+    #: All active reasons, the one to act on first; while allowed, those that withhold yaw alone.
     reasons: list[ControlReasonReply]
 
 

@@ -135,9 +135,9 @@ async def test_what_stands_can_be_read(soo, service):
     viewer = await key(soo, "Vera", "viewer")
     control = (await soo.client.get(f"{URL}/control", headers=viewer)).json()
     assert (control["state"], control["proven_axes"]) == ("ARMED", ["roll"])
-    assert control["reasons"] == ["yaw_sign", "no_attitude"]
+    assert control["reasons"] == ["no_attitude", "yaw_sign"]
     assert (control["control"]["allowed"], control["control"]["state"]) == (False, "ARMED")
-    assert control["control"]["reasons"][0] == {
+    assert control["control"]["reasons"][1] == {
         "code": "yaw_sign",
         "text": "the sign of yaw is not proven",
         "since": "2026-11-21T03:00:00.000000Z",
@@ -167,7 +167,7 @@ class Follower:
 async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(soo, service):
     object.__setattr__(soo.app.state.context, "supervisor", Follower())
     reported = (await soo.client.get(f"{URL}/status")).json()
-    assert reported["interlock"] == {"state": "ARMED", "reasons": ["yaw_sign", "no_attitude"]}
+    assert reported["interlock"] == {"state": "ARMED", "reasons": ["no_attitude", "yaw_sign"]}
     stop = (reason_of("stop", AT_US),)
     tripped = replace(service.control_view, state="TRIPPED", reasons=stop, is_withheld=True, release="automatic")
     service.control_view = tripped

@@ -68,7 +68,7 @@ def test_through_stop_reset_and_arming_all_answers_agree(client: httpx.Client) -
     assert (newest["control_allowed"], newest["inhibitions"]) == (True, [])
     ground.rows(1)
     ground.post("/control:reset")
-    assert codes(verdict(ground)) == ["yaw_sign", "not_armed", "good_minutes"]
+    assert codes(verdict(ground)) == ["yaw_sign", "good_minutes", "not_armed"]
     assert ground.refused("/control:arm") == (409, "interlock.inhibited")
     ground.rows(12)
     ground.post("/control:arm")

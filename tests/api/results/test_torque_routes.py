@@ -72,7 +72,7 @@ async def test_command_of_an_expired_row_is_zero(bench, make):
     newest = await bench.get("/torques")
     assert (newest["roll_n_m"], newest["control_allowed"], newest["inhibitions"]) == (0.0, False, ["expired"])
     assert (newest["control"]["allowed"], newest["control"]["state"]) == (False, "INHIBITED")
-    assert {"code": "expired", "since": None}.items() <= newest["control"]["reasons"][-1].items()
+    assert ("expired", None) in [(each["code"], each["since"]) for each in newest["control"]["reasons"]]
     assert (await bench.get("/status"))["control"] == newest["control"]
 
 
@@ -86,7 +86,7 @@ async def test_no_torque_goes_while_a_chain_is_brought_back(bench, make, monkeyp
     assert (attitude["control_allowed"], attitude["inhibitions"]) == (False, ["catch_up"])
     for answer in (torque, attitude, await bench.get("/status"), await bench.get("/control")):
         assert answer["control"]["allowed"] is False
-        assert answer["control"]["reasons"][-1]["code"] == "catch_up"
+        assert "catch_up" in [each["code"] for each in answer["control"]["reasons"]]
     assert (await bench.get("/torques/history"))["rows"][0]["control_allowed"], "what is stored stays"
 
 
@@ -101,7 +101,7 @@ async def test_history_pages(bench, make):
 
 
 #: of the release: no row was seen, the ephemeris ends soon
-NOT_READY = ["estimate_old", "not_aligned", "ephemeris", "yaw_sign"]
+NOT_READY = ["ephemeris", "not_aligned", "estimate_old", "yaw_sign"]
 INTERLOCKS = {
     "automatic": (Release.AUTOMATIC, {"state": "INHIBITED", "reasons": NOT_READY}),
     "two steps": (Release.TWO_STEP, {"state": "INHIBITED", "reasons": [*NOT_READY, "not_armed"]}),
@@ -125,7 +125,7 @@ async def test_status_tells_the_interlock(bench, make, release, interlock):
 async def test_status_of_an_empty_and_of_a_filled_archive(bench, make):
     empty = await bench.get("/status")
     assert empty.pop("control")["allowed"] is False
-    assert empty.pop("interlock")["reasons"] == [*NOT_READY, "no_attitude"]
+    assert empty.pop("interlock")["reasons"] == [*NOT_READY[:-1], "no_attitude", "yaw_sign"]
     assert empty == {
         "newest_measurement": None,
         "newest_attitude": None,

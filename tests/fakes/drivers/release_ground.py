@@ -107,11 +107,14 @@ class ReleaseGround:
         angles = {"yaw_deg": 0.0, "roll_deg": 0.0, "pitch_deg": 0.0, "sigma_deg": SIGMA_DEG}
         self.post("/alignments", {"epoch": self.epoch(), **angles, "source": "manual"}, status=201)
 
-    def rows(self, count: int, angles_deg: Any = (0.0, 0.0, 0.0), *, settle: bool = True) -> None:
-        """Send rows of the next minutes at one attitude (3,) or one a row (T, 3): yaw, roll, pitch."""
+    def rows(self, count: int, angles_deg: Any = (0.0, 0.0, 0.0), change_db: Any = 0.0, *, settle: bool = True) -> None:
+        """Send rows of the next minutes at one attitude (3,) or one a row (T, 3): yaw, roll, pitch.
+
+        ``change_db``, which broadcasts with (T, N), is added to the powers; NaN = not measured.
+        """
         epochs_us = self.now_us + MINUTE * np.arange(1, count + 1)
         rng = np.random.default_rng(int(epochs_us[0] // S))
-        power = PAYLOAD.power_dbm(epochs_us, angles_deg)
+        power = PAYLOAD.power_dbm(epochs_us, angles_deg) + change_db
         self.send(epochs_us, power + NOISE_DB * rng.normal(size=power.shape))
         self.now_us = int(epochs_us[-1])
         if settle:
@@ -120,7 +123,10 @@ class ReleaseGround:
     def send(self, epochs_us: Any, power_dbm: Any) -> None:
         """Send rows of given powers."""
         rows = [
-            {"epoch": format_epoch(int(epoch)), "power_dbm": row}
+            {
+                "epoch": format_epoch(int(epoch)),
+                "power_dbm": [None if np.isnan(value) else value for value in row],
+            }
             for epoch, row in zip(epochs_us, np.asarray(power_dbm).tolist(), strict=True)
         ]
         receipt = self.post("/measurements:batch", {"plan_id": 1, "source": "sa-1", "measurements": rows})

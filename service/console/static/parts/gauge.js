@@ -102,7 +102,8 @@ export function gauge(axis) {
     const alert = Number.isFinite(state.alert) ? words("views.now.ofAlert", { alert: number(state.alert, 2) }) : "";
     setText(protection, `${number(state.protection, 3)} ${alert}`);
     setText(otherText, number(state.other, 3));
-    setText(age, !state.isStale ? "" : Number.isFinite(state.age) ? words("views.now.stale", { age: duration(state.age) }) : words("views.now.noRow"));
+    const stale = Number.isFinite(state.age) ? words(isKnown ? "views.now.stale" : "views.now.noAngle", { age: duration(state.age) }) : words("views.now.noRow");
+    setText(age, state.isStale ? stale : "");
     node.classList.toggle("is-stale", state.isStale);
     node.classList.toggle("is-beyond", isBeyond);
     needle.classList.toggle("critical", isBeyond);

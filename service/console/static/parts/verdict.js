@@ -2,25 +2,25 @@
 
 import { meaning, number, utc, words } from "../words.js";
 
-/** Reasons that follow from others, or hold back yaw alone, are named last. */
-const LAST = ["fade", "redundancy", "estimator", "tripped", "operation", "sigma_yaw", "yaw_beyond", "yaw_sign", "good_minutes", "not_armed"];
+/** Commands that a person has to act on, in this order. */
+const OWED = ["open_commands", "unreported_commands"];
 /** What the number of a condition is measured in, and its digits. */
 const UNITS = { deg: ["deg", 2], dB: ["db", 1], "%": ["percent", 0] };
-
-/** Return the reasons of a verdict, the one to act on first. */
-export function ranked(reasons) {
-  return [...reasons].sort((one, other) => LAST.indexOf(one.code) - LAST.indexOf(other.code));
-}
 
 /**
  * Return the sentence.
  * @param {any} status Answer of `GET …/status`.
  * @param {any} row Newest row of the method that drives control.
- * @param {any[]} conditions Of `GET …/control`.
+ * @param {any} control Answer of `GET …/control`, null: not there yet.
  */
-export function sentence(status, row, conditions) {
+export function sentence(status, row, control) {
   const { allowed, reasons } = status.control;
-  const [worst, ...others] = ranked(reasons);
+  const conditions = control?.conditions ?? [];
+  const owed = OWED.find((each) => control?.[each]?.length);
+  if (allowed && owed) return words(`views.now.sentence.${owed}`, { known: knowledge(row), number: control[owed].join(", ") });
+  // before the first row nothing else can be mended
+  const first = status.newest_measurement === null ? reasons.find((each) => each.code === "no_attitude") : null;
+  const [worst, ...others] = first ? [first, ...reasons.filter((each) => each !== first)] : reasons;
   const more = others.length ? words("views.now.more", { count: others.length }) : "";
   const reason = worst && [reasonText(worst, conditions, row), more].filter(Boolean).join(" ");
   const next = worst && meaning("reasons", worst.code, "next");

@@ -33,7 +33,7 @@ export function show({ store, spacecraft }) {
     const conditions = control?.conditions ?? [];
     const method = status?.method ?? "robust";
     const [row, other] = [attitude[method], attitude[method === "robust" ? "paper" : "robust"]];
-    drawVerdict(verdict, status, row, conditions);
+    drawVerdict(verdict, store.get(), row);
     const isStale = !row || link.state === "cut" || row.status === "EXPIRED" || OLD.some((code) => status?.control.reasons.some((each) => each.code === code));
     const age = row ? ageOf(store.get(), row) : NaN;
     for (const axis of AXES) gauges[axis].draw(axisState(axis, { row, other, conditions, isStale, age }));
@@ -134,19 +134,22 @@ function card(title) {
   return { node: element("section", { class: `card ${title}`, "aria-label": heading }, element("h2", {}, heading), body), body };
 }
 
-function drawVerdict(node, status, row, conditions) {
-  const text = status ? sentence(status, row, conditions) : words("views.now.waiting");
-  const level = !status ? "off" : status.control.allowed ? "normal" : status.control.state === "TRIPPED" ? "critical" : "serious";
+function drawVerdict(node, { status, control, link, offsetMs }, row) {
+  const isCut = link.state === "cut";
+  const text = isCut ? words("views.now.cut", { at: utc(link.since + offsetMs, "minute"), next: meaning("faults", "network", "next") }) : status ? sentence(status, row, control) : words("views.now.waiting");
+  const level = !status ? "off" : !isCut && status.control.allowed ? "normal" : status.control.state === "TRIPPED" ? "critical" : "serious";
   const key = `${level} ${text}`;
   if (node.dataset.shown === key) return;
   node.dataset.shown = key;
   fill(node, symbol(level), element("span", {}, text));
 }
 
-/** Return the age of a row; while the stream is cut it grows by the clock of the workstation. */
+/** Return the age of what a row stands on; while the stream is cut it grows by the clock of the workstation. */
 function ageOf(state, row) {
+  const since = row.status === "EXPIRED" && state.status?.control.reasons.find((each) => each.code === "expired")?.since;
+  const oldest = Math.min(...[row.epoch, since || row.epoch].map((each) => new Date(each).getTime()));
   const sinceStatus = state.link.state === "cut" && state.status?.clock === "data" ? performance.now() - state.statusAt : 0;
-  return Math.max(0, (presentOf(state) + sinceStatus - new Date(row.epoch).getTime()) / 1000);
+  return Math.max(0, (presentOf(state) + sinceStatus - oldest) / 1000);
 }
 
 function axisState(axis, { row, other, conditions, isStale, age }) {

@@ -80,6 +80,11 @@ _NEXT_STEPS = {
     "Stop the other service on this archive; then POST .../control:reset.": "lease",
 }
 _NEXT_STEP = {code: step for step, codes in _NEXT_STEPS.items() for code in codes.split()}
+#: reasons that follow from others or hold back yaw alone, named behind those: the first reason is the one to act on
+_NAMED_LAST = (
+    *("not_aligned", "unannounced_motion", "fade", "redundancy", "expired", "estimate_old", "no_attitude", "invalid"),
+    *("estimator", "tripped", "operation", "sigma_yaw", "yaw_beyond", "yaw_sign", "good_minutes", "not_armed"),
+)
 #: conditions that a verdict names, by code
 CONDITIONS = {each.word: each for each in Condition if each.consequence is not Consequence.ALARM}
 #: every code that a verdict may name
@@ -104,7 +109,10 @@ class ControlVerdict:
         bool, "False whenever the interlock or the newest attitude forbids; read this one for a decision."
     ]
     state: Annotated[str, "ENGAGED under release automatic: computed commands count as applied."]
-    reasons: Annotated[tuple[ControlReason, ...], "All active reasons; while allowed, those that withhold yaw alone."]
+    reasons: Annotated[
+        tuple[ControlReason, ...],
+        "All active reasons, the one to act on first; while allowed, those that withhold yaw alone.",
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,7 +241,12 @@ def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRo
     state = State.INHIBITED.name if view is None else view.state
     if view is not None and view.release == Release.AUTOMATIC and state != State.TRIPPED.name:
         state = State.INHIBITED.name if is_forbidden else State.ENGAGED.name
-    return ControlVerdict(state in _GIVING and not is_forbidden, state, tuple(found.values()))
+    return ControlVerdict(state in _GIVING and not is_forbidden, state, tuple(sorted(found.values(), key=_rank)))
+
+
+def _rank(reason: ControlReason) -> int:
+    """Return the place of a reason among others, least first."""
+    return _NAMED_LAST.index(reason.code) if reason.code in _NAMED_LAST else -1
 
 
 def _good_minutes(since_us: int | None, now_us: int, settings: ReleaseSettings) -> GoodMinutes:

@@ -36,11 +36,19 @@ def test_rows_of_every_status_have_reasons_in_words():
     # a row without angles, told by the service
     driver = ReleaseServiceDriver()
     driver.rows(1, status=Status.INVALID, inhibitions=("no_fix",), control_allowed=False)
-    assert codes(driver.verdict) == ["yaw_sign", "no_fix", "invalid", "not_armed"]
-    assert driver.verdict.reasons[2].text == "the newest row gives no attitude"
+    assert codes(driver.verdict) == ["no_fix", "invalid", "yaw_sign", "not_armed"]
+    assert driver.verdict.reasons[1].text == "the newest row gives no attitude"
     # what another version has stored is told as it is
     stored = control_verdict(CONTROL, replace(GOOD, inhibitions=("of_old",)))
-    assert (stored.is_allowed, stored.reasons[-1].text) == (False, "of_old")
+    assert (stored.is_allowed, stored.reasons[0].text) == (False, "of_old")
+
+
+def test_the_reason_to_act_on_comes_first():
+    row = replace(GOOD, status=Status.INVALID, inhibitions=("not_aligned",), control_allowed=False)
+    view = replace(CONTROL, state="INHIBITED", reasons=(reason_of("estimate_old"), reason_of("yaw_sign")))
+    assert codes(control_verdict(view, row)) == ["not_aligned", "estimate_old", "yaw_sign"], "links are not to blame"
+    row = replace(GOOD, status=Status.EXPIRED, inhibitions=("expired", "redundancy"), control_allowed=False)
+    assert codes(control_verdict(view, row))[0] == "redundancy"
 
 
 def test_figures_are_those_of_the_settings():
@@ -61,7 +69,7 @@ def test_while_neither_forbids_it_is_allowed_and_yaw_alone_may_be_withheld(state
 def test_a_row_that_forbids_forbids(release):
     row = replace(GOOD, inhibitions=("downlink_fade",), control_allowed=False)
     verdict = control_verdict(replace(CONTROL, release=release), row)
-    assert (verdict.is_allowed, codes(verdict)) == (False, ["yaw_sign", "downlink_fade"])
+    assert (verdict.is_allowed, codes(verdict)) == (False, ["downlink_fade", "yaw_sign"])
     assert verdict.state == ("INHIBITED" if release == "automatic" else "ARMED")
 
 
@@ -130,7 +138,7 @@ def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_
 def test_the_estimators_own_reasons_are_told_in_place_of_one_for_all():
     driver = ReleaseServiceDriver()
     driver.rows(1, inhibitions=("chain_step",), control_allowed=False)
-    assert codes(driver.verdict) == ["yaw_sign", "chain_step", "not_armed"]
+    assert codes(driver.verdict) == ["chain_step", "yaw_sign", "not_armed"]
     driver = ReleaseServiceDriver().armed()
     # by its own wider limits the interlock stays armed; the row forbids all the same
     driver.rows(1, attitude_deg=Axes(0.0, 0.35, 0.0), inhibitions=("beyond_validity",), control_allowed=False)
