@@ -52,7 +52,7 @@ def test_an_operation_that_inhibits_is_the_reason_and_its_comment_is_text(page, 
     ground.rows(1, (0.0, 0.03, 0.0))
     expect(page.get_by_role("heading", level=1)).to_contain_text("no torque: a declared operation forbids torques")
     page.reload()
-    expect(page.get_by_role("region", name="Next operation")).to_contain_text("station keeping")
+    expect(page.get_by_role("region", name="Operation", exact=True)).to_contain_text("station keeping")
     expect(page.get_by_text("<img src=x onerror=alert(1)>", exact=False).first).to_be_attached()
     expect(page.locator("main img")).to_have_count(0)
     assert fits(page)

@@ -13,6 +13,8 @@ from playwright.sync_api import expect
 from release_ground import ReleaseGround, record, seed_archive
 from service_process import KEY, PLAIN, ServiceProcess
 
+from service.records.epoch import format_epoch
+
 TABS = 7
 
 
@@ -72,6 +74,22 @@ def test_a_killed_service_is_told_and_its_rows_come_after_the_start_once_each(ne
     expect(page.get_by_text("cut since")).to_have_count(0)
     expect(page.locator(".gauge.is-stale")).to_have_count(0)
     expect(page.get_by_role("region", name="Roll", exact=True).locator(".value")).to_have_text(roll_of(ground))
+
+
+def test_an_answer_that_comes_late_does_not_hide_a_newer_row(new_context, ground, open_view):
+    page = new_context().new_page()
+    held = []
+    page.route("**/attitude?method=robust", lambda route: held.append((route, route.fetch())))
+    open_view(page, "now")
+    expect(page.locator("time.row")).not_to_have_text("")
+    ground.rows(1, (0.0, 0.01, 0.0))
+    newest = format_epoch(ground.now_us)[11:19]
+    expect(page.locator("time.row")).to_have_text(newest)
+    with page.expect_response("**/attitude?method=robust"):
+        for route, answer in held:
+            route.fulfill(response=answer)
+    page.wait_for_timeout(500)
+    expect(page.locator("time.row")).to_have_text(newest)
 
 
 def test_seven_tabs_share_one_stream_and_the_next_goes_on_when_the_first_closes(new_context, ground, open_view):

@@ -58,7 +58,7 @@ export function follow(store, spacecraft) {
       if (seen.size > REMEMBERED) seen.delete(seen.values().next().value);
     }
     lastId = id;
-    keep(store, kind, content, refresh);
+    keep(store, kind, content, { refresh, renew });
     store.publish(kind, content);
   }
 
@@ -117,9 +117,10 @@ export function follow(store, spacecraft) {
     }
   }
 
-  /** Read what is newest: at the beginning, and when events are missing. */
+  /** Read what is newest: at the beginning, and when events are missing. What an event brought meanwhile is newer. */
   async function refresh() {
     const base = `/spacecraft/${spacecraft}`;
+    const before = store.get();
     const found = await Promise.allSettled([
       get(`${base}/attitude`, { method: "robust" }),
       get(`${base}/attitude`, { method: "paper" }),
@@ -130,13 +131,32 @@ export function follow(store, spacecraft) {
     ]);
     if (isOver()) return;
     const [robust, paper, torque, control, alarms, status] = found.map((each) => each.value ?? null);
+    const now = store.get();
+    const newer = (part, read) => (now[part] === before[part] ? read : now[part]);
+    const rows = Object.entries({ robust, paper }).map(([method, read]) => [method, now.attitude[method] === before.attitude[method] ? read : now.attitude[method]]);
     store.set({
-      attitude: { ...(robust && { robust }), ...(paper && { paper }) },
-      torque,
-      control,
-      alarms: alarms?.rows ?? store.get().alarms,
-      ...(status && { status, statusAt: performance.now() }),
+      attitude: Object.fromEntries(rows.filter(([, row]) => row)),
+      torque: newer("torque", torque),
+      control: newer("control", control),
+      alarms: newer("alarms", alarms?.rows ?? now.alarms),
+      ...(status && now.status === before.status && { status, statusAt: performance.now() }),
     });
+  }
+
+  const applied = new Map();
+  let asked = 0;
+
+  /** Read a part again; an answer that a later one has overtaken is thrown away. */
+  async function renew(part, path, valueOf, params = {}) {
+    const turn = (asked += 1);
+    try {
+      const answer = await get(`/spacecraft/${spacecraft}${path}`, params);
+      if (isOver() || turn < (applied.get(part) ?? 0)) return;
+      applied.set(part, turn);
+      store.set({ [part]: valueOf(answer) });
+    } catch {
+      // the next event, or the next connection, brings it; the header says that the service does not answer
+    }
   }
 
   heard();
@@ -157,26 +177,17 @@ export function follow(store, spacecraft) {
 }
 
 /** Put an event into the store. */
-function keep(store, kind, content, refresh) {
+function keep(store, kind, content, { refresh, renew }) {
   const state = store.get();
   if (kind === "status") {
     const isSame = JSON.stringify(content.control) === JSON.stringify(state.status?.control);
     store.set({ status: content, statusAt: performance.now() });
-    if (!isSame && state.spacecraft) renew(store, `/spacecraft/${state.spacecraft.id}/control`, (control) => ({ control }));
+    if (!isSame) renew("control", "/control", (control) => control);
   } else if (kind === "attitude") store.set({ attitude: { ...state.attitude, [content.method]: content } });
   else if (kind === "torque") store.set({ torque: content });
   else if (kind === "measurement") store.set({ measurement: content });
-  else if (kind === "alarm" && state.spacecraft) {
-    renew(store, `/spacecraft/${state.spacecraft.id}/alarms`, ({ rows }) => ({ alarms: rows }), { state: OPEN_STATES });
-  } else if (kind === "dropped" && !content.follows) refresh();
-}
-
-async function renew(store, path, patchOf, params = {}) {
-  try {
-    store.set(patchOf(await get(path, params)));
-  } catch {
-    // the next event, or the next connection, brings it; the header says that the service does not answer
-  }
+  else if (kind === "alarm") renew("alarms", "/alarms", ({ rows }) => rows, { state: OPEN_STATES });
+  else if (kind === "dropped" && !content.follows) refresh();
 }
 
 /** Yield the events of a body; null for a beat. */

@@ -21,9 +21,10 @@ export function alarmSummary(store) {
   const said = element("span", { role: "alert" });
   let drawn = null;
   const draw = () => {
-    const { alarms } = store.get();
-    if (alarms === drawn) return;
-    drawn = alarms;
+    const { alarms, link } = store.get();
+    const isCut = link.state === "cut";
+    if (drawn?.alarms === alarms && drawn.isCut === isCut) return;
+    drawn = { alarms, isCut };
     const open = pressing(alarms);
     const worst = open[0];
     const mayOperate = store.get().session?.permissions.includes("operate");
@@ -37,8 +38,8 @@ export function alarmSummary(store) {
     };
     fill(
       node,
-      symbol(worst ? SEVERITY_LEVEL[worst.severity] : "normal"),
-      element("a", { href: "#/alarms" }, worst ? words("app.alarms.open", { count: open.length, worst: meaning("alarms", worst.condition) }) : words("app.alarms.none")),
+      symbol(worst ? SEVERITY_LEVEL[worst.severity] : isCut ? "off" : "normal"),
+      element("a", { href: "#/alarms" }, worst ? words("app.alarms.open", { count: open.length, worst: meaning("alarms", worst.condition) }) : words(isCut ? "app.alarms.unknown" : "app.alarms.none")),
       mayOperate && waiting.length > 0 && element("button", { type: "button", onclick: acknowledge }, words("app.alarms.acknowledge", { count: waiting.length })),
       said,
     );

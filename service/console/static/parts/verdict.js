@@ -31,16 +31,20 @@ export function sentence(status, row, control) {
 /** Return what is known of the angles. */
 function knowledge(row) {
   if (!row) return meaning("statuses", "NOT_RECEIVED");
-  if (row.status !== "ACQUIRED") return meaning("statuses", row.status);
+  if (row.status === "INVALID") return words("views.now.unknown");
   const sigma = Math.max(row.sigma_deg.roll ?? NaN, row.sigma_deg.pitch ?? NaN);
-  return Number.isFinite(sigma) ? words("views.now.known", { sigma: number(2 * sigma, 2) }) : meaning("statuses", "ACQUIRED");
+  if (row.status !== "ACQUIRED" || !Number.isFinite(sigma)) return meaning("statuses", row.status);
+  // rounded up: never better than it is
+  return words("views.now.known", { sigma: number(Math.ceil(200 * sigma) / 100, 2) });
 }
 
 function reasonText(reason, conditions, row) {
   const condition = conditions.find((each) => each.code === reason.code);
-  const value = ["fade", "downlink_fade"].includes(reason.code) ? row?.downlink_fade_db : condition?.value;
-  const unit = UNITS[["fade", "downlink_fade"].includes(reason.code) ? "dB" : condition?.unit];
-  const size = Number.isFinite(value) && unit ? `${number(value, unit[1])} ${words(`app.unit.${unit[0]}`)}` : "";
+  const isFade = ["fade", "downlink_fade"].includes(reason.code);
+  const [value, limit] = isFade ? [row?.downlink_fade_db, null] : [condition?.value, condition?.limit];
+  const [unit, digits] = UNITS[isFade ? "dB" : condition?.unit] ?? [];
+  const ofLimit = Number.isFinite(limit) && words("views.now.ofAlert", { alert: number(limit, digits) });
+  const size = Number.isFinite(value) && unit && [number(value, digits), ofLimit, words(`app.unit.${unit}`)].filter(Boolean).join(" ");
   const since = reason.since ?? condition?.since;
   return [meaning("reasons", reason.code), size, since && words("views.now.since", { at: utc(since, "minute") })].filter(Boolean).join(" ");
 }

@@ -66,6 +66,7 @@ export function show({ store, spacecraft }) {
   async function loadSlow() {
     const present = presentOf(store.get());
     if (!Number.isFinite(present)) return;
+    const former = store.get().control;
     const [now, ahead, before] = [present, present + OPERATIONS_AHEAD_MS, present - HOUR_MS].map((ms) => new Date(ms).toISOString());
     const [operations, telemetry, control] = await Promise.all([
       quiet(get(`${base}/operations`, { start: now, stop: ahead })),
@@ -73,7 +74,8 @@ export function show({ store, spacecraft }) {
       quiet(get(`${base}/control`)),
     ]);
     if (state.isClosed) return;
-    if (control) store.set({ control });
+    // an event may have brought a newer one
+    if (control && store.get().control === former) store.set({ control });
     state.operations = operations?.rows ?? state.operations;
     state.telemetry = telemetry?.rows.at(-1) ?? state.telemetry;
     draw();
