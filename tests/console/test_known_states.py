@@ -3,6 +3,7 @@
 The pictures are ``build/console/state-*.png``; the state of each stands in `STATES`, not in the picture's name.
 """
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -114,7 +115,7 @@ STATES: dict[str, tuple[Callable[[ReleaseGround], None], str]] = {
     "j": (operation, "a declared operation forbids torques"),
     "k": (roll_beyond, "roll or pitch beyond"),
 }
-CRAFTS = (record("yamal-202"), *(record(f"sat-{name}") for name in STATES if name != "i"))
+CRAFTS = (record("yamal-202"), *(record(f"sat-{name}") for name in (*STATES, "m") if name != "i"))
 
 
 @pytest.mark.parametrize("name", STATES)
@@ -128,6 +129,22 @@ def test_a_known_state_is_said_with_reason_and_next_step(page, ground, open_view
     expect(page.locator("main")).not_to_contain_text("NaN")
     assert fits(page)
     screenshot(page, f"state-{name}")
+
+
+def test_a_sudden_motion_shortens_the_time_to_the_limit(page, ground, open_view):
+    moved = ReleaseGround(ground.client, "sat-m")
+    armed(moved)
+    drift = np.zeros((20, 3))
+    drift[:, 1] = 0.03 + np.linspace(0.01, 0.2, 20)
+    moved.rows(20, drift)
+    row = moved.get("/attitude")
+    left_h = (0.4 - row["roll_deg"]) / (3600.0 * row["rates_deg_s"]["roll"])
+    assert left_h > 1.0, "by the filter's rate alone"
+    open_view(page, "now")
+    page.get_by_label("Spacecraft").select_option("sat-m")
+    roll = page.get_by_role("region", name="Roll", exact=True)
+    # 0.6 deg/h from 0.23 deg on
+    expect(roll.locator("dd").nth(1)).to_have_text(re.compile(r"^[12]\d min$"))
 
 
 def test_a_service_that_is_gone_is_said_beside_the_last_that_is_known(new_page, ground, service, open_view, screenshot):

@@ -14,6 +14,8 @@ const PLAIN_DEG = 0.5;
 const ROOM = 1.25;
 /** The least height of the curve of the last hour, deg: below it, it shows noise. */
 const LEAST_SPAN_DEG = 0.02;
+/** The slope of the curve: of so many newest bins, and so many with rows at least. */
+const [SLOPE_BINS, SLOPE_ROWS] = [60, 15];
 
 /**
  * @typedef {Object} AxisState
@@ -94,7 +96,9 @@ export function gauge(axis) {
     if (isKnown) needle.setAttribute("d", `M${at(state.angle)} 22v32M${at(state.angle) - 8} 8h16l-8 14z`);
     show(other, Number.isFinite(state.other));
     if (Number.isFinite(state.other)) other.setAttribute("d", `M${at(state.other) - 6} 66h12l-6 -11z`);
-    const time = secondsToLimit(state);
+    // the filter's rate follows a sudden motion late, the curve of the last half hour does not
+    const times = [state.rate, hour.rate()].map((each) => secondsToLimit({ ...state, rate: each })).filter((each) => !Number.isNaN(each));
+    const time = times.length ? Math.min(...times) : NaN;
     setText(value, number(state.angle, 3));
     setText(rate, `${number(state.rate === null ? null : state.rate * 3600, 3)} ${words("app.unit.deg_h")}`);
     setText(toLimit, isBeyond ? words("views.now.beyond") : time === Infinity ? words("views.now.never") : duration(time));
@@ -178,7 +182,16 @@ function lastHour() {
     setText(bottom, angles.length ? number(middle - half, 3) : "");
   }
 
-  return { node, push, draw, renew: () => bins.clear() };
+  /** Return the slope of the last half hour, deg/s; NaN: too few rows. */
+  function rate() {
+    const points = [...bins].filter(([bin]) => bin > newest - SLOPE_BINS).map(([bin, { sum, n }]) => [(bin - newest) * (BIN_MS / 1000), sum / n]);
+    if (points.length < SLOPE_ROWS) return NaN;
+    const [time, angle] = [0, 1].map((column) => points.reduce((sum, point) => sum + point[column], 0) / points.length);
+    const square = points.reduce((sum, [at]) => sum + (at - time) ** 2, 0);
+    return points.reduce((sum, [at, value]) => sum + (at - time) * (value - angle), 0) / square;
+  }
+
+  return { node, push, draw, rate, renew: () => bins.clear() };
 }
 
 function hatch(axis) {
