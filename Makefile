@@ -66,7 +66,7 @@ mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; 
 	$(BIN)/python tests/mutation/mutants.py
 
 console-check: $(DEV_STAMP) ## look at the console in the system's chromium; pictures in build/console
-	$(BIN)/python -m pytest -p no:randomly tests/console
+	$(BIN)/python -m pytest -p no:randomly -m "not nightly" tests/console
 
 # without unraisableexception: the sockets that a client leaves to the collector are its own
 clients: $(STAMP) $(CLIENTS_STAMP) ## drive the simulated analyzer with third-party programs, print what each did
@@ -97,6 +97,7 @@ bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 nightly: export SOO_TEST_PROFILE := nightly
 nightly: $(DEV_STAMP) ## long tests, and new examples of every property
 	$(BIN)/python -m pytest -m nightly
+	$(BIN)/python -m pytest -p no:randomly -m nightly tests/console
 	$(BIN)/python -m pytest -m "not nightly" tests/property
 
 docs: $(DOCS_STAMP) ## build the documents as a searchable offline site, build/site/index.html; broken links fail

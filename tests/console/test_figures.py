@@ -5,10 +5,11 @@ computes, the time of its main thread (Chromium's ``threadTicks``) is.
 """
 
 import json
+import os
 import re
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,23 @@ import numpy as np
 import pytest
 import release_ground
 from geometry_flight import FlightPayload
-from playwright.sync_api import CDPSession, Page, expect
+from playwright.sync_api import CDPSession, Locator, Page, expect
+from release_ground import ReleaseGround, record, seed_archive
+from service_process import ServiceProcess, serving_on
 
 from service.records.epoch import format_epoch
 
 FIGURES = Path(__file__).parents[2] / "build/console/figures.json"
-RUNS, CARRIERS = 5, 32
+RUNS = 5
 #: twice what is to be reached
 FACTOR = 2.0
 FIRST_PAINT_S, FIRST_VALUES_S = 0.5, 1.0
-ROUNDS = (5, 15)
+#: rows of a burst, in requests of so many; six hours hold them all and those before them
+BURST_ROWS, REQUEST_ROWS = 200, 10
+SPAN_S = 6 * 3600
+CLICK_S = 1.0
+#: divides by rounds and views
+NIGHTLY_ROWS = 45 * 12 * 19
 #: a few hundred nodes are one view: rounds would leave one each
 NODES = 400
 HEAP_BYTES = 1_000_000
@@ -41,12 +49,21 @@ new MutationObserver(() => {
 """
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _many_carriers() -> Iterator[None]:
-    """Give the spacecraft of this module as many carriers as the figures ask for."""
-    former, release_ground.PAYLOAD = release_ground.PAYLOAD, FlightPayload.make(CARRIERS)
-    yield
+@pytest.fixture(scope="module", params=[32])
+def carriers(request: pytest.FixtureRequest) -> Iterator[int]:
+    """Give the spacecraft as many carriers as a figure asks for."""
+    former, release_ground.PAYLOAD = release_ground.PAYLOAD, FlightPayload.make(request.param)
+    yield request.param
     release_ground.PAYLOAD = former
+
+
+@pytest.fixture(scope="module")
+def service(carriers: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
+    """Give a service to the tests of one number of carriers."""
+    database = tmp_path_factory.mktemp("figures") / "soo.db"
+    seed_archive(f"sqlite:///{database}", record("yamal-202"))
+    with serving_on(database, os.environ) as started:
+        yield started
 
 
 @pytest.fixture(scope="module")
@@ -89,9 +106,13 @@ def test_first_paint_and_first_values_of_a_cold_browser(new_context, ground, fig
     assert min(value_s, thread) <= FACTOR * FIRST_VALUES_S
 
 
-@pytest.mark.parametrize(("per_s", "rows", "p50_s", "p99_s"), [(1.0, 10, 0.1, 0.3), (10.0, 60, 0.15, 0.5)])
+@pytest.mark.parametrize(
+    ("carriers", "per_s", "rows", "p50_s", "p99_s"),
+    [(32, 1.0, 10, 0.1, 0.3), (16, 10.0, 60, 0.15, 0.5)],
+    indirect=["carriers"],
+)
 def test_a_row_is_on_the_screen_soon_after_it_was_accepted(
-    new_page, ground, open_view, figures, per_s, rows, p50_s, p99_s
+    new_page, ground, open_view, figures, carriers, per_s, rows, p50_s, p99_s
 ):
     page = new_page()
     page.add_init_script(WATCH)
@@ -109,49 +130,118 @@ def test_a_row_is_on_the_screen_soon_after_it_was_accepted(
     waits_s = [max(0.0, shown[name] - at) / 1000 for name, at in accepted.items() if name in shown]
     a_row_s = (thread_s(session) - began) / rows
     found = [float(np.percentile(waits_s, share)) for share in (50, 99)]
-    figures[f"2xx to screen, {CARRIERS} carriers, {per_s:g} rows/s: p50, p99, main thread a row, s"] = [*found, a_row_s]
+    figures[f"2xx to screen, {carriers} carriers, {per_s:g} rows/s: p50, p99, main thread a row, s"] = [*found, a_row_s]
     assert len(waits_s) >= 0.5 * rows, "frames are dropped, not most of the rows"
     assert min(found[0], a_row_s) <= FACTOR * p50_s
     assert min(found[1], a_row_s) <= FACTOR * p99_s
 
 
-def test_rounds_of_all_views_leave_nothing_behind(new_page, ground, open_view, figures):
+def drawn_rows(view: Locator) -> int:
+    """Return how many rows History draws, each of them alone."""
+    return int(view.get_attribute("data-rows") or 0)
+
+
+@pytest.mark.parametrize("carriers", [128], indirect=True)
+def test_a_burst_drops_frames_and_no_rows(new_context, new_page, ground, open_view, figures, carriers):
+    context = new_context()
+    now, history = new_page(context), new_page(context)
+    now.add_init_script(WATCH)
+    open_view(now, "now")
+    view = open_view(history, "history", f"?span={SPAN_S}").locator(".history[aria-busy=false]")
+    expect(view).to_have_attribute("data-rows", re.compile("[1-9]"))
+    before = drawn_rows(view)
+    session = measured(now)
+    began, began_s = thread_s(session), time.monotonic()
+    for _ in range(BURST_ROWS // REQUEST_ROWS):
+        ground.rows(REQUEST_ROWS, (0.0, 0.03, 0.0), settle=False)
+    sent_s = time.monotonic() - began_s
+    # a click in the middle of it
+    at = thread_s(session)
+    now.get_by_role("link", name="Carriers").click()
+    expect(now.locator("nav a[aria-current]")).to_have_attribute("href", "#/carriers")
+    expect(now.locator(".carriers")).to_be_visible()
+    click_s = thread_s(session) - at
+    now.get_by_role("link", name="Now").click()
+    ground.settle()
+    expect(now.locator("time.row")).to_have_text(format_epoch(ground.now_us)[11:19])
+    a_row_s = (thread_s(session) - began) / BURST_ROWS
+    shown = len(now.evaluate("window.shownRows"))
+    expect(view).to_have_attribute("data-rows", str(before + BURST_ROWS))
+    figures[f"burst, {carriers} carriers: rows/s sent"] = BURST_ROWS / sent_s
+    figures["burst, main thread a row and of a click, s"] = [a_row_s, click_s]
+    figures["burst, rows, frames that showed one"] = [BURST_ROWS, shown]
+    assert click_s <= CLICK_S
+
+
+class _Rounds:
+    """Walks of a page through all views, and what they leave behind."""
+
+    def __init__(self, page: Page, ground: ReleaseGround) -> None:
+        self._page = page
+        self._ground = ground
+        self._session = page.context.new_cdp_session(page)
+        self.names = [str(each.get_attribute("href")) for each in page.locator("nav a").all()]
+
+    def run(self, rounds: int, rows: int) -> None:
+        """Open every view in each round while so many rows come in; end in view Now."""
+        for _ in range(rounds):
+            for name in self.names:
+                if rows:
+                    self._ground.rows(rows // len(self.names), (0.0, 0.03, 0.0), settle=False)
+                self._page.goto(f"/console/{name}")
+                expect(self._page.locator("nav a[aria-current]")).to_have_attribute("href", name)
+                expect(self._page.locator("main > *").first).to_be_visible()
+            self._ground.settle()
+        self._page.goto("/console/#/now")
+        expect(self._page.locator(".gauge .value").first).to_have_text(re.compile(r"\d"))
+        self._collect()
+
+    def heap_bytes(self) -> int:
+        """Return what is in use after a collection."""
+        self._collect()
+        return int(self._session.send("Runtime.getHeapUsage")["usedSize"])
+
+    def nodes(self) -> int:
+        """Return how many nodes there are after a collection."""
+        self._collect()
+        return int(self._session.send("Memory.getDOMCounters")["nodes"])
+
+    def detached(self) -> list[str]:
+        """Return what a script holds that hangs on no page: tag and attributes of each root, and how many nodes."""
+        self._collect()
+        trees = self._session.send("DOM.getDetachedDomNodes")["detachedNodes"]
+        roots = [(each["treeNode"], len(each["retainedNodeIds"])) for each in trees]
+        return [f"{root['nodeName']} {root.get('attributes', '')} {count}" for root, count in roots]
+
+    def wait_until(self, is_done: Callable[[], bool]) -> None:
+        """Wait until something holds, or for as long as an answer may take."""
+        for _ in range(40):
+            if is_done():
+                return
+            self._page.wait_for_timeout(500)
+
+    def _collect(self) -> None:
+        for _ in range(3):
+            self._session.send("HeapProfiler.collectGarbage")
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "rows"),
+    [(5, 15, 0), pytest.param(5, 50, NIGHTLY_ROWS, marks=[pytest.mark.nightly, pytest.mark.timeout(3600)])],
+)
+def test_rounds_of_all_views_leave_nothing_behind(new_page, ground, open_view, figures, first, last, rows):
     page = new_page()
     open_view(page, "now")
-    session = page.context.new_cdp_session(page)
-    names = [each.get_attribute("href") for each in page.locator("nav a").all()]
-
-    def counters() -> dict[str, int]:
-        for _ in range(3):
-            session.send("HeapProfiler.collectGarbage")
-        return dict(session.send("Memory.getDOMCounters"))
-
-    def heap(rounds: int) -> int:
-        for _ in range(rounds):
-            for name in names:
-                page.goto(f"/console/{name}")
-                expect(page.locator("nav a[aria-current]")).to_have_attribute("href", name)
-                expect(page.locator("main > *").first).to_be_visible()
-        page.goto("/console/#/now")
-        expect(page.locator(".gauge .value").first).to_have_text(re.compile(r"\d"))
-        counters()
-        return int(session.send("Runtime.getHeapUsage")["usedSize"])
-
-    first = heap(ROUNDS[0])
-    nodes = counters()
-    # a request that was given up may hold its view until its answer is thrown away
-    for _ in range(6):
-        page.wait_for_timeout(500)
-        nodes = min(nodes, counters(), key=lambda each: each["nodes"])
-    last = heap(ROUNDS[1] - ROUNDS[0])
-    after = counters()
-    for _ in range(40):
-        # a leak stays
-        if after["nodes"] - nodes["nodes"] < NODES:
-            break
-        page.wait_for_timeout(500)
-        after = counters()
-    figures[f"heap from round {ROUNDS[0]} to {ROUNDS[1]} of {len(names)} views, bytes"] = last - first
-    figures["nodes and listeners gained"] = [after[name] - nodes[name] for name in ("nodes", "jsEventListeners")]
-    assert last - first <= FACTOR * HEAP_BYTES
-    assert after["nodes"] - nodes["nodes"] < NODES
+    rounds = _Rounds(page, ground)
+    rounds.run(first, 0)
+    # a request that was given up may hold its view until its answer is thrown away; a leak stays
+    rounds.wait_until(lambda: not rounds.detached())
+    heap, nodes = rounds.heap_bytes(), rounds.nodes()
+    rounds.run(last - first, rows // (last - first))
+    rounds.wait_until(lambda: not rounds.detached() and rounds.nodes() - nodes < NODES)
+    gained, nodes_gained, detached = rounds.heap_bytes() - heap, rounds.nodes() - nodes, rounds.detached()
+    figures[f"heap from round {first} to {last} of {len(rounds.names)} views, {rows} rows, bytes"] = gained
+    figures[f"nodes gained, detached trees, to round {last}"] = [nodes_gained, len(detached)]
+    assert gained <= FACTOR * HEAP_BYTES
+    assert nodes_gained < NODES
+    assert detached == []
