@@ -39,6 +39,9 @@ _EXPECTED_ROWS, _PAGE_ROWS = 20_000, 2000
 
 QuantityParameter = Annotated[list[Quantity], Query(min_length=1, max_length=30, description="Quantities, each once")]
 MethodsParameter = Annotated[list[Method] | None, Query(max_length=10, description="Default: every method")]
+ExtremeEpochsParameter = Annotated[
+    bool, Query(description="false: do not say when the extremes were; charts need half the bytes and the time")
+]
 
 
 class _Grid(NamedTuple):
@@ -90,6 +93,7 @@ def sample_quantities(
     start: StartParameter = None,
     stop: StopParameter = None,
     count: CountParameter = 500,
+    extreme_epochs: ExtremeEpochsParameter = True,  # noqa: FBT002 - a query parameter
 ) -> SampledQuantities:
     """Return count, mean, least and greatest value of quantities in at most ``count`` intervals, column by column.
 
@@ -112,7 +116,9 @@ def sample_quantities(
         interval_s=(grid.stop_us - grid.start_us) // grid.intervals // 1_000_000,
         version=version,
         epochs=begins_us.tolist(),
-        series=[SampledSeries.of_column(name, column.at(is_filled)) for name, column in found],
+        series=[
+            SampledSeries.of_column(name, column.at(is_filled), has_epochs=extreme_epochs) for name, column in found
+        ],
     )
 
 

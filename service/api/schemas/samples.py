@@ -39,11 +39,11 @@ class SampledSeries(Answer):
     min: list[float | None]
     max: list[float | None]
     min_epoch: list[str | None]
-    """First row that holds the least value."""
+    """First row that holds the least value; empty where `extreme_epochs` is false."""
     max_epoch: list[str | None]
 
     @classmethod
-    def of_column(cls, name: SeriesName, found: Summaries) -> Self:
+    def of_column(cls, name: SeriesName, found: Summaries, *, has_epochs: bool) -> Self:
         """Return the answer for the one column of some intervals."""
         counts = found.counts[:, 0]
         is_held = counts > 0
@@ -54,8 +54,8 @@ class SampledSeries(Answer):
             avg=_where(is_held, found.sums[:, 0] / np.maximum(counts, 1)),
             min=_where(is_held, found.minima[:, 0]),
             max=_where(is_held, found.maxima[:, 0]),
-            min_epoch=_epochs_where(is_held, found.minimum_us[:, 0]),
-            max_epoch=_epochs_where(is_held, found.maximum_us[:, 0]),
+            min_epoch=_epochs_where(is_held, found.minimum_us[:, 0]) if has_epochs else [],
+            max_epoch=_epochs_where(is_held, found.maximum_us[:, 0]) if has_epochs else [],
         )
 
 

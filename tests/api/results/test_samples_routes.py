@@ -183,6 +183,11 @@ async def test_quantities_are_those_of_the_rows(bench, make, seed):
         for (quantity, method, carrier), samples in found.items():
             pairs = [(row.epoch_us, value_of(quantity, method, carrier, row, rows, each)) for row, rows, each in held]
             assert samples == plain_samples(pairs, *bounds_us, interval_us), quantity
+        asked = {"quantity": quantities, "carrier": ["c01", "c04"], "count": count, **span}
+        without = await bench.get("/samples", extreme_epochs=False, **asked)
+        for each in reported["series"]:
+            each["min_epoch"] = each["max_epoch"] = []
+        assert without == reported
 
 
 def value_of(quantity, method, carrier, row, rows, carriers):

@@ -180,9 +180,8 @@ export function show({ store, spacecraft, parameters, rewrite }) {
     setText(status, words("views.history.loading"));
     if (isLive) span = [present() - (span[1] - span[0]), present()];
     write();
-    const window_ = ends();
     try {
-      const [samples, found] = await Promise.all([ask(window_, INTERVALS, signal), get(`${base}/timeline`, window_, { signal })]);
+      const [samples, found] = await Promise.all([ask(ends(), INTERVALS, signal), askTimeline(signal)]);
       curves = curvesOf(samples);
       timeline = found;
       timelineAt = performance.now();
@@ -196,7 +195,9 @@ export function show({ store, spacecraft, parameters, rewrite }) {
     node.setAttribute("aria-busy", "false");
   }
 
-  const ask = (window_, count, signal) => get(`${base}/samples`, { ...window_, quantity: QUANTITIES, method: methods(), count }, { signal });
+  const ask = (window_, count, signal) => get(`${base}/samples`, { ...window_, quantity: QUANTITIES, method: methods(), count, extreme_epochs: false }, { signal });
+  // lanes are those of the driving method, and the rows of both stand beside each other
+  const askTimeline = (signal) => get(`${base}/timeline`, { ...ends(), method: methods()[0] }, { signal });
 
   /** Ask for what is new of a live span: whole intervals again, so that no row is missing and none is twice. */
   async function tail() {
@@ -216,7 +217,7 @@ export function show({ store, spacecraft, parameters, rewrite }) {
       write();
       if (performance.now() - timelineAt > TIMELINE_MS) {
         timelineAt = performance.now();
-        timeline = await get(`${base}/timeline`, ends(), { signal });
+        timeline = await askTimeline(signal);
       }
       draw();
     } catch {

@@ -49,7 +49,7 @@ export function show({ store, spacecraft }) {
     const { status } = store.get();
     const present = status?.newest_attitude ? new Date(status.newest_attitude).getTime() : Date.now();
     const [start, stop] = [new Date(present - HOUR_MS).toISOString(), new Date(present + 1).toISOString()];
-    const found = await quiet(get(`${base}/samples`, { quantity: AXES.map((axis) => `${axis}_deg`), method: status?.method ?? "robust", start, stop, count: SAMPLES }));
+    const found = await quiet(get(`${base}/samples`, { quantity: AXES.map((axis) => `${axis}_deg`), method: status?.method ?? "robust", start, stop, count: SAMPLES, extreme_epochs: false }));
     for (const axis of found ? AXES : []) {
       gauges[axis].renew();
       const series = found.series.find((each) => each.quantity === `${axis}_deg`);
