@@ -4,10 +4,10 @@ They are made, stored and deleted together with the summary of the attitude of t
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
-from itertools import starmap
-from typing import Any
+from itertools import chain, starmap
+from typing import Any, Protocol
 
 import zstandard
 from sqlalchemy import Connection, select
@@ -26,14 +26,22 @@ from service.records.levels.attitude import AttitudeRow
 
 #: kind under which gaps are stored beside the runs, rows missing in the place of rows
 _GAP = "gap"
+#: rows of a method that one answer reads where there are no summaries: seven hours of a row a second
+MOST_ROWS = 25_000
+
+
+class EitherEnd(Protocol):
+    """Pages of attitude from either end of a window."""
+
+    def __call__(
+        self, window: Window, limit: int, after: tuple[int, int] | None, /, *, newest_first: bool = False
+    ) -> Sequence[AttitudeRow]:
+        """Return rows beyond a cursor."""
 
 
 def stretch_of(read: RowPages[AttitudeRow], window: Window) -> Stretch | None:
     """Return runs and gaps of the rows of a window; None where there is no row."""
-    search = StretchSearch()
-    for rows in pages(read, window):
-        search.add([row.epoch_us for row in rows], _states(rows))
-    return search.end()
+    return _stretch(pages(read, window))
 
 
 def store_states(connection: Connection, summary_id: int, stretch: Stretch | None) -> None:
@@ -52,8 +60,29 @@ def store_states(connection: Connection, summary_id: int, stretch: Stretch | Non
     connection.execute(state_summary.insert().values(values))
 
 
-def state_history(database: Database, key: int, method: str, read: RowPages[AttitudeRow], window: Window) -> History:
-    """Return runs and gaps of a window: of days with a sound summary from it, of the others from their rows."""
+def state_history(database: Database, key: int, method: str, read: EitherEnd, window: Window) -> History:
+    """Return runs and gaps of a window: of days with a sound summary from it, of the others from their newest rows."""
+    stretches: list[Stretch] = []
+    parts: list[History] = []
+    stop_us, left = window.stop_us, MOST_ROWS
+    for part in reversed(_parts(database, key, method, window)):
+        if isinstance(part, Stretch):
+            stretches.insert(0, part)
+            continue
+        rows, start_us = _newest_rows(read, part, left)
+        left -= len(rows)
+        found = _stretch([rows])
+        stretches[:0] = [] if found is None else [found]
+        if start_us > part.start_us:
+            parts.insert(0, joined_stretches(stretches, start_us, stop_us))
+            parts.insert(0, History([], [], [(part.start_us, start_us)]))
+            stretches, stop_us = [], part.start_us
+    parts.insert(0, joined_stretches(stretches, window.start_us, stop_us))
+    return History(*(list(chain.from_iterable(lists)) for lists in zip(*parts, strict=True)))
+
+
+def _parts(database: Database, key: int, method: str, window: Window) -> list[Stretch | Window]:
+    """Return the stored stretches of a window, and the windows beside them, in order."""
     day = attitude_summary.c
     query = (
         select(state_summary, day.start_us)
@@ -62,15 +91,31 @@ def state_history(database: Database, key: int, method: str, read: RowPages[Atti
         .where(day.start_us > window.start_us - DAY_US, day.start_us < window.stop_us)
         .order_by(day.start_us)
     )
-    stretches, rest_us = [], window.start_us
+    parts: list[Stretch | Window] = []
+    rest_us = window.start_us
     for row in database.fetch(query):
         stored = _stored(row)
         if stored is not None:
-            stretches += [stretch_of(read, Window(rest_us, row.start_us)) if rest_us < row.start_us else None, stored]
+            parts += [Window(rest_us, row.start_us), stored] if rest_us < row.start_us else [stored]
             rest_us = row.start_us + DAY_US
-    if rest_us < window.stop_us:
-        stretches.append(stretch_of(read, Window(rest_us, window.stop_us)))
-    return joined_stretches([each for each in stretches if each is not None], window.start_us, window.stop_us)
+    return [*parts, Window(rest_us, window.stop_us)] if rest_us < window.stop_us else parts
+
+
+def _newest_rows(read: EitherEnd, window: Window, most: int) -> tuple[Sequence[AttitudeRow], int]:
+    """Return the newest rows of a window, whole epochs, and the epoch from which on they are all."""
+    rows = read(window, most + 1, None, newest_first=True)[::-1]
+    if len(rows) <= most:
+        return rows, window.start_us
+    start_us = rows[0].epoch_us + 1
+    return [row for row in rows if row.epoch_us >= start_us], start_us
+
+
+def _stretch(found: Iterable[Sequence[AttitudeRow]]) -> Stretch | None:
+    """Return runs and gaps of rows that come in pieces; None where there is no row."""
+    search = StretchSearch()
+    for rows in found:
+        search.add([row.epoch_us for row in rows], _states(rows))
+    return search.end()
 
 
 def _stored(row: Any) -> Stretch | None:

@@ -182,7 +182,8 @@ class Results(Protocol):
         """Return from when until when the live rows of a method had which states, and where rows are missing.
 
         States are status, control allowed, inhibitions, advice, downlink fade and exclusions by carrier. Closed days
-        are read as their summaries; a run or gap that reaches over an end is whole up to the days at the ends.
+        are read as their summaries; a run or gap that reaches over an end is whole up to the days at the ends. Of the
+        others the newest rows are read, and the spans before them are said to be left out.
         """
 
     def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:

@@ -144,3 +144,15 @@ def test_a_year_of_both_methods(new_page, ground, service, screenshot, record_pr
         wall_s, requests_s, page_used_s, service_used_s = figures[kind]
         assert min(wall_s, page_used_s) <= drawn_s
         assert min(requests_s, service_used_s) <= REQUEST_S
+
+
+def test_spans_whose_states_are_left_out_are_named(page, open_view):
+    def answer(route):
+        found = route.fetch()
+        left_out = [{"start": "2027-01-15T09:00:00Z", "stop": "2027-01-15T09:30:00Z"}]
+        route.fulfill(response=found, json={**found.json(), "states_left_out": left_out})
+
+    page.route("**/timeline?*", answer)
+    open_view(page, "history", "?start=2027-01-15T09:00:00Z&stop=2027-01-15T11:00:00Z")
+    status = page.locator(".history-status")
+    expect(status).to_contain_text("States and gaps of 2027-01-15 09:00:00 – 2027-01-15 09:30:00 are not shown")

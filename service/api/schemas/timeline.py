@@ -69,6 +69,11 @@ class TimelineAnswer(Answer):
     """Runs of one state that reach into the span; a run of closed days is whole within the first and the last day."""
     gaps: list[GapAnswer]
     """Where rows of the estimator are missing, by the usual distance of the rows of the day."""
+    states_left_out: list[WindowAnswer]
+    """Whose states and gaps of a method are not here: of rows without a summary the newest 25000 are read.
+
+    What is here is exact; ask for these spans by themselves.
+    """
     operations: list[OperationAnswer]
     corrections: list[CorrectionAnswer]
     commands: list[TimelineCommandAnswer]

@@ -46,7 +46,7 @@ class Timeline:
         """Return all intervals and marks of the span."""
         results, expected = self.context.storage.results, self._expected()
         histories = [
-            History([], []) if expected is None else results.state_history(self.spacecraft_id, each, expected)
+            History([], [], []) if expected is None else results.state_history(self.spacecraft_id, each, expected)
             for each in methods
         ]
         coarse = [coarsened(history.runs, MOST_RUNS) for history in histories]
@@ -58,6 +58,7 @@ class Timeline:
             joined_s=max(join_s for join_s, _ in coarse),
             states=[run for of_method in runs for run in of_method],
             gaps=[GapAnswer.of(gap) for gap in histories[0].gaps],
+            states_left_out=[WindowAnswer.of(Window(*ends)) for ends in sorted(_left_out(histories))],
             alignments=[TimelineAlignmentAnswer.of(each) for each in alignments if self._holds(each.epoch_us)],
             cut=[name for name, found in lists.items() if len(found) > MOST],
             **{name: found[:MOST] for name, found in lists.items()},
@@ -123,6 +124,10 @@ class Timeline:
 
     def _reaches(self, command: Command) -> bool:
         return command.stop_us >= self.window.start_us and command.start_us < self.window.stop_us
+
+
+def _left_out(histories: Sequence[History]) -> set[tuple[int, int]]:
+    return {ends for history in histories for ends in history.left_out_us}
 
 
 def _runs(method: Method, runs: Sequence[StateRun]) -> Iterator[StateRunAnswer]:

@@ -51,6 +51,8 @@ class History(NamedTuple):
 
     runs: list[StateRun]
     gaps: list[Gap]
+    #: starts and stops, microseconds UTC, of what was not searched
+    left_out_us: list[tuple[int, int]]
 
 
 class StretchSearch:
@@ -119,7 +121,7 @@ def joined_stretches(stretches: Sequence[Stretch], start_us: int, stop_us: int) 
         gaps += stretch.gaps
     inside = [run for run in runs if run.start_us < stop_us and run.stop_us >= start_us]
     missing = [gap for gap in gaps if gap.start_us < stop_us and gap.stop_us > start_us]
-    return History(sorted(inside, key=lambda run: (run.start_us, run.state)), sorted(missing))
+    return History(sorted(inside, key=lambda run: (run.start_us, run.state)), sorted(missing), [])
 
 
 def _edge_gaps(stretches: Sequence[Stretch], start_us: int, stop_us: int) -> list[Gap]:

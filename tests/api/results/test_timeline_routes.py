@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from db.results import state_summaries
 from service.api.views import timeline
 from service.ports import Outcome
 from service.records.epoch import format_epoch
@@ -76,6 +77,18 @@ async def test_too_many_runs_are_joined_and_too_long_lists_cut(story, make, monk
     assert len(names) == len(set(names)) > 5
     assert found["joined_s"] == 1024
     assert (len(found["notes"]), found["cut"]) == (1, ["notes"])
+
+
+async def test_what_is_left_out_is_stated(story, make, monkeypatch):
+    monkeypatch.setattr(state_summaries, "MOST_ROWS", 25)
+    found = await story.get("/timeline", start=epoch(make, 0), stop=epoch(make, 60))
+    (left_out,) = found["states_left_out"]
+    # 25 rows stand from here on; the five of the gap are missing
+    assert left_out["start"] == epoch(make, 0)
+    assert epoch(make, 29) < left_out["stop"] < epoch(make, 30)
+    assert min(state["start"] for state in found["states"]) == epoch(make, 30)
+    alone = await story.get("/timeline", **left_out)
+    assert [each["start"] for each in alone["states_left_out"]] == [epoch(make, 0)]
 
 
 async def test_an_empty_archive_has_an_empty_timeline(bench):

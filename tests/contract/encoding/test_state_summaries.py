@@ -1,13 +1,16 @@
 """States read from summaries are those of the rows, whenever days are summarised and met by late rows."""
 
 import random
+import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from sqlalchemy import delete, select, update
 
 from db.encoding.segments import DAY_US
+from db.results import state_summaries
 from db.results.results import SqlResults
 from db.schema.tables import attitude_summary, state_summary
 from service.core.rows.row_gaps import GapSearch
@@ -134,3 +137,49 @@ def test_states_go_with_the_summary_of_their_day(summed):
     change(summed, delete(attitude_summary))
     assert summaries(summed) == []
     check(summed)
+
+
+@pytest.mark.parametrize("most", [0, 1, 40, 300])
+def test_rows_without_a_summary_are_read_up_to_a_bound_and_the_rest_is_stated(summed, monkeypatch, most):
+    """The first and the last day have no summary; what is given is what the given spans hold by themselves."""
+    first, *_ = summaries(summed)
+    change(summed, delete(state_summary).where(state_summary.c.summary_id == first.summary_id))
+    rows = rows_of(summed)
+    span = Window(rows[0].epoch_us, rows[-1].epoch_us + 1)
+    history = partial(summed.storage.results.state_history, summed.id, Method.ROBUST)
+    whole = history(span)
+    monkeypatch.setattr(state_summaries, "MOST_ROWS", most)
+    found = history(span)
+    ends = [span.start_us, *(end for part in found.left_out_us for end in part), span.stop_us]
+    given = [Window(*part) for part in zip(ends[::2], ends[1::2], strict=True) if part[0] < part[1]]
+    unread = [row for row in rows if not DAY_US <= row.epoch_us < 3 * DAY_US]
+    left_out = [row for row in rows if any(start <= row.epoch_us < stop for start, stop in found.left_out_us)]
+    assert [row for row in left_out if row not in unread] == []
+    # rows of one epoch stand together
+    assert len(unread) - len(left_out) <= most
+    assert left_out == unread[: len(left_out)]
+    monkeypatch.undo()
+    parts = [history(part) for part in given]
+    assert found.runs == [run for part in parts for run in part.runs]
+    assert found.gaps == [gap for part in parts for gap in part.gaps]
+    assert whole.left_out_us == []
+
+
+def test_an_open_day_of_more_rows_costs_no_more_than_the_bound(setting, make, monkeypatch):
+    """Four times the rows of the newest day, and one bound: processor time stays, where all rows would cost four."""
+    monkeypatch.setattr(state_summaries, "MOST_ROWS", 500)
+    taken_s = []
+    for day, count in ((0, 1000), (1, 8000)):
+        span = Window(day * DAY_US, day * DAY_US + count * 10_000_000)
+        before = setting.storage.archive.head(setting.id).newest_number
+        setting.append(list(range(span.start_us, span.stop_us, 10_000_000)), np.full(count, -50.0))
+        entries = setting.storage.archive.journal(setting.id, before, 10_000)
+        setting.consume([Outcome((make.attitude_row(entry.content),), None) for entry in entries])
+        found = []
+        for _ in range(5):
+            began_s = time.process_time()
+            history = setting.storage.results.state_history(setting.id, Method.ROBUST, span)
+            found.append(time.process_time() - began_s)
+            assert history.left_out_us == [(span.start_us, span.stop_us - 5_000_000_000 - 9_999_999)]
+        taken_s.append(min(found))
+    assert taken_s[1] < 3 * taken_s[0]

@@ -259,6 +259,7 @@ export function show({ store, spacecraft, parameters, rewrite }) {
       curves.epochs.length === 0 && words("views.history.empty"),
       isEnvelope(curves) && words("views.history.envelope"),
       timeline.joined_s > 0 && words("views.history.joined", { length: duration(timeline.joined_s) }),
+      timeline.states_left_out.length > 0 && words("views.history.leftOut", { spans: timeline.states_left_out.map(({ start, stop }) => `${utc(start)} – ${utc(stop)}`).join(", ") }),
       timeline.cut.length > 0 && words("views.history.cut", { lists: timeline.cut.map((each) => words(`views.history.list.${each}`)).join(", ") }),
       !isDrawn && !isTable && words("views.history.noCurves"),
     ];

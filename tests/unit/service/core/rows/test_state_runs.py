@@ -66,10 +66,10 @@ def test_gaps_within_and_between_stretches_count_once() -> None:
 
 def test_without_rows_there_is_nothing() -> None:
     assert stretch_of([]) is None
-    assert joined_stretches([], 0, 100) == ([], [])
+    assert joined_stretches([], 0, 100) == ([], [], [])
     single = stretch_of([(5, frozenset({FADE}))])
     assert single is not None
-    assert joined_stretches([single], 0, 100 * S) == ([StateRun(FADE, 5, 5, 1)], [])
+    assert joined_stretches([single], 0, 100 * S) == ([StateRun(FADE, 5, 5, 1)], [], [])
 
 
 @pytest.mark.parametrize("seed", range(10))
