@@ -11,6 +11,9 @@ from fastapi.responses import Response, StreamingResponse
 
 from service.api.problems.problems import RequestProblemError
 from service.api.protocol.byte_ranges import UnsatisfiableRangeError, wanted_range
+from service.api.protocol.paging import EVERYTHING
+from service.records.calibration import Window
+from service.records.epoch import DAY_US, format_epoch
 
 #: a file up to this size waits in memory, a greater one on the disk
 _HELD_BYTES = 8 * 1024 * 1024
@@ -30,6 +33,27 @@ def gathered(chunks: Iterable[bytes]) -> Iterator[bytes]:
             held, size = [], 0
     if held:
         yield b"".join(held)
+
+
+def span_label(window: Window) -> str:
+    """Return a span as a part of a file's name: its day, or both ends; an open end is `begin` or `end`.
+
+    Examples
+    --------
+    >>> from service.records.epoch import parse_epoch
+    >>> span_label(Window(parse_epoch("2026-11-21T00:00:00Z"), parse_epoch("2026-11-22T00:00:00Z")))
+    '2026-11-21'
+    >>> span_label(Window(parse_epoch("2026-11-21T03:02:00.5Z"), EVERYTHING.stop_us))
+    '20261121T030200.500000Z_end'
+    """
+    if window.start_us % DAY_US == 0 and window.stop_us - window.start_us == DAY_US:
+        return format_epoch(window.start_us)[:10]
+    start, stop = (
+        format_epoch(end_us).replace("-", "").replace(":", "").replace(".000000", "")
+        for end_us in (window.start_us, window.stop_us)
+    )
+    start = "begin" if window.start_us == EVERYTHING.start_us else start
+    return f"{start}_{'end' if window.stop_us == EVERYTHING.stop_us else stop}"
 
 
 def stream_answer(chunks: Iterable[bytes], media_type: str, name: str) -> Response:

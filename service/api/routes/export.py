@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from service.api.context.dependencies import Context, Names, SpacecraftId
 from service.api.export.export_chunks import DAY_US, Chunk, by_day
 from service.api.export.export_files import MEDIA_TYPES, OFFERED, ArchiveFile, FileFormat, FileOrder, archive_file
-from service.api.export.export_responses import stream_answer, whole_answer
+from service.api.export.export_responses import span_label, stream_answer, whole_answer
 from service.api.protocol.paging import EVERYTHING, ForwardPage, PageQuery, StartParameter, StopParameter, window_of
 from service.api.schemas.archive import ManifestAnswer, PartAnswer
 from service.api.schemas.base import PlanNumber, WindowAnswer
@@ -64,7 +64,8 @@ def export(
     window = window_of(start, stop, EVERYTHING)
     file = archive_file(context, names.of, wanted.order(spacecraft_id, series, window))
     parts = file.write(file.read(window), window)
-    media_type, name = MEDIA_TYPES[wanted.format], f"{spacecraft_id}_{file.label}.{wanted.format}"
+    media_type = MEDIA_TYPES[wanted.format]
+    name = f"{spacecraft_id}_{file.label}_{span_label(window)}.{wanted.format}"
     if window.stop_us - window.start_us <= DAY_US:
         return whole_answer(parts, media_type, name, request)
     return stream_answer(parts, media_type, name)

@@ -10,6 +10,7 @@ import pytest
 from service.api.export import export_chunks as archive_chunks
 from service.api.export import export_files as archive_files
 from service.ports import Outcome
+from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import NO_ANGLES, Axes
 
@@ -38,7 +39,7 @@ async def test_attitude_columns_and_numbers(bench, make):
     )
     bench.consume([Outcome((found,), None), Outcome((lost,), None)])
     answer = await bench.client.get(f"{bench.url}/archive/attitude:export", params={"format": "csv"})
-    assert answer.headers["content-disposition"] == 'attachment; filename="yamal-202_attitude_paper_live.csv"'
+    assert answer.headers["content-disposition"] == 'attachment; filename="yamal-202_attitude_paper_live_begin_end.csv"'
     # columns that are added come last
     first_columns = [",".join(line.split(",")[:15]) for line in answer.text.split("\r\n")]
     assert "\r\n".join(first_columns) == (
@@ -96,3 +97,17 @@ async def test_version_of_a_replay(bench, make):
     bench.consume()
     _, live = await lines_of(bench, "/archive/attitude:export")
     assert live[2:5] == ["", "", ""]
+
+
+async def test_files_of_other_spans_methods_and_formats_have_other_names(bench, make):
+    rows = bench.append([make.now_us, make.now_us + 86_400 * make.s])
+    bench.consume([Outcome(tuple(make.row(row, method=each) for each in Method), None) for row in rows])
+    parts = []
+    for choice in ({"format": "csv", "method": "robust"}, {"format": "aem", "method": "paper"}):
+        for span in ({}, {"start": format_epoch(make.now_us), "stop": format_epoch(make.now_us + 90_000 * make.s)}):
+            found = await bench.get("/archive/attitude:manifest", **choice, **span)
+            parts += found["parts"]
+    names = [(await bench.client.get(part["href"])).headers["content-disposition"] for part in parts]
+    assert 'attachment; filename="yamal-202_attitude_robust_live_20261121T030000Z_20261122T000000Z.csv"' in names
+    assert 'attachment; filename="yamal-202_attitude_paper_live_2026-11-21.aem"' in names
+    assert len(set(names)) == len(names) == 8
