@@ -7,16 +7,19 @@ from typing import TypeVar
 import numpy as np
 from sqlalchemy import Connection, select
 
-from db.encoding.segments import HEAD_COLUMNS, SegmentCache, SegmentHead, read_chunk
+from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentCache, SegmentHead, read_chunk
 from db.encoding.summary_codec import SummaryBlobs, unpack_level
 from db.measurements.power_summaries import summary_of
+from db.measurements.retention import kept_from_us
 from db.results.attitude_reader import AttitudeReader
 from db.results.attitude_summaries import NO_ROWS, TORQUE, day_blobs
 from db.results.carrier_summaries import blobs_by_plan, carrier_rows
+from db.results.state_summaries import stored_states, stretch_of
 from db.results.stored_rows import ResultSeries
 from db.schema.tables import attitude, attitude_summary, carrier_summary, measurement_segment, power_summary
 from service.errors import StorageError
 from service.ports import LIVE
+from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.storage.diagnosis import Diagnosis
@@ -24,17 +27,15 @@ from service.records.storage.diagnosis import Diagnosis
 _Item = TypeVar("_Item")
 #: summaries of powers, and of attitude, that are compared with their rows
 _COMPARED = 10
-_ADVICE = (
-    "Charts of these days are wrong; rows and exports are not. Restore a backup that `soo backup verify` calls sound."
-)
+_ADVICE = "Charts and timelines of these days are wrong, exports are not. Restore a backup that is known to be sound."
 
 
 def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[Diagnosis]:
     """Yield whether evenly chosen summaries of a spacecraft agree with their rows, where those can be read."""
     compared, wrong = 0, []
-    for start_us, stored, made in [*_of_powers(connection, key), *_of_attitude(connection, key)]:
+    for start_us, is_right in [*_of_powers(connection, key), *_of_attitude(connection, key)]:
         compared += 1
-        if not _agree(stored, made):
+        if not is_right:
             wrong.append(format_epoch(start_us)[:10])
     if wrong:
         detail = f"{name}: {len(wrong)} of {compared} summaries differ from their rows: {', '.join(sorted(set(wrong)))}"
@@ -43,8 +44,8 @@ def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[D
         yield Diagnosis("summaries", "ok", f"{name}: {compared} summaries compared with their rows")
 
 
-def _of_powers(connection: Connection, key: int) -> Iterator[tuple[int, bytes, SummaryBlobs]]:
-    """Yield first epoch, hours and summary made again of some segments."""
+def _of_powers(connection: Connection, key: int) -> Iterator[tuple[int, bool]]:
+    """Yield the first epoch of some segments and whether their hours are those made again."""
     ids = list(
         connection.scalars(
             select(power_summary.c.segment_id)
@@ -61,12 +62,13 @@ def _of_powers(connection: Connection, key: int) -> Iterator[tuple[int, bytes, S
             rows = read_chunk(connection, None, head).rows()
         except StorageError:
             continue
-        yield head.first_epoch_us, hours or b"", summary_of(rows)
+        yield head.first_epoch_us, _agree(hours or b"", summary_of(rows))
 
 
-def _of_attitude(connection: Connection, key: int) -> Iterator[tuple[int, bytes, SummaryBlobs]]:
-    """Yield day, hours and summary made again of some days of attitude, and of their carriers."""
+def _of_attitude(connection: Connection, key: int) -> Iterator[tuple[int, bool]]:
+    """Yield some days of attitude and whether their hours, those of their carriers and their states are right."""
     table, cache = attitude_summary, SegmentCache()
+    measured_from_us = kept_from_us(connection, key, "measurements")
     is_its = (table.c.spacecraft_key == key, table.c.day.is_not(None), table.c.method != TORQUE)
     query = select(table.c.start_us, table.c.method, table.c.summary_id).where(*is_its).order_by(table.c.start_us)
     for start_us, method, summary_id in map(tuple, _evenly(connection.execute(query).all())):
@@ -75,14 +77,19 @@ def _of_attitude(connection: Connection, key: int) -> Iterator[tuple[int, bytes,
         of_plans = select(carrier_summary.c.plan_id, carrier_summary.c.hours).where(is_its_plan)
         stored = {row.plan_id: row.hours for row in connection.execute(of_plans)}
         read_carriers = partial(carrier_rows, connection, ResultSeries(key, attitude, LIVE, method))
+        read = AttitudeReader(connection, cache, key, Method(method)).rows
         try:
-            made = day_blobs(AttitudeReader(connection, cache, key, Method(method)).rows, start_us, method)
+            made = day_blobs(read, start_us, method)
             by_plan = blobs_by_plan(read_carriers, start_us)
+            states = stretch_of(read, Window(start_us, start_us + DAY_US))
         except StorageError:
             continue
-        yield start_us, hours or b"", made
+        yield start_us, _agree(hours or b"", made)
         for plan_id in stored.keys() | by_plan.keys():
-            yield start_us, stored.get(plan_id, b""), by_plan.get(plan_id, NO_ROWS)
+            yield start_us, _agree(stored.get(plan_id, b""), by_plan.get(plan_id, NO_ROWS))
+        # rows for which nothing was computed are made of measurements, which may have been deleted since
+        if start_us >= measured_from_us and (known := stored_states(connection, summary_id)) is not None:
+            yield start_us, known == states
 
 
 def _evenly(found: Sequence[_Item]) -> Sequence[_Item]:

@@ -60,6 +60,12 @@ def store_states(connection: Connection, summary_id: int, stretch: Stretch | Non
     connection.execute(state_summary.insert().values(values))
 
 
+def stored_states(connection: Connection, summary_id: int) -> Stretch | None:
+    """Return the states that go with a summary of attitude; None where there are none or they are damaged."""
+    row = connection.execute(select(state_summary).where(state_summary.c.summary_id == summary_id)).first()
+    return None if row is None else _stored(row)
+
+
 def state_history(database: Database, key: int, method: str, read: EitherEnd, window: Window) -> History:
     """Return runs and gaps of a window: of days with a sound summary from it, of the others from their newest rows."""
     stretches: list[Stretch] = []

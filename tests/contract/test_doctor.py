@@ -6,7 +6,7 @@ import sqlite3
 from pathlib import Path
 
 import pytest
-from sqlalchemy import text
+from sqlalchemy import delete, select, text
 from typer.testing import CliRunner
 
 import db.maintenance.doctor
@@ -14,7 +14,9 @@ from db.connection.engines import open_engines
 from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import examine
 from db.migrations.migrate import upgrade
+from db.results.state_summaries import store_states, stored_states
 from db.schema.schema_version import known_versions
+from db.schema.tables import state_summary
 from service.cli.app import app
 from service.ports import LIVE, Outcome
 from service.records.inputs import Correction
@@ -160,6 +162,31 @@ def test_what_was_changed_by_hand_is_found_and_named(filled):
             assert {each.check for each in bad} == checks, statement
             assert any(words in each.detail for each in bad), (statement, bad)
             assert all(each.advice for each in bad)
+
+
+def test_states_of_a_day_that_differ_from_its_rows_are_found(filled, url):
+    assert sum(filled.storage.results.complete_summaries(filled.id, 3 * DAY_US)) > 0
+    assert of_archive(url) == []
+    with filled.storage._database.engines.write.begin() as connection:
+        summary_id = connection.scalar(select(state_summary.c.summary_id).order_by(state_summary.c.summary_id))
+        stored = stored_states(connection, summary_id)
+        assert stored is not None
+        connection.execute(delete(state_summary).where(state_summary.c.summary_id == summary_id))
+        # sound in itself: its checksum is that of what it says
+        store_states(connection, summary_id, stored._replace(runs=stored.runs[1:]))
+    ((check, detail),) = of_archive(url)
+    assert check == "summaries"
+    assert "summaries differ from their rows: 1970-01-0" in detail
+
+
+def test_states_of_rows_whose_measurements_were_deleted_are_no_fault(setting, url):
+    """Nothing was computed of these rows: they are made of the measurements, and with them they are gone."""
+    for day in range(3):
+        setting.append([day * DAY_US + position for position in range(1, 21)])
+    setting.consume()
+    assert sum(setting.storage.results.complete_summaries(setting.id, 3 * DAY_US)) > 0
+    list(setting.storage.archive.drop_before(setting.id, "measurements", DAY_US))
+    assert of_archive(url) == []
 
 
 def test_an_audit_entry_that_was_changed_is_found(filled, url):
