@@ -43,7 +43,7 @@ export function words(key, values = {}) {
 /**
  * Return the words of a code of the service.
  * @param {string} group `reasons` or `inhibitions`, `states`, `statuses`, `commands`, `exclusions`, `flags`, `alarms`,
- *   `severities`, `advice`, `operations` or `problems`.
+ *   `severities`, `units`, `advice`, `operations` or `problems`.
  * @param {string} code
  * @param {"name" | "next"} part What it means, or the next step.
  * @param {Object<string, any>} values

@@ -45,7 +45,7 @@ export function show({ store, spacecraft, session, parameters }) {
     const next = meaning("alarms", alarm.condition, "next") || alarm.next_step;
     const condition = [element("strong", {}, meaning("alarms", alarm.condition)), " ", foreign(alarm.thing), element("p", { class: "detail" }, next)];
     const present = alarm.present_value ?? alarm.value;
-    const value = [element("span", { class: "whole" }, `${number(present, DIGITS)} ${alarm.unit}`), element("p", { class: "detail whole" }, words("views.alarms.limit", { limit: number(alarm.limit, DIGITS) }))];
+    const value = [element("span", { class: "whole" }, `${number(present, DIGITS)} ${meaning("units", alarm.unit)}`), element("p", { class: "detail whole" }, words("views.alarms.limit", { limit: number(alarm.limit, DIGITS) }))];
     return row(severity, condition, value, utc(alarm.raised_at), stateOf(alarm), actionsOf(alarm));
   }
 
@@ -127,7 +127,7 @@ export function show({ store, spacecraft, session, parameters }) {
       if (shown !== "limits") return;
       const columns = [words("views.alarms.column.condition"), ...SEVERITIES.map((each) => meaning("severities", each)), words("views.alarms.delay")];
       const rows = Object.entries(conditions).map(([condition, limits]) =>
-        row([meaning("alarms", condition), " ", element("span", { class: "detail" }, limits.unit)], ...SEVERITIES.map((each) => number(limits[each], DIGITS)), number(limits.on_s, 0)));
+        row([meaning("alarms", condition), " ", element("span", { class: "detail" }, meaning("units", limits.unit))], ...SEVERITIES.map((each) => number(limits[each], DIGITS)), number(limits.on_s, 0)));
       const inForce = sets.map((each) => words(`views.alarms.set.${each}`)).join(", ");
       fill(body, element("p", {}, words("views.alarms.sets", { sets: inForce })), table(words("views.alarms.list.limits"), columns, rows));
     } catch (error) {

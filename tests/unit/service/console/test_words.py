@@ -29,10 +29,11 @@ MODULES = sorted(STATIC.rglob("*.js"))
 LANGUAGES = {name: json.loads((STATIC / f"words/{name}.json").read_text()) for name in ("en", "ru")}
 #: tests/docs compares the pages with the code
 PROBLEMS = set(re.findall(r"^\| `([a-z_]+\.[a-z_]+)` \|", ERRORS.read_text(), re.MULTILINE))
+CONDITIONS = condition_table(AlarmConfig(), RobustConfig()).values()
 EXCLUSIONS = {"uplink_fade", "step", "absent", "frozen", "interference", "group", "manual"}
 TABLES = {
     "advice": set(ADVICE),
-    "alarms": {each.name for each in condition_table(AlarmConfig(), RobustConfig()).values()},
+    "alarms": {each.name for each in CONDITIONS},
     "carriers": set(CARRIER_STATES),
     "commands": {each.value for each in CommandState},
     "exclusions": EXCLUSIONS,
@@ -80,6 +81,12 @@ def test_every_code_of_the_service_has_words_and_no_other(language, name):
     table = LANGUAGES[language][name]
     assert set(table) == TABLES[name]
     assert all(set(entry) == {"name", "next"} and entry["name"] for entry in table.values())
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_unit_of_an_alarm_has_words_and_no_other(language):
+    assert set(LANGUAGES[language]["units"]) == {each.unit for each in CONDITIONS}
+    assert all(set(entry) == {"name"} and entry["name"] for entry in LANGUAGES[language]["units"].values())
 
 
 def test_inhibitions_are_reasons():
