@@ -309,6 +309,34 @@ def test_a_job_that_has_no_answer_for_a_while_is_asked_again_and_a_fit_that_fail
     expect(view.get_by_role("region", name="Report")).to_contain_text(ground.get("/calibrations")["rows"][0]["error"])
 
 
+def test_a_running_job_is_found_again_after_the_view_was_left(page, ground, open_view):
+    """The service answers for a fit that takes as long as the test wants."""
+    progress = {"state": "running", "progress": 0.25}
+
+    def calibrations(route):
+        found = route.fetch()
+        rows = found.json()["rows"]
+        if progress["state"] == "running":
+            first = {"state": "draft", "observability": None, "carriers": [], "job": "calibration-0"}
+            rows = [{**rows[0], "id": 99, **first}, *rows]
+        route.fulfill(response=found, json={"rows": rows})
+
+    page.route("**/calibrations", calibrations)
+    page.route("**/jobs/calibration-0", lambda route: route.fulfill(json={**progress, "error": None}))
+    view = ready(open_view(page, "calibration"))
+    bar = view.get_by_role("progressbar")
+    expect(bar).to_have_attribute("value", "0.25")
+    page.get_by_role("link", name="Now").click()
+    expect(view).to_have_count(0)
+    progress["progress"] = 0.5
+    page.get_by_role("link", name="Calibration").click()
+    expect(bar).to_have_attribute("value", "0.5")
+    progress.update(state="done", progress=1.0)
+    expect(view.locator(".said").first).to_contain_text("is complete")
+    expect(bar).to_have_count(0)
+    page.unroute_all()
+
+
 def test_an_empty_archive_says_what_is_missing(new_page, ground, open_view):
     page = new_page()
     page.add_init_script('localStorage.setItem("soo.spacecraft", "yamal-empty")')

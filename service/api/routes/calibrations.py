@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Response
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
-from service.api.context.dependencies import Context, SpacecraftId
+from service.api.context.dependencies import ApiContext, Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.calibrations import (
     CalibrationAnswer,
@@ -14,6 +14,7 @@ from service.api.schemas.calibrations import (
     CalibrationList,
     CalibrationStartedAnswer,
 )
+from service.records.calibration import Calibration
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/calibrations", tags=["calibration"])
 CalibrationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
@@ -43,13 +44,13 @@ def start_calibration(
 def list_calibrations(spacecraft_id: SpacecraftId, context: Context) -> CalibrationList:
     """List calibrations, newest first."""
     found = context.storage.results.calibrations(spacecraft_id)
-    return CalibrationList(rows=[CalibrationAnswer.of(calibration) for calibration in found])
+    return CalibrationList(rows=[_answer(context, spacecraft_id, calibration) for calibration in found])
 
 
 @router.get("/{calibration_id}")
 def get_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context) -> CalibrationAnswer:
     """Return one calibration."""
-    return CalibrationAnswer.of(context.storage.results.calibration(spacecraft_id, calibration_id))
+    return _answer(context, spacecraft_id, context.storage.results.calibration(spacecraft_id, calibration_id))
 
 
 @router.delete("/{calibration_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
@@ -66,3 +67,7 @@ def activate_calibration(
     calibration = context.calibrator.activate(spacecraft_id, calibration_id)
     context.supervisor.notify(spacecraft_id)
     return CalibrationAnswer.of(calibration)
+
+
+def _answer(context: ApiContext, spacecraft_id: str, calibration: Calibration) -> CalibrationAnswer:
+    return CalibrationAnswer.of(calibration, job=context.calibrator.job_id(spacecraft_id, calibration.id))

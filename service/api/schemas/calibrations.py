@@ -166,10 +166,12 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     While `yaw_sign` is unproven, yaw is not controlled; `common_sign` is that of all axes of the sensors together."""
     observability: ObservabilityAnswer | None
     carriers: list[CarrierCalibrationAnswer]
+    job: str | None
+    """That makes it, while this process of the service runs it: its progress stands at `/jobs/{job_id}`."""
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Self:
-        """Return the answer for a calibration."""
+    def of(cls, calibration: Calibration, *, job: str | None = None) -> Self:
+        """Return the answer for a calibration and the job that makes it."""
         request, result = calibration.request, calibration.result
         return super().of(
             calibration,
@@ -180,6 +182,7 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
             quality=_quality(result),
             observability=None if result is None else result.observability,
             carriers=[] if result is None else [CarrierCalibrationAnswer.of(c) for c in result.carriers],
+            job=job,
         )
 
 

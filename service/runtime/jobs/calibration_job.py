@@ -57,6 +57,8 @@ class Calibrator:
         self._max_waiting = max_waiting
         self._lock = Lock()
         self._waiting = 0
+        #: of spacecraft and calibration
+        self._job_ids: dict[tuple[str, int], str] = {}
 
     def start(self, spacecraft_id: str, request: CalibrationRequest, created_by: str) -> tuple[Calibration, Job]:
         """Store a draft and queue its fit.
@@ -79,11 +81,18 @@ class Calibrator:
                 spacecraft_id, request, plan.id, ephemeris.id, self._clock.system_us(), created_by
             )
             job = self._jobs.add("calibration")
-            self._jobs.run(job, lambda report: self._fit(spacecraft_id, draft, report))
+            with self._lock:
+                self._job_ids[spacecraft_id, draft.id] = job.id
+            self._jobs.run(job, lambda report: self._run(spacecraft_id, draft, report))
         except BaseException:
             self._leave()
             raise
         return draft, job
+
+    def job_id(self, spacecraft_id: str, calibration_id: int) -> str | None:
+        """Return the job that makes a calibration; None where it has ended, or another process runs it."""
+        with self._lock:
+            return self._job_ids.get((spacecraft_id, calibration_id))
 
     def activate(self, spacecraft_id: str, calibration_id: int) -> Calibration:
         """Make a finished calibration the active one of its method."""
@@ -96,6 +105,15 @@ class Calibrator:
             )
             raise ConflictError("calibration.unfinished", detail)
         return self._storage.results.activate_calibration(spacecraft_id, calibration_id)
+
+    def _run(self, spacecraft_id: str, draft: Calibration, report: Progress) -> None:
+        """Run the fit of one draft and give up its place."""
+        try:
+            self._fit(spacecraft_id, draft, report)
+        finally:
+            self._leave()
+            with self._lock:
+                del self._job_ids[spacecraft_id, draft.id]
 
     def _fit(self, spacecraft_id: str, draft: Calibration, report: Progress) -> None:
         """Run the fit of one draft."""
@@ -110,8 +128,6 @@ class Calibrator:
         except Exception as error:
             results.finish_calibration(spacecraft_id, draft.id, None, f"internal error: {error!r}")
             raise
-        finally:
-            self._leave()
         results.finish_calibration(spacecraft_id, draft.id, result, None)
 
     def _leave(self) -> None:

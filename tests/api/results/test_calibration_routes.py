@@ -68,6 +68,7 @@ async def test_figures_of_a_calibration_are_told_by_name(bench, make):
             "dop": {"yaw": 4.0, "roll": 0.5, "pitch": 0.6},
             "crlb_deg": {"yaw": None, "roll": 0.02, "pitch": 0.03},
         },
+        "job": None,
         "carriers": [
             {
                 "id": "c00",

@@ -40,6 +40,8 @@ export function show({ store, spacecraft, session }) {
   const start = element("button", { type: "submit", class: "primary" }, w("start"));
   let chosen = null;
   let timer = 0;
+  /** Job whose progress is shown. */
+  let followed = null;
 
   /** Read the calibrations and show them; while one is being made elsewhere, again. */
   async function load() {
@@ -49,6 +51,8 @@ export function show({ store, spacecraft, session }) {
       chosen ??= rows[0]?.id ?? null;
       draw(rows);
       fill(lost);
+      const left = !followed && rows.find((each) => isUnfinished(each) && each.job);
+      if (left) follow(left.id, left.job).catch((error) => signal.aborted || sayProblem(said, error));
       if (rows.some(isUnfinished)) timer = setTimeout(load, AGAIN_MS);
     } catch (error) {
       if (!signal.aborted) sayProblem(lost, error, load);
@@ -89,11 +93,12 @@ export function show({ store, spacecraft, session }) {
 
   /** Show how far a job is until it has ended; a question without an answer is asked again. */
   async function follow(id, job) {
+    followed = job;
     const bar = element("progress", { max: 1, value: 0, "aria-label": w("progress", { id }) });
     const text = element("p", {});
     const missed = element("div");
     fill(said, text, bar, missed);
-    while (!signal.aborted) {
+    while (!signal.aborted && followed === job) {
       try {
         const { state, progress, error } = await get(`/jobs/${job}`, {}, { signal });
         fill(missed);
@@ -101,12 +106,16 @@ export function show({ store, spacecraft, session }) {
         fill(text, w(`job.${state}`, { id, percent: number(100 * progress, 0) }), error && [" ", element("bdi", { lang: "en" }, error)]);
         if (state === "done" || state === "failed") {
           bar.remove();
+          followed = null;
           await load();
           return;
         }
       } catch (error) {
         if (signal.aborted) return;
-        if (error.status === 404) throw error;
+        if (error.status === 404) {
+          followed = null;
+          throw error;
+        }
         sayProblem(missed, error);
       }
       await new Promise((resolve) => setTimeout(resolve, POLL_MS));
@@ -116,7 +125,7 @@ export function show({ store, spacecraft, session }) {
   const form = may("operate") && element("form", { class: "card", "aria-label": w("make"), onsubmit: begin },
     element("h2", {}, w("make")), plot.fieldsOf("quiet"), plot.fieldsOf("turns"), field(w("methodOf"), method), start, said);
   const node = element("section", { class: "calibration", "aria-label": w("title") },
-    element("h1", {}, w("title")), plot.node, form,
+    element("h1", {}, w("title")), plot.node, form || said,
     element("h2", {}, w("list")), lost, list, reported, aligned.node, advice.node);
   load();
   return {

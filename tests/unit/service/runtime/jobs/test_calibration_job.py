@@ -61,6 +61,23 @@ def test_a_calibration_by_geometry_says_what_its_windows_lack(ground):
     assert "only 1 rows of the quiet window have angles of star_tracker" in job.error
 
 
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_draft_names_its_job_until_that_has_ended(ground, fails):
+    named = []
+    fit = calibrating.calibrate_paper
+
+    def fitted(data, config):
+        named.append(ground.calibrator.job_id(ground.id, 2))
+        if fails:
+            raise ZeroDivisionError
+        return fit(data, config)
+
+    with patch.object(calibrating, "calibrate_paper", side_effect=fitted):
+        calibration, job = run(ground, ground.payload.request)
+    assert (calibration.id, named) == (2, [job.id])
+    assert ground.calibrator.job_id(ground.id, 2) is None
+
+
 def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
     with patch.object(calibrating, "calibrate_paper", side_effect=JobAbortedError("the service is stopping")):
         calibration, job = run(ground, ground.payload.request)
