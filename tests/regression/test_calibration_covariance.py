@@ -10,10 +10,10 @@ import pytest
 from kept_results import kept
 
 from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.pipeline.inputs.documents import JournalDocuments
 from service.records.calibration import Window
 from service.records.epoch import parse_epoch
 from service.study.estimation.flight.drive import calibrate
-from service.study.estimation.flight.journal import JournalDocuments
 from service.study.estimation.flight.world import export_world, read_world
 
 #: the calibration ends before the operation phase

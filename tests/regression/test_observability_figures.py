@@ -13,11 +13,11 @@ from service.core.estimation.calibration.coloured_rows import ColouredNoise
 from service.core.estimation.carrier_sets import averaged_crlb_deg, judge_set
 from service.core.estimation.design import choose_carriers
 from service.core.estimation.paper.selection import select_by_axis
+from service.pipeline.inputs.documents import JournalDocuments
 from service.pipeline.planning.assumed_beams import NOISES
 from service.pipeline.planning.candidates import candidates_of
 from service.pipeline.planning.planning import Rule, recommend
 from service.study.estimation.flight.drive import calibrate
-from service.study.estimation.flight.journal import JournalDocuments
 from service.study.estimation.flight.world import export_world, read_world
 
 SEED = 61

@@ -10,7 +10,14 @@ from service.pipeline.alignment.paper_references import reference_powers
 from service.pipeline.alignment.robust_references import robust_references
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.inputs.reference_angles import StatedAngles
-from service.records.calibration import Calibration, CalibrationMethod, CarrierReference
+from service.records.calibration import (
+    Alignment,
+    Calibration,
+    CalibrationMethod,
+    CarrierReference,
+    ReferenceRule,
+    Window,
+)
 from service.records.catalogue import Ephemeris, Method
 from service.records.levels.series import MeasurementSeries
 
@@ -28,6 +35,27 @@ class AlignedPowers:
     consistency: Consistency
     #: carriers whose level changed by more than the limit since the calibration
     changed: tuple[str, ...]
+
+    def to_record(
+        self, stated: StatedAngles, window: Window | None, source: str, created_by: str, created_at_us: int = 0
+    ) -> Alignment:
+        """Return the alignment that these references make, number 0, with the angles that they were taken at."""
+        return Alignment(
+            id=0,
+            epoch_us=stated.epoch_us,
+            attitude_deg=stated.attitude_deg,
+            sigma_deg=stated.sigma_deg,
+            calibration_id=self.calibration.id,
+            source=source,
+            created_at_us=created_at_us,
+            created_by=created_by,
+            references=self.references,
+            window=window,
+            references_by_method=self.references_by_method,
+            calibration_by_method=self.calibration_by_method,
+            changed_carriers=self.changed,
+            reference_rule=ReferenceRule.ZERO_ATTITUDE,
+        )
 
 
 def align_methods(

@@ -1,6 +1,6 @@
 """Alignment: the step after which no outside angle reaches the estimator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.alignment.alignment import AlignedPowers, align_methods
@@ -12,7 +12,6 @@ from service.records.calibration import (
     Calibration,
     CalibrationMethod,
     CalibrationState,
-    ReferenceRule,
     Window,
 )
 from service.records.catalogue import Ephemeris
@@ -67,24 +66,9 @@ class Aligner:
         if len(powers.references) < 4:
             raise InvalidInputError("alignment.no_powers", self._too_few(len(powers.references), window, ephemeris))
         self._refuse_contradiction(powers, stated, request)
-        alignment = Alignment(
-            id=0,
-            epoch_us=stated.epoch_us,
-            attitude_deg=stated.attitude_deg,
-            sigma_deg=stated.sigma_deg,
-            calibration_id=powers.calibration.id,
-            source=",".join(sorted(set(request.source_of_axis))) if request.source_of_axis else "manual",
-            created_at_us=self._clock.system_us(),
-            created_by=request.created_by,
-            references=powers.references,
-            window=window,
-            override_reason=request.override_reason,
-            references_by_method=powers.references_by_method,
-            calibration_by_method=powers.calibration_by_method,
-            changed_carriers=powers.changed,
-            reference_rule=ReferenceRule.ZERO_ATTITUDE,
-            warnings=self._warnings(spacecraft_id),
-        )
+        source = ",".join(sorted(set(request.source_of_axis))) if request.source_of_axis else "manual"
+        made = powers.to_record(stated, window, source, request.created_by, self._clock.system_us())
+        alignment = replace(made, override_reason=request.override_reason, warnings=self._warnings(spacecraft_id))
         return self._storage.results.add_alignment(spacecraft_id, alignment)
 
     def _warnings(self, spacecraft_id: str) -> tuple[str, ...]:

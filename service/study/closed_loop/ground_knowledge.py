@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.pipeline.inputs.documents import JournalDocuments
 from service.records.calibration import Window
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import parse_epoch
@@ -20,7 +21,6 @@ from service.study.estimation.flight.catalogue_lines import (
     read_spacecraft,
     read_telemetry,
 )
-from service.study.estimation.flight.journal import JournalDocuments
 from service.study.estimation.flight.world import AXES, Ground
 
 _SOURCE = "sa-1"

@@ -8,6 +8,7 @@ import numpy as np
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
+from service.pipeline.inputs.documents import JournalDocuments
 from service.records.catalogue import Method, Release, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChange, SpacecraftChange
@@ -27,7 +28,6 @@ from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow, SpacecraftTruth
 from service.study.closed_loop.released import Releaser
 from service.study.estimation.flight.drive import UndrivenError, align, calibrate
-from service.study.estimation.flight.journal import JournalDocuments
 from service.study.estimation.flight.world import Ground
 
 #: what the spacecraft tells of commands

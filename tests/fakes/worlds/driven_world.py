@@ -23,6 +23,7 @@ from analyzer_sim.world.world import World
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, ChainConfig
+from service.pipeline.inputs.documents import JournalDocuments
 from service.pipeline.inputs.reference_angles import smooth_angles
 from service.records.calibration import Alignment, ReferenceRule, Window
 from service.records.catalogue import Method
@@ -36,7 +37,7 @@ from service.records.inputs import (
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray, Status
 from service.records.levels.measurement import Measurement
 from service.study.estimation.flight.drive import calibrate
-from service.study.estimation.flight.journal import JournalDocuments, measurements, slow_entries
+from service.study.estimation.flight.journal import measurements, slow_entries
 from service.study.estimation.flight.world import Ground, read_world
 
 HOUR_US = 3_600_000_000

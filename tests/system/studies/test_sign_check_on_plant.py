@@ -10,6 +10,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
 from service.pipeline.control.release.proposals import schedule_of
 from service.pipeline.control.release.sign_checks import RUNNING, is_leg_due
+from service.pipeline.inputs.documents import JournalDocuments
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
@@ -19,7 +20,6 @@ from service.study.closed_loop.controllers import LEAD_S, Sensing
 from service.study.closed_loop.ground_knowledge import ground_of
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow
 from service.study.closed_loop.run import GroundJournal, LoopUnit, controller_of
-from service.study.estimation.flight.journal import JournalDocuments
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

@@ -3,7 +3,7 @@
 Nothing of the truth is at hand in this module.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
+from service.pipeline.inputs.documents import JournalDocuments
 from service.pipeline.inputs.reference_angles import smooth_angles
 from service.records.calibration import (
     Alignment,
@@ -21,7 +22,6 @@ from service.records.calibration import (
     CalibrationMethod,
     CalibrationRequest,
     CalibrationState,
-    ReferenceRule,
 )
 from service.records.catalogue import CarrierPlan, Ephemeris, Method
 from service.records.inputs import (
@@ -31,7 +31,7 @@ from service.records.inputs import (
 )
 from service.records.journal import SlowInput
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
-from service.study.estimation.flight.journal import Entry, JournalDocuments, measurements, slow_entries
+from service.study.estimation.flight.journal import Entry, measurements, slow_entries
 from service.study.estimation.flight.world import Ground
 
 #: what a row says, among its inhibitions or as advice, when the spacecraft moves other than it was told to, or the
@@ -164,21 +164,7 @@ def align(ground: Ground, documents: JournalDocuments) -> Alignment:
     carrier_ids = tuple(carrier.id for carrier in calibration.result.carriers)
     active = {calibration.request.method: calibration}
     aligned = align_methods(ground.series(window, carrier_ids), stated, active, ephemeris, AlignmentConfig())
-    return Alignment(
-        id=1,
-        epoch_us=stated.epoch_us,
-        attitude_deg=stated.attitude_deg,
-        sigma_deg=stated.sigma_deg,
-        calibration_id=aligned.calibration.id,
-        source=",".join(sorted(set(ground.sensors))),
-        created_at_us=0,
-        created_by="study",
-        references=aligned.references,
-        window=window,
-        references_by_method=aligned.references_by_method,
-        calibration_by_method=aligned.calibration_by_method,
-        reference_rule=ReferenceRule.ZERO_ATTITUDE,
-    )
+    return replace(aligned.to_record(stated, window, ",".join(sorted(set(ground.sensors))), "study"), id=1)
 
 
 def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries: list[Entry]) -> Driven:

@@ -5,55 +5,16 @@ them, each before the first row that is not older.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from service.pipeline.chain import Chain
-from service.records.calibration import Alignment, Calibration
-from service.records.catalogue import Carrier, CarrierPlan, Ephemeris
-from service.records.inputs import EphemerisChange, PlanChange, SourceSelection
+from service.pipeline.inputs.documents import JournalDocuments
+from service.records.catalogue import CarrierPlan, Ephemeris
+from service.records.inputs import PlanChange, SourceSelection
 from service.records.journal import SlowInput
 from service.records.levels.attitude import IntArray
 from service.records.levels.measurement import Measurement
 from service.study.estimation.flight.world import Ground
-
-
-@dataclass
-class JournalDocuments:
-    """Documents that journal entries name by number."""
-
-    plans: dict[int, CarrierPlan] = field(default_factory=dict)
-    ephemerides: dict[int, Ephemeris] = field(default_factory=dict)
-    calibrations: dict[int, Calibration] = field(default_factory=dict)
-    alignments: dict[int, Alignment] = field(default_factory=dict)
-
-    def plan(self, plan_id: int) -> CarrierPlan:
-        """Return a carrier plan."""
-        return self.plans[plan_id]
-
-    def ephemeris(self, ephemeris_id: int) -> Ephemeris:
-        """Return an ephemeris."""
-        return self.ephemerides[ephemeris_id]
-
-    def calibration(self, calibration_id: int) -> Calibration:
-        """Return a calibration."""
-        return self.calibrations[calibration_id]
-
-    def alignment(self, alignment_id: int) -> Alignment:
-        """Return an alignment."""
-        return self.alignments[alignment_id]
-
-    def add_plan(self, carriers: tuple[Carrier, ...]) -> PlanChange:
-        """Keep a plan and return its journal entry."""
-        number = len(self.plans) + 1
-        self.plans[number] = CarrierPlan(number, "", carriers)
-        return PlanChange(number)
-
-    def add_ephemeris(self, ephemeris: Ephemeris) -> EphemerisChange:
-        """Keep an ephemeris and return its journal entry."""
-        number = len(self.ephemerides) + 1
-        self.ephemerides[number] = ephemeris
-        return EphemerisChange(number)
 
 
 class Entry(NamedTuple):

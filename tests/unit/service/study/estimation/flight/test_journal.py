@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.pipeline.inputs.documents import JournalDocuments
 from service.records.catalogue import Carrier
 from service.records.inputs import Correction, PlanChange, SourceSelection
 from service.records.levels.attitude import Axes
-from service.study.estimation.flight.journal import JournalDocuments, measurements, slow_entries
+from service.study.estimation.flight.journal import measurements, slow_entries
 from service.study.estimation.flight.world import GroundEvent
 
 
