@@ -11,9 +11,6 @@ from service.api.problems.problems import invalid_request
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.ephemeris import EphemerisAnswer, EphemerisDocument, EphemerisReceiptAnswer
 from service.errors import FieldError, InvalidInputError
-from service.formats.ephemeris.oem import read_oem
-from service.formats.ephemeris.orbit import ephemeris_from_nodes
-from service.formats.ephemeris.tle import read_tle
 from service.pipeline.inputs.catalogue_checks import contradiction_of
 from service.records.catalogue import Ephemeris
 
@@ -55,7 +52,7 @@ def get_ephemeris(
 def _ephemeris_of(body: EphemerisDocument) -> Ephemeris:
     """Return the ephemeris that a document states; faults point to the form that was given."""
     try:
-        return _read(body)
+        return body.to_record()
     except InvalidInputError as error:
         field = FieldError("/track" if error.code == "ephemeris.track" else _pointer(body), error.code, error.detail)
         raise InvalidInputError(error.code, error.detail, (field,)) from None
@@ -64,13 +61,3 @@ def _ephemeris_of(body: EphemerisDocument) -> Ephemeris:
 def _pointer(body: EphemerisDocument) -> str:
     """Return the pointer to the form that was given."""
     return "/tle" if body.tle is not None else "/oem" if body.oem is not None else "/ascending_nodes"
-
-
-def _read(body: EphemerisDocument) -> Ephemeris:
-    """Return the ephemeris of whichever form was given."""
-    if body.tle is not None:
-        return read_tle(body.tle)
-    if body.oem is not None:
-        return read_oem(body.oem)
-    track = None if body.track is None else body.track.to_record()
-    return ephemeris_from_nodes(body.ascending_nodes or (), body.nodal_period_s, track)

@@ -8,7 +8,9 @@ from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import Answer, Document, Epoch, LatitudeDeg, LongitudeDeg, WindowAnswer
 from service.api.schemas.record_answers import members_of
-from service.formats.ephemeris.orbit import MAX_PERIOD_S, MAX_POINTS, MIN_PERIOD_S
+from service.formats.ephemeris.oem import read_oem
+from service.formats.ephemeris.orbit import MAX_PERIOD_S, MAX_POINTS, MIN_PERIOD_S, ephemeris_from_nodes
+from service.formats.ephemeris.tle import read_tle
 from service.records.calibration import Window
 from service.records.catalogue import Ephemeris, Track
 
@@ -57,6 +59,15 @@ class EphemerisDocument(Document):
         if self.ascending_nodes is None and (self.nodal_period_s is not None or self.track is not None):
             raise PydanticCustomError("ephemeris.form", "nodal_period_s and track belong to ascending_nodes only")
         return self
+
+    def to_record(self) -> Ephemeris:
+        """Return the ephemeris of whichever form was given; InvalidInputError where it cannot be read."""
+        if self.tle is not None:
+            return read_tle(self.tle)
+        if self.oem is not None:
+            return read_oem(self.oem)
+        track = None if self.track is None else self.track.to_record()
+        return ephemeris_from_nodes(self.ascending_nodes or (), self.nodal_period_s, track)
 
 
 class TrackAnswer(members_of(Track, number=float), Answer):
