@@ -195,6 +195,17 @@ class TurnsAnswer(Answer):
         return cls(total_s=steps[-1].stop_us / US_PER_S, steps=[TurnStepAnswer.of(step) for step in steps])
 
 
+class FurtherCarrierAnswer(Answer):
+    """A carrier that would help the chosen ones most, after those named before it."""
+
+    carrier: str
+    transponder: str
+    in_plan: bool
+    """false: a user to look for near that latitude and longitude, deg; only of plans with stated or assumed beams."""
+    bound_ratio: AnglesAnswer
+    """Bounds of one row with it over those without it; null: not determined without it."""
+
+
 class CarrierSelectionAnswer(Answer):
     """A recommended subset of the carriers of a calibration."""
 
@@ -218,6 +229,8 @@ class CarrierSelectionAnswer(Answer):
     """What to know before trusting the figures."""
     carriers: list[RecommendedCarrierAnswer]
     sets: CarrierSetsAnswer
+    further: list[FurtherCarrierAnswer]
+    """At most three that were left out of the chosen set, in the order of their effect."""
     turns: TurnsAnswer | None
 
     @classmethod
@@ -241,5 +254,6 @@ class CarrierSelectionAnswer(Answer):
             notes=list(found.notes),
             carriers=[RecommendedCarrierAnswer.of(recommendation, k) for k in range(len(candidates.carrier_ids))],
             sets=CarrierSetsAnswer(**sets),
+            further=[FurtherCarrierAnswer.of(one) for one in recommendation.further],
             turns=None if turns is Turns.NONE else TurnsAnswer.of(turns),
         )

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 #: columns of a report that is no terminal's
 _FILE_COLUMNS = 140
+_CONTOURS_HELP = "Beams by points of gain (CSV: transponder, latitude_deg, longitude_deg, gain_db)."
 _BEAM_HELP = "Assumed beam, [TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] deg; repeat it for others."
 
 
@@ -30,23 +31,28 @@ def plan(
     spacecraft_file: Annotated[Path | None, typer.Option(help="Spacecraft (JSON) to plan without a service.")] = None,
     carriers_file: Annotated[Path | None, typer.Option(help="Its carrier plan (CSV or JSON).")] = None,
     beam: Annotated[list[str] | None, typer.Option(help=_BEAM_HELP)] = None,
+    contours: Annotated[Path | None, typer.Option(help=_CONTOURS_HELP)] = None,
+    quiet: Annotated[Path | None, typer.Option(help="Powers of three quiet days, a file as soo send reads it.")] = None,
+    ephemeris: Annotated[Path | None, typer.Option(help="Orbit of these days: TLE, OEM or JSON.")] = None,
     noise: Annotated[Literal["links", "quiet"], typer.Option(help="Assumed noise.")] = "links",
     count: Annotated[int | None, typer.Option(help="Carriers wanted; default 16.", min=5, max=1000)] = None,
     rule: Annotated[Literal["optimal", "paper"], typer.Option(help="Rule of the choice.")] = "optimal",
     far_yaw: Annotated[bool, typer.Option("--far-yaw", help="Turn to 1 deg about yaw.")] = False,
     turns_start: Annotated[str | None, typer.Option(help="RFC 3339 start of the turns; default: from +0:00.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw the stations into this PNG or SVG file.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write Markdown, JSON and figures into this folder.")] = None,
     service: ServiceUrl = DEFAULT_SERVICE,
     key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Choose carriers, judge what they can see, and print a timetable of calibration turns."""
     # numpy and httpx cost more than the command line itself
-    from service.cli.planning.sources import PlanRequest, planned_by_assumption, planned_by_service
+    from service.cli.planning.sources import PlanFiles, PlanRequest, planned_by_files, planned_by_service
 
     is_offline = spacecraft_file is not None or carriers_file is not None
     if is_offline == (spacecraft is not None):
         raise _refused("name a spacecraft of the service, or both --spacecraft-file and --carriers-file")
+    _require_together(spacecraft, quiet, ephemeris, beam or contours or quiet or ephemeris)
     request = PlanRequest(count, rule, far_yaw)
     try:
         begin_us = None if turns_start is None else parse_epoch(turns_start)
@@ -54,7 +60,8 @@ def plan(
             with connected(service, key_env) as client:
                 planning = planned_by_service(client, spacecraft, request)
         elif spacecraft_file is not None and carriers_file is not None:
-            planning = planned_by_assumption(spacecraft_file, carriers_file, beam or [], noise, request)
+            files = PlanFiles(spacecraft_file, carriers_file, contours, quiet, ephemeris)
+            planning = planned_by_files(files, beam or [], noise, request)
         else:
             raise _refused("planning without a service needs both --spacecraft-file and --carriers-file")
     except SooError as error:
@@ -63,21 +70,39 @@ def plan(
         raise _refused(str(error)) from None
     if begin_us is not None:
         _add_starts(planning.document["turns"], begin_us)
-    _deliver(planning, figure, as_json=as_json)
+    _draw(planning, figure, report)
+    _deliver(planning, as_json=as_json)
 
 
-def _deliver(planning: "CarrierPlanning", figure: Path | None, *, as_json: bool) -> None:
-    """Print the planning and draw its map."""
+def _require_together(spacecraft: str | None, quiet: Path | None, ephemeris: Path | None, assumed: object) -> None:
+    """Refuse options that nothing would read."""
+    if spacecraft is not None and assumed:
+        raise _refused("--beam, --contours, --quiet and --ephemeris go with --spacecraft-file, not with --spacecraft")
+    if ephemeris is not None and quiet is None:
+        raise _refused("--ephemeris is the orbit of the quiet days: state --quiet with it")
+
+
+def _draw(planning: "CarrierPlanning", figure: Path | None, report: Path | None) -> None:
+    """Draw the map and write the folder of the report."""
+    # matplotlib costs half a second that a plan without a figure need not pay
+    try:
+        if figure is not None:
+            from service.cli.planning.figure import draw_planning
+
+            draw_planning(planning, figure)
+        if report is not None:
+            from service.cli.planning.report_folder import write_report
+
+            write_report(planning, report)
+    except (OSError, ValueError) as error:
+        name = "figure" if report is None else "figure or the report"
+        raise _refused(f"the {name} cannot be written: {error}") from None
+
+
+def _deliver(planning: "CarrierPlanning", *, as_json: bool) -> None:
+    """Print the planning."""
     from rich.console import Console
 
-    if figure is not None:
-        # matplotlib costs half a second that a plan without a figure need not pay
-        from service.cli.planning.figure import draw_planning
-
-        try:
-            draw_planning(planning, figure)
-        except (OSError, ValueError) as error:
-            raise _refused(f"the figure cannot be written: {error}") from None
     if as_json:
         typer.echo(json.dumps(planning.document, allow_nan=False))
         return

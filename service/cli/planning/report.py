@@ -1,5 +1,6 @@
-"""The report of ``soo plan``: tables of the sets, the carriers, averages and turns, for people."""
+"""The report of ``soo plan``: verdict, tables of the sets, the carriers, averages and turns, for people."""
 
+from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Console
@@ -11,28 +12,81 @@ _AXES = ("yaw", "roll", "pitch")
 _SETS = ("optimal", "paper", "all")
 #: deg, a bound beyond this says that the axis is not seen
 _UNSEEN_DEG = 90.0
-_SPAN_NAMES = {900.0: "15 min", 3600.0: "1 h", 14_400.0: "4 h", 43_200.0: "12 h"}
 
 
-def print_planning(console: Console, planning: CarrierPlanning, *, with_turns: bool = True) -> None:
+def print_planning(console: Console, planning: CarrierPlanning) -> None:
     """Print everything that a planning says."""
-    document = planning.document
+    for part in planning_parts(planning):
+        console.print(part, highlight=False)
+
+
+def planning_parts(planning: CarrierPlanning) -> Iterator[str | Table]:
+    """Yield everything that a planning says, lines and tables."""
+    document, quiet = planning.document, planning.document.get("quiet")
     origin = (
         f"calibration {document['calibration_id']} ({document['calibration_method']})"
         if document["calibration_id"] is not None
         else "assumed beams, nothing calibrated"
     )
-    console.print(f"{planning.name}: {len(document['carriers'])} carriers by {origin}, rule {document['rule']}")
-    for note in document["notes"]:
-        console.print(f"* {note}", highlight=False)
-    console.print(_sets_table(document))
-    console.print(_averages_table(document))
-    console.print(_chosen_table(document))
-    _print_left_out(console, document)
-    for shortcoming in document["shortcomings"]:
-        console.print(f"not sufficient: {shortcoming}", highlight=False)
-    if with_turns and document["turns"] is not None:
-        console.print(_turns_table(document["turns"]))
+    yield f"{planning.name}: {len(document['carriers'])} carriers by {origin}, rule {document['rule']}"
+    if quiet is not None:
+        yield quiet["verdict"]
+    yield from (f"* {note}" for note in document["notes"])
+    if quiet is not None:
+        yield _prediction_table(quiet)
+        yield _quiet_table(quiet)
+    yield _sets_table(document)
+    yield _averages_table(document)
+    yield _chosen_table(document)
+    left = [row for row in document["carriers"] if not row["selected"]]
+    if left:
+        yield "Left out"
+        yield from (f"  {row['carrier']}: {'; '.join(row['reasons'])}" for row in left)
+    yield from (f"not sufficient: {shortcoming}" for shortcoming in document["shortcomings"])
+    if document["further"]:
+        yield _further_table(document["further"])
+    if document["turns"] is not None:
+        yield _turns_table(document["turns"])
+
+
+def _prediction_table(quiet: dict[str, Any]) -> Table:
+    """Return the expected accuracy."""
+    title = f"Expected after the turns, by a rehearsal over {quiet['days']:.1f} quiet days ({quiet['rows']} rows)"
+    table = Table("deg", *_AXES, title=title, title_justify="left")
+    for name, field in (
+        ("sigma", "sigma_deg"),
+        ("protection level, usual", "protection_deg"),
+        ("protection level, 95 % of the rows", "protection_95_deg"),
+        ("rms of the angles over the quiet days", "departure_deg"),
+    ):
+        table.add_row(name, *(_angle(quiet[field][axis]) for axis in _AXES))
+    return table
+
+
+def _quiet_table(quiet: dict[str, Any]) -> Table:
+    """Return what the quiet days show of each carrier."""
+    spans = [_span(one["span_s"]) for one in quiet["carriers"][0]["allan_db"]]
+    columns = ("carrier", "usable", "there", "daily, dB", "law", "rms, dB", *spans)
+    title = "Carriers: daily change with its fit, Allan deviation in dB by averaging time"
+    table = Table(*columns, title=title, title_justify="left")
+    for row in quiet["carriers"]:
+        change = row["daily_change"]
+        usable = "yes" if row["usable"] else f"no: {'; '.join(row['reasons'])}"
+        fit = (_number(change["amplitude_db"], 3), change["law"].replace("_", " "), _number(change["rms_db"], 3))
+        allan = (_number(one["deviation_db"], 3) for one in row["allan_db"])
+        table.add_row(row["carrier"], usable, f"{row['present_share']:.1%}", *fit, *allan)
+    return table
+
+
+def _further_table(further: list[dict[str, Any]]) -> Table:
+    """Return the further carriers that would help most."""
+    title = "Further carriers that would help most, one after the other"
+    table = Table("carrier", "transponder", *(f"bound of {axis}" for axis in _AXES), title=title, title_justify="left")
+    for one in further:
+        name = one["carrier"] if one["in_plan"] else f"a user near {one['carrier']}"
+        ratios = (one["bound_ratio"][axis] for axis in _AXES)
+        table.add_row(name, one["transponder"], *("-" if r is None else f"{r - 1.0:+.0%}" for r in ratios))
+    return table
 
 
 def _sets_table(document: dict[str, Any]) -> Table:
@@ -61,8 +115,7 @@ def _averages_table(document: dict[str, Any]) -> Table:
     table = Table("average over", *_SETS, title=title, title_justify="left")
     table.add_row("1 row", *(_angles(one["crlb_deg"]) for one in sets))
     for k, first in enumerate(sets[0]["averaged"]):
-        name = _SPAN_NAMES.get(first["span_s"], f"{first['span_s']:.0f} s")
-        table.add_row(name, *(_angles(one["averaged"][k]["sigma_deg"]) for one in sets))
+        table.add_row(_span(first["span_s"]), *(_angles(one["averaged"][k]["sigma_deg"]) for one in sets))
     return table
 
 
@@ -89,15 +142,6 @@ def _chosen_table(document: dict[str, Any]) -> Table:
     return table
 
 
-def _print_left_out(console: Console, document: dict[str, Any]) -> None:
-    """Print why the other carriers were left out."""
-    left = [row for row in document["carriers"] if not row["selected"]]
-    if left:
-        console.print("Left out")
-    for row in left:
-        console.print(f"  {row['carrier']}: {'; '.join(row['reasons'])}", highlight=False)
-
-
 def _turns_table(turns: dict[str, Any]) -> Table:
     """Return the timetable of the calibration turns."""
     title = f"Recommended turns, {turns['total_s'] / 3600.0:.1f} h in all"
@@ -112,6 +156,11 @@ def _offset(offset_s: float) -> str:
     """Return a time from the start of the turns as +h:mm."""
     minutes = round(offset_s / 60.0)
     return f"+{minutes // 60}:{minutes % 60:02d}"
+
+
+def _span(span_s: float) -> str:
+    """Return a span in hours or minutes."""
+    return f"{span_s / 3600.0:g} h" if span_s >= 3600.0 else f"{span_s / 60.0:g} min"
 
 
 def _number(value: float | None, digits: int) -> str:

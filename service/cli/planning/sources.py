@@ -1,18 +1,22 @@
 """Sources of carriers for planning: a running service, or a spacecraft and a carrier plan on disk, beams assumed.
 
-Both end in the same document, that of ``GET .../carrier-selection``, and in the places of the stations.
+All end in the same document, that of ``GET .../carrier-selection``, and in the places of the stations; quiet days add
+to it what they show.
 """
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from service.client.service_client import ServiceClient
 from service.core.geometry.frames import AntennaDirection, station_direction
 from service.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from service.pipeline.planning.rehearsal import Rehearsal
 
 _BEAM_FORM = "[TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] in deg"
 
@@ -32,12 +36,25 @@ class PlanRequest:
         return "far_yaw" if self.far_yaw else "standard"
 
 
+@dataclass(frozen=True, slots=True)
+class PlanFiles:
+    """Files to plan by without a service."""
+
+    spacecraft: Path
+    carriers: Path
+    contours: Path | None = None
+    quiet: Path | None = None
+    ephemeris: Path | None = None
+
+
 class CarrierPlanning(NamedTuple):
     """The document of a choice, and where the station of each of its carriers is seen; NaN = not seen."""
 
     name: str
     document: dict[str, Any]
     direction: AntennaDirection
+    #: of quiet days
+    rehearsal: "Rehearsal | None" = None
 
 
 def planned_by_service(client: ServiceClient, spacecraft_id: str, request: PlanRequest) -> CarrierPlanning:
@@ -51,52 +68,76 @@ def planned_by_service(client: ServiceClient, spacecraft_id: str, request: PlanR
     return CarrierPlanning(spacecraft_id, document, _directions(positions, spacecraft["longitude_deg"]))
 
 
-def planned_by_assumption(
-    spacecraft_path: Path, carriers_path: Path, beams: list[str], noise: str, request: PlanRequest
-) -> CarrierPlanning:
-    """Return the recommendation for files and assumed beams.
+def planned_by_files(files: PlanFiles, beams: list[str], noise: str, request: PlanRequest) -> CarrierPlanning:
+    """Return the recommendation for files, with assumed noise or that of quiet days.
 
     Raises
     ------
     InvalidInputError
         A file that cannot be read or understood, a beam of another form, or carriers that cannot be chosen from.
+    ValueError
+        Contours of another region.
     """
     # web framework and validation cost a quarter of a second that other commands need not pay
     from service.api.problems.problems import RequestProblemError
     from service.api.protocol.bodies import decode
     from service.api.schemas.carriers import CARRIER_PLAN_ADAPTER
     from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER
+    from service.pipeline.planning.assumed_beams import NOISES, assume_payload
+    from service.records.catalogue import CarrierPlan
 
-    assumed = dict(_beam(text) for text in beams)
+    stated = dict(_beam(text) for text in beams)
     try:
-        spacecraft = decode(SPACECRAFT_ADAPTER, _read(spacecraft_path)).to_record()
-        carriers = decode(CARRIER_PLAN_ADAPTER, _carriers_json(_read(carriers_path))).to_records()
+        spacecraft = decode(SPACECRAFT_ADAPTER, _read(files.spacecraft)).to_record()
+        carriers = decode(CARRIER_PLAN_ADAPTER, _carriers_json(_read(files.carriers))).to_records()
+        stated |= _contour_beams(files.contours, carriers, spacecraft.longitude_deg)
+        _require_known(stated, carriers)
+        meant = NOISES[noise] if files.quiet is None else NOISES[noise]._replace(meaning=f"that of {files.quiet.name}")
+        payload = assume_payload(carriers, spacecraft.longitude_deg, meant, stated)
+        if files.quiet is None:
+            return CarrierPlanning(spacecraft.id, _assumed_document(payload, request), payload.direction)
+        from service.cli.planning.quiet_plan import planned_by_quiet_days
+
+        plan = CarrierPlan(1, "", carriers)
+        found = planned_by_quiet_days(spacecraft, payload, plan, (files.quiet, files.ephemeris), request)
     except RequestProblemError as error:
         fields = "; ".join(f"{field.pointer or '/'}: {field.detail}" for field in error.fields) or error.detail
         raise InvalidInputError(error.code, fields) from None
-    return _assumed_planning(spacecraft.id, carriers, spacecraft.longitude_deg, assumed, noise, request)
+    return CarrierPlanning(spacecraft.id, found.document, payload.direction, found.rehearsal)
 
 
-def _assumed_planning(
-    name: str, carriers: Any, longitude_deg: float, beams: dict[str, Any], noise: str, request: PlanRequest
-) -> CarrierPlanning:
-    """Return the planning of carriers with assumed beams."""
-    from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
-    from service.pipeline.planning.assumed_beams import NOISES, assume_payload
-    from service.pipeline.planning.planning import Rule, recommend
-    from service.runtime.jobs.archive_analysis import CarrierRecommendation, wanted_count
+def _contour_beams(path: Path | None, carriers: Any, longitude_deg: float) -> dict[str, Any]:
+    """Return the beams of a contour file, none without one."""
+    if path is None:
+        return {}
+    from service.cli.planning.quiet_files import read_contours
+    from service.pipeline.planning.beam_contours import contour_beams
 
+    return dict(contour_beams(read_contours(path), carriers, longitude_deg))
+
+
+def _require_known(beams: dict[str, Any], carriers: Any) -> None:
+    """Refuse a beam of a transponder that the plan does not have."""
     known = {carrier.transponder for carrier in carriers}
     unknown = sorted(set(beams) - known - {"*"})
     if unknown:
         detail = f"no carrier passes through {unknown[0]!r}; the transponders are {', '.join(sorted(known))}"
         raise InvalidInputError("plan.beam", detail)
-    payload = assume_payload(carriers, longitude_deg, NOISES[noise], beams)
+
+
+def _assumed_document(payload: Any, request: PlanRequest) -> dict[str, Any]:
+    """Return the document of carriers with assumed beams and noise."""
+    from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
+    from service.pipeline.planning.planning import Rule, recommend
+    from service.pipeline.planning.user_sites import offered_sites
+    from service.runtime.jobs.archive_analysis import CarrierRecommendation, wanted_count
+
     count = wanted_count(payload.candidates, request.count, "the carrier plan")
-    recommendation = recommend(payload.candidates, count, Rule(request.rule))
+    offered = offered_sites(payload, payload.candidates)
+    recommendation = recommend(payload.candidates, count, Rule(request.rule), offered=offered)
     found = CarrierRecommendation(None, None, count, recommendation, payload.assumptions)
-    answer = CarrierSelectionAnswer.of(found, Turns(request.turns))
-    return CarrierPlanning(name, json.loads(answer.model_dump_json()), payload.direction)
+    document: dict[str, Any] = json.loads(CarrierSelectionAnswer.of(found, Turns(request.turns)).model_dump_json())
+    return document
 
 
 def _beam(text: str) -> tuple[str, Any]:

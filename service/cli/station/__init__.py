@@ -1,1 +1,4 @@
-"""Commands of a measuring station: acquire, send."""
+"""Commands of a measuring station: acquire, send.
+
+Public: tdm_archive.
+"""

@@ -1,4 +1,4 @@
-"""Planning before a calibration: sets of carriers, turns, assumed beams.
+"""Planning before a calibration: sets of carriers, turns, assumed beams, and a rehearsal over quiet days.
 
-Public: assumed_beams, candidates, planning.
+Public: assumed_beams, beam_contours, candidates, planning, quiet_days, rehearsal, user_sites.
 """

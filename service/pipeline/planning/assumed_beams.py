@@ -1,24 +1,30 @@
 """Planning before any calibration: beams and noise are assumed, stations stand where the carrier plan says.
 
-Beam: ``G = -12 ((az - az0)^2 / w_az^2 + (el - el0)^2 / w_el^2)`` dB, w the half-power widths in deg, hence a gradient
-of ``-24 (az - az0) / w_az^2`` dB/deg at the station and, with the station's displacement by yaw, roll and pitch, a
-sensitivity. The downlink to the receiving site changes all carriers alike and is left to the common level. The law of
+Gradient and Hessian of a carrier's beam at its station, with the station's displacement by yaw, roll and pitch, give
+its response. The downlink to the receiving site changes all carriers alike and is left to the common level. The law of
 this file: whatever was assumed stands in ``assumptions``, in words that can be printed beside the figures.
 
 One round parabolic beam shows no yaw: turned about nadir only its centre moves, so ``yaw = el0 pitch - az0 roll`` in
 the sensitivities of every station. Plans of one beam say so; shaped beams and several beams are better than this.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
-from service.core.estimation.calibration.quadratic_response import displacement_matrix
+from service.core.estimation.calibration.quadratic_response import (
+    QuadraticResponse,
+    displacement_matrix,
+    exact_response,
+    response_transform,
+    symmetric_matrix,
+)
 from service.core.geometry.frames import AntennaDirection, station_direction
 from service.pipeline.carrier_model.level_control import MIN_GROUP, alc_groups
+from service.pipeline.planning.beam_contours import BeamShape, ContourBeam
 from service.pipeline.planning.candidates import NOT_USABLE, Candidates
 from service.records.catalogue import Carrier, CarrierPlan
 from service.records.levels.attitude import FloatArray, IntArray
@@ -28,12 +34,29 @@ DEFAULT_WIDTHS_DEG = (4.0, 3.0)
 
 
 class AssumedBeam(NamedTuple):
-    """Centre in the antenna frame and half-power widths of a receive beam, deg."""
+    """Parabolic receive beam ``-12 ((az - az0)^2 / w_az^2 + (el - el0)^2 / w_el^2)`` dB: centre, half-power widths."""
 
     azimuth_deg: float
     elevation_deg: float
     width_azimuth_deg: float
     width_elevation_deg: float
+
+    def shape_at(self, azimuth_deg: FloatArray, elevation_deg: FloatArray) -> BeamShape:
+        """Return gain, gradient and Hessian in some directions (N,), deg."""
+        apart_deg = np.column_stack([azimuth_deg - self.azimuth_deg, elevation_deg - self.elevation_deg])
+        bend = -24.0 / np.array([self.width_azimuth_deg, self.width_elevation_deg]) ** 2
+        hessian = np.tile([bend[0], 0.0, bend[1]], (len(apart_deg), 1))
+        return BeamShape(0.5 * apart_deg**2 @ bend, apart_deg * bend, hessian)
+
+    def __str__(self) -> str:
+        """Return centre and widths."""
+        return (
+            f"centre az {self.azimuth_deg:+.2f}, el {self.elevation_deg:+.2f} deg, half-power width "
+            f"{self.width_azimuth_deg:.1f} x {self.width_elevation_deg:.1f} deg"
+        )
+
+
+Beam = AssumedBeam | ContourBeam
 
 
 class AssumedNoise(NamedTuple):
@@ -47,9 +70,14 @@ class AssumedNoise(NamedTuple):
 
 #: noise by name; `links` reproduces the spread of 284 measured microwave links within 10 min to a day
 NOISES = {
-    "quiet": AssumedNoise("steady users: white 0.155 dB and 0.09 dB of 20 min", 0.155, ((1200.0, 0.09),)),
+    "quiet": AssumedNoise(
+        "steady users: white 0.155 dB and 0.09 dB of 20 min; every carrier counts as stable and linear",
+        0.155,
+        ((1200.0, 0.09),),
+    ),
     "links": AssumedNoise(
-        "measured links that flicker: white 0.11 dB, 0.11 dB of 5 min, 0.09 dB of 1 h, 0.16 dB of 6 h",
+        "measured links that flicker: white 0.11 dB, 0.11 dB of 5 min, 0.09 dB of 1 h, 0.16 dB of 6 h; every carrier "
+        "counts as stable and linear",
         0.11,
         ((300.0, 0.11), (3600.0, 0.09), (21_600.0, 0.16)),
     ),
@@ -60,9 +88,13 @@ NOISES = {
 class AssumedPayload:
     """Carriers as they would be if the assumptions held."""
 
+    #: East longitude of the satellite, deg
+    longitude_deg: float
     candidates: Candidates
     direction: AntennaDirection
-    beams: dict[str, AssumedBeam]
+    beams: dict[str, Beam]
+    #: of the N carriers to the attitude, without error; NaN = not known
+    response: QuadraticResponse
     assumptions: tuple[str, ...]
 
 
@@ -70,7 +102,7 @@ def assume_payload(
     carriers: tuple[Carrier, ...],
     longitude_deg: float,
     noise: AssumedNoise,
-    beams: Mapping[str, AssumedBeam] | None = None,
+    beams: Mapping[str, Beam] | None = None,
 ) -> AssumedPayload:
     """Return carriers with assumed beams.
 
@@ -88,14 +120,12 @@ def assume_payload(
     """
     direction = _directions(carriers, longitude_deg)
     chosen, assumptions = _beams_of(carriers, direction, beams or {})
-    per_carrier = [chosen.get(carrier.transponder) for carrier in carriers]
-    gradient = np.array([_gradient(beam, direction, k) for k, beam in enumerate(per_carrier)]).reshape(-1, 1, 2)
-    positions = displacement_matrix(direction.azimuth_deg, direction.elevation_deg)
-    sensitivity = (gradient @ positions)[:, 0]
+    response = beam_response([chosen.get(carrier.transponder) for carrier in carriers], direction)
+    sensitivity = response.slope
     count = len(carriers)
     parts = np.array(noise.parts).reshape(-1, 2)
     unknown = np.full(count, np.nan)
-    level = alc_groups(CarrierPlan(0, "", carriers))
+    level, is_seen = alc_groups(CarrierPlan(0, "", carriers)), np.isfinite(direction.azimuth_deg)
     candidates = Candidates(
         tuple(carrier.id for carrier in carriers),
         tuple(carrier.transponder for carrier in carriers),
@@ -106,7 +136,10 @@ def assume_payload(
         unknown,
         unknown,
         level,
-        tuple(_refusal(carrier, sensitivity[k], _held_together(level, k)) for k, carrier in enumerate(carriers)),
+        tuple(
+            _refusal(carrier, sensitivity[k], _held_together(level, k), is_seen=bool(is_seen[k]))
+            for k, carrier in enumerate(carriers)
+        ),
         ((),) * count,
     )
     held = sorted({carrier.transponder for carrier, one in zip(carriers, level, strict=True) if one >= 0})
@@ -115,9 +148,9 @@ def assume_payload(
     reported = (
         *assumptions,
         f"noise: {noise.meaning}",
-        "every carrier counts as stable and linear; the downlink to the receiving site is left to the common level",
+        "the downlink to the receiving site is left to the common level",
     )
-    return AssumedPayload(candidates, direction, chosen, reported)
+    return AssumedPayload(longitude_deg, candidates, direction, chosen, response, reported)
 
 
 def _directions(carriers: tuple[Carrier, ...], longitude_deg: float) -> AntennaDirection:
@@ -131,10 +164,10 @@ def _directions(carriers: tuple[Carrier, ...], longitude_deg: float) -> AntennaD
 
 
 def _beams_of(
-    carriers: tuple[Carrier, ...], direction: AntennaDirection, given: Mapping[str, AssumedBeam]
-) -> tuple[dict[str, AssumedBeam], tuple[str, ...]]:
+    carriers: tuple[Carrier, ...], direction: AntennaDirection, given: Mapping[str, Beam]
+) -> tuple[dict[str, Beam], tuple[str, ...]]:
     """Return the beam of each transponder that has a visible station, and in words where it came from."""
-    beams: dict[str, AssumedBeam] = {}
+    beams: dict[str, Beam] = {}
     reported = []
     for name in sorted({carrier.transponder for carrier in carriers}):
         held = np.array([carrier.transponder == name for carrier in carriers]) & np.isfinite(direction.azimuth_deg)
@@ -144,13 +177,10 @@ def _beams_of(
         beam = given.get(name, given.get("*"))
         origin = "as stated" if beam is not None else "assumed on the middle of its stations"
         beams[name] = beam or AssumedBeam(*middle, *DEFAULT_WIDTHS_DEG)
-        centre_az, centre_el, width_az, width_el = beams[name]
-        reported.append(
-            f"beam of {name}: centre az {centre_az:+.2f}, el {centre_el:+.2f} deg, half-power width {width_az:.1f} x "
-            f"{width_el:.1f} deg, {origin}; parabolic"
-        )
-    if len(set(beams.values())) == 1:
-        beam = next(iter(beams.values()))
+        form = "; parabolic" if isinstance(beams[name], AssumedBeam) else ""
+        reported.append(f"beam of {name}: {beams[name]}, {origin}{form}")
+    beam = next(iter(beams.values()), None)
+    if isinstance(beam, AssumedBeam) and set(beams.values()) == {beam}:
         reported.append(
             "one round parabolic beam shows no yaw, whatever the carriers: turned about nadir it looks shifted"
             if beam.width_azimuth_deg == beam.width_elevation_deg
@@ -159,14 +189,18 @@ def _beams_of(
     return beams, tuple(reported)
 
 
-def _gradient(beam: AssumedBeam | None, direction: AntennaDirection, k: int) -> tuple[float, float]:
-    """Return the slope of a beam at the k-th station, dB/deg; NaN without beam."""
-    if beam is None:
-        return (np.nan, np.nan)
-    return (
-        -24.0 * float(direction.azimuth_deg[k] - beam.azimuth_deg) / beam.width_azimuth_deg**2,
-        -24.0 * float(direction.elevation_deg[k] - beam.elevation_deg) / beam.width_elevation_deg**2,
-    )
+def beam_response(beams: Sequence[Beam | None], direction: AntennaDirection) -> QuadraticResponse:
+    """Return the response of carriers through their beams; NaN without beam."""
+    shapes = np.full((len(beams), 5), np.nan)
+    for beam in set(beams) - {None}:
+        at = np.array([one == beam for one in beams])
+        if beam is not None:
+            shape = beam.shape_at(direction.azimuth_deg[at], direction.elevation_deg[at])
+            shapes[at] = np.hstack([shape.gradient_db_per_deg, shape.hessian_db_per_deg2])
+    displacement = displacement_matrix(direction.azimuth_deg, direction.elevation_deg)
+    own, _downlink = response_transform(displacement, np.zeros((2, 3)))
+    coefficients = np.einsum("nij,nj->ni", own, shapes)
+    return exact_response(coefficients[:, :3], symmetric_matrix(coefficients[:, 3:]))
 
 
 def _held_together(level: IntArray, k: int) -> int | None:
@@ -174,10 +208,12 @@ def _held_together(level: IntArray, k: int) -> int | None:
     return int(np.count_nonzero(level == level[k])) if level[k] >= 0 else None
 
 
-def _refusal(carrier: Carrier, sensitivity: FloatArray, held_together: int | None) -> tuple[str, ...]:
+def _refusal(carrier: Carrier, sensitivity: FloatArray, held_together: int | None, *, is_seen: bool) -> tuple[str, ...]:
     """Return why a carrier cannot be planned with."""
     if not carrier.is_usable_for_attitude:
         return (NOT_USABLE,)
     if held_together is not None and held_together < MIN_GROUP:
         return (f"its transponder is under level control and has fewer than {MIN_GROUP} carriers in the plan",)
-    return () if np.isfinite(sensitivity).all() else ("the satellite is below the horizon of its station",)
+    if carrier.station is not None and not is_seen:
+        return ("the satellite is below the horizon of its station",)
+    return () if np.isfinite(sensitivity).all() else ("the beam of its transponder is not known at its station",)

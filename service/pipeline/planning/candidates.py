@@ -57,6 +57,20 @@ class Candidates:
         names = sorted(set(self.transponders))
         return np.array([names.index(name) for name in self.transponders], dtype=np.int64)
 
+    def joined(self, others: "Candidates") -> "Candidates":
+        """Return these and other carriers, whose noise has as many parts."""
+        return Candidates(
+            self.carrier_ids + others.carrier_ids,
+            self.transponders + others.transponders,
+            np.vstack([self.sensitivity_db_per_deg, others.sensitivity_db_per_deg]),
+            ColouredNoise(*(np.concatenate(parts) for parts in zip(self.noise, others.noise, strict=True))),
+            np.concatenate([self.residual_rms_db, others.residual_rms_db]),
+            np.concatenate([self.nonlinearity_deg, others.nonlinearity_deg]),
+            np.concatenate([self.level, others.level]),
+            self.refusals + others.refusals,
+            self.paper_refusals + others.paper_refusals,
+        )
+
 
 def candidates_of(result: CalibrationResult, plan: CarrierPlan) -> Candidates:
     """Return the carriers of a calibration; the newest plan says which may be used and who shares a transponder."""

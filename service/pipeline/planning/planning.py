@@ -3,8 +3,8 @@
 Known are sensitivities and noise, from a calibration or assumed for a spacecraft that was never calibrated
 (assumed_beams). The rule ``optimal`` is the weighted A-optimal choice for the robust method; ``paper`` takes for each
 axis the carriers that answer mostly to it and asks for stable, linear ones. Both are judged by the same figures,
-beside the set of all usable carriers. Nothing is read or kept here; every carrier is told why it was chosen or left
-out.
+beside the set of all usable carriers, and further carriers are named that would help most. Nothing is read or kept
+here; every carrier is told why it was chosen or left out.
 """
 
 import math
@@ -35,6 +35,8 @@ from service.records.levels.attitude import Axes, FloatArray, IntArray, named_ax
 AVERAGING_SPANS_S = (900.0, 3600.0, 14_400.0, 43_200.0)
 #: time between rows for which averages are told, s
 ROW_PERIOD_S = 60.0
+#: further carriers that are named
+MOST_FURTHER = 3
 _AXIS_NAMES = ("yaw", "roll", "pitch")
 
 
@@ -70,6 +72,17 @@ class CarrierWord(NamedTuple):
     reasons: tuple[str, ...]
 
 
+class FurtherCarrier(NamedTuple):
+    """A carrier that would lower the bounds of the chosen set, and of those named before it, most."""
+
+    carrier: str
+    transponder: str
+    #: whether the plan has it; otherwise it is a user to look for
+    in_plan: bool
+    #: bounds with it over bounds without it; NaN = not determined without it
+    bound_ratio: Axes
+
+
 @dataclass(frozen=True)
 class Recommendation:
     """Recommendation of a rule, with alternative sets."""
@@ -80,6 +93,8 @@ class Recommendation:
     sets: dict[str, CarrierSet]
     #: (N,)
     words: tuple[CarrierWord, ...]
+    #: in the order of their effect
+    further: tuple[FurtherCarrier, ...]
 
 
 class TurnStep(NamedTuple):
@@ -90,10 +105,13 @@ class TurnStep(NamedTuple):
     attitude_deg: Axes
 
 
-def recommend(candidates: Candidates, count: int, rule: Rule, *, yaw_scale: float = 8.0) -> Recommendation:
+def recommend(
+    candidates: Candidates, count: int, rule: Rule, *, yaw_scale: float = 8.0, offered: Candidates | None = None
+) -> Recommendation:
     """Return the recommendation of a rule for some number of carriers, and the sets to compare it with.
 
-    With fewer than MIN_USABLE usable carriers every set is there, but its figures are NaN.
+    Further carriers are usable ones that were left out, and those offered from outside the plan. With fewer than
+    MIN_USABLE usable carriers every set is there, but its figures are NaN.
     """
     usable = candidates.is_usable
     sensitivity, sigma = candidates.sensitivity_db_per_deg, candidates.sigma_db
@@ -112,7 +130,8 @@ def recommend(candidates: Candidates, count: int, rule: Rule, *, yaw_scale: floa
         words = tuple(_paper_word(k, candidates, by_axis) for k in range(len(usable)))
     else:
         words = tuple(_optimal_word(k, candidates, ordered, yaw_scale) for k in range(len(usable)))
-    return Recommendation(rule, candidates, sets, words)
+    further = _further(candidates, sets[rule.value].chosen, offered)
+    return Recommendation(rule, candidates, sets, words, further)
 
 
 def judged_set(candidates: Candidates, chosen: IntArray) -> CarrierSet:
@@ -169,6 +188,24 @@ def _bound_deg(candidates: Candidates, chosen: IntArray) -> FloatArray:
     """Return the bound (3,) of one row by some carriers, common level free."""
     sensitivity, sigma = candidates.sensitivity_db_per_deg[chosen], candidates.sigma_db[chosen]
     return crlb_deg(sensitivity, sigma, with_common=True, level=candidates.level[chosen])
+
+
+def _further(candidates: Candidates, chosen: IntArray, offered: Candidates | None) -> tuple[FurtherCarrier, ...]:
+    """Return the carriers that lower the weighted sum of variances most, one after the other."""
+    every = candidates if offered is None else candidates.joined(offered)
+    free = np.setdiff1d(np.flatnonzero(every.is_usable), chosen)
+    found: list[FurtherCarrier] = []
+    before_deg = _bound_deg(every, chosen)
+    while len(found) < MOST_FURTHER and free.size:
+        bounds_deg = np.array([_bound_deg(every, np.append(chosen, k)) for k in free])
+        costs = np.nan_to_num(np.square(bounds_deg * AXIS_WEIGHTS).sum(axis=1), nan=math.inf)
+        best = int(np.argmin(costs))
+        if not math.isfinite(costs[best]):
+            break
+        k, ratio = int(free[best]), named_axes(bounds_deg[best] / before_deg)
+        found.append(FurtherCarrier(every.carrier_ids[k], every.transponders[k], k < len(candidates.level), ratio))
+        before_deg, chosen, free = bounds_deg[best], np.append(chosen, k), np.delete(free, best)
+    return tuple(found)
 
 
 def _optimal_word(k: int, candidates: Candidates, chosen: IntArray, yaw_scale: float) -> CarrierWord:

@@ -1,4 +1,4 @@
 """Noise of the carriers' levels, identified from quiet days.
 
-Public: components, periodogram, quantisation.
+Public: allan, components, periodogram, quantisation.
 """

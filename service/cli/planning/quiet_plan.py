@@ -1,0 +1,189 @@
+"""Planning by quiet days: the document of ``soo plan`` with what the days show and what a rehearsal predicts."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
+from service.api.schemas.inspection import CarrierHarmonicAnswer
+from service.cli.planning.quiet_files import read_orbit, read_powers
+from service.errors import InvalidInputError
+from service.pipeline.calibration.windows import CalibrationError
+from service.pipeline.config import CalibrationConfig, InterlockConfig
+from service.pipeline.planning.assumed_beams import AssumedPayload
+from service.pipeline.planning.candidates import Candidates, candidates_of
+from service.pipeline.planning.planning import Recommendation, Rule, recommend
+from service.pipeline.planning.quiet_days import (
+    ALLAN_SPANS_S,
+    QuietDays,
+    QuietLevels,
+    SuspectedTurn,
+    quiet_levels,
+    sidereal_orbit,
+    suspected_turns,
+)
+from service.pipeline.planning.rehearsal import Rehearsal, rehearse
+from service.pipeline.planning.user_sites import offered_sites
+from service.records.catalogue import CarrierPlan, Spacecraft
+from service.records.epoch import format_epoch
+from service.records.levels.attitude import BoolArray, FloatArray, named_axes
+from service.runtime.jobs.archive_analysis import CarrierRecommendation, wanted_count
+
+#: share of the rehearsed rows with control allowed that makes a yes
+_ENOUGH_ALLOWED = 0.9
+_NO_POWERS = "the quiet days hold no level of it that a daily change can be fitted to"
+_NO_ORBIT = "no ephemeris: the daily change is two harmonics of the sidereal day; state --ephemeris for the dish law"
+
+
+class QuietPlanning(NamedTuple):
+    """Document, and the rehearsal that figures are drawn from."""
+
+    document: dict[str, Any]
+    rehearsal: Rehearsal
+
+
+def planned_by_quiet_days(
+    spacecraft: Spacecraft, payload: AssumedPayload, plan: CarrierPlan, files: tuple[Path, Path | None], request: Any
+) -> QuietPlanning:
+    """Return the recommendation for the noise of quiet days and stated or assumed beams.
+
+    Raises
+    ------
+    InvalidInputError
+        Files that cannot be read or do not fit, or days by which nothing can be rehearsed.
+    """
+    quiet_path, orbit_path = files
+    powers = read_powers(quiet_path, plan)
+    epochs_us = powers.rows.series.epochs_us
+    span_us = int(epochs_us[0]), int(epochs_us[-1])
+    orbit = sidereal_orbit(*span_us) if orbit_path is None else read_orbit(orbit_path, spacecraft)
+    if not (orbit.valid_start_us <= span_us[0] and span_us[1] <= orbit.valid_stop_us):
+        reach = f"{format_epoch(orbit.valid_start_us)} to {format_epoch(orbit.valid_stop_us)}"
+        detail = f"{orbit_path} reaches from {reach}, the quiet days begin at {format_epoch(span_us[0])}"
+        raise InvalidInputError("plan.ephemeris", f"{detail} and end at {format_epoch(span_us[1])}")
+    days = QuietDays(spacecraft, plan, orbit, powers.rows)
+    levels = quiet_levels(days)
+    suspected = suspected_turns(epochs_us, levels.residual_db, payload.response.slope)
+    try:
+        rehearsal = rehearse(days, levels, payload.response, far_yaw=request.far_yaw)
+    except CalibrationError as error:
+        hint = f" ({_turns_note(suspected)})" if suspected else ""
+        raise InvalidInputError(
+            "plan.quiet", f"{quiet_path}: a calibration was rehearsed and refused: {error}{hint}"
+        ) from None
+    candidates = _candidates(rehearsal, payload, plan, levels)
+    count = wanted_count(candidates, request.count, "the carrier plan")
+    offered = offered_sites(payload, candidates)
+    yaw_scale = CalibrationConfig().criteria.yaw_scale
+    recommendation = recommend(candidates, count, Rule(request.rule), yaw_scale=yaw_scale, offered=offered)
+    notes = (*payload.assumptions, *powers.notes, *(() if orbit_path else (_NO_ORBIT,)))
+    if suspected:
+        notes += (_turns_note(suspected),)
+    found = CarrierRecommendation(None, None, count, recommendation, notes)
+    document = json.loads(CarrierSelectionAnswer.of(found, Turns(request.turns)).model_dump_json())
+    document["quiet"] = {
+        "file": quiet_path.name,
+        "rows": len(epochs_us),
+        "start": format_epoch(span_us[0]),
+        "stop": format_epoch(span_us[1]),
+        "days": (span_us[1] - span_us[0]) / 86.4e9,
+        **_prediction(rehearsal),
+        **_verdict(rehearsal, recommendation, suspected),
+        "carriers": _carriers(candidates, levels),
+    }
+    return QuietPlanning(document, rehearsal)
+
+
+def _candidates(rehearsal: Rehearsal, payload: AssumedPayload, plan: CarrierPlan, levels: QuietLevels) -> Candidates:
+    """Return the carriers of the rehearsed calibration; reasons of the plan, the beams and the file come first."""
+    candidates = candidates_of(rehearsal.result, plan)
+    is_absent: BoolArray = np.asarray(~np.isfinite(levels.residual_db).any(axis=0))
+    refusals = [
+        stated or ((_NO_POWERS,) if is_absent[k] else candidates.refusals[k])
+        for k, stated in enumerate(payload.candidates.refusals)
+    ]
+    return replace(candidates, refusals=tuple(refusals))
+
+
+def _carriers(candidates: Candidates, levels: QuietLevels) -> list[dict[str, Any]]:
+    """Return what the quiet days show of each carrier."""
+    present = np.isfinite(levels.residual_db).mean(axis=0)
+    return [
+        {
+            "carrier": name,
+            "usable": not candidates.refusals[k],
+            "reasons": list(candidates.refusals[k]),
+            "present_share": float(present[k]),
+            "white_db": _finite(candidates.noise.white_db[k]),
+            "daily_change": json.loads(CarrierHarmonicAnswer.of(levels.harmonics[k]).model_dump_json()),
+            "allan_db": [
+                {"span_s": span_s, "deviation_db": _finite(levels.allan_db[number, k])}
+                for number, span_s in enumerate(ALLAN_SPANS_S)
+            ],
+        }
+        for k, name in enumerate(candidates.carrier_ids)
+    ]
+
+
+def _prediction(rehearsal: Rehearsal) -> dict[str, Any]:
+    """Return the expected accuracy."""
+    prediction = rehearsal.prediction
+    stated = np.isfinite(prediction.protection_deg).any(axis=0)
+    protection_deg = np.where(np.isfinite(prediction.protection_deg), prediction.protection_deg, np.inf)
+    usual_deg, seldom_deg = (np.quantile(protection_deg, share, axis=0, method="higher") for share in (0.5, 0.95))
+    return {
+        "sigma_deg": _angles(np.array(prediction.usual_sigma_deg)),
+        "protection_deg": _angles(np.where(stated, usual_deg, np.nan)),
+        "protection_95_deg": _angles(np.where(stated, seldom_deg, np.nan)),
+        "departure_deg": _angles(np.array(prediction.departure_deg)),
+        "allowed_share": prediction.allowed_share,
+        "inhibitions": dict(prediction.inhibitions),
+        "rehearsed_turns": {
+            "start": format_epoch(rehearsal.turns.start_us),
+            "stop": format_epoch(rehearsal.turns.stop_us),
+        },
+    }
+
+
+def _verdict(
+    rehearsal: Rehearsal, recommendation: Recommendation, suspected: tuple[SuspectedTurn, ...]
+) -> dict[str, Any]:
+    """Return whether it could work, and one sentence with the reason."""
+    share, sigma = rehearsal.prediction.allowed_share, rehearsal.prediction.usual_sigma_deg
+    shortcomings = recommendation.sets["all"].shortcomings
+    expected = f"sigma of yaw {sigma.yaw:.2f}, roll {sigma.roll:.3f}, pitch {sigma.pitch:.3f} deg"
+    allowed = f"control allowed in {share:.1%} of the rehearsed rows"
+    if suspected:
+        return {"works": False, "verdict": f"Not to be told: {_turns_note(suspected)}"}
+    if share < _ENOUGH_ALLOWED:
+        reasons = sorted(rehearsal.prediction.inhibitions.items(), key=lambda each: -each[1])
+        why = ", ".join(name for name, _count in reasons[:3])
+        limits = InterlockConfig()
+        wanted = f"roll below {limits.roll_sigma_limit_deg:g}, pitch below {limits.pitch_sigma_limit_deg:g} deg"
+        return {"works": False, "verdict": f"No: {allowed} ({why}); {expected}; wanted: {wanted}"}
+    if shortcomings:
+        return {"works": False, "verdict": f"Not yet: {'; '.join(shortcomings)}; {expected}"}
+    return {"works": True, "verdict": f"Yes: {expected}; {allowed}"}
+
+
+def _turns_note(suspected: tuple[SuspectedTurn, ...]) -> str:
+    """Return the hours that look like turns."""
+    spans = [
+        f"{format_epoch(one.window.start_us)} to {format_epoch(one.window.stop_us)} ({one.reach_deg:.2f} deg)"
+        for one in suspected[:3]
+    ]
+    more = f" and {len(suspected) - 3} more" if len(suspected) > 3 else ""
+    return f"the powers move as by turns of the satellite: {', '.join(spans)}{more}; leave these hours out of the file"
+
+
+def _angles(values: FloatArray) -> dict[str, float | None]:
+    """Return angles by name; null where there is none."""
+    return {name: _finite(value) for name, value in named_axes(values)._asdict().items()}
+
+
+def _finite(value: Any) -> float | None:
+    """Return a number, None for NaN and infinity."""
+    return float(value) if np.isfinite(value) else None
