@@ -1,7 +1,7 @@
 """The application: routes, layers and handlers put together, nothing else.
 
-Layers from outside in: request ids (and the last 500), figures and access log, access (rates, audit), packing of
-answers, body limit, routes.
+Layers from outside in: reading by pages of other origins, request ids (and the last 500), figures and access log,
+access (rates, audit), packing of answers, body limit, routes.
 """
 
 import asyncio
@@ -16,6 +16,7 @@ from service.api.access.access_housekeeping import AccessHousekeeping
 from service.api.access.access_middleware import AccessLayer
 from service.api.access.audit_context import BASE_PATH
 from service.api.access.auth import MAY_READ
+from service.api.access.cross_origin import CrossOriginReading
 from service.api.access.key_cache import StoredKeys
 from service.api.access.refusal_audit import Refusals
 from service.api.context.carrier_names import CarrierNameCache
@@ -132,6 +133,8 @@ def _bare_app(limits: Limits, statistics: RequestMetrics, monitoring: Monitoring
     app.add_middleware(AccessLayer)
     app.add_middleware(RequestLog, statistics=statistics, base_path=BASE_PATH, is_writing=monitoring.access_log)
     app.add_middleware(RequestIds)
+    if limits.allowed_origins:
+        app.add_middleware(CrossOriginReading, origins=limits.allowed_origins)
     add_handlers(app)
     # each router by itself: a router of routers would be searched on every request
     for router in ROUTERS:

@@ -11,6 +11,7 @@ from fastapi import FastAPI
 from pydantic import SecretStr
 
 from db.storage import SqlStorage
+from service.api.access.cross_origin import origins_of
 from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
 from service.api.context.monitoring_settings import MonitoringSettings
@@ -197,6 +198,7 @@ def _limits(settings: Settings) -> Limits:
         "rates": settings.rate_limit,
         "max_connections": min(settings.max_connections, descriptors),
         "trusted_proxies": settings.trusted_proxies or "",
+        "allowed_origins": origins_of(settings.allowed_origins),
     }
     return Limits(**_chosen(settings, Limits) | derived)
 

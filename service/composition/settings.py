@@ -18,6 +18,7 @@ from pydantic_settings import (
     SettingsError,
 )
 
+from service.api.access.cross_origin import origins_of
 from service.api.limits.rate_limits import RateLimitConfig
 from service.pipeline.config import (
     AlarmConfig,
@@ -44,7 +45,14 @@ def _networks(value: str | None) -> str | None:
     return value
 
 
+def _origins(value: str | None) -> str | None:
+    """Return the text unless one of its parts is no origin; `*` is none: every page could read what a key may."""
+    origins_of(value)
+    return value
+
+
 TrustedProxies = Annotated[str | None, AfterValidator(_networks)]
+AllowedOrigins = Annotated[str | None, AfterValidator(_origins)]
 
 
 class Settings(BaseSettings):
@@ -98,6 +106,9 @@ class Settings(BaseSettings):
     )
     plain_sessions: bool = Field(
         False, description="whether browsers on other machines may send a key without TLS to open a session"
+    )
+    allowed_origins: AllowedOrigins = Field(
+        None, description="origins, by commas, whose pages may read (GET, HEAD) with a bearer key; none by default"
     )
     request_timeout_s: float = Field(60.0, gt=0, description="a request must be complete within this, s")
     rate_limit: RateLimitConfig = Field(RateLimitConfig(), description="requests by key and class")

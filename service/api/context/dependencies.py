@@ -67,6 +67,8 @@ class Limits:
     trusted_proxies: str = ""
     #: whether a browser on another machine may open a session without TLS
     plain_sessions: bool = False
+    #: origins of other pages that may read with a Bearer key
+    allowed_origins: tuple[str, ...] = ()
     #: evidence traces kept of one source, and bytes that their points may take
     evidence_traces: int = 2880
     evidence_bytes: int = 64 * 1024 * 1024
