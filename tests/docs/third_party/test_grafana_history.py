@@ -66,12 +66,12 @@ def infinity_rows(query: dict[str, Any], answer: Any) -> list[dict[str, Any]]:
 
 def ask(sent: httpx.Client, ground: ReleaseGround, query: dict[str, Any]) -> list[dict[str, Any]]:
     """Send a query for the last hour, as the macros of the span put it, and return its rows."""
-    url = query["url"]
-    for macro, late_s in (("${__timeFrom:date:iso}", -3600), ("${__timeTo:date:iso}", 60)):
-        assert macro in url
-        # the macro gives milliseconds
-        url = url.replace(macro, re.sub(r"\d{3}Z$", "Z", ground.epoch(late_s)))
-    answer = sent.request(query["url_options"]["method"], url)
+    # the macros give milliseconds
+    ends = [re.sub(r"\d{3}Z$", "Z", ground.epoch(late_s)) for late_s in (-3600, 60)]
+    span = dict(zip(("${__timeFrom:date:iso}", "${__timeTo:date:iso}"), ends, strict=True))
+    params = {each["key"]: span.get(each["value"], each["value"]) for each in query["url_options"]["params"]}
+    assert [params["start"], params["stop"]] == ends
+    answer = sent.request(query["url_options"]["method"], query["url"], params=params)
     assert answer.status_code == 200, answer.text
     return infinity_rows(query, answer.json())
 

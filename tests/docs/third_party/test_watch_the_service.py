@@ -8,7 +8,7 @@ import yaml
 
 from service.api.monitoring.metric_families import FAMILIES, MAX_CARRIERS, MAX_LINKS, MAX_SOURCES, MAX_SPACECRAFT
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs" / "how-to" / "watch-the-service.md").read_text()
 DASHBOARD = ROOT / "deploy" / "grafana" / "soo.json"
 RULES = ROOT / "deploy" / "prometheus" / "soo-alerts.yml"
