@@ -1,11 +1,11 @@
-"""Client for event loops: the methods of `service.client.endpoints.Endpoints`, each to be awaited."""
+"""Client for event loops: the methods of `service.client.endpoints`, each to be awaited."""
 
 import asyncio
 from collections.abc import Callable
 
 from service.client.async_transport import AsyncTransport
 from service.client.documents import JobReply
-from service.client.endpoints import Endpoints
+from service.client.endpoints.every_endpoint import Endpoints
 from service.client.jobs import JobWatch
 from service.client.service_client import ServiceClient
 

@@ -1,11 +1,11 @@
-"""Blocking client: the methods of `service.client.endpoints.Endpoints`, each of which returns the answer itself."""
+"""Blocking client: the methods of `service.client.endpoints`, each of which returns the answer itself."""
 
 import time
 from collections.abc import Callable
 
 from service.client.call import Epoch, epoch_text
 from service.client.documents import JobReply
-from service.client.endpoints import Endpoints
+from service.client.endpoints.every_endpoint import Endpoints
 from service.client.event_lines import StreamEvent
 from service.client.jobs import JobFailedError, JobWatch
 from service.client.transport import Transport

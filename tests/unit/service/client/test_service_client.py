@@ -59,6 +59,9 @@ def client(handle: Callable[[httpx.Request], httpx.Response]) -> ServiceClient:
         (lambda c: c.calibration("x", 7), "GET", "/spacecraft/x/calibrations/7", None),
         (lambda c: c.activate_calibration("x", 7), "POST", "/spacecraft/x/calibrations/7:activate", None),
         (lambda c: c.align("x", {"source": "manual"}), "POST", "/spacecraft/x/alignments", {"source": "manual"}),
+        (lambda c: c.about(), "GET", "/about", None),
+        (lambda c: c.samples("x", ["roll_deg"]), "GET", "/spacecraft/x/samples", None),
+        (lambda c: c.timeline("x"), "GET", "/spacecraft/x/timeline", None),
         (lambda c: c.status("x"), "GET", "/spacecraft/x/status", None),
         (lambda c: c.measurements("x"), "GET", "/spacecraft/x/measurements", None),
         (lambda c: c.attitude("x", "paper"), "GET", "/spacecraft/x/attitude", None),
@@ -122,6 +125,23 @@ def test_paths_and_bodies(call: Callable[[ServiceClient], Any], method: str, pat
         assert call(made) == {"ok": True}
     assert (seen[0].method, seen[0].url.path) == (method, "/api/v1" + path)
     assert (json.loads(seen[0].content) if seen[0].content else None) == body
+
+
+def test_samples_and_timeline_repeat_lists_and_leave_out_what_is_not_asked() -> None:
+    seen: list[str] = []
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        seen.append(str(request.url.query, "ascii"))
+        return httpx.Response(200, json={})
+
+    with client(handle) as made:
+        made.samples("x", ["roll_deg", "power_dbm"], 0, carriers=["c00", "c01"], count=7)
+        made.timeline("x", stop="2026-11-21T03:00:00Z", methods=["robust"])
+    start = "start=1970-01-01T00%3A00%3A00.000000Z"
+    assert seen == [
+        f"{start}&quantity=roll_deg&quantity=power_dbm&count=7&carrier=c00&carrier=c01",
+        "stop=2026-11-21T03%3A00%3A00Z&method=robust",
+    ]
 
 
 def test_a_report_of_links_gives_what_the_operator_wants() -> None:
