@@ -14,6 +14,7 @@
  * @property {Object<string, any>} attitude Newest row of each method.
  * @property {any} torque Newest computed command.
  * @property {any[]} alarms Open alarms.
+ * @property {any} problem Why what is newest could not be read; it is asked for again.
  */
 
 /** @type {State} */
@@ -30,6 +31,7 @@ export const EMPTY = {
   attitude: {},
   torque: null,
   alarms: [],
+  problem: null,
 };
 
 /** Return a store: newest values by `get`, `set`, `subscribe`; each event of the stream by `on`, `publish`. */

@@ -9,6 +9,8 @@ import { Problem, address, get, open, problemOf } from "./api.js";
 
 /** The service beats each 2.5 s; silence of so long is a cut. */
 const SILENCE_MS = 8000;
+/** After a refusal that names no time, what is newest is asked for again. */
+const REFUSED_S = 2;
 const WAITS_MS = [500, 1000, 2000, 5000];
 /** Of events seen; the tab that takes over may see a few of them again. */
 const REMEMBERED = 4000;
@@ -29,6 +31,7 @@ export function follow(store, spacecraft) {
   let lastId = "";
   let isLeading = false;
   let silence = 0;
+  let renewal = 0;
 
   const isOver = () => ending.signal.aborted;
   const send = (message) => isOver() || channel.postMessage(message);
@@ -58,7 +61,12 @@ export function follow(store, spacecraft) {
       if (seen.size > REMEMBERED) seen.delete(seen.values().next().value);
     }
     lastId = id;
-    keep(store, kind, content, { refresh, renew });
+    if (kind === "dropped" && !content.follows) {
+      // who reads again at this event must not ask for the span of rows that are no more
+      refresh().then(() => isOver() || store.publish(kind, content));
+      return;
+    }
+    keep(store, kind, content, renew);
     store.publish(kind, content);
   }
 
@@ -131,10 +139,16 @@ export function follow(store, spacecraft) {
     ]);
     if (isOver()) return;
     const [robust, paper, torque, control, alarms, status] = found.map((each) => each.value ?? null);
+    // what the service does not hold is an answer; what it refused is asked for again
+    const problem = found.find(({ reason }) => reason instanceof Problem && reason.status !== 404)?.reason ?? null;
+    clearTimeout(renewal);
+    if (problem) renewal = setTimeout(refresh, 1000 * (problem.retryAfter ?? REFUSED_S));
     const now = store.get();
     const newer = (part, read) => (now[part] === before[part] ? read : now[part]);
     const rows = Object.entries({ robust, paper }).map(([method, read]) => [method, now.attitude[method] === before.attitude[method] ? read : now.attitude[method]]);
     store.set({
+      problem,
+      measurement: newer("measurement", null),
       attitude: Object.fromEntries(rows.filter(([, row]) => row)),
       torque: newer("torque", torque),
       control: newer("control", control),
@@ -171,13 +185,14 @@ export function follow(store, spacecraft) {
     close() {
       ending.abort();
       clearTimeout(silence);
+      clearTimeout(renewal);
       channel.close();
     },
   };
 }
 
 /** Put an event into the store. */
-function keep(store, kind, content, { refresh, renew }) {
+function keep(store, kind, content, renew) {
   const state = store.get();
   if (kind === "status") {
     const isSame = JSON.stringify(content.control) === JSON.stringify(state.status?.control);
@@ -187,7 +202,6 @@ function keep(store, kind, content, { refresh, renew }) {
   else if (kind === "torque") store.set({ torque: content });
   else if (kind === "measurement") store.set({ measurement: content });
   else if (kind === "alarm") renew("alarms", "/alarms", ({ rows }) => rows, { state: OPEN_STATES });
-  else if (kind === "dropped" && !content.follows) refresh();
 }
 
 /** Yield the events of a body; null for a beat. */

@@ -156,6 +156,12 @@ function lastHour() {
   const node = svg("svg", { class: "hour", viewBox: `0 0 ${WIDTH} 160`, role: "img", "aria-label": words("views.now.lastHour") }, limits, curve, top, bottom);
   let newest = 0;
 
+  /** Forget all rows, and the newest bin too: an archive that was set back begins before it. */
+  function renew() {
+    bins.clear();
+    newest = 0;
+  }
+
   function push(epochMs, angle) {
     const bin = Math.floor(epochMs / BIN_MS);
     newest = Math.max(newest, bin);
@@ -191,7 +197,7 @@ function lastHour() {
     return points.reduce((sum, [at, value]) => sum + (at - time) * (value - angle), 0) / square;
   }
 
-  return { node, push, draw, rate, renew: () => bins.clear() };
+  return { node, push, draw, rate, renew };
 }
 
 function hatch(axis) {

@@ -22,7 +22,7 @@ export function show({ store }) {
       const about = await get("/about", {}, { signal: ending.signal });
       fill(body, contents(about, store.get().offsetMs));
     } catch (error) {
-      if (!ending.signal.aborted) fill(body, failure(error));
+      if (!ending.signal.aborted) fill(body, failure(error), element("button", { type: "button", onclick: load }, words("app.list.again")));
     }
   }
 }

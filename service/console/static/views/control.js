@@ -114,7 +114,7 @@ export function show({ store, spacecraft, session }) {
     element("div", { class: "control-history" }, history),
   );
   const draw = onFrame(drawControl);
-  const ends = [store.subscribe((state) => state.control, draw), store.on("command", refresh)];
+  const ends = [store.subscribe((state) => state.control, draw), store.on("command", refresh), store.on("dropped", refresh)];
   drawControl();
   keepFresh();
   return {

@@ -4,6 +4,7 @@ import { AXES, get } from "../api.js";
 import { element, fill, onFrame } from "../element.js";
 import { gauge } from "../parts/gauge.js";
 import { presentOf } from "../parts/header.js";
+import { failure } from "../parts/problem.js";
 import { symbol } from "../parts/symbol.js";
 import { sentence } from "../parts/verdict.js";
 import { duration, meaning, number, utc, words } from "../words.js";
@@ -22,6 +23,7 @@ const EXCLUDED_LEVEL = { absent: "serious", manual: "off", uplink_fade: "standby
 export function show({ store, spacecraft }) {
   const base = `/spacecraft/${spacecraft.id}`;
   const verdict = element("h1", { class: "verdict" });
+  const refused = element("div");
   const gauges = Object.fromEntries(AXES.map((axis) => [axis, gauge(axis)]));
   const cards = Object.fromEntries(["torque", "wheels", "level", "links", "operation"].map((each) => [each, card(each)]));
   const carriers = element("ul", { class: "strip", "aria-label": words("views.now.carriers") });
@@ -29,11 +31,12 @@ export function show({ store, spacecraft }) {
 
   const draw = onFrame(() => {
     if (state.isClosed) return;
-    const { status, attitude, control, torque, link } = store.get();
+    const { status, attitude, control, torque, link, problem } = store.get();
     const conditions = control?.conditions ?? [];
     const method = status?.method ?? "robust";
     const [row, other] = [attitude[method], attitude[method === "robust" ? "paper" : "robust"]];
-    drawVerdict(verdict, store.get(), row);
+    // a row that was refused is not one that never came
+    drawVerdict(verdict, problem && !row ? { ...store.get(), status: null } : store.get(), row);
     const isStale = !row || link.state === "cut" || row.status === "EXPIRED" || OLD.some((code) => status?.control.reasons.some((each) => each.code === code));
     const age = row ? ageOf(store.get(), row) : NaN;
     for (const axis of AXES) gauges[axis].draw(axisState(axis, { row, other, conditions, isStale, age }));
@@ -90,10 +93,11 @@ export function show({ store, spacecraft }) {
   const first = store.subscribe((each) => each.status !== null, () => (loadHour(), loadSlow()));
   const ends = [
     first,
+    store.subscribe((each) => each.problem, (problem) => (fill(refused, problem && failure(problem)), draw())),
     ...["status", "attitude", "control", "torque", "link"].map((part) => store.subscribe((each) => each[part], draw)),
     store.subscribe((each) => each.measurement, onPlan),
     store.on("attitude", pushRow),
-    store.on("dropped", loadHour),
+    store.on("dropped", () => ((state.telemetry = null), loadPlan(), loadHour(), loadSlow())),
   ];
   const slow = setInterval(loadSlow, SLOW_MS);
   const aging = setInterval(draw, 1000);
@@ -107,7 +111,7 @@ export function show({ store, spacecraft }) {
     node: element(
       "div",
       { class: "now" },
-      element("div", { role: "status", class: "answer" }, verdict),
+      element("div", { role: "status", class: "answer" }, verdict, refused),
       element("div", { class: "gauges" }, AXES.map((axis) => gauges[axis].node)),
       element("div", { class: "cards" }, Object.values(cards).map((each) => each.node)),
       carriers,

@@ -90,7 +90,14 @@ export function followCarriers({ store, spacecraft }, draw) {
     isBusy = false;
   }
 
-  const ends = [store.on("attitude", ask), store.subscribe((state) => state.status?.calibration_id, ask), store.subscribe((state) => state.status?.now, ask)];
+  /** Plan and calibration may be of rows that are no more. */
+  function begin() {
+    found.plan = null;
+    calibratedAs = NaN;
+    ask();
+  }
+
+  const ends = [store.on("attitude", ask), store.on("dropped", begin), store.subscribe((state) => state.status?.calibration_id, ask), store.subscribe((state) => state.status?.now, ask)];
   ask();
   return () => {
     ends.forEach((end) => end());
