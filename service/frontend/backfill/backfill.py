@@ -32,13 +32,12 @@ from service.frontend.backfill.columns import (
 )
 from service.frontend.backfill.reader import ArchiveFileReader, FileRow, open_archive, sha256_of
 from service.frontend.backfill.state import Destination, SendState
+from service.frontend.backfill.survey import FaultGroups, Survey
 from service.frontend.upload.answers import BatchAction, BatchReply, judge, read_receipt
 from service.records.epoch import format_epoch, is_leap_second
 
 #: code of a row whose cells mean nothing
 UNREADABLE = "row.unreadable"
-#: faults that a check tells one by one
-MOST_FAULTS_SHOWN = 20
 
 
 class SendInterruptedError(ClientError):
@@ -63,6 +62,8 @@ class ArchiveOrder:
     folder: Path | None = None
     #: reads the file; archives of other formats come with readers of their own
     open_file: Callable[[Path], ArchiveFileReader] = open_archive
+    #: stated layout of a foreign file: under another one the same file is sent again from its beginning
+    layout: str = ""
 
 
 class Progress(NamedTuple):
@@ -93,6 +94,7 @@ class _Unreadable(NamedTuple):
     """A row that cannot be sent."""
 
     file_row: FileRow
+    kind: str
     detail: str
 
 
@@ -102,38 +104,26 @@ class _Foreign(NamedTuple):
     source: str
 
 
-def check_archive(client: ServiceClient, order: ArchiveOrder) -> dict[str, Any]:
-    """Return a preview of sending: rows, span, columns, sources, and the first faults; nothing is sent."""
+def survey_archive(client: ServiceClient, order: ArchiveOrder) -> tuple[Survey, dict[str, Any]]:
+    """Return the survey of a file, and its columns and rows of other sources for a report; nothing is sent."""
     with closing(order.open_file(order.path)) as archive:
         _, columns = _plan_columns(client, order, archive)
-        rows, unreadable, in_order = 0, 0, True
-        first_us = last_us = before_us = None
-        faults: list[dict[str, Any]] = []
+        survey = Survey(columns.plan_ids)
         foreign: dict[str, int] = {}
         for each in _judged(archive, columns, order):
             if isinstance(each, _Row):
-                rows += 1
-                first_us = each.epoch_us if first_us is None else min(first_us, each.epoch_us)
-                last_us = each.epoch_us if last_us is None else max(last_us, each.epoch_us)
-                in_order = in_order and (before_us is None or each.epoch_us > before_us)
-                before_us = each.epoch_us
+                survey.add(each.epoch_us, each.levels)
             elif isinstance(each, _Foreign):
                 foreign[each.source] = foreign.get(each.source, 0) + 1
             else:
-                unreadable += 1
-                if len(faults) < MOST_FAULTS_SHOWN:
-                    faults.append({"line": each.file_row.line, "detail": each.detail})
-    return {
-        "file": str(order.path),
-        "rows": rows,
-        "unreadable": unreadable,
-        "other_sources": foreign,
-        "start": None if first_us is None else format_epoch(first_us),
-        "stop": None if last_us is None else format_epoch(last_us),
-        "is_in_order": in_order,
-        "columns": _reported(columns),
-        "faults": faults,
-    }
+                survey.faults.add(each.kind, each.file_row.line, each.detail)
+    return survey, {"other_sources": foreign, "columns": _reported(columns)}
+
+
+def check_archive(client: ServiceClient, order: ArchiveOrder, now_us: int) -> dict[str, Any]:
+    """Return a preview of sending: rows, span, gaps, levels, columns, sources and grouped faults; nothing is sent."""
+    survey, report = survey_archive(client, order)
+    return {"file": str(order.path), **survey.as_document(now_us), **report}
 
 
 def send_archive(
@@ -154,12 +144,12 @@ def send_archive(
         The service refuses the whole request, for example the key or the spacecraft.
     """
     begun_s = time.monotonic()
-    destination = Destination(
-        sha256_of(order.path), client.service_url, order.spacecraft_id, order.source, order.from_source or ""
-    )
+    sha256, from_source = sha256_of(order.path), order.from_source or ""
+    destination = Destination(sha256, client.service_url, order.spacecraft_id, order.source, from_source, order.layout)
     state = SendState(order.path, destination, order.folder)
     state.load()
     resumed_at = state.counters.rows
+    faults = FaultGroups()
     with closing(order.open_file(order.path)) as archive:
         # rows that were sent before go again under the plan that they were sent under
         plan_id, columns = _plan_columns(client, order, archive, state.plan_id)
@@ -168,13 +158,14 @@ def send_archive(
             state.begin()
             state.save()
             sender = _Sender(client, order, state, plan_id, columns, backoff or Backoff())
-            sender.send(archive, on_progress)
+            faults = sender.send(archive, on_progress)
     return {
         "file": str(order.path),
         "sha256": destination.sha256,
         **asdict(state.counters),
         "resumed_at": resumed_at,
         "columns": _reported(columns),
+        "faults": faults.as_documents(),
         "refused_file": str(state.refused_path) if state.counters.kept_back else None,
         "state_file": str(state.path),
         "seconds": round(time.monotonic() - begun_s, 3),
@@ -200,9 +191,11 @@ class _Sender:
         self._columns = columns
         self._backoff = backoff
         self._batch_rows = order.batch_rows
+        #: of this run
+        self._faults = FaultGroups()
 
-    def send(self, archive: ArchiveFileReader, on_progress: Callable[[Progress], None]) -> None:
-        """Send what is left of a file."""
+    def send(self, archive: ArchiveFileReader, on_progress: Callable[[Progress], None]) -> FaultGroups:
+        """Send what is left of a file; return the rows of this run that were kept back, by fault."""
         settled = self._state.counters.rows
         rows: list[_Row] = []
         seen: list[_Unreadable | _Foreign] = []
@@ -220,6 +213,7 @@ class _Sender:
         self._state.is_complete = True
         self._settle(rows, seen)
         on_progress(Progress(archive.total, archive.total, self._state.counters.rows))
+        return self._faults
 
     def _settle(self, rows: list[_Row], seen: list[_Unreadable | _Foreign]) -> None:
         """Deliver rows, note the others, and write the state."""
@@ -230,6 +224,7 @@ class _Sender:
                 counters.other_sources[each.source] = counters.other_sources.get(each.source, 0) + 1
             else:
                 counters.unreadable += 1
+                self._faults.add(each.kind, each.file_row.line, each.detail)
                 refused.append((each.file_row.line, UNREADABLE, each.detail, each.file_row.cells))
         rest = rows
         while rest:
@@ -240,6 +235,7 @@ class _Sender:
             counters.late += receipt.late
             counters.refused += len(receipt.refused)
             for position, (code, detail) in receipt.refused.items():
+                self._faults.add(code, part[position].file_row.line, detail)
                 refused.append((part[position].file_row.line, code, detail, part[position].file_row.cells))
             rest = rest[sent:]
         self._state.refuse(self._columns.header, sorted(refused, key=lambda each: each[0]))
@@ -306,8 +302,12 @@ def _judged(
     wanted = {order.from_source} if order.from_source is not None else {order.source, ""}
     for file_row in archive.rows():
         cells = file_row.cells
+        if file_row.fault is not None:
+            yield _Unreadable(file_row, file_row.fault, file_row.detail)
+            continue
         if len(cells) != len(columns.header):
-            yield _Unreadable(file_row, f"{len(cells)} cells, the header has {len(columns.header)}")
+            detail = f"{len(cells)} cells, the header has {len(columns.header)}"
+            yield _Unreadable(file_row, detail, detail)
             continue
         source = "" if columns.source is None else str(cells[columns.source] or "").strip()
         if columns.source is not None and source not in wanted:
@@ -319,7 +319,7 @@ def _judged(
             text = str(cell).strip()
             yield _Row(file_row, epoch_us, levels, text if is_leap_second(text) and not text.isdecimal() else None)
         except CellError as error:
-            yield _Unreadable(file_row, str(error))
+            yield _Unreadable(file_row, error.kind, str(error))
 
 
 def _reported(columns: FileColumns) -> dict[str, list[str]]:

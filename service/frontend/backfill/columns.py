@@ -20,6 +20,8 @@ from service.records.epoch import parse_epoch
 _UNITS = {"_dbm": 0.0, "_dbw": 30.0}
 #: what stands for an absent level
 _ABSENT = frozenset({"", "nan", "null", "none"})
+#: a calendar epoch of our own order of fields, but in nobody's zone
+_WITHOUT_OFFSET = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}(:\d{2}([.,]\d+)?)?")
 _WHOLE = re.compile(r"[+-]?\d{1,18}")
 #: keeps the sum of 30 and a decimal a decimal, dB
 _SUM_DECIMALS = 9
@@ -30,7 +32,19 @@ class ArchiveError(Exception):
 
 
 class CellError(ValueError):
-    """A cell of a row means nothing."""
+    """A cell of a row means nothing.
+
+    Parameters
+    ----------
+    detail : str
+        What is wrong with this cell.
+    kind : str
+        Reason, equal for all cells with the same fault.
+    """
+
+    def __init__(self, detail: str, kind: str) -> None:
+        super().__init__(detail)
+        self.kind = kind
 
 
 class CarrierColumn(NamedTuple):
@@ -54,8 +68,8 @@ class FileColumns(NamedTuple):
     left_out: tuple[str, ...]
     #: carriers of the plan without a column; their levels are sent as absent
     absent: tuple[str, ...]
-    #: carriers of the plan
-    width: int
+    #: carriers of the plan, in its order
+    plan_ids: tuple[str, ...]
 
 
 def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> FileColumns:
@@ -97,7 +111,7 @@ def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> FileColumns
         tuple(carriers),
         tuple(name for name in names if name not in known),
         tuple(carrier_id for position, carrier_id in enumerate(plan_ids) if position not in found),
-        len(plan_ids),
+        tuple(plan_ids),
     )
 
 
@@ -117,12 +131,13 @@ def read_epoch(cell: Any) -> int:
     try:
         return parse_epoch(text)
     except ValueError as error:
-        raise CellError(f"epoch: {error}") from None
+        kind = "epoch without offset; state --tz" if _WITHOUT_OFFSET.fullmatch(text) else "epoch is not RFC 3339"
+        raise CellError(f"epoch: {error}", kind) from None
 
 
 def read_levels(cells: Sequence[Any], columns: FileColumns) -> list[float | None]:
     """Return the levels of a row in the order of the plan, dBm, None = absent; CellError names the first bad cell."""
-    levels: list[float | None] = [None] * columns.width
+    levels: list[float | None] = [None] * len(columns.plan_ids)
     for column in columns.carriers:
         cell = cells[column.position]
         if cell is None or (isinstance(cell, str) and cell.strip().lower() in _ABSENT):
@@ -130,9 +145,9 @@ def read_levels(cells: Sequence[Any], columns: FileColumns) -> list[float | None
         try:
             level = float(cell)
         except (TypeError, ValueError):
-            raise CellError(f"{column.name}: {str(cell)[:40]!r} is no number") from None
+            raise CellError(f"{column.name}: {str(cell)[:40]!r} is no number", "level is no number") from None
         if math.isinf(level):
-            raise CellError(f"{column.name}: a level is not infinite")
+            raise CellError(f"{column.name}: a level is not infinite", "level is infinite")
         if not math.isnan(level):
             shift_db = column.offset_db
             levels[column.plan_position] = round(level + shift_db, _SUM_DECIMALS) if shift_db else level

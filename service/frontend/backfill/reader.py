@@ -23,15 +23,21 @@ class FileRow(NamedTuple):
     #: line of a text file, row of a Parquet file; the first line is 1
     line: int
     cells: list[Any]
+    #: why the reader cannot understand the row, equal for all rows of the same fault, and in full; None: it can
+    fault: str | None = None
+    detail: str = ""
 
 
 class ArchiveFileReader(Protocol):
     """A file that is read once from its beginning."""
 
     header: list[str]
-    #: how much has been read of how much there is: bytes or rows
-    done: int
+    #: bytes or rows that there are
     total: int
+
+    @property
+    def done(self) -> int:
+        """Bytes or rows that were read."""
 
     def rows(self) -> Iterator[FileRow]:
         """Yield the rows in the order of the file."""
@@ -192,7 +198,7 @@ class ParquetArchive:
         """Return a column as plain values; instants as microseconds."""
         if self._arrow.types.is_timestamp(column.type):
             if column.type.tz is None:
-                raise ArchiveError(f"column {name} has instants without a time zone; write them as UTC")
+                raise ArchiveError(f"column {name} has instants without a time zone; write them as UTC, or state --tz")
             # nanoseconds beyond the microsecond are cut off
             column = column.cast(self._arrow.timestamp("us", tz="UTC"), safe=False).cast("int64")
         values: list[Any] = column.to_pylist()

@@ -198,7 +198,7 @@ def test_a_changed_file_is_another_sending(tmp_path: Path) -> None:
 def test_a_check_tells_rows_span_columns_and_the_first_faults(tmp_path: Path) -> None:
     service = Archive()
     order = write(tmp_path, *lines(3), "nonsense,sa-1,1,2,3", "2026-11-21T09:00:00Z,sa-1,loud,,", "1,2", *lines(1))
-    report = check_archive(service.client(), order)
+    report = check_archive(service.client(), order, START_US)
     assert service.requests == 0
     assert (report["rows"], report["unreadable"], report["is_in_order"]) == (4, 3, False)
     assert (report["start"], report["stop"]) == ("2026-11-21T00:00:00.000000Z", "2026-11-21T00:02:00.000000Z")

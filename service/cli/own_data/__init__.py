@@ -1,0 +1,4 @@
+"""Commands and dialogues that bring an operator's own data to the service.
+
+Public: angles, foreign_file.
+"""

@@ -1,0 +1,4 @@
+"""Tables of other programs: their separators, decimals, epochs, units and columns; nothing is guessed silently.
+
+Public: fault, layout, parquet_table, proposal, text_table.
+"""
