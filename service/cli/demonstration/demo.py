@@ -4,7 +4,7 @@ import json
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -15,6 +15,7 @@ from service.cli.studies.exit_code import ended_by_signals
 #: operation that the endless demonstration can show, days
 _ENDLESS_DAYS = 30.0
 _EXIT_DAYS = 2.0
+ReleaseMode = Literal["automatic", "two_step"]
 
 
 def demo(
@@ -25,7 +26,12 @@ def demo(
     quiet_days: Annotated[float | None, typer.Option(help="Virtual quiet days before the turns.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw estimate and truth into this PNG file at the end.")] = None,
     keep: Annotated[Path | None, typer.Option(help="Keep database and logs in this folder.", file_okay=False)] = None,
-    rows_per_second: Annotated[float, typer.Option(help="Pace of tracking; 0 = as fast as it goes.")] = 20.0,
+    release: Annotated[
+        ReleaseMode, typer.Option(help="automatic, or two_step: two persons release each command, their keys printed.")
+    ] = "automatic",
+    rows_per_second: Annotated[
+        float, typer.Option(help="Pace of tracking under release automatic; 0 = as fast as it goes.")
+    ] = 20.0,
     service: Annotated[str | None, typer.Option(help="Use a service that runs already (key in SOO_KEY).")] = None,
     analyzer: Annotated[str | None, typer.Option(help="HOST:PORT of a simulated analyzer that runs already.")] = None,
     ground: Annotated[str | None, typer.Option(help="HOST:PORT of its ground port.")] = None,
@@ -38,13 +44,19 @@ def demo(
     # its front end measures by it, in a process of its own
     require("pyvisa")
     # the story costs half a second that a wrong option need not pay
-    from service.cli.demonstration.demo_run import FAILURES, Alone, external, play
+    from service.cli.demonstration.demo_run import FAILURES, Alone, external, own_station, play
     from service.cli.demonstration.demo_screen import Presenter, print_figures
-    from service.study.demonstration.demonstration import simulated_station
+    from service.cli.demonstration.persons import write_key
 
+    is_two_step = release == "two_step"
+    if is_two_step and (leave or as_json or not closed or service):
+        end("--release two_step waits for persons at the console: leave out --exit, --json, --open and --service")
     console = Console(stderr=as_json)
     operation_days = days or (_EXIT_DAYS if leave else _ENDLESS_DAYS)
-    presenter = Presenter(console, 0.0 if leave else rows_per_second, with_table=not leave and not as_json)
+    story = Alone(seed, operation_days)
+    presenter = Presenter(
+        console, 0.0 if leave or is_two_step else rows_per_second, with_table=not leave and not as_json
+    )
     with ExitStack() as stack:
         stack.enter_context(ended_by_signals())
         directory = _directory(stack, keep)
@@ -54,16 +66,10 @@ def demo(
             if service and analyzer and ground:
                 endpoints = external(service, analyzer, ground, uplink)
             else:
-                channel = "ideal" if closed else None
-                station = simulated_station(
-                    directory, seed=seed, operation_days=operation_days, quiet_days=quiet_days, uplink=channel
-                )
-                endpoints = stack.enter_context(station)
-                key_file = directory / "administrator.key"
-                key_file.touch(0o600)
-                key_file.write_text(f"{endpoints.key}\n")
-                presenter.announce(endpoints.service_url, key_file)
-            figures = play(directory, endpoints, presenter, figure, Alone(seed, operation_days))
+                endpoints = stack.enter_context(own_station(directory, story, quiet_days, release if closed else None))
+                write_key(directory / "administrator.key", endpoints.key)
+                presenter.announce(endpoints.service_url, directory / "administrator.key")
+            figures = play(directory, endpoints, presenter, figure, story, is_two_step=is_two_step)
         except KeyboardInterrupt:
             presenter.close()
             console.print("stopped")

@@ -1,22 +1,29 @@
 """One run of ``soo demo``, from its addresses to its figures."""
 
+from contextlib import AbstractContextManager, ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from service.cli.demonstration.demo_screen import Presenter
+from service.cli.demonstration.persons import two_persons
 from service.cli.operation.connection import DEFAULT_KEY_ENVIRONMENT, key_of
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.study.closed_loop.plant_process import PlantFailedError
 from service.study.demonstration.closed_judgement import FlightAlone, fly_alone, judge_control
-from service.study.demonstration.demonstration import ProcessAddresses, Story, run_story
+from service.study.demonstration.control_centre import ControlCentre
+from service.study.demonstration.demonstration import CentreOf, ProcessAddresses, Story, run_story, simulated_station
 from service.study.demonstration.judgement import judge_story, tracked_angles
 from service.study.demonstration.processes import ProcessFailedError
 from service.study.demonstration.replay_check import METHODS
 from service.study.demonstration.spacecraft_line import SpacecraftLineError
+from service.study.demonstration.two_step_centre import TwoStepCentre
 
 #: an answer may take so long on a machine that has much else to do, s
 _PATIENCE_S = 60.0
+#: a command is prepared to begin so late that persons have the whole life of a prepared command to confirm it
+_TWO_STEP_SETTINGS = {"SOO_RELEASE__CONFIRM_S": "600"}
 #: what ends a demonstration with a message in place of a trace
 FAILURES = (ProcessFailedError, PlantFailedError, SpacecraftLineError, ClientError, TimeoutError, OSError)
 
@@ -41,13 +48,40 @@ class Alone(NamedTuple):
     operation_days: float
 
 
+def own_station(
+    directory: Path, alone: Alone, quiet_days: float | None, release: str | None
+) -> AbstractContextManager[ProcessAddresses]:
+    """Return simulator and service to be started; release None = nobody keeps the spacecraft."""
+    return simulated_station(
+        directory,
+        seed=alone.seed,
+        operation_days=alone.operation_days,
+        quiet_days=quiet_days,
+        uplink=None if release is None else "ideal",
+        settings=_TWO_STEP_SETTINGS if release == "two_step" else {},
+    )
+
+
 def play(
-    directory: Path, endpoints: ProcessAddresses, presenter: Presenter, figure: Path | None, alone: Alone
+    directory: Path,
+    endpoints: ProcessAddresses,
+    presenter: Presenter,
+    figure: Path | None,
+    alone: Alone,
+    *,
+    is_two_step: bool = False,
 ) -> dict[str, Any]:
     """Run the story to its end and return its figures."""
-    with ServiceClient(endpoints.service_url, endpoints.key, timeout_s=_PATIENCE_S) as client:
+    with ExitStack() as stack:
+        client = stack.enter_context(ServiceClient(endpoints.service_url, endpoints.key, timeout_s=_PATIENCE_S))
+        centre_of: CentreOf = ControlCentre
+        if is_two_step:
+            persons = two_persons(client, directory)
+            presenter.announce_persons(persons)
+            operator = ServiceClient(endpoints.service_url, persons[0].key, timeout_s=_PATIENCE_S)
+            centre_of = partial(TwoStepCentre, operator=stack.enter_context(operator))
         try:
-            story = run_story(directory, endpoints, client, presenter.show)
+            story = run_story(directory, endpoints, client, presenter.show, centre_of)
         finally:
             presenter.close()
         flown = None if story.centre is None else fly_alone("demo", alone.seed, alone.operation_days)

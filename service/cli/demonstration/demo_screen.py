@@ -9,6 +9,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from service.cli.demonstration.persons import Person
 from service.client.documents import Json, Verdict
 from service.records.epoch import parse_epoch
 from service.study.demonstration.demonstration import Scene
@@ -50,6 +51,12 @@ class Presenter:
         self.key_file = key_file
         if self._with_table:
             text = f"console {url}/console/, sign in with the key in {key_file}"
+            self._console.print(text, soft_wrap=True, highlight=False)
+
+    def announce_persons(self, persons: tuple[Person, Person]) -> None:
+        """Print who releases torques, and the files of their keys."""
+        for person, task in zip(persons, ("prepares", "confirms"), strict=True):
+            text = f"{person.name}, {person.role}, {task} torques with the key in {person.key_file}"
             self._console.print(text, soft_wrap=True, highlight=False)
 
     def show(self, scene: Scene) -> None:

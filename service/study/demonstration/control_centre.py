@@ -6,6 +6,7 @@ Release ``automatic``: the command of each row goes up as soon as it is computed
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from service.client.documents import Json
 from service.client.service_client import ServiceClient
@@ -84,11 +85,19 @@ class ControlCentre:
         Way to the spacecraft.
     """
 
+    #: release of the spacecraft's commands, and rows between two scenes
+    release: ClassVar[str] = "automatic"
+    rows_a_scene: ClassVar[int] = 60
+
     client: ServiceClient
     line: SpacecraftLine
     log: ControlLog = field(default_factory=ControlLog)
     #: time that a command usually takes, s
     _usual_s: float = 0.02
+
+    def is_shown(self) -> bool:
+        """Return whether the display follows the newest row."""
+        return self.log.rows > 0 and (self.log.rows - 1) % self.rows_a_scene == 0
 
     def steer(self, spacecraft_id: str, epoch: str) -> None:
         """Hear what the spacecraft tells until a row, and send the command that follows from the row.

@@ -9,11 +9,12 @@ task.
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from service.client.problem import ProblemError
@@ -29,8 +30,6 @@ from service.study.demonstration.spacecraft_line import SpacecraftLine
 #: wait for rows that are on their way, s
 _ARRIVAL_TIMEOUT_S = 120.0
 _POLL_S = 0.05
-#: rows between two scenes where each row is a chunk of its own
-_ROWS_A_SCENE = 60
 #: longest stretch without a row in a story, s
 _LONGEST_PAUSE_S = 40 * 86_400
 
@@ -83,6 +82,8 @@ class Scene:
 
 #: called while rows arrive, and after each chunk of operation has its results
 Show = Callable[[Scene], None]
+#: makes the control centre of a spacecraft that is flown
+CentreOf = Callable[[ServiceClient, SpacecraftLine], ControlCentre]
 
 
 @contextmanager
@@ -94,11 +95,15 @@ def simulated_station(
     quiet_days: float | None = None,
     scenario: str = "demo",
     uplink: str | None = None,
+    settings: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[ProcessAddresses]:
-    """Start simulator and service, give their addresses, and end them; with an uplink the spacecraft is flown."""
+    """Start simulator and service, give their addresses, and end them; with an uplink the spacecraft is flown.
+
+    `settings` are those of the service that differ from its defaults, by environment variable.
+    """
     key = secrets.token_urlsafe(24)
     own = {"SOO_BOOTSTRAP_KEY": key, "SOO_KEY": key, "SOO_FUTURE_TOLERANCE_DATA_S": str(_LONGEST_PAUSE_S)}
-    environment = {**os.environ, **own, "OPENBLAS_NUM_THREADS": "1"}
+    environment = {**os.environ, **own, **settings, "OPENBLAS_NUM_THREADS": "1"}
     simulator = [
         *("analyzer_sim", "serve", "--dialect", "rs", "--port", "0", "--ground-port", "0", "--await-ground"),
         *("--scenario", scenario, "--seed", str(seed), "--operation-days", str(operation_days)),
@@ -131,13 +136,19 @@ def front_end(directory: Path, endpoints: ProcessAddresses, spacecraft_id: str) 
     return FrontEnd(directory, endpoints.resource, arguments, environment)
 
 
-def run_story(directory: Path, endpoints: ProcessAddresses, client: ServiceClient, show: Show) -> Story:
-    """Carry the story from the first line to the end of the scenario and return what was told."""
+def run_story(
+    directory: Path,
+    endpoints: ProcessAddresses,
+    client: ServiceClient,
+    show: Show,
+    centre_of: CentreOf = ControlCentre,
+) -> Story:
+    """Carry the story from the first line to the end of the scenario and return what was reported."""
     story = Story()
     with ExitStack() as stack:
         link = stack.enter_context(GroundLink(*endpoints.ground))
         if endpoints.uplink is not None:
-            story.centre = ControlCentre(client, stack.enter_context(SpacecraftLine(*endpoints.uplink)))
+            story.centre = centre_of(client, stack.enter_context(SpacecraftLine(*endpoints.uplink)))
         station: FrontEnd | None = None
         for message in link.messages():
             if message["kind"] in _ENDS_A_TASK and station is not None and station.is_running:
@@ -171,7 +182,7 @@ def _sweep_chunk(story: Story, client: ServiceClient, show: Show, link: GroundLi
         if "calibration" not in story.catalogue:
             _calibrate(story, client, show)
         _align(story, client)
-    if is_operation and story.centre is not None and story.centre.log.rows % _ROWS_A_SCENE == 1:
+    if is_operation and story.centre is not None and story.centre.is_shown():
         # the truth of a row follows it, and so does the display
         show(Scene("operation", format_epoch(story.granted_us), story, client))
     is_new_source = story.source not in story.heard
@@ -237,7 +248,7 @@ def _steered(body: dict[str, Any], centre: ControlCentre) -> dict[str, Any]:
     if centre.line.fed_forward is not None:
         errors = {"relative_error": RELATIVE_ERROR, "axis_relative_error": AXIS_RELATIVE_ERROR}
         onboard = {**onboard, "fed_forward_torque": {**centre.line.fed_forward, **errors}}
-    return {**body, "control": {**body["control"], "release": "automatic"}, "onboard": onboard}
+    return {**body, "control": {**body["control"], "release": centre.release}, "onboard": onboard}
 
 
 def _keep_truth(story: Story, message: dict[str, Any]) -> None:
