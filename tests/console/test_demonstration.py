@@ -39,6 +39,8 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(120)
+        # of a failure: what the user would have seen
+        print(output.read_text()[-4000:])
 
 
 def printed_key(output: Path, role: str) -> str:

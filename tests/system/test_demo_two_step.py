@@ -73,9 +73,9 @@ def test_two_keys_release_a_torque_and_the_spacecraft_turns(tmp_path: Path, monk
     # the compiler would take longer than the rows
     monkeypatch.setenv("SOO_KERNELS", "numpy")
     kept: list[Scene] = []
-    alone = Alone(SEED, DAYS)
+    alone = Alone(SEED, DAYS, QUIET_DAYS)
     with ExitStack() as stack:
-        endpoints = stack.enter_context(own_station(tmp_path, alone, QUIET_DAYS, "two_step"))
+        endpoints = stack.enter_context(own_station(tmp_path, alone, "two_step"))
         client = stack.enter_context(ServiceClient(endpoints.service_url, endpoints.key, timeout_s=60.0))
         with ThreadPoolExecutor(1) as pool:
             persons = two_persons(client, tmp_path)

@@ -1,6 +1,7 @@
 """``soo demo``: simulated analyzer, front end and service on this machine, from nothing to angles beside the truth."""
 
 import json
+import signal
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
@@ -44,6 +45,7 @@ def demo(
     # its front end measures by it, in a process of its own
     require("pyvisa")
     # the story costs half a second that a wrong option need not pay
+    from service.cli.demonstration.archive_offer import offer_archive
     from service.cli.demonstration.demo_run import FAILURES, Alone, external, own_station, play
     from service.cli.demonstration.demo_screen import Presenter, print_figures
     from service.cli.demonstration.persons import write_key
@@ -53,29 +55,28 @@ def demo(
         end("--release two_step waits for persons at the console: leave out --exit, --json, --open and --service")
     console = Console(stderr=as_json)
     operation_days = days or (_EXIT_DAYS if leave else _ENDLESS_DAYS)
-    story = Alone(seed, operation_days)
-    presenter = Presenter(
-        console, 0.0 if leave or is_two_step else rows_per_second, with_table=not leave and not as_json
-    )
+    story = Alone(seed, operation_days, quiet_days)
+    pace = 0.0 if leave or is_two_step else rows_per_second
+    presenter = Presenter(console, pace, with_table=not leave and not as_json)
     with ExitStack() as stack:
         stack.enter_context(ended_by_signals())
         directory = _directory(stack, keep)
-        stack.callback(presenter.close)
-        presenter.open()
         try:
-            if service and analyzer and ground:
-                endpoints = external(service, analyzer, ground, uplink)
-            else:
-                endpoints = stack.enter_context(own_station(directory, story, quiet_days, release if closed else None))
-                write_key(directory / "administrator.key", endpoints.key)
-                presenter.announce(endpoints.service_url, directory / "administrator.key")
-            figures = play(directory, endpoints, presenter, figure, story, is_two_step=is_two_step)
-        except KeyboardInterrupt:
-            presenter.close()
+            with ExitStack() as station:
+                station.callback(presenter.close)
+                presenter.open()
+                if service and analyzer and ground:
+                    endpoints = external(service, analyzer, ground, uplink)
+                else:
+                    endpoints = station.enter_context(own_station(directory, story, release if closed else None))
+                    write_key(directory / "administrator.key", endpoints.key)
+                    presenter.announce(endpoints.service_url, directory / "administrator.key")
+                figures = play(directory, endpoints, presenter, figure, story, is_two_step=is_two_step)
+        except KeyboardInterrupt as interruption:
             console.print("stopped")
+            offer_archive(console, directory, keep, is_asked=interruption.args == (signal.SIGINT,))
             return
         except FAILURES as error:
-            presenter.close()
             end(f"the demonstration failed: {error}", cause=error)
     typer.echo(json.dumps({"seed": seed, **figures}, allow_nan=False)) if as_json else print_figures(console, figures)
     if figures["missed"]:

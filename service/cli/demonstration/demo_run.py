@@ -1,7 +1,9 @@
 """One run of ``soo demo``, from its addresses to its figures."""
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +15,14 @@ from service.client.service_client import ServiceClient
 from service.study.closed_loop.plant_process import PlantFailedError
 from service.study.demonstration.closed_judgement import FlightAlone, fly_alone, judge_control
 from service.study.demonstration.control_centre import ControlCentre
-from service.study.demonstration.demonstration import CentreOf, ProcessAddresses, Story, run_story, simulated_station
+from service.study.demonstration.demonstration import (
+    CentreOf,
+    ProcessAddresses,
+    Scene,
+    Story,
+    run_story,
+    simulated_station,
+)
 from service.study.demonstration.judgement import judge_story, tracked_angles
 from service.study.demonstration.processes import ProcessFailedError
 from service.study.demonstration.replay_check import METHODS
@@ -24,6 +33,8 @@ from service.study.demonstration.two_step_centre import TwoStepCentre
 _PATIENCE_S = 60.0
 #: a command is prepared to begin so late that persons have the whole life of a prepared command to confirm it
 _TWO_STEP_SETTINGS = {"SOO_RELEASE__CONFIRM_S": "600"}
+#: drawn into the folder of the demonstration when it is interrupted
+FIGURE_NAME = "demonstration.png"
 #: what ends a demonstration with a message in place of a trace
 FAILURES = (ProcessFailedError, PlantFailedError, SpacecraftLineError, ClientError, TimeoutError, OSError)
 
@@ -46,17 +57,17 @@ class Alone(NamedTuple):
 
     seed: int
     operation_days: float
+    #: None = those of the story
+    quiet_days: float | None = None
 
 
-def own_station(
-    directory: Path, alone: Alone, quiet_days: float | None, release: str | None
-) -> AbstractContextManager[ProcessAddresses]:
+def own_station(directory: Path, alone: Alone, release: str | None) -> AbstractContextManager[ProcessAddresses]:
     """Return simulator and service to be started; release None = nobody keeps the spacecraft."""
     return simulated_station(
         directory,
         seed=alone.seed,
         operation_days=alone.operation_days,
-        quiet_days=quiet_days,
+        quiet_days=alone.quiet_days,
         uplink=None if release is None else "ideal",
         settings=_TWO_STEP_SETTINGS if release == "two_step" else {},
     )
@@ -71,8 +82,9 @@ def play(
     *,
     is_two_step: bool = False,
 ) -> dict[str, Any]:
-    """Run the story to its end and return its figures."""
+    """Run the story to its end and return its figures; an interruption leaves a drawn figure in the folder."""
     with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(1))
         client = stack.enter_context(ServiceClient(endpoints.service_url, endpoints.key, timeout_s=_PATIENCE_S))
         centre_of: CentreOf = ControlCentre
         if is_two_step:
@@ -80,18 +92,33 @@ def play(
             presenter.announce_persons(persons)
             operator = ServiceClient(endpoints.service_url, persons[0].key, timeout_s=_PATIENCE_S)
             centre_of = partial(TwoStepCentre, operator=stack.enter_context(operator))
+
+        def show(scene: Scene) -> None:
+            if scene.phase == "operation" and scene.story.centre is not None and presenter.alone is None:
+                presenter.alone = pool.submit(fly_alone, "demo", *alone)
+            presenter.show(scene)
+
         try:
-            story = run_story(directory, endpoints, client, presenter.show, centre_of)
+            story = run_story(directory, endpoints, client, show, centre_of)
+        except KeyboardInterrupt:
+            presenter.say_end()
+            scene = presenter.scene
+            if scene is not None and scene.phase == "operation" and find_spec("matplotlib") is not None:
+                _draw(scene.story, client, _flown(presenter), figure or directory / FIGURE_NAME)
+            raise
         finally:
             presenter.close()
-        flown = None if story.centre is None else fly_alone("demo", alone.seed, alone.operation_days)
-        loop = None
-        if story.centre is not None and flown is not None:
-            loop = judge_control(story, story.centre.log, flown)
+        flown = _flown(presenter)
+        loop = None if story.centre is None or flown is None else judge_control(story, story.centre.log, flown)
         figures = judge_story(story, client, loop)
         if figure is not None:
             _draw(story, client, flown, figure)
     return figures
+
+
+def _flown(presenter: Presenter) -> FlightAlone | None:
+    """Return the flight without control; None where nobody closes the loop."""
+    return None if presenter.alone is None else presenter.alone.result()
 
 
 def _draw(story: Story, client: ServiceClient, flown: FlightAlone | None, figure: Path) -> None:

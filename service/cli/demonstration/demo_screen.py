@@ -1,19 +1,20 @@
 """Screen of ``soo demo``: progress, newest angles beside the truth, statistics of the operation."""
 
 import time
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from service.cli.demonstration.operation_screen import PHASE_NAMES, operation_screen
 from service.cli.demonstration.persons import Person
-from service.client.documents import Json, Verdict
 from service.records.epoch import parse_epoch
+from service.study.demonstration.closed_judgement import FlightAlone
 from service.study.demonstration.demonstration import Scene
-from service.study.demonstration.merit import AXES
 from service.study.demonstration.replay_check import METHODS
 
 #: seconds between two prints of the tracking table away from a terminal
@@ -45,22 +46,28 @@ class Presenter:
         self._began_at = self._shown_at = time.monotonic()
         #: holds the key of the demonstration's own service, made for this run
         self.key_file: Path | None = None
+        self._greeting: list[str] = []
+        #: the same spacecraft without control, flown meanwhile
+        self.alone: Future[FlightAlone] | None = None
+        #: newest moment that was shown
+        self.scene: Scene | None = None
 
     def announce(self, url: str, key_file: Path) -> None:
-        """Print where the console is, and the file of the key that opens it."""
+        """Note where the console is, and the file of the key that opens it; printed once there is a spacecraft."""
         self.key_file = key_file
-        if self._with_table:
-            text = f"console {url}/console/, sign in with the key in {key_file}"
-            self._console.print(text, soft_wrap=True, highlight=False)
+        self._greeting = [f"console {url}/console/, sign in with the key in {key_file}"]
 
     def announce_persons(self, persons: tuple[Person, Person]) -> None:
-        """Print who releases torques, and the files of their keys."""
+        """Note who releases torques, and the files of their keys."""
         for person, task in zip(persons, ("prepares", "confirms"), strict=True):
-            text = f"{person.name}, {person.role}, {task} torques with the key in {person.key_file}"
-            self._console.print(text, soft_wrap=True, highlight=False)
+            self._greeting.append(f"{person.name}, {person.role}, {task} torques with the key in {person.key_file}")
 
     def show(self, scene: Scene) -> None:
         """Show one moment."""
+        self.scene = scene
+        while self._greeting and self._with_table:
+            # the console of a catalogue without a spacecraft would have to be loaded again
+            self._console.print(self._greeting.pop(0), soft_wrap=True, highlight=False)
         if scene.phase == "operation" and self._with_table:
             self._show_tracking(scene)
         else:
@@ -80,82 +87,67 @@ class Presenter:
             self._live.stop()
             self._live = None
 
+    def say_end(self) -> None:
+        """End what moves and say that the end has begun; flight and figure may take some seconds."""
+        self.close()
+        self._console.print("stopping")
+
     def open(self) -> None:
         """Start the progress bar; away from a terminal it would be noise."""
         columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
         self._progress = Progress(*columns, console=self._console, disable=not self._console.is_terminal)
-        self._task = self._progress.add_task(f"{'start':11s}", total=1.0)
+        self._task = self._progress.add_task(_phase_text("start"), total=1.0)
         self._progress.start()
 
     def _show_progress(self, scene: Scene) -> None:
         """Move the progress bar along quiet days, turns, alignment and operation."""
         phases = scene.story.phases
         last = "alignment" if self._with_table else "operation"
-        if self._progress is None or self._task is None or last not in phases:
+        if self._progress is None or self._task is None or last not in phases or not scene.until:
             return
         start_us, stop_us = parse_epoch(phases["quiet"][0]), parse_epoch(phases[last][1])
         share = (parse_epoch(scene.until) - start_us) / (stop_us - start_us)
-        self._progress.update(self._task, completed=share, description=f"{scene.phase:11s}")
+        self._progress.update(self._task, completed=share, description=_phase_text(scene.phase))
 
     def _show_tracking(self, scene: Scene) -> None:
         """Show the newest angles, in place on a terminal, else every few seconds."""
         if self._progress is not None:
             self.close()
-            self._say_where(scene)
+            self._invite(scene)
         if self._console.is_terminal:
             if self._live is None:
                 self._live = Live(console=self._console, auto_refresh=False)
                 self._live.start()
-            self._live.update(tracking_table(scene), refresh=True)
+            self._live.update(self._operation(scene), refresh=True)
         elif time.monotonic() - self._printed_at >= _PRINT_EVERY_S:
             self._printed_at = time.monotonic()
-            self._console.print(tracking_table(scene))
+            self._console.print(self._operation(scene))
 
-    def _say_where(self, scene: Scene) -> None:
-        """Print the addresses of the service."""
-        url = scene.client.service_url
-        self._console.print(f"aligned after {time.monotonic() - self._began_at:.0f} s; tracking; Ctrl-C ends it")
-        if self.key_file is not None:
-            self._console.print(f"REST interface {url}/api/v1, described in {url}/docs; for example", soft_wrap=True)
-            path = f"{url}/api/v1/spacecraft/{scene.story.spacecraft_id}/attitude"
-            header = f'"Authorization: Bearer $(cat {self.key_file})"'
-            self._console.print(f"  curl -H {header} {path}", soft_wrap=True, highlight=False)
+    def _operation(self, scene: Scene) -> Group:
+        """Return the screen of the operation."""
+        alone = self.alone.result() if self.alone is not None and self.alone.done() else None
+        return operation_screen(scene, alone, self.key_file)
 
-
-def tracking_table(scene: Scene) -> Table:
-    """Return the newest angles beside the truth, the torques and who is left out."""
-    # angles are looked up by names that are put together
-    attitude, paper = (Json(scene.client.attitude(scene.story.spacecraft_id, method)) for method in METHODS)
-    torques = scene.client.torques(scene.story.spacecraft_id)
-    truth = scene.story.truth_deg.get(parse_epoch(attitude["epoch"]))
-    columns = ("axis", f"{METHODS[0]}, deg", "sigma, deg", "truth, deg", f"{METHODS[1]}, deg", "torque, N m")
-    table = Table(*columns, title=attitude["epoch"])
-    for k, axis in enumerate(AXES):
-        table.add_row(
-            axis,
-            _signed(attitude[f"{axis}_deg"]),
-            _signed(attitude["sigma_deg"][axis], sign=""),
-            _signed(truth[k] if truth else None),
-            _signed(paper[f"{axis}_deg"]),
-            "-" if torques[f"{axis}_n_m"] is None else f"{torques[f'{axis}_n_m']:+.1e}",
-        )
-    control = attitude["control"]
-    reasons = "; ".join([_verdict(control), *(reason["text"] for reason in control["reasons"])])
-    out = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
-    table.caption = f"{reasons}; carriers excluded: {out}\nconsole: {scene.client.service_url}/console/"
-    return table
+    def _invite(self, scene: Scene) -> None:
+        """Print three commands to try, each in one line of any length, so that it can be copied whole."""
+        self._console.print(f"aligned after {time.monotonic() - self._began_at:.0f} s; Ctrl-C ends it")
+        if self.key_file is None:
+            return
+        base = f"{scene.client.service_url}/api/v1/spacecraft/{scene.story.spacecraft_id}"
+        header = f'-H "Authorization: Bearer $(cat {self.key_file})"'
+        self._console.print("Now try, in another terminal:")
+        for purpose, call in (
+            ("where it points", f"{base}/attitude"),
+            ("whether torques may go, and why", f"{base}/control"),
+            ("stop every torque", f"-X POST {base}/control:stop"),
+        ):
+            self._console.print(f"# {purpose}", highlight=False)
+            self._console.print(f"curl {header} {call}", soft_wrap=True, highlight=False)
 
 
-def _verdict(control: Verdict) -> str:
-    """Return which axes may be controlled; reasons beside an allowed control concern yaw."""
-    if not control["allowed"]:
-        return f"control not allowed ({control['state']})"
-    return "roll and pitch: control allowed; yaw withheld" if control["reasons"] else "control allowed"
-
-
-def _signed(value: float | None, sign: str = "+") -> str:
-    """Return an angle with three decimals, a dash for none."""
-    return "-" if value is None else f"{value:{sign}.3f}"
+def _phase_text(phase: str) -> str:
+    """Return the name of a phase, as long as the longest."""
+    return f"{PHASE_NAMES.get(phase, phase):{max(map(len, PHASE_NAMES.values()))}s}"
 
 
 def print_figures(console: Console, figures: dict[str, Any]) -> None:

@@ -26,6 +26,12 @@ class FlightAlone(NamedTuple):
     #: (T, 3) deg, yaw, roll, pitch
     flown_deg: FloatArray
 
+    def angles_deg(self, hours: float) -> tuple[float, ...] | None:
+        """Return yaw, roll and pitch at a time since operation began, deg; None after the flight."""
+        if hours > self.hours[-1]:
+            return None
+        return tuple(self.flown_deg[np.searchsorted(self.hours, hours)].tolist())
+
     def statistics(self) -> dict[str, Any]:
         """Return its figures, and how long it kept all bounds."""
         is_beyond = (np.abs(self.flown_deg) >= list(TRUTH_BOUNDS_DEG.values())).any(axis=1)
@@ -64,7 +70,20 @@ def judge_control(story: Story, log: ControlLog, alone: FlightAlone) -> dict[str
     }
 
 
-def fly_alone(scenario: str, seed: int, operation_days: float) -> FlightAlone:
+def within_bounds_since_us(story: Story) -> int | None:
+    """Return since when the true angles have been within their bounds, microseconds UTC; None: they are not."""
+    start_us = parse_epoch(story.phases["operation"][0])
+    bounds_deg = [TRUTH_BOUNDS_DEG[axis] for axis in AXES]
+    since_us = None
+    for epoch_us in sorted(story.truth_deg, reverse=True):
+        sizes_deg = map(abs, story.truth_deg[epoch_us])
+        if epoch_us < start_us or any(size >= bound for size, bound in zip(sizes_deg, bounds_deg, strict=True)):
+            break
+        since_us = epoch_us
+    return since_us
+
+
+def fly_alone(scenario: str, seed: int, operation_days: float, quiet_days: float | None = None) -> FlightAlone:
     """Fly the spacecraft of a story without control.
 
     Raises
@@ -72,7 +91,8 @@ def fly_alone(scenario: str, seed: int, operation_days: float) -> FlightAlone:
     PlantFailedError
         The plant failed.
     """
-    with PlantProcess(scenario, seed, "ideal", min(operation_days, _ALONE_DAYS)) as plant:
+    options = () if quiet_days is None else ("--quiet-days", str(quiet_days))
+    with PlantProcess(scenario, seed, "ideal", min(operation_days, _ALONE_DAYS), options) as plant:
         plant.opening()
         states = []
         for row in plant.rows():

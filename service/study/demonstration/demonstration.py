@@ -75,6 +75,7 @@ class Scene:
     """One moment of the demonstration, for its display."""
 
     phase: str
+    #: newest row; empty = there is none yet
     until: str
     story: Story
     client: ServiceClient
@@ -157,7 +158,7 @@ def run_story(
                 if message["kind"] == "carriers" and "calibration" not in story.catalogue and _is_turned(story):
                     # what the turns taught belongs to the plan under which they were flown
                     _calibrate(story, client, show)
-            _update(story, client, message)
+            _update(story, client, message, show)
             if message["kind"] != "hold":
                 continue
             station = station or stack.enter_context(front_end(directory, endpoints, story.spacecraft_id))
@@ -216,7 +217,7 @@ def _select_source(story: Story, client: ServiceClient) -> None:
     story.catalogue["prime"] = story.source
 
 
-def _update(story: Story, client: ServiceClient, message: dict[str, Any]) -> None:
+def _update(story: Story, client: ServiceClient, message: dict[str, Any], show: Show) -> None:
     """Forward one line to the service; the truth is kept for the judge, the task for the front end."""
     kind = message["kind"]
     if kind in _KEEP:
@@ -224,6 +225,7 @@ def _update(story: Story, client: ServiceClient, message: dict[str, Any]) -> Non
     if kind == "spacecraft":
         body = message["body"] if story.centre is None else _steered(message["body"], story.centre)
         story.spacecraft_id = _create(client, body)
+        show(Scene("start", "", story, client))
     elif kind in _FORWARD:
         _FORWARD[kind](client, story.spacecraft_id, message["body"])
 

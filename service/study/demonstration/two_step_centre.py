@@ -75,13 +75,13 @@ class TwoStepCentre(ControlCentre):
             self._report(spacecraft_id, report)
         self.log.newest_us = parse_epoch(epoch)
         self.log.rows += 1
-        control = self._take_up(spacecraft_id)
+        control = self._send_released(spacecraft_id)
         self.log.inhibited_rows += not control["control"]["allowed"]
         self.log.inhibitions.update(control["reasons"] if not control["control"]["allowed"] else ())
         self._arm(spacecraft_id, control)
         while (wait_s := began + self._row_s(control) - time.monotonic()) > 0.0:
             time.sleep(min(wait_s, _POLL_S))
-            control = self._take_up(spacecraft_id)
+            control = self._send_released(spacecraft_id)
 
     def _arm(self, spacecraft_id: str, control: Control) -> None:
         """Arm control once, as soon as nothing else withholds roll and pitch; after a trip persons arm again."""
@@ -100,7 +100,7 @@ class TwoStepCentre(ControlCentre):
             return self.paces.prepared_s
         return self.paces.under_way_s if control["unreported_commands"] else self.paces.idle_s
 
-    def _take_up(self, spacecraft_id: str) -> Control:
+    def _send_released(self, spacecraft_id: str) -> Control:
         """Send every command that was released, report it sent, and return the state of control before that."""
         control = self.client.control(spacecraft_id)
         for counter in control["unreported_commands"]:

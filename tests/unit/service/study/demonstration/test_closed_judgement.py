@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from service.study.demonstration.closed_judgement import TRUTH_BOUNDS_DEG, FlightAlone, judge_control, missed_control
+from service.study.demonstration.closed_judgement import (
+    TRUTH_BOUNDS_DEG,
+    FlightAlone,
+    judge_control,
+    missed_control,
+    within_bounds_since_us,
+)
 from service.study.demonstration.control_centre import ControlLog
 from service.study.demonstration.demonstration import Story
 from service.study.demonstration.figures import draw_control
@@ -61,6 +67,21 @@ def test_the_craft_left_alone_is_judged_by_the_same_bounds():
     assert (found["hours"], found["hours_within_bounds"]) == (1.65, 1.0)
     assert found["largest_deg"] == {"yaw": 0.0, "roll": 0.495, "pitch": 0.0}
     assert found["missed"] == ["true roll reached 0.495 deg, not below 0.3"]
+
+
+@pytest.mark.parametrize(("row", "since_row"), [(None, 0), (50, 51), (98, 99), (99, None)])
+def test_the_bounds_are_kept_since_the_row_after_the_last_that_left_them(row, since_row):
+    angles_deg = np.zeros((100, 3))
+    if row is not None:
+        angles_deg[row, 2] = TRUTH_BOUNDS_DEG["pitch"]
+    wanted = None if since_row is None else START_US + 60_000_000 * since_row
+    assert within_bounds_since_us(story(angles_deg)) == wanted
+
+
+def test_the_attitude_without_control_is_that_of_the_same_time():
+    assert ALONE.angles_deg(0.5) == pytest.approx((0.0, 0.15, 0.0))
+    assert ALONE.angles_deg(1.65) == pytest.approx((0.0, 0.495, 0.0))
+    assert ALONE.angles_deg(1.66) is None
 
 
 def test_the_drawn_figure_is_written(tmp_path):
