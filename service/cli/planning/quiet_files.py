@@ -86,7 +86,7 @@ def read_powers(path: Path, plan: "CarrierPlan") -> QuietPowers:
 def _read_row(cells: Sequence[Any], columns: FileColumns) -> tuple[int, list[float]]:
     """Return epoch and levels of a row, NaN = absent; CellError where it means nothing."""
     if len(cells) != len(columns.header):
-        raise CellError(f"{len(cells)} cells, the header has {len(columns.header)}")
+        raise CellError(f"{len(cells)} cells, the header has {len(columns.header)}", "another number of cells")
     return read_epoch(cells[columns.epoch]), [np.nan if one is None else one for one in read_levels(cells, columns)]
 
 
