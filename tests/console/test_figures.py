@@ -209,7 +209,10 @@ class _Rounds:
     def detached(self) -> list[str]:
         """Return what a script holds that hangs on no page: tag and attributes of each root, and how many nodes."""
         self._collect()
-        trees = self._session.send("DOM.getDetachedDomNodes")["detachedNodes"]
+        # a session holds what it has found: this one ends
+        session = self._page.context.new_cdp_session(self._page)
+        trees = session.send("DOM.getDetachedDomNodes")["detachedNodes"]
+        session.detach()
         roots = [(each["treeNode"], len(each["retainedNodeIds"])) for each in trees]
         return [f"{root['nodeName']} {root.get('attributes', '')} {count}" for root, count in roots]
 
