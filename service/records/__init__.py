@@ -1,4 +1,5 @@
 """Data levels L0-L5, catalogue and calibration: frozen slotted dataclasses.
 
-Public: calibration, catalogue, csv_guard, epoch, geometry, inputs, journal, noise, record_fields, setting.
+Public: calibration, catalogue, csv_guard, epoch, geometry, inputs, journal, noise, record_fields, setting,
+units.
 """

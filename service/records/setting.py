@@ -3,6 +3,8 @@
 from dataclasses import field
 from typing import Literal, NamedTuple, TypeVar
 
+from service.records.units import unit_of
+
 PUBLISHED = "publication"
 TUNED = "simulated truth"
 CHOSEN = "operation"
@@ -16,23 +18,6 @@ ORIGINS: dict[str, str] = {
 
 _Value = TypeVar("_Value")
 SettingSource = Literal["default", "environment", "file", "option"]
-#: units by the end of a name, those that end like another one first
-_UNITS = {
-    "_DB_PER_DAY": "dB/day",
-    "_DB_SQRT_H": "dB/sqrt(h)",
-    "_N_M_S": "N m s",
-    "_N_M": "N m",
-    "_PER_S": "1/s",
-    "_DEG_H": "deg/h",
-    "_DEG_S": "deg/s",
-    "_DEG": "deg",
-    "_DB": "dB",
-    "_DAYS": "days",
-    "_BYTES": "bytes",
-    "_MB": "MB",
-    "_H": "h",
-    "_S": "s",
-}
 
 
 class SettingEntry(NamedTuple):
@@ -51,7 +36,7 @@ class SettingEntry(NamedTuple):
     @property
     def unit(self) -> str | None:
         """Unit of the value, from its name; None for counts, shares and words."""
-        return next((unit for end, unit in _UNITS.items() if self.name.endswith(end)), None)
+        return unit_of(self.name.lower())
 
 
 def setting(default: _Value, meaning: str, origin: str) -> _Value:
