@@ -2,6 +2,8 @@
 
 export const LANGUAGES = ["en", "ru"];
 const MISSING = "–";
+/** Keys made of a code that the answer did not have. */
+const NOT_KNOWN = /\.(null|undefined)$/;
 /** Inhibitions of rows are reasons of the verdict. */
 const SAME = { inhibitions: "reasons" };
 const UNITS = [["day", 86400], ["hour", 3600], ["minute", 60], ["second", 1]];
@@ -37,7 +39,8 @@ export function language() {
  */
 export function words(key, values = {}) {
   const found = key.split(".").reduce((level, name) => level?.[name], table);
-  return found === undefined ? key : composed(found, values);
+  if (found === undefined) return NOT_KNOWN.test(key) ? MISSING : key;
+  return composed(found, values);
 }
 
 /**
@@ -51,7 +54,7 @@ export function words(key, values = {}) {
  */
 export function meaning(group, code, part = "name", values = {}) {
   const found = table[SAME[group] ?? group]?.[code]?.[part];
-  return found === undefined ? (part === "name" ? code : "") : composed(found, values);
+  return found === undefined ? (part === "name" ? (code ?? MISSING) : "") : composed(found, values);
 }
 
 /**

@@ -38,7 +38,7 @@ function rowOf(condition) {
   const { code, met, consequence, value, limit, bound, unit, since } = condition;
   const state = met === null ? "unjudged" : met ? "met" : consequence;
   const next = met === false && meaning("reasons", code, "next");
-  const relation = { greatest: "≤", least: "≥" }[bound];
+  const relation = { greatest: "≤", least: "≥" }[bound] ?? "";
   return element(
     "tr",
     { "data-code": code, "data-met": String(met) },

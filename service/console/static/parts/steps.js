@@ -36,6 +36,8 @@ export function anglesAt(schedule, inertia, at) {
  */
 export function pulsePlots(command, inertia) {
   const { schedule } = command;
+  const instants = [command.start, command.stop, ...schedule.map(({ start }) => start)];
+  if (instants.some((at) => Number.isNaN(Date.parse(at)))) return null;
   if (schedule.length === 0) return element("p", { class: "detail" }, words("views.control.noPulses"));
   const span = [Date.parse(command.start), inertia ? horizonOf(command, inertia) : Date.parse(command.stop)];
   const torques = AXES.map((axis) => stepsOf(schedule, axis, span));
