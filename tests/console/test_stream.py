@@ -3,12 +3,15 @@
 import os
 import re
 import signal
+import sqlite3
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from geometry_flight import HOUR
 from playwright.sync_api import expect
 from release_ground import ReleaseGround, record, seed_archive
 from service_process import KEY, PLAIN, ServiceProcess
@@ -27,7 +30,7 @@ class Restarted:
     """A service that a test kills and starts again at the same address."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._database = folder, folder / "soo.db"
+        self._folder, self._database, self._backup = folder, folder / "soo.db", folder / "backup.db"
         seed_archive(f"sqlite:///{self._database}", record("yamal-202"))
         self._port = "0"
         self.start()
@@ -43,6 +46,19 @@ class Restarted:
         """End it as a lost machine does."""
         self.process.process.send_signal(signal.SIGKILL)
         self.process.process.wait()
+
+    def back_up(self) -> None:
+        """Copy the archive while the service writes it."""
+        with sqlite3.connect(self._database) as source, sqlite3.connect(self._backup) as target:
+            source.backup(target)
+        source.close()
+        target.close()
+
+    def restore(self) -> None:
+        """Put the copy in the place of the archive of a service that has ended."""
+        for end in ("-wal", "-shm"):
+            self._database.with_name(f"{self._database.name}{end}").unlink(missing_ok=True)
+        self._backup.replace(self._database)
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +106,57 @@ def test_an_answer_that_comes_late_does_not_hide_a_newer_row(new_context, ground
             route.fulfill(response=answer)
     page.wait_for_timeout(500)
     expect(page.locator("time.row")).to_have_text(newest)
+
+
+def test_after_a_restored_backup_nothing_of_the_lost_hours_stays_and_rows_go_on(
+    new_context, service, ground, open_view
+):
+    """The archive ends before what the page has seen: angles, curve, command, operation and alarms are those it has."""
+    context = new_context()
+    page, control = context.new_page(), context.new_page()
+    ground.rows(2)
+    kept_us, text = ground.now_us, roll_of(ground)
+    service.back_up()
+    # two hours later, so that the curve of the last hour has nothing in common
+    ground.now_us += 2 * HOUR
+    ground.rows(15, (0.0, 0.05, 0.0))
+    ground.post("/operations", {"kind": "eclipse", "start": ground.epoch(60), "stop": ground.epoch(9000)}, status=201)
+    ground.post("/control:arm")
+    ground.post("/torques:prepare", {"reason": "of the lost hours"}, status=201)
+    lost = roll_of(ground)
+    open_view(page, "now")
+    open_view(control, "control")
+    roll = page.get_by_role("region", name="Roll", exact=True)
+    expect(roll.locator(".value")).to_have_text(lost)
+    expect(page.get_by_role("region", name="Operation", exact=True)).to_contain_text("eclipse")
+    expect(control.locator(".card.waiting")).to_be_visible()
+    service.kill()
+    service.restore()
+    service.start()
+    expect(roll.locator(".value")).to_have_text(text)
+    expect(page.get_by_role("region", name="Operation", exact=True)).to_contain_text("none")
+    expect(page.locator("header .utc")).to_contain_text(format_epoch(kept_us)[11:19])
+    expect(control.locator(".card.waiting")).to_have_count(0)
+    expect(control.get_by_text("of the lost hours")).to_have_count(0)
+    expect(roll.locator(".hour .curve")).to_have_attribute("d", re.compile(r"M3[78]\d(\.\d+)? |L3[78]\d(\.\d+)? "))
+    open_alarms = len(ground.get("/alarms?state=open")["rows"])
+    expect(page.locator("header .alarms")).to_contain_text("no alarm" if not open_alarms else f"{open_alarms}")
+    ground.now_us = kept_us
+    ground.rows(1, (0.0, 0.02, 0.0))
+    expect(roll.locator(".value")).to_have_text(roll_of(ground))
+    expect(page.get_by_text("cut since")).to_have_count(0)
+
+
+def test_a_session_that_ends_while_somebody_looks_is_told(new_context, service, ground, open_view):
+    """The cookie says when it ends, twelve hours after the key or with it; here in some seconds."""
+    context = new_context(key=None)
+    ends_us = int((time.time() + 15) * 1e6)
+    context.add_cookies([{"name": "soo_session", "value": f"{ends_us}.{KEY}", "url": service.url}])
+    page = open_view(context.new_page(), "now")
+    expect(page.get_by_role("alert").filter(has_text="Your session has ended")).to_be_visible(timeout=40_000)
+    page.get_by_label("Key").fill(KEY)
+    page.keyboard.press("Enter")
+    expect(page.locator(".link .symbol.normal")).to_be_visible()
 
 
 def test_seven_tabs_share_one_stream_and_the_next_goes_on_when_the_first_closes(new_context, ground, open_view):
