@@ -6,6 +6,7 @@ import pytest
 from playwright.sync_api import expect
 from release_ground import record
 
+from service.records.epoch import parse_epoch
 from service.records.operations.access_key import Role
 
 CRAFTS = (record("yamal-202"), record("yamal-empty"))
@@ -21,9 +22,10 @@ def anna(ground, new_page, open_view):
         ground.post(f"/torques/{counter}:cancel")
     if ground.get("/control")["state"] == "INHIBITED":
         ground.rows(12, (0.0, 0.03, 0.0))
-        ground.post("/control:arm")
+        if not ground.get("/control")["armed"]:
+            ground.post("/control:arm")
     ground.rows(1, (0.0, 0.03, 0.0))
-    page = new_page(key=ground.key("Anna", Role.OPERATOR), allowed=(403, 409, "ERR_FAILED"))
+    page = new_page(key=ground.key("Anna", Role.OPERATOR), allowed=(403, 409, 410, "ERR_FAILED"))
     return open_view(page, "control")
 
 
@@ -98,6 +100,41 @@ def test_what_confirms_nothing_is_refused_in_words(anna, ground):
     card.get_by_role("button", name="Cancel the command").click()
     expect(anna.locator(".card.waiting")).to_have_count(0)
     assert ground.get(f"/torques/{counter}")["state"] == "CANCELLED"
+
+
+def test_a_command_that_has_expired_is_refused_in_words_and_leaves_the_page(anna, ground):
+    """The page still shows it, because its answers did not come; the clock of the data has gone on."""
+    card = prepare(anna)
+    counter = int(card.get_attribute("data-command"))
+    expires_us = parse_epoch(ground.get(f"/torques/{counter}")["expires_at"])
+    answers = re.compile(r"/(control|status|torques/commands.*|torques/\d+)$")
+    anna.route(answers, lambda route: route.abort())
+    ground.now_us = max(ground.now_us, expires_us)
+    ground.rows(1, (0.0, 0.03, 0.0))
+    card.get_by_label("Key of the second person").fill(ground.key("Boris", Role.APPROVER))
+    card.get_by_role("button", name="Confirm with this key").click()
+    expect(card.get_by_role("alert")).to_contain_text("not confirmed in time. Prepare the command again.")
+    anna.unroute(answers)
+    expect(anna.locator(".card.waiting")).to_have_count(0)
+    expect(anna.locator(f".control-history [data-command='{counter}']")).to_contain_text("expired")
+
+
+def test_engaging_without_proven_signs_is_refused_in_words_and_who_joins_asks_for_the_same_end(
+    anna, ground, new_page, open_view
+):
+    page = new_page(key=ground.key("Boris", Role.APPROVER), allowed=(409,))
+    until = ground.epoch(3600)
+    asked = ground.get("/control") | {"requested_by": "Carla", "requested_until": until}
+    page.route(re.compile(r"/control$"), lambda route: route.fulfill(json=asked))
+    open_view(page, "control")
+    said = page.locator(".control-state > .said")
+    page.get_by_role("button", name="Engage", exact=True).click()
+    expect(said.get_by_role("alert")).to_contain_text("not proven. Run the sign checks.")
+    with page.expect_request(re.compile("control:engage$")) as sent:
+        page.get_by_role("button", name="Engage with the first person").click()
+    assert sent.value.post_data_json == {"until": until}
+    expect(said.get_by_role("alert")).to_contain_text("not proven. Run the sign checks.")
+    expect(anna.get_by_role("button", name="Engage with the first person")).to_have_count(0)
 
 
 def test_the_first_person_is_no_second_one(ground, new_page, open_view):
@@ -255,3 +292,22 @@ def test_a_narrow_page_does_not_scroll_sideways(ground, new_page, open_view, scr
     expect(page.locator(".conditions").first).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
     screenshot(page, "control-narrow")
+
+
+def test_a_sign_check_and_release_automatic_say_what_they_wait_for(anna, ground, new_page, open_view):
+    """The last test: the spacecraft is released automatically afterwards."""
+    first = open_view(new_page(key=ground.key("Carla", Role.APPROVER), allowed=(403, 409)), "control")
+    said = first.locator(".control-state > .said")
+    first.get_by_label("Axis").select_option("roll")
+    first.get_by_role("button", name="Check the sign").click()
+    expect(first.locator("dl.facts").last).to_contain_text(re.compile(r"Roll: .*0 of \d turns reported"))
+    automatic = "Ask for release automatic"
+    first.get_by_role("button", name=automatic).click()
+    expect(said).to_contain_text("when two approvers have asked")
+    assert ground.client.get(ground.base).json()["control"]["release"] == "two_step"
+    first.get_by_role("button", name=automatic).click()
+    expect(said.get_by_role("alert")).to_be_visible()
+    second = open_view(new_page(key=ground.key("Boris", Role.APPROVER)), "control")
+    second.get_by_role("button", name=automatic).click()
+    expect(second.locator(".control-state > .said")).to_contain_text("when two approvers have asked")
+    assert ground.client.get(ground.base).json()["control"]["release"] == "automatic"

@@ -27,13 +27,13 @@ export function show({ store, spacecraft, session }) {
   let timer = 0;
 
   /** Order something and show what was answered; true where it was done. */
-  async function run(act, said) {
+  async function run(act, said, wordsOf = doneWords) {
     const buttons = [...node.querySelectorAll("button")].filter((each) => !each.disabled);
     for (const each of buttons) each.disabled = true;
     fill(said, element("p", { role: "status" }, words("views.control.asking")));
     try {
       const answer = await act();
-      fill(said, element("p", { role: "status" }, symbol("normal"), " ", doneWords(answer)));
+      fill(said, element("p", { role: "status" }, symbol("normal"), " ", wordsOf(answer)));
       await refresh();
       return true;
     } catch (error) {
@@ -156,6 +156,9 @@ function orders(path, may, run, said) {
   const hours = element("input", { id: "engage-hours", type: "number", min: 0.1, max: 12, step: 0.1, value: "6" });
   const order = (verb, more = () => ({})) => () => run(() => post(`${path}/control:${verb}`, { comment: comment.value, ...more() }), said);
   const button = (key, act) => element("button", { type: "button", onclick: act }, words(`views.control.order.${key}`));
+  // the answer of the first of two requests is control as it was
+  const automaticWords = () => words("views.control.done.automatic");
+  const automatic = () => run(() => post(`${path}/control:arm`, { comment: comment.value, release: "automatic" }), said, automaticWords);
   const engage = async () => {
     // the end is counted on the service's clock, which may be that of its data
     const act = async () => {
@@ -171,7 +174,7 @@ function orders(path, may, run, said) {
     element("p", { class: "field" }, element("label", { htmlFor: "order-comment" }, words("views.control.comment")), comment),
     element("p", { class: "field" }, button("arm", order("arm")), button("disengage", order("disengage")), button("reset", order("reset"))),
     element("p", { class: "field" }, element("label", { htmlFor: "sign-axis" }, words("views.control.signAxis")), axis, button("signCheck", order("sign-check", () => ({ axis: axis.value })))),
-    may("approve") && element("p", { class: "field" }, element("label", { htmlFor: "engage-hours" }, words("views.control.hours")), hours, button("engage", engage), button("automatic", order("arm", () => ({ release: "automatic" })))),
+    may("approve") && element("p", { class: "field" }, element("label", { htmlFor: "engage-hours" }, words("views.control.hours")), hours, button("engage", engage), button("automatic", automatic)),
   );
 }
 
