@@ -47,6 +47,10 @@ _COMMANDS = {
         "administration.backup", "Copies of an archive: made while the service runs, proved, put back."
     ),
     "study": CommandSource("studies.study", "Campaigns on simulated truth and reproductions of papers."),
+    "spacecraft": CommandSource("own_data.spacecraft", "Spacecraft of the catalogue."),
+    "carriers": CommandSource("own_data.carriers", "Carrier plan of a spacecraft."),
+    "ephemeris": CommandSource("own_data.ephemeris", "Orbit of a spacecraft."),
+    "references": CommandSource("own_data.references", "Readings of an attitude sensor."),
 }
 
 app = late_app(

@@ -14,7 +14,6 @@ from release_ground import ReleaseGround, record, seed_archive
 
 from analyzer_sim.__main__ import main
 from service.api.schemas.carriers import CarrierDocument
-from service.records.epoch import format_epoch
 
 AXES = ("yaw", "roll", "pitch")
 NAMES = tuple(f"{axis}_deg" for axis in AXES)
@@ -32,10 +31,10 @@ SHIFT = (
 )
 #: what each block of the page for an own satellite prints
 OWN = (
-    ("bash", '"longitude_deg":90.0'),
-    ("bash", '"plan_id":1'),
-    ("bash", '"ephemeris_id":1'),
-    ("bash", '"accepted":4890'),
+    ("bash", "spacecraft yamal-202 is stored"),
+    ("bash", "plan 1 holds 16 carriers"),
+    ("bash", "ephemeris 1 is in force until"),
+    ("bash", "4890 accepted"),
     ("bash", "yaw sign proven warnings ['paper method: only 15"),
     ("bash", '"status":"ACQUIRED"'),
 )
@@ -77,19 +76,24 @@ def lay_files(world: dict[str, Any], folder: Path) -> None:
         if line["kind"] in ("carriers", "ephemeris"):
             (folder / f"{line['kind']}.json").write_text(json.dumps(line["body"]))
     with (folder / "levels.csv").open("w", newline="") as file:
-        table = csv.writer(file)
-        table.writerow(["epoch", *(f"{carrier}_dbm" for carrier in world["carrier_id"])])
+        table = csv.writer(file, delimiter=";")
+        table.writerow(["Time", *world["carrier_id"]])
         table.writerows(
-            [format_epoch(int(epoch)), *("" if np.isnan(level) else f"{level:.3f}" for level in levels)]
+            [without_zone(epoch), *("" if np.isnan(level) else f"{level:.3f}".replace(".", ",") for level in levels)]
             for epoch, levels in zip(world["epoch_us"], world["power_dbm"], strict=True)
         )
     angles = zip(*(world[f"reference_{axis}_deg"].tolist() for axis in AXES), strict=True)
-    references = [
-        {"epoch": format_epoch(int(epoch)), **dict(zip(NAMES, row, strict=True)), "sigma_deg": sigma_deg}
-        for sigma_deg in [dict(zip(AXES, world["reference_sigma_deg"].tolist(), strict=True))]
-        for epoch, row in zip(world["reference_epoch_us"], angles, strict=True)
-    ]
-    (folder / "references.json").write_text(json.dumps({"source": "star_tracker", "references": references}))
+    with (folder / "star-tracker.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["Time", *NAMES])
+        table.writerows(
+            [without_zone(epoch), *row] for epoch, row in zip(world["reference_epoch_us"], angles, strict=True)
+        )
+
+
+def without_zone(epoch_us: Any) -> str:
+    """Return an epoch as programs write that know one zone only."""
+    return str(np.datetime64(int(epoch_us), "us")).replace("T", " ")
 
 
 def test_example_of_a_carrier_is_one() -> None:

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, Protocol
 
 from service.formats.foreign.fault import ForeignCellError, ForeignTableError
-from service.formats.foreign.layout import Layout, LevelCell, RowReader
+from service.formats.foreign.layout import LevelCell, TableLayout, TableRowReader
 from service.formats.foreign.parquet_table import ParquetTable
 from service.formats.foreign.proposal import Sample
 from service.formats.foreign.text_table import SAMPLE_LINES, TableRow, TextTable
@@ -68,6 +68,17 @@ def sample_of(path: Path) -> Sample:
         opened.close()
 
 
+def table_rows(path: Path) -> Iterator[TableRow]:
+    """Yield the rows of a foreign file; ArchiveError when it is no table."""
+    opened = _OpenTable(path)
+    try:
+        yield from opened.table.rows()
+    except ForeignTableError as error:
+        raise ArchiveError(f"{path}: {error}") from error
+    finally:
+        opened.close()
+
+
 class ForeignArchive:
     """A foreign file under a layout; rows come with microseconds UTC and levels in dBm.
 
@@ -77,7 +88,7 @@ class ForeignArchive:
     ----------
     path : Path
         The file.
-    layout : Layout
+    layout : TableLayout
         What its columns hold.
 
     Raises
@@ -86,12 +97,12 @@ class ForeignArchive:
         The file cannot be read as a table.
     """
 
-    def __init__(self, path: Path, layout: Layout) -> None:
+    def __init__(self, path: Path, layout: TableLayout) -> None:
         self._path = path
         self._opened = _OpenTable(path)
         self._is_long = layout.carrier_column is not None
         try:
-            self._reader = RowReader(self._opened.table.header, layout)
+            self._reader = TableRowReader(self._opened.table.header, layout)
         except ForeignTableError as error:
             self.close()
             raise ArchiveError(f"{path}: {error}") from error

@@ -14,7 +14,7 @@ import typer
 from service.cli.command_group import end
 from service.cli.own_data.foreign_archive import ForeignArchive, sample_of
 from service.formats.foreign.fault import ForeignTableError
-from service.formats.foreign.layout import Layout, StatedLayout, unit_in_name
+from service.formats.foreign.layout import StatedLayout, TableLayout, unit_in_name
 from service.formats.foreign.proposal import PLAUSIBLE_DBM, Proposal, Question, Sample, propose
 from service.formats.foreign.text_table import MIXED
 from service.frontend.backfill.columns import ArchiveError
@@ -32,16 +32,16 @@ _FUTURE_US = 60 * US_PER_S
 _WORDS_OF_CHOICE = {"--unit": "dBm|dBW", "--map": "NAME=CARRIER"}
 
 
-def stated_carriers(pairs: list[str]) -> dict[str, str]:
-    """Return carriers by column from ``NAME=CARRIER``, or end; a name may hold equals signs."""
+def stated_pairs(pairs: list[str], option: str, form: str) -> dict[str, str]:
+    """Return values by name from ``NAME=VALUE``, or end; a name may hold equals signs."""
     split = {pair: pair.rpartition("=") for pair in pairs}
-    wrong = [pair for pair, (name, _, carrier) in split.items() if not name.strip() or not carrier.strip()]
+    wrong = [pair for pair, (name, _, value) in split.items() if not name.strip() or not value.strip()]
     if wrong:
-        end(f"--map {wrong[0]!r}: write NAME=CARRIER, the column and the carrier of the plan")
+        end(f"{option} {wrong[0]!r}: write {form}")
     names = [name.strip() for name, _, _ in split.values()]
     if len(set(names)) < len(names):
-        end("--map names one column twice; state each column once")
-    return {name.strip(): carrier.strip() for name, _, carrier in split.values()}
+        end(f"{option} names one thing twice; state each once")
+    return {name.strip(): value.strip() for name, _, value in split.values()}
 
 
 def with_layout(
@@ -111,12 +111,12 @@ def _grouped(fault: Mapping[str, Any]) -> str:
     return f"{fault['rows']} rows: {fault['kind']} (first: line {fault['line']}, {fault['detail']})"
 
 
-def _open_foreign(path: Path, layout: Layout) -> ForeignArchive:
+def _open_foreign(path: Path, layout: TableLayout) -> ForeignArchive:
     """Return a foreign file under a layout."""
     return ForeignArchive(path, layout)
 
 
-def _layout_of(client: "ServiceClient", order: "ArchiveOrder", stated: StatedLayout, *, can_ask: bool) -> Layout:
+def _layout_of(client: "ServiceClient", order: "ArchiveOrder", stated: StatedLayout, *, can_ask: bool) -> TableLayout:
     """Return the layout of a file, asked for where it is not stated or proven; without a terminal, end."""
     plan = client.carriers(order.spacecraft_id)["carriers"]
     carriers = {str(each["name"]): str(each["id"]) for each in plan if each.get("name")}
@@ -184,7 +184,7 @@ def _stated_answer(stated: StatedLayout, question: Question) -> StatedLayout:
     return replace(stated, **named)
 
 
-def _confirm(order: "ArchiveOrder", stated: StatedLayout, found: StatedLayout, layout: Layout) -> None:
+def _confirm(order: "ArchiveOrder", stated: StatedLayout, found: StatedLayout, layout: TableLayout) -> None:
     """Show a layout and the command that states it; end unless a person agrees."""
     for name, value in layout.as_document().items():
         typer.echo(f"  {name:12} {value}", err=True)

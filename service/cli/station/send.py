@@ -89,7 +89,7 @@ def send(
 ) -> None:
     """Send an archive of carrier powers to the service; continues where it was interrupted."""
     # httpx and numpy cost more than the command line itself
-    from service.cli.own_data.foreign_file import stated_carriers
+    from service.cli.own_data.foreign_file import stated_pairs
     from service.cli.station.tdm_archive import open_any_archive
     from service.formats.foreign.layout import StatedLayout
     from service.frontend.backfill.backfill import ArchiveOrder
@@ -103,7 +103,7 @@ def send(
         None if unit is None else unit.value,
         carrier_column,
         level_column,
-        stated_carriers(map_ or []),
+        stated_pairs(map_ or [], "--map", "NAME=CARRIER"),
     )
     order = ArchiveOrder(
         file, spacecraft, source, from_source, refuse_unknown, batch_rows, patience, state, open_any_archive

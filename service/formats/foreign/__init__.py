@@ -1,4 +1,4 @@
 """Tables of other programs: their separators, decimals, epochs, units and columns; nothing is guessed silently.
 
-Public: fault, layout, parquet_table, proposal, text_table.
+Public: attitude_message, fault, layout, orbit_file, parquet_table, proposal, sensor, text_table.
 """

@@ -42,7 +42,7 @@ class StatedLayout:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was stated."""
+        """Return whether nothing was stated."""
         return self == StatedLayout()
 
     def options(self, carriers: Mapping[str, str]) -> list[str]:
@@ -61,7 +61,7 @@ class StatedLayout:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class TableLayout:
     """Complete layout of a table."""
 
     time_columns: tuple[str, ...]
@@ -97,18 +97,18 @@ class LevelCell(NamedTuple):
     offset_db: float
 
 
-class RowReader:
+class TableRowReader:
     """Reader of the cells of one table under its layout.
 
     Parameters
     ----------
     header : sequence of str
         Columns of the table.
-    layout : Layout
+    layout : TableLayout
         What they hold.
     """
 
-    def __init__(self, header: Sequence[str], layout: Layout) -> None:
+    def __init__(self, header: Sequence[str], layout: TableLayout) -> None:
         self._clock = EpochReader(layout.time_format, layout.tz)
         self._times = [position_of(header, name) for name in layout.time_columns]
         self._decimal = layout.decimal

@@ -16,8 +16,8 @@ from service.formats.foreign.layout import (
     ABSENT,
     OFFSET_DB,
     Decimal,
-    Layout,
     StatedLayout,
+    TableLayout,
     Unit,
     check_header,
     is_number,
@@ -71,7 +71,7 @@ class Sample(NamedTuple):
 class Proposal(NamedTuple):
     """A layout, or the questions that must be answered first."""
 
-    layout: Layout | None
+    layout: TableLayout | None
     questions: tuple[Question, ...]
     #: what was understood so far
     found: StatedLayout
@@ -97,13 +97,13 @@ def propose(sample: Sample, stated: StatedLayout, carriers: Mapping[str, str]) -
     check_header(sample.header)
     EpochReader(stated.time_format or ISO, stated.tz)
     questions: list[Question] = []
-    found = _with_time(sample, stated, questions)
+    found = with_time(sample, stated, questions)
     found = _with_columns(sample, found, carriers, questions)
     units, unit_questions = _units(sample, found)
     questions += unit_questions
     if questions or found.time_format is None or found.decimal is None:
         return Proposal(None, tuple(questions), found)
-    layout = Layout(
+    layout = TableLayout(
         found.time_columns,
         found.time_format,
         found.tz,
@@ -116,8 +116,8 @@ def propose(sample: Sample, stated: StatedLayout, carriers: Mapping[str, str]) -
     return Proposal(layout, (), found)
 
 
-def _with_time(sample: Sample, stated: StatedLayout, questions: list[Question]) -> StatedLayout:
-    """Return the layout with the columns, format and zone of the epochs."""
+def with_time(sample: Sample, stated: StatedLayout, questions: list[Question]) -> StatedLayout:
+    """Return the layout with the columns, format and zone of the epochs; what they leave open joins the questions."""
     columns = stated.time_columns
     if not columns:
         candidates = _time_candidates(sample)
@@ -171,7 +171,7 @@ def _with_columns(
     """Return the layout with decimals and with the carriers of columns or names."""
     rest = [name for name in sample.header if name not in found.time_columns]
     _check_stated(found, carriers)
-    found = replace(found, decimal=found.decimal or _decimal_of(sample, rest))
+    found = replace(found, decimal=found.decimal or decimal_of(sample, rest))
     numbers = [name for name in rest if _is_numeric(sample, name, found.decimal or "point")]
     if found.carrier_column is None:
         wide = _matched(rest, carriers, found.carriers)
@@ -273,7 +273,7 @@ def _levels(sample: Sample, columns: Sequence[str], decimal: Decimal) -> np.ndar
     return np.array([float(str(cell).replace(",", ".")) for cell in cells])
 
 
-def _decimal_of(sample: Sample, columns: Sequence[str]) -> Decimal:
+def decimal_of(sample: Sample, columns: Sequence[str]) -> Decimal:
     """Return the decimal sign of the numbers; ForeignTableError when there are two."""
     signs: dict[Decimal, str] = {}
     for name in columns:

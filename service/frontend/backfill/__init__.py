@@ -1,4 +1,4 @@
 """Backfill: archive files sent to the service in resumable pieces.
 
-Public: backfill, columns, reader.
+Public: backfill, columns, reader, survey.
 """

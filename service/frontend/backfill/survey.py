@@ -56,12 +56,12 @@ class FaultGroups:
 
 
 @dataclass(slots=True)
-class _LevelSpan:
-    """Levels of one carrier."""
+class ValueSpan:
+    """Values of one column, in its unit."""
 
-    least_dbm: float = inf
-    greatest_dbm: float = -inf
-    sum_dbm: float = 0.0
+    least: float = inf
+    greatest: float = -inf
+    total: float = 0.0
     present: int = 0
 
 
@@ -80,7 +80,7 @@ class Survey:
     Parameters
     ----------
     carriers : sequence of str
-        Carriers of the plan, in its order.
+        Carriers of the plan, or axes of a sensor, in the order of the values of a row.
     """
 
     def __init__(self, carriers: Sequence[str]) -> None:
@@ -91,10 +91,10 @@ class Survey:
         self.faults = FaultGroups()
         self._last_us: int | None = None
         self._carriers = list(carriers)
-        self._spans = [_LevelSpan() for _ in carriers]
+        self.spans = [ValueSpan() for _ in carriers]
         self._epochs_us = array("q")
 
-    def add(self, epoch_us: int, levels_dbm: Sequence[float | None]) -> None:
+    def add(self, epoch_us: int, values: Sequence[float | None]) -> None:
         """Count one row."""
         self.rows += 1
         self.start_us = epoch_us if self.start_us is None else min(self.start_us, epoch_us)
@@ -103,16 +103,16 @@ class Survey:
         self._last_us = epoch_us
         if len(self._epochs_us) < MOST_EPOCHS:
             self._epochs_us.append(epoch_us)
-        for span, level in zip(self._spans, levels_dbm, strict=True):
-            if level is not None:
-                span.least_dbm, span.greatest_dbm = min(span.least_dbm, level), max(span.greatest_dbm, level)
-                span.sum_dbm += level
+        for span, value in zip(self.spans, values, strict=True):
+            if value is not None:
+                span.least, span.greatest = min(span.least, value), max(span.greatest, value)
+                span.total += value
                 span.present += 1
 
     def mean_dbm(self) -> float | None:
         """Return the mean of all levels; None when there is none."""
-        present = sum(span.present for span in self._spans)
-        return sum(span.sum_dbm for span in self._spans) / present if present else None
+        present = sum(span.present for span in self.spans)
+        return sum(span.total for span in self.spans) / present if present else None
 
     def order(self) -> EpochOrder:
         """Return duplicates and gaps."""
@@ -152,11 +152,11 @@ class Survey:
             ],
             "levels": {
                 carrier: {
-                    "least_dbm": span.least_dbm if span.present else None,
-                    "greatest_dbm": span.greatest_dbm if span.present else None,
+                    "least_dbm": span.least if span.present else None,
+                    "greatest_dbm": span.greatest if span.present else None,
                     "empty": self.rows - span.present,
                 }
-                for carrier, span in zip(self._carriers, self._spans, strict=True)
+                for carrier, span in zip(self._carriers, self.spans, strict=True)
             },
             "faults": self.faults.as_documents(),
         }

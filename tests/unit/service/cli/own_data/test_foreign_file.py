@@ -209,7 +209,7 @@ def test_the_same_file_with_another_zone_is_another_sending(service: Service, tm
     ("options", "message"),
     [
         (("--map", "c00"), "write NAME=CARRIER"),
-        (("--map", "a=c00", "--map", "a=c01"), "one column twice"),
+        (("--map", "a=c00", "--map", "a=c01"), "one thing twice"),
         (("--map", "Nobody=c00", *UTC_DBM), "no column 'Nobody'"),
         (("--unit", "dBHz"), "dBHz"),
     ],
