@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.command_group import end
-from service.cli.operation.profile import Profile, ProfileError, profile_path, read_profile
+from service.cli.operation.profile import ProfileError, UserProfile, profile_path, read_profile
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
 
 DEFAULT_SERVICE = "http://127.0.0.1:8000"
 DEFAULT_KEY_ENVIRONMENT = "SOO_KEY"
+OLDER = "it is older than this command; update the service, or use the soo of its version"
 
 
 def _service_address(ctx: typer.Context, value: str) -> str:
@@ -44,7 +45,7 @@ def _chosen_spacecraft(ctx: typer.Context, value: str) -> str:
     return str(found[0])
 
 
-def _profile() -> Profile:
+def _profile() -> UserProfile:
     """Return the user's profile; end the command where it cannot be used."""
     try:
         return read_profile()
@@ -52,11 +53,11 @@ def _profile() -> Profile:
         end(str(error), cause=error)
 
 
-def _profile_of(service: str) -> Profile:
+def _profile_of(service: str) -> UserProfile:
     """Return the user's profile, an empty one where it is for another service."""
     profile = _profile()
     own = (profile.service or DEFAULT_SERVICE).rstrip("/")
-    return profile if own == service.rstrip("/") else Profile()
+    return profile if own == service.rstrip("/") else UserProfile()
 
 
 # the spacecraft is chosen by these two, so they are read before it
@@ -112,4 +113,5 @@ def connected(service: str, key_env: str, **options: Any) -> Iterator["ServiceCl
         with ServiceClient(service, key, **options) as client:
             yield client
     except ClientError as error:
-        end(str(error), 1, error)
+        unknown = getattr(error, "code", "") in {"path.unknown", "method.not_allowed"}
+        end(f"{error}\nthe service does not know this request: {OLDER}" if unknown else str(error), 1, error)

@@ -20,8 +20,8 @@ class ProfileError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Profile:
-    """What a user states once; None: not stated."""
+class UserProfile:
+    """Statements that a user makes once; None: not stated."""
 
     service: str | None = None
     key_file: Path | None = None
@@ -58,7 +58,7 @@ def profile_path() -> Path:
     return (Path(home) if home else Path.home() / ".config") / "soo" / "profile.toml"
 
 
-def read_profile() -> Profile:
+def read_profile() -> UserProfile:
     """Return the user's profile, an empty one where there is no file.
 
     Raises
@@ -70,17 +70,17 @@ def read_profile() -> Profile:
     try:
         stated = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        return Profile()
+        return UserProfile()
     except (OSError, ValueError) as error:
         message = f"the profile {path} cannot be read: {error}; correct or remove it"
         raise ProfileError(message) from error
-    known = {each.name for each in fields(Profile)}
+    known = {each.name for each in fields(UserProfile)}
     wrong = [name for name, value in stated.items() if name not in known or not isinstance(value, str) or not value]
     if wrong:
         message = f"the profile {path}: {', '.join(wrong)}: a profile has {', '.join(sorted(known))}, each a text"
         raise ProfileError(message)
     key_file = stated.get("key_file")
-    return Profile(
+    return UserProfile(
         stated.get("service"),
         None if key_file is None else path.parent / Path(key_file).expanduser(),
         stated.get("spacecraft"),
@@ -97,7 +97,7 @@ def write_profile(service: str, key_file: Path, spacecraft: str | None) -> Path:
     OSError
         The file cannot be written.
     """
-    path, profile = profile_path(), Profile(service, key_file.resolve(), spacecraft)
+    path, profile = profile_path(), UserProfile(service, key_file.resolve(), spacecraft)
     if path.exists():
         if read_profile() == profile:
             return path

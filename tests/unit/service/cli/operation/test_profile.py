@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from service.cli.app import app
-from service.cli.operation.profile import Profile, ProfileError, profile_path, read_profile, write_profile
+from service.cli.operation.profile import ProfileError, UserProfile, profile_path, read_profile, write_profile
 
 URL = "http://127.0.0.1:9"
 
@@ -38,7 +38,7 @@ def written(text: str) -> Path:
 def test_what_is_written_is_read(home: Path) -> None:
     path = write_profile(URL, key_file(home), "yamal-202")
     assert path == home / "soo/profile.toml"
-    assert read_profile() == Profile(URL, home / "operator.key", "yamal-202")
+    assert read_profile() == UserProfile(URL, home / "operator.key", "yamal-202")
     assert read_profile().key() == "the-key"
 
 
@@ -52,12 +52,12 @@ def test_any_name_of_a_file_comes_back(tmp_path_factory: pytest.TempPathFactory,
         patch.setenv("XDG_CONFIG_HOME", str(folder))
         stated = folder.resolve() / "keys" / f"k{name}"
         write_profile(URL, stated, None)
-        assert read_profile() == Profile(URL, stated, None)
+        assert read_profile() == UserProfile(URL, stated, None)
 
 
 def test_without_a_file_nothing_is_stated() -> None:
-    assert read_profile() == Profile()
-    assert Profile().key() is None
+    assert read_profile() == UserProfile()
+    assert UserProfile().key() is None
 
 
 def test_another_profile_is_not_overwritten(home: Path) -> None:
@@ -73,7 +73,7 @@ def test_another_profile_is_not_overwritten(home: Path) -> None:
 def test_a_key_that_others_can_read_is_refused_with_the_command_that_mends_it(home: Path, mode: int) -> None:
     path = key_file(home, mode)
     with pytest.raises(ProfileError, match=f"run chmod 600 {path}"):
-        Profile(URL, path).key()
+        UserProfile(URL, path).key()
 
 
 @pytest.mark.parametrize(
@@ -94,9 +94,9 @@ def test_a_profile_that_is_none_names_file_and_fault(text: str, said: str) -> No
 
 def test_an_empty_key_file_and_a_missing_one_are_named(home: Path) -> None:
     with pytest.raises(ProfileError, match="is empty"):
-        Profile(URL, key_file(home, text="\n")).key()
+        UserProfile(URL, key_file(home, text="\n")).key()
     with pytest.raises(ProfileError, match="cannot be read"):
-        Profile(URL, home / "none").key()
+        UserProfile(URL, home / "none").key()
 
 
 class Requests(list):
