@@ -28,6 +28,28 @@ _COMMANDS = {
     "replay": CommandSource("operation.operate", "Run the chain again over the archive, as a new version."),
     "replays": CommandSource("operation.replays", "List the versions that replays wrote, or delete one."),
     "compare": CommandSource("operation.comparison.compare", "Compare the attitude of two versions row by row."),
+    "status": CommandSource("shift.reading", "Say whether torques may go, why not, and what to do next."),
+    "attitude": CommandSource(
+        "shift.reading", "Say where the spacecraft points, how sure that is, and what both methods say."
+    ),
+    "carriers": CommandSource(
+        "shift.reading", "Say which carriers the newest attitude uses, which it leaves out, and why."
+    ),
+    "alarms": CommandSource("shift.reading", "List open alarms with their ids and next steps."),
+    "ack": CommandSource(
+        "shift.orders", "Acknowledge an alarm; no further notice unless it becomes worse or comes back."
+    ),
+    "shelve": CommandSource("shift.orders", "Keep an alarm quiet for some hours of the spacecraft's clock."),
+    "control": CommandSource("shift.control", "Control: arm, stop, reset."),
+    "torque": CommandSource("shift.torque", "Release of torques by two persons: prepare, confirm, report."),
+    "note": CommandSource("shift.orders", "Write a note into the shift log."),
+    "handover": CommandSource(
+        "shift.handover", "Write what the next shift must know: alarms, control, operations, links, what ends, notes."
+    ),
+    "watch": CommandSource("shift.watch", "Follow a spacecraft on one screen; q or Ctrl-C ends it."),
+    "report": CommandSource(
+        "shift.handover", "Write a report of the last day or shift with figures, then the hand-over."
+    ),
     "export": CommandSource("operation.export", "Download a stretch of the archive."),
     "plan": CommandSource(
         "planning.plan", "Choose carriers, judge what they can see, and print a timetable of calibration turns."

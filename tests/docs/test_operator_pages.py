@@ -21,6 +21,7 @@ HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
 #: what each block of the first shift prints
 SHIFT = (
     ("bash", "1 warning roll angle is 0.3"),
+    ("console", '"spacecraft_id": "yamal-202"'),
     ("bash", "ACQUIRED ['unannounced_motion']"),
     ("bash", "event: status"),
     ("bash", '"state":"acknowledged"'),

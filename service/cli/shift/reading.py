@@ -1,0 +1,136 @@
+"""Commands that read: ``soo status``, ``soo attitude``, ``soo carriers``, ``soo alarms``.
+
+Exit codes: 0 normal, 1 the service refused or did not answer, 2 a wrong option, 3 something needs attention, 4 control
+has tripped (``soo status``).
+"""
+
+from collections.abc import Iterator
+
+import typer
+from rich.console import RenderableType
+
+from service.cli.operation.connection import (
+    DEFAULT_KEY_ENVIRONMENT,
+    DEFAULT_SERVICE,
+    JsonOption,
+    KeyEnvironment,
+    ServiceUrl,
+    SpacecraftOption,
+    connected,
+)
+from service.cli.shift.tables import alarm_line, axes_table, columns, excluded_line, link_line, reasons_table, show
+from service.cli.shift.words import clean, meaning, number, sentence, utc, words
+from service.client.documents import Json
+
+EXIT_ATTENTION, EXIT_TRIPPED = 3, 4
+
+
+def status(
+    spacecraft: SpacecraftOption,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Say whether torques may go, why not, and what to do next."""
+    with connected(service, key_env) as client:
+        found = Json(client.status(spacecraft))
+        row, control = (
+            (Json(client.attitude(spacecraft)), Json(client.control(spacecraft))) if not as_json else ({}, {})
+        )
+    verdict = found["control"]
+
+    def parts() -> Iterator[RenderableType]:
+        yield f"{spacecraft}: {sentence(verdict, row, control['conditions'])}"
+        yield f"{words('views.control.title')}: {meaning('states', verdict['state'])}"
+        if verdict["reasons"]:
+            yield reasons_table(verdict["reasons"])
+        newest, now = utc(found["newest_attitude"]), utc(found["now"])
+        yield f"newest row {newest}, now {now} UTC; {found['pending']} rows pending"
+        if found["methods_disagree"]:
+            yield f"{meaning('alarms', 'methods_disagree')}: {meaning('alarms', 'methods_disagree', 'next')}"
+        for each in found["advice"]:
+            yield f"{meaning('advice', each['code'], default=each['text'])}: {meaning('advice', each['code'], 'next')}"
+        yield from map(link_line, found["links"])
+
+    show(found, parts, as_json=as_json)
+    if not verdict["allowed"]:
+        raise typer.Exit(EXIT_TRIPPED if verdict["state"] == "TRIPPED" else EXIT_ATTENTION)
+
+
+def attitude(
+    spacecraft: SpacecraftOption,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Say where the spacecraft points, how sure that is, and what both methods say."""
+    with connected(service, key_env) as client:
+        row = Json(client.attitude(spacecraft))
+        if not as_json:
+            other = Json(client.attitude(spacecraft, "paper" if row["method"] == "robust" else "robust"))
+            control = Json(client.control(spacecraft))
+
+    def parts() -> Iterator[RenderableType]:
+        said = [meaning("statuses", row["status"]), meaning("statuses", row["status"], "next")]
+        yield f"{spacecraft}, {utc(row['epoch'])} UTC: {'; '.join(filter(None, said))}"
+        yield axes_table(row, other, control["conditions"])
+        yield f"{row['carriers_used']} carriers used, left out: {excluded_line(row)}"
+        fade = f"{number(row['downlink_fade_db'], 2)} dB" if row["downlink_fade"] else words("views.now.none")
+        residual = number(row["residual_rms_db"], 2)
+        yield f"{words('views.now.fade')}: {fade}; {words('views.now.residual')}: {residual} dB"
+        for code in row["inhibitions"]:
+            yield f"{meaning('reasons', code)}: {meaning('reasons', code, 'next')}"
+
+    show(row, parts, as_json=as_json)
+    if row["status"] != "ACQUIRED":
+        raise typer.Exit(EXIT_ATTENTION)
+
+
+def carriers(
+    spacecraft: SpacecraftOption,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Say which carriers the newest attitude uses, which it leaves out, and why."""
+    with connected(service, key_env) as client:
+        plan, row = client.carriers(spacecraft), Json(client.attitude(spacecraft))
+    reasons = {each["carrier"]: each["reason"] for each in row["excluded"]}
+
+    def parts() -> Iterator[RenderableType]:
+        count = words("views.now.used", used=row["carriers_used"], all=len(plan["carriers"]))
+        yield f"{spacecraft}, {utc(row['epoch'])} UTC: {count}"
+        table = columns("carrier", "state", "next step", "transponder", "station")
+        for each in sorted(plan["carriers"], key=lambda one: one["id"] not in reasons):
+            reason = reasons.get(each["id"])
+            used = "carrierUsed" if each["enabled"] and row["epoch"] else "noRow" if each["enabled"] else "carrierOff"
+            table.add_row(
+                clean(each["id"]),
+                words(f"views.now.{used}") if reason is None else meaning("exclusions", reason),
+                "" if reason is None else meaning("exclusions", reason, "next"),
+                clean(each["transponder"]),
+                clean((each["station"] or {}).get("name") or ""),
+            )
+        yield table
+
+    show({"carriers": plan, "attitude": row}, parts, as_json=as_json)
+    if reasons:
+        raise typer.Exit(EXIT_ATTENTION)
+
+
+def alarms(
+    spacecraft: SpacecraftOption,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """List open alarms with their ids and next steps."""
+    with connected(service, key_env) as client:
+        rows = list(client.pages(f"/spacecraft/{spacecraft}/alarms"))
+    show(
+        {"rows": rows},
+        lambda: map(alarm_line, rows) if rows else [f"{spacecraft}: {words('app.alarms.none')}"],
+        as_json=as_json,
+    )
+    if rows:
+        raise typer.Exit(EXIT_ATTENTION)

@@ -1,0 +1,147 @@
+"""Tables of the state of a spacecraft, the same for single commands and for the live screen."""
+
+import io
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import typer
+from rich.console import Console, RenderableType
+from rich.table import Table
+
+from service.cli.command_group import end
+from service.cli.operation.connection import OLDER
+from service.cli.shift.words import AXES, axes, clean, meaning, number, ranked, utc, words
+from service.client.documents import Json
+
+#: code of the condition that limits each angle
+LIMITS = {"yaw": "yaw_beyond", "roll": "beyond_validity", "pitch": "beyond_validity"}
+
+
+def screen(*, is_error: bool = False) -> Console:
+    """Return a console that prints texts as they are; a character that the output cannot hold becomes a mark."""
+    output = sys.stderr if is_error else sys.stdout
+    if isinstance(output, io.TextIOWrapper):
+        output.reconfigure(errors="replace")
+    return Console(markup=False, highlight=False, emoji=False, stderr=is_error)
+
+
+def show(document: object, parts: Callable[[], Iterable[RenderableType]], *, as_json: bool) -> None:
+    """Print the document of the service for programs, or what is made of it for people."""
+    if as_json:
+        typer.echo(json.dumps(document))
+        return
+    console = screen()
+    try:
+        for part in parts():
+            console.print(part)
+    except KeyError as error:
+        end(f"the answer of the service has no {error}: {OLDER}", 1, error)
+
+
+def columns(*titles: str, show_header: bool = True) -> Table:
+    """Return a table without lines; what is wider than its column goes on below, and is not cut off."""
+    table = Table(box=None, pad_edge=False, header_style="bold", show_header=show_header)
+    for title in titles:
+        table.add_column(title, overflow="fold")
+    return table
+
+
+def limit_of(conditions: Iterable[Json], code: str) -> float | None:
+    """Return the limit of a condition, None where there is none."""
+    return next((each["limit"] for each in conditions if each["code"] == code), None)
+
+
+def axes_table(row: Json, other: Json, conditions: list[Json]) -> Table:
+    """Return angle, limit, uncertainty and the other method's angle of each axis."""
+    names = ("axis", "angle", "toLimit", "sigma", "protection", "otherMethod")
+    table = columns(*(words(f"views.now.{name}") for name in names))
+    alert = limit_of(conditions, "protection_level")
+    for axis in AXES:
+        angle, sigma = row[f"{axis}_deg"], row["sigma_deg"][axis]
+        limit = limit_of(conditions, LIMITS[axis])
+        protection = number(row["protection_deg"][axis])
+        if axis != "yaw" and alert is not None:
+            protection += f" {words('views.now.ofAlert', alert=number(alert, 2))}"
+        table.add_row(
+            words(f"app.axis.{axis}"),
+            number(angle, sign="+"),
+            _room(angle, limit),
+            number(None if sigma is None else 2 * sigma),
+            protection,
+            number(other[f"{axis}_deg"], sign="+"),
+        )
+    return table
+
+
+def _room(angle: float | None, limit: float | None) -> str:
+    """Return the degrees left to a limit, and the limit."""
+    if angle is None or limit is None:
+        return number(None)
+    left = number(limit - abs(angle), 2) if abs(angle) <= limit else words("views.now.beyond")
+    return f"{left} {words('views.now.ofAlert', alert=number(limit, 2))}"
+
+
+def reasons_table(reasons: list[Json]) -> Table:
+    """Return every reason with its begin and the next step, the one to act on first."""
+    table = columns("why no torque, or no yaw torque", "since, UTC", "next step")
+    for each in ranked(reasons):
+        next_step = meaning("reasons", each["code"], "next", each["next_step"])
+        table.add_row(meaning("reasons", each["code"], default=each["text"]), utc(each["since"]), next_step)
+    return table
+
+
+def alarm_line(alarm: Json) -> str:
+    """Return an alarm with its id, value and state, its next step last."""
+    value = f"{number(alarm['present_value'], 2)} {clean(alarm['unit'])}".strip()
+    name = f"{alarm['id']} {meaning('severities', alarm['severity'])}: {meaning('alarms', alarm['condition'])}"
+    state = f"{words('views.alarms.state.' + alarm['state'])}, raised {utc(alarm['raised_at'])}"
+    next_step = meaning("alarms", alarm["condition"], "next", alarm["next_step"])
+    return f"{name} {clean(alarm['thing'])} {value}, {state}; {next_step}"
+
+
+def link_line(link: Json) -> str:
+    """Return a source or link with its state, warnings and missing rows."""
+    state = link["state"]
+    said = words(f"views.links.state.{state}") if state else words("views.now.source")
+    parts = [said, *(meaning("problems", each["code"]) for each in link["warnings"])]
+    if link["rows_missing"]:
+        parts.append(words("views.now.missing", count=link["rows_missing"]))
+    return f"{clean(link['id'] or link['source'])}: {'; '.join(parts)}; {utc(link['newest_epoch'])}"
+
+
+def excluded_line(row: Json) -> str:
+    """Return the carriers that are left out, with their reasons."""
+    said = (f"{clean(each['carrier'])} ({meaning('exclusions', each['reason'])})" for each in row["excluded"])
+    return ", ".join(said) or words("views.now.none")
+
+
+def command_facts(command: Json) -> tuple[RenderableType, ...]:
+    """Return what a person must see of a command: purpose, pulses, predicted angles, checks and digest."""
+    predicted = command["predicted"]
+    facts: Mapping[str, Any] = {
+        "reason": clean(command["reason"]),
+        "purpose": words(f"views.control.purpose.{command['purpose']}"),
+        "preparedBy": f"{clean(command['prepared_by'])}, {utc(command['prepared_at'])}",
+        "span": f"{utc(command['start'])} – {utc(command['stop'])} UTC",
+        "expires": utc(command["expires_at"]),
+        "impulse": axes(command["gross_impulse_n_m_s"], 4, words("app.unit.n_m_s")),
+        "change": axes(predicted["angle_change_deg"], 4, words("app.unit.deg")),
+        "peak": axes(predicted["peak_angle_deg"], 4, words("app.unit.deg")),
+    }
+    table = columns("fact", "value", show_header=False)
+    state = words("views.control.dryRun") if command["dry_run"] else meaning("commands", command["state"])
+    simulated = f" {words('app.simulated')}" if command["simulated"] else ""
+    table.add_row("command", f"{command['id']}: {state}{simulated}")
+    for name, text in facts.items():
+        table.add_row(words(f"views.control.fact.{name}"), text)
+    for pulse in command["schedule"]:
+        moved = [axis for axis in AXES if pulse[f"{axis}_n_m"]]
+        torque = ", ".join(f"{words(f'app.axis.{axis}')} {pulse[f'{axis}_n_m']:+.2e}" for axis in moved)
+        table.add_row("pulse", f"{utc(pulse['start'])}, {pulse['duration_s']:g} s, {torque} N m")
+    for check in command["checks"]:
+        said = words("views.control.ok" if check["ok"] else "views.control.notOk")
+        table.add_row("check", f"{clean(check['name'])}: {said} {clean(check['detail'])}".rstrip())
+    # of one piece at 80 columns: a person copies it
+    return table, f"{words('views.control.fact.digest')} {clean(command['digest'])}"

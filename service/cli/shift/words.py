@@ -1,0 +1,119 @@
+"""Words of the console for the terminal: its English table, numbers, instants, and text of others made harmless."""
+
+import json
+import re
+import unicodedata
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from service.client.documents import Json
+
+AXES = ("yaw", "roll", "pitch")
+MISSING = "–"
+#: control, format and surrogate characters: a terminal executes some of them
+_OBEYED = frozenset({"Cc", "Cf", "Cs"})
+#: reasons that follow from others, or withhold yaw alone; the sentence names them last, in this order
+_LAST = (
+    *("fade", "redundancy", "estimator", "tripped", "operation", "sigma_yaw", "yaw_beyond", "yaw_sign"),
+    *("good_minutes", "not_armed"),
+)
+#: word of the unit and digits of a condition's value
+_UNITS = {"deg": ("deg", 2), "dB": ("db", 1), "%": ("percent", 0)}
+
+
+@cache
+def _table() -> Json:
+    """Return the English table of the console."""
+    path = files("service.console").joinpath("static/words/en.json")
+    return Json(json.loads(path.read_text(encoding="utf-8")))
+
+
+def words(key: str, **values: object) -> str:
+    """Return the words of a key, levels divided by dots, or its last level; ``count`` also chooses the plural."""
+    found: Any = _table()
+    *_, last = levels = key.split(".")
+    for name in levels:
+        found = found.get(name, {})
+    return _composed(found, values) if found else clean(last)
+
+
+def meaning(group: str, code: str, part: str = "name", default: str | None = None) -> str:
+    """Return the name of a code of the service, or its next step; an unknown code stands for itself."""
+    found = _table()[group].get(code, {}).get(part)
+    unknown = default if default is not None else code if part == "name" else ""
+    return clean(unknown) if found is None else _composed(found, {})
+
+
+def clean(text: object) -> str:
+    r"""Return a text as one line without characters that a terminal executes.
+
+    Examples
+    --------
+    >>> clean("red \x1b[31m alert\nsecond line")
+    'red �[31m alert second line'
+    """
+    line = " ".join(str(text).split())
+    return "".join("\N{REPLACEMENT CHARACTER}" if unicodedata.category(each) in _OBEYED else each for each in line)
+
+
+def number(value: float | None, digits: int = 3, sign: str = "") -> str:
+    """Return a number with some decimals, a dash for none."""
+    return MISSING if value is None else f"{value:{sign}.{digits}f}"
+
+
+def utc(epoch: str | None) -> str:
+    """Return an RFC 3339 instant as date and time to the second."""
+    return MISSING if epoch is None else clean(epoch)[:19].replace("T", " ")
+
+
+def axes(values: Mapping[str, float | None], digits: int, unit: str) -> str:
+    """Return one value an axis with its name, and the unit."""
+    return ", ".join(f"{words(f'app.axis.{axis}')} {number(values[axis], digits)}" for axis in AXES) + f" {unit}"
+
+
+def ranked(reasons: list[Json]) -> list[Json]:
+    """Return the reasons of a verdict, the one to act on first."""
+    return sorted(reasons, key=lambda each: _LAST.index(each["code"]) if each["code"] in _LAST else -1)
+
+
+def sentence(verdict: Json, row: Json, conditions: list[Json]) -> str:
+    """Return what is known, whether torques may go, the first reason and its next step, as the console says it."""
+    reasons = ranked(verdict["reasons"])
+    reason = next_step = ""
+    if reasons:
+        more = words("views.now.more", count=len(reasons) - 1) if len(reasons) > 1 else ""
+        reason = f"{_reason(reasons[0], row, conditions)} {more}".rstrip()
+        next_step = meaning("reasons", reasons[0]["code"], "next", reasons[0]["next_step"])
+    key = "forbidden" if not verdict["allowed"] else "allowedBut" if reasons else "allowed"
+    return words(f"views.now.sentence.{key}", known=_known(row), reason=reason, next=next_step)
+
+
+def _known(row: Json) -> str:
+    """Return what is known of roll and pitch."""
+    sigmas = [row["sigma_deg"][axis] for axis in ("roll", "pitch")]
+    if row["status"] != "ACQUIRED" or None in sigmas:
+        return meaning("statuses", row["status"])
+    return words("views.now.known", sigma=number(2 * max(sigmas), 2))
+
+
+def _reason(reason: Json, row: Json, conditions: list[Json]) -> str:
+    """Return a reason with the value of its condition and its begin."""
+    code = reason["code"]
+    condition = next((each for each in conditions if each["code"] == code), {})
+    value, unit = condition.get("value"), condition.get("unit")
+    if code in {"fade", "downlink_fade"}:
+        value, unit = row["downlink_fade_db"], "dB"
+    parts = [meaning("reasons", code, default=reason["text"])]
+    if value is not None and unit in _UNITS:
+        name, digits = _UNITS[unit]
+        parts.append(f"{number(value, digits)} {words(f'app.unit.{name}')}")
+    since = reason["since"] or condition.get("since")
+    return " ".join([*parts, *([words("views.now.since", at=utc(since)[11:16])] if since else [])])
+
+
+def _composed(found: Any, values: Mapping[str, object]) -> str:
+    """Return a sentence with its values."""
+    text: str = found if isinstance(found, str) else found["one" if values.get("count") == 1 else "other"]
+    return re.sub(r"\{(\w+)\}", lambda found: str(values.get(found[1], MISSING)), text)

@@ -1,0 +1,92 @@
+"""The live screen fits its terminal, says what is cut, and shows a day of protection levels."""
+
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from service.cli.shift.live_screen import render
+from service.cli.shift.watch import LiveReader
+from service.client.problem import ServiceUnavailableError
+
+
+def lines(reader: LiveReader, width: int = 80, height: int = 24, cut: str = "", encoding: str = "utf-8") -> list[str]:
+    console = Console(width=width, height=height, markup=False, emoji=False, no_color=True)
+    console.__class__ = type("Encoded", (Console,), {"encoding": encoding})
+    with console.capture() as capture:
+        console.print(render(reader.state, console, cut))
+    return capture.get().splitlines()
+
+
+@pytest.mark.parametrize("count", [0, 1, 40])
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (200, 60)])
+def test_the_screen_fits_its_terminal(documents: Any, count: int, width: int, height: int) -> None:
+    documents.alarms = [documents.alarms[0] | {"id": number} for number in range(count)]
+    shown = lines(LiveReader(documents, documents, "yamal-202"), width, height, cut="cut since 10:30:00")
+    assert len(shown) <= height
+    assert max(map(len, shown)) <= width
+    assert f"Alarms: {count or 'none'}" in [line.strip() for line in shown]
+    assert shown[-1].strip() == "q ends"
+
+
+def test_the_verdict_is_the_first_line_and_a_cut_stands_before_it(documents: Any) -> None:
+    reader = LiveReader(documents, documents, "yamal-202")
+    assert "no torque: control is not armed" in lines(reader)[0]
+    shown = lines(reader, cut="cut since 2027-01-15 10:30:00: no answer")
+    assert shown[0].strip() == "cut since 2027-01-15 10:30:00: no answer"
+    assert "what holds now is not known" in shown[1]
+
+
+@pytest.mark.parametrize(("encoding", "mark"), [("utf-8", "▂"), ("ascii", ".")])
+def test_the_strip_has_a_mark_for_each_half_hour_that_has_rows(documents: Any, encoding: str, mark: str) -> None:
+    shown = lines(LiveReader(documents, documents, "yamal-202"), encoding=encoding)
+    (strip,) = [line for line in shown if line.startswith("Protection level, 24 h")]
+    assert strip.split() == ["Protection", "level,", "24", "h", mark, "!", "of", "0.22", "deg"]
+    assert strip.index("!") == len("Protection level, 24 h ") + 43
+
+
+def test_before_the_first_row_there_is_no_strip(documents: Any) -> None:
+    known = documents.status("")
+    documents.status = lambda _: known | {"now": None}
+    shown = lines(LiveReader(documents, documents, "yamal-202"))
+    assert "Protection level, 24 h: none" in [line.strip() for line in shown]
+
+
+def test_a_reader_says_since_when_nothing_comes_and_reads_again_after_it(documents: Any) -> None:
+    events = iter([True, False, True])
+
+    def stream(_: str, *, patience_s: float) -> Any:
+        assert patience_s == 0.0
+        if next(events):
+            yield None
+        if reader.cut:
+            reader.end()
+        raise ServiceUnavailableError("no answer from \x1b[2J")
+
+    reader = LiveReader(documents, type("Streaming", (), {"stream": staticmethod(stream)}), "yamal-202")
+    assert reader.cut == ""
+    reader._follow()
+    assert reader.cut.startswith("cut since 20")
+    assert reader.cut.endswith(": no answer from �[2J")
+
+
+def test_documents_are_read_again_after_an_event_and_not_before(
+    documents: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.cli.shift.watch._READ_S", 0.0)
+    reader = LiveReader(documents, documents, "yamal-202")
+    documents.alarms = []
+    reader.update()
+    assert len(reader.state.alarms) == 1
+    reader._is_changed.set()
+    reader.update()
+    assert reader.state.alarms == []
+
+    def status(_: str) -> Any:
+        raise ServiceUnavailableError("no answer")
+
+    documents.status = status
+    reader._is_changed.set()
+    reader.update()
+    assert (reader.state.alarms, reader._is_changed.is_set()) == ([], True)
+    assert reader.cut.endswith("no answer")
