@@ -136,6 +136,7 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hislip-port", type=_port, help="HiSLIP port, usually 4880, 0 = a free one (default: none)")
     parser.add_argument("--ground-port", type=_port, default=5026, help="ground port, 0 = a free one (default: 5026)")
     parser.add_argument("--uplink-port", type=_port, help="fly the spacecraft by schedules, 0 = a free port")
+    parser.add_argument("--change-port", type=_port, help="change the flown world for a time, 0 = a free port")
     parser.add_argument("--await-ground", action="store_true", help="sweep no row before a ground client allows it")
     parser.add_argument(
         "--detail",
@@ -277,6 +278,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run_plant(options)
     if options.uplink_port is None and options.scenario not in _scenarios():
         parser.error(f"scenario {options.scenario} is for closed loops alone: give --uplink-port")
+    if options.uplink_port is None and options.change_port is not None:
+        parser.error("--change-port changes a spacecraft that is flown: give --uplink-port")
     return _run_server(options)
 
 

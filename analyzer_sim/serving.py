@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from typing import NamedTuple
 
 from analyzer_sim.dialects.dialect import Dialect
@@ -19,6 +20,7 @@ from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.instrument.truth_log import TruthLog
 from analyzer_sim.lines.line_faults import LineFault, LineFaults
 from analyzer_sim.lines.server import SimulatedAnalyzer, port_error
+from analyzer_sim.plant.change_port import serve_changes
 from analyzer_sim.plant.flown_world import FlownWorld
 from analyzer_sim.plant.plant import PlantOptions
 from analyzer_sim.plant.uplink_port import UplinkPort
@@ -120,7 +122,7 @@ async def _serve_all(options: argparse.Namespace, station: _Station) -> None:
 
 
 async def _control_servers(options: argparse.Namespace, station: _Station) -> dict[str, asyncio.Server]:
-    """Open the ground port and, where a spacecraft is flown, the uplink."""
+    """Open the ground port and, where a spacecraft is flown, the uplink and the port of changes."""
     opening: dict[str, Callable[[], Awaitable[asyncio.Server]]] = {
         "ground": lambda: serve_ground(
             station.world,
@@ -134,6 +136,8 @@ async def _control_servers(options: argparse.Namespace, station: _Station) -> di
     if station.subject is not None:
         uplink = UplinkPort(station.subject)
         opening["uplink"] = lambda: uplink.serve(options.host, options.uplink_port)
+        if options.change_port is not None:
+            opening["change"] = partial(serve_changes, station.subject, options.host, options.change_port)
     servers: dict[str, asyncio.Server] = {}
     for name, serve_port in opening.items():
         try:
@@ -179,6 +183,7 @@ def _announce(options: argparse.Namespace, analyzer: SimulatedAnalyzer, ports: M
         "hislip_port": analyzer.hislip_port,
         "ground_port": ports["ground"],
         "uplink_port": ports.get("uplink"),
+        "change_port": ports.get("change"),
         "dialect": options.dialect,
         "scenario": options.scenario,
         "seed": options.seed,

@@ -1,4 +1,4 @@
 """Plant: a world whose operation phase is flown by commanded torques.
 
-Public: flown_world, plant, plant_lines, uplink_port.
+Public: change_port, flown_world, plant, plant_lines, uplink_port.
 """

@@ -12,6 +12,7 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.plant_lines import report_line, telemetry_of
 from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
+from analyzer_sim.plant.world_changes import ChangeError, WorldChange, changed_emission, parse_change, response_factor
 from analyzer_sim.world.ground.ground import truth_row
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.world import World
@@ -55,6 +56,7 @@ class FlownWorld:
         self._sent_from_row = 0
         self._listeners: list[Listener] = []
         self._emission: Emission | None = None
+        self._changes: list[WorldChange] = []
 
     @property
     def epoch_us(self) -> int | None:
@@ -76,7 +78,7 @@ class FlownWorld:
         self._emission = self.world.advance()
         if self._is_flown(self.world.row_index):
             self._fly_to(self.world.row_index)
-            self._emission = self._flown_emission(self.world.row_index)
+            self._emission = changed_emission(self._flown_emission(self.world.row_index), self._changes)
         return self._emission
 
     def current(self) -> Emission:
@@ -100,6 +102,20 @@ class FlownWorld:
         self._sent_from_row += 1
         return self._plant.send(schedule)
 
+    def change(self, text: str) -> WorldChange:
+        """Change the world as a line of the change port says, from the row after the present one; return the change.
+
+        Raises
+        ------
+        ChangeError
+            The line holds no change, or nothing is flown yet.
+        """
+        if self.epoch_us is None:
+            raise ChangeError("nothing can be changed before the operation has begun; wait until it has")
+        change = parse_change(text, self.epoch_us, self.world.carrier_ids)
+        self._changes = [*(kept for kept in self._changes if kept.stop_us > self.epoch_us), change]
+        return change
+
     def reported_after(self, first: int, last: int) -> Iterator[Line]:
         """Yield what the ground is told once rows of operation have been flown: telemetry, and truth for the judge."""
         start_us, stop_us = (int(self.world.rows.epochs_us[row]) for row in (first, last))
@@ -114,6 +130,9 @@ class FlownWorld:
     def _fly_to(self, row: int) -> None:
         """Fly the spacecraft to a row, over gaps too."""
         while self._plant.row < row:
+            factor = response_factor(self._changes, int(self.world.rows.epochs_us[self._plant.row + 1]))
+            roll, pitch, yaw = self.options.response
+            self._plant.flown.response = (factor * roll, factor * pitch, factor * yaw)
             self._plant.advance(_NOTHING)
             self._attitude_deg[self._plant.row] = self._plant.state.attitude_deg
             self._report([report_line(report) for report in self._plant.reports])

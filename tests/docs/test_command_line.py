@@ -20,7 +20,10 @@ def commands(group, prefix=""):
     found = {}
     for name, command in group.commands.items():
         is_group = isinstance(command, typer.core.TyperGroup)
-        found |= commands(command, f"{prefix}{name} ") if is_group else {prefix + name: command}
+        if not is_group or command.invoke_without_command:
+            found[prefix + name] = command
+        if is_group:
+            found |= commands(command, f"{prefix}{name} ")
     return found
 
 

@@ -1,6 +1,7 @@
 """``soo demo``: simulated analyzer, front end and service on this machine, from nothing to angles beside the truth."""
 
 import json
+import os
 import signal
 import tempfile
 from contextlib import ExitStack
@@ -9,7 +10,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from service.cli.command_group import end
+from service.cli.command_group import end, new_app
+from service.cli.demonstration.inject import inject
+from service.cli.demonstration.running import RunningDemonstration, published
 from service.cli.extras import require
 from service.cli.studies.exit_code import ended_by_signals
 
@@ -19,7 +22,12 @@ _EXIT_DAYS = 2.0
 ReleaseMode = Literal["automatic", "two_step"]
 
 
+app = new_app(invoke_without_command=True, context_settings={"allow_interspersed_args": False})
+
+
+@app.callback()
 def demo(
+    context: typer.Context,
     leave: Annotated[bool, typer.Option("--exit", help="Stop after two virtual days and print figures.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print figures as JSON only.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the simulated world.")] = 1,
@@ -40,6 +48,8 @@ def demo(
     closed: Annotated[bool, typer.Option("--closed/--open", help="Keep the spacecraft, or follow its slews.")] = True,
 ) -> None:
     """Show the whole chain: SCPI analyzer to angles to torques that keep the spacecraft, on a virtual clock."""
+    if context.invoked_subcommand is not None:
+        return
     from rich.console import Console
 
     # its front end measures by it, in a process of its own
@@ -71,16 +81,23 @@ def demo(
                     endpoints = station.enter_context(own_station(directory, story, release if closed else None))
                     write_key(directory / "administrator.key", endpoints.key)
                     presenter.announce(endpoints.service_url, directory / "administrator.key")
+                    key_file = str((directory / "administrator.key").resolve())
+                    found = RunningDemonstration(os.getpid(), endpoints.service_url, key_file, endpoints.changes)
+                    station.enter_context(published(found))
                 figures = play(directory, endpoints, presenter, figure, story, is_two_step=is_two_step)
         except KeyboardInterrupt as interruption:
             console.print("stopped")
-            offer_archive(console, directory, keep, is_asked=interruption.args == (signal.SIGINT,))
+            if not service:
+                offer_archive(console, directory, keep, is_asked=interruption.args == (signal.SIGINT,))
             return
         except FAILURES as error:
             end(f"the demonstration failed: {error}", cause=error)
     typer.echo(json.dumps({"seed": seed, **figures}, allow_nan=False)) if as_json else print_figures(console, figures)
     if figures["missed"]:
         raise typer.Exit(1)
+
+
+app.command()(inject)
 
 
 def _directory(stack: ExitStack, keep: Path | None) -> Path:

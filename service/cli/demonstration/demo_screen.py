@@ -135,14 +135,17 @@ class Presenter:
             return
         base = f"{scene.client.service_url}/api/v1/spacecraft/{scene.story.spacecraft_id}"
         header = f'-H "Authorization: Bearer $(cat {self.key_file})"'
+        is_flown = scene.story.centre is not None
         self._console.print("Now try, in another terminal:")
-        for purpose, call in (
-            ("where it points", f"{base}/attitude"),
-            ("whether torques may go, and why", f"{base}/control"),
-            ("stop every torque", f"-X POST {base}/control:stop"),
+        for purpose, command in (
+            ("where it points", f"curl {header} {base}/attitude"),
+            ("let it rain over the receiving site", "soo demo inject rain")
+            if is_flown
+            else ("whether torques may go, and why", f"curl {header} {base}/control"),
+            ("stop every torque", f"curl {header} -X POST {base}/control:stop"),
         ):
             self._console.print(f"# {purpose}", highlight=False)
-            self._console.print(f"curl {header} {call}", soft_wrap=True, highlight=False)
+            self._console.print(command, soft_wrap=True, highlight=False)
 
 
 def _phase_text(phase: str) -> str:

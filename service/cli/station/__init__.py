@@ -1,4 +1,4 @@
 """Commands of a measuring station: acquire, send.
 
-Public: tdm_archive.
+Public: state_folder, tdm_archive.
 """

@@ -14,7 +14,8 @@ from service.records.epoch import US_PER_S, parse_epoch
 from service.study.demonstration.merit import AXES
 from service.study.demonstration.spacecraft_line import SpacecraftLine, SpacecraftReport
 
-_COMMAND_TIMEOUT_S = 120.0
+#: bounds hangs: the first row may wait for the compiler on a busy machine
+_COMMAND_TIMEOUT_S = 600.0
 #: a command of which nothing was heard so long after its end is lost
 _OVERDUE_S = 300
 #: time between two looks, of the time that a command usually takes, and the least of it, s

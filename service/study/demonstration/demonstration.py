@@ -28,7 +28,7 @@ from service.study.demonstration.processes import ChildProcess, FrontEnd
 from service.study.demonstration.spacecraft_line import SpacecraftLine
 
 #: wait for rows that are on their way, s
-_ARRIVAL_TIMEOUT_S = 120.0
+_ARRIVAL_TIMEOUT_S = 600.0
 _POLL_S = 0.05
 #: longest stretch without a row in a story, s
 _LONGEST_PAUSE_S = 40 * 86_400
@@ -46,6 +46,8 @@ class ProcessAddresses:
     processes: tuple[ChildProcess, ...] = ()
     #: the spacecraft's uplink; None = the story is only replayed
     uplink: tuple[str, int] | None = None
+    #: where the world of a spacecraft that is flown is changed for a time
+    changes: tuple[str, int] | None = None
 
 
 @dataclass
@@ -109,7 +111,7 @@ def simulated_station(
         *("analyzer_sim", "serve", "--dialect", "rs", "--port", "0", "--ground-port", "0", "--await-ground"),
         *("--scenario", scenario, "--seed", str(seed), "--operation-days", str(operation_days)),
         *(("--quiet-days", str(quiet_days)) if quiet_days else ()),
-        *(("--uplink-port", "0", "--uplink", uplink) if uplink else ()),
+        *(("--uplink-port", "0", "--change-port", "0", "--uplink", uplink) if uplink else ()),
     ]
     database = f"sqlite:///{directory / 'soo.db'}"
     server = ["service", "serve", "--port", "0", "--clock", "data", "--database", database]
@@ -123,7 +125,9 @@ def simulated_station(
         resource = f"TCPIP::127.0.0.1::{ports['scpi_port']}::SOCKET"
         host = "127.0.0.1"
         spacecraft = (host, int(ports["uplink_port"])) if uplink else None
-        yield ProcessAddresses(url, key, (host, int(ports["ground_port"])), resource, (analyzer, service), spacecraft)
+        changes = (host, int(ports["change_port"])) if uplink else None
+        ground = (host, int(ports["ground_port"]))
+        yield ProcessAddresses(url, key, ground, resource, (analyzer, service), spacecraft, changes)
 
 
 def front_end(directory: Path, endpoints: ProcessAddresses, spacecraft_id: str) -> FrontEnd:

@@ -17,7 +17,9 @@ SCENE = SimpleNamespace(
 
 
 @pytest.mark.parametrize("width", [20, 80, 400])
-def test_the_key_is_named_by_its_file_and_commands_are_not_broken(tmp_path, width):
+@pytest.mark.parametrize("is_flown", [True, False])
+def test_the_key_is_named_by_its_file_and_commands_are_not_broken(tmp_path, width, is_flown):
+    SCENE.story.centre = object() if is_flown else None
     printed = io.StringIO()
     presenter = Presenter(Console(file=printed, width=width), 0.0, with_table=True)
     key_file = tmp_path / "administrator.key"
@@ -30,10 +32,10 @@ def test_the_key_is_named_by_its_file_and_commands_are_not_broken(tmp_path, widt
     assert f"console http://127.0.0.1:1/console/, sign in with the key in {key_file}" in lines
     header = f'-H "Authorization: Bearer $(cat {key_file})"'
     base = "http://127.0.0.1:1/api/v1/spacecraft/sim"
-    commands = [line for line in lines if line.startswith("curl ")]
+    commands = [line for line in lines if line.startswith(("curl ", "soo "))]
     assert commands == [
         f"curl {header} {base}/attitude",
-        f"curl {header} {base}/control",
+        "soo demo inject rain" if is_flown else f"curl {header} {base}/control",
         f"curl {header} -X POST {base}/control:stop",
     ]
     assert "soo_secret" not in printed.getvalue()
