@@ -32,9 +32,6 @@ _COMMANDS = {
     "attitude": CommandSource(
         "shift.reading", "Say where the spacecraft points, how sure that is, and what both methods say."
     ),
-    "carriers": CommandSource(
-        "shift.reading", "Say which carriers the newest attitude uses, which it leaves out, and why."
-    ),
     "alarms": CommandSource("shift.reading", "List open alarms with their ids and next steps."),
     "ack": CommandSource(
         "shift.orders", "Acknowledge an alarm; no further notice unless it becomes worse or comes back."
@@ -70,7 +67,9 @@ _COMMANDS = {
     ),
     "study": CommandSource("studies.study", "Campaigns on simulated truth and reproductions of papers."),
     "spacecraft": CommandSource("own_data.spacecraft", "Spacecraft of the catalogue."),
-    "carriers": CommandSource("own_data.carriers", "Carrier plan of a spacecraft."),
+    "carriers": CommandSource(
+        "own_data.carriers", "Say which carriers the newest attitude uses and why not the others; store a carrier plan."
+    ),
     "ephemeris": CommandSource("own_data.ephemeris", "Orbit of a spacecraft."),
     "references": CommandSource("own_data.references", "Readings of an attitude sensor."),
 }

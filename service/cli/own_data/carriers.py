@@ -1,7 +1,7 @@
-"""``soo carriers``: a carrier plan from JSON or CSV.
+"""``soo carriers``: who is used and why not the others; ``soo carriers put``: a carrier plan from JSON or CSV.
 
-Exit codes: 0 stored, or understood with ``--dry-run``, 1 the service refused it or did not answer, 2 the file is no
-plan, or one that contradicts itself or the spacecraft.
+Exit codes of ``put``: 0 stored, or understood with ``--dry-run``, 1 the service refused it or did not answer, 2 the
+file is no plan, or one that contradicts itself or the spacecraft.
 """
 
 import json
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from service.cli.command_group import end, new_app
 from service.cli.operation.connection import (
@@ -21,16 +22,25 @@ from service.cli.operation.connection import (
     connected,
 )
 from service.cli.own_data.document_file import decoded, read_bytes, refuse_findings, report, show
+from service.cli.shift.reading import carriers
 
 if TYPE_CHECKING:
     from service.api.schemas.carriers import CarrierPlanDocument
 
-app = new_app(help="Carrier plan of a spacecraft.", no_args_is_help=True)
+_HELP = "Say which carriers the newest attitude uses and why not the others; store a carrier plan."
 
 
-@app.callback()
-def group() -> None:
-    """Carrier plan of a spacecraft."""
+class _ShownAlone(TyperGroup):
+    """Group that shows the carriers where no command of it is named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Return what is left of the arguments."""
+        is_alone = not args or (args[0].startswith("-") and args[0] != "--help")
+        return super().parse_args(ctx, ["show", *args] if is_alone else args)
+
+
+app = new_app(help=_HELP, cls=_ShownAlone)
+app.command("show")(carriers)
 
 
 @app.command()

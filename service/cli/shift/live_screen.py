@@ -47,7 +47,7 @@ def _parts(state: LiveState, cut: str, lists: int, blocks: str) -> Iterator[Rend
         yield _line(cut, "bold reverse")
         yield _line("below is what was last read; what holds now is not known", "bold")
     style = "bold" if cut else "bold green" if verdict["allowed"] else "bold red"
-    yield Text(sentence(verdict, row, conditions), style)
+    yield Text(sentence(status, row, state.control), style)
     simulated = f" {words('app.simulated')}" if state.spacecraft["simulated"] else ""
     title = f"{clean(state.spacecraft['id'])}{simulated}, {utc(status['now'])} UTC"
     yield _line(f"{title}; {words('views.control.title')}: {meaning('states', verdict['state'])}")

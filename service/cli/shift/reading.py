@@ -40,7 +40,7 @@ def status(
     verdict = found["control"]
 
     def parts() -> Iterator[RenderableType]:
-        yield f"{spacecraft}: {sentence(verdict, row, control['conditions'])}"
+        yield f"{spacecraft}: {sentence(found, row, control)}"
         yield f"{words('views.control.title')}: {meaning('states', verdict['state'])}"
         if verdict["reasons"]:
             yield reasons_table(verdict["reasons"])

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from service.cli.command_group import end
 from service.cli.operation.connection import OLDER
-from service.cli.shift.words import AXES, axes, clean, meaning, number, ranked, utc, words
+from service.cli.shift.words import AXES, axes, clean, meaning, number, utc, words
 from service.client.documents import Json
 
 #: code of the condition that limits each angle
@@ -86,7 +86,7 @@ def _room(angle: float | None, limit: float | None) -> str:
 def reasons_table(reasons: list[Json]) -> Table:
     """Return every reason with its begin and the next step, the one to act on first."""
     table = columns("why no torque, or no yaw torque", "since, UTC", "next step")
-    for each in ranked(reasons):
+    for each in reasons:
         next_step = meaning("reasons", each["code"], "next", each["next_step"])
         table.add_row(meaning("reasons", each["code"], default=each["text"]), utc(each["since"]), next_step)
     return table

@@ -1,6 +1,7 @@
 """Words of the console for the terminal: its English table, numbers, instants, and text of others made harmless."""
 
 import json
+import math
 import re
 import unicodedata
 from collections.abc import Mapping
@@ -14,11 +15,8 @@ AXES = ("yaw", "roll", "pitch")
 MISSING = "–"
 #: control, format and surrogate characters: a terminal executes some of them
 _OBEYED = frozenset({"Cc", "Cf", "Cs"})
-#: reasons that follow from others, or withhold yaw alone; the sentence names them last, in this order
-_LAST = (
-    *("fade", "redundancy", "estimator", "tripped", "operation", "sigma_yaw", "yaw_beyond", "yaw_sign"),
-    *("good_minutes", "not_armed"),
-)
+#: commands that a person has to act on, in this order
+_OWED = ("open_commands", "unreported_commands")
 #: word of the unit and digits of a condition's value
 _UNITS = {"deg": ("deg", 2), "dB": ("db", 1), "%": ("percent", 0)}
 
@@ -73,42 +71,46 @@ def axes(values: Mapping[str, float | None], digits: int, unit: str) -> str:
     return ", ".join(f"{words(f'app.axis.{axis}')} {number(values[axis], digits)}" for axis in AXES) + f" {unit}"
 
 
-def ranked(reasons: list[Json]) -> list[Json]:
-    """Return the reasons of a verdict, the one to act on first."""
-    return sorted(reasons, key=lambda each: _LAST.index(each["code"]) if each["code"] in _LAST else -1)
-
-
-def sentence(verdict: Json, row: Json, conditions: list[Json]) -> str:
-    """Return what is known, whether torques may go, the first reason and its next step, as the console says it."""
-    reasons = ranked(verdict["reasons"])
+def sentence(status: Json, row: Json, control: Json) -> str:
+    """Return what is known, whether torques may go, the reason to act on and its next step, as the console says it."""
+    verdict, known = status["control"], _known(row)
+    owed = next((name for name in _OWED if control[name]), None)
+    if verdict["allowed"] and owed:
+        return words(f"views.now.sentence.{owed}", known=known, number=", ".join(map(str, control[owed])))
+    # before the first row nothing else can be mended
+    is_empty = status["newest_measurement"] is None
+    reasons = sorted(verdict["reasons"], key=lambda each: is_empty and each["code"] != "no_attitude")
     reason = next_step = ""
     if reasons:
         more = words("views.now.more", count=len(reasons) - 1) if len(reasons) > 1 else ""
-        reason = f"{_reason(reasons[0], row, conditions)} {more}".rstrip()
+        reason = f"{_reason(reasons[0], row, control['conditions'])} {more}".rstrip()
         next_step = meaning("reasons", reasons[0]["code"], "next", reasons[0]["next_step"])
     key = "forbidden" if not verdict["allowed"] else "allowedBut" if reasons else "allowed"
-    return words(f"views.now.sentence.{key}", known=_known(row), reason=reason, next=next_step)
+    return words(f"views.now.sentence.{key}", known=known, reason=reason, next=next_step)
 
 
 def _known(row: Json) -> str:
-    """Return what is known of roll and pitch."""
+    """Return what is known of roll and pitch; sigma is rounded up: never better than it is."""
     sigmas = [row["sigma_deg"][axis] for axis in ("roll", "pitch")]
+    if row["status"] == "INVALID":
+        return words("views.now.unknown")
     if row["status"] != "ACQUIRED" or None in sigmas:
         return meaning("statuses", row["status"])
-    return words("views.now.known", sigma=number(2 * max(sigmas), 2))
+    return words("views.now.known", sigma=number(math.ceil(200 * max(sigmas)) / 100, 2))
 
 
 def _reason(reason: Json, row: Json, conditions: list[Json]) -> str:
     """Return a reason with the value of its condition and its begin."""
     code = reason["code"]
     condition = next((each for each in conditions if each["code"] == code), {})
-    value, unit = condition.get("value"), condition.get("unit")
+    value, limit, unit = (condition.get(name) for name in ("value", "limit", "unit"))
     if code in {"fade", "downlink_fade"}:
-        value, unit = row["downlink_fade_db"], "dB"
+        value, limit, unit = row["downlink_fade_db"], None, "dB"
     parts = [meaning("reasons", code, default=reason["text"])]
     if value is not None and unit in _UNITS:
         name, digits = _UNITS[unit]
-        parts.append(f"{number(value, digits)} {words(f'app.unit.{name}')}")
+        of_limit = [] if limit is None else [words("views.now.ofAlert", alert=number(limit, digits))]
+        parts += [number(value, digits), *of_limit, words(f"app.unit.{name}")]
     since = reason["since"] or condition.get("since")
     return " ".join([*parts, *([words("views.now.since", at=utc(since)[11:16])] if since else [])])
 

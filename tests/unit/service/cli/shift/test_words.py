@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.cli.shift.words import MISSING, axes, clean, meaning, number, ranked, sentence, utc, words
+from service.cli.shift.words import MISSING, axes, clean, meaning, number, sentence, utc, words
 
 ROW = {"status": "ACQUIRED", "sigma_deg": {"yaw": 0.1, "roll": 0.01, "pitch": 0.02}, "downlink_fade_db": 2.5}
 
@@ -15,8 +15,12 @@ def reason(code: str, since: str | None = None) -> dict[str, object]:
     return {"code": code, "text": "its text", "next_step": "its step", "since": since}
 
 
-def said(*reasons: dict[str, object], allowed: bool = False, row: dict[str, object] = ROW, conditions=()) -> str:
-    return sentence({"allowed": allowed, "reasons": list(reasons)}, row, list(conditions))
+def said(*reasons: dict[str, object], allowed: bool = False, row: dict[str, object] = ROW, **control: object) -> str:
+    status = {
+        "control": {"allowed": allowed, "reasons": list(reasons)},
+        "newest_measurement": control.pop("newest", "t"),
+    }
+    return sentence(status, row, {"conditions": [], "open_commands": [], "unreported_commands": [], **control})
 
 
 @given(text=st.text())
@@ -34,17 +38,25 @@ def test_a_harmless_word_stays_as_it_is(text: str) -> None:
 
 def test_the_sentence_says_what_is_known_the_first_reason_and_its_next_step() -> None:
     assert said(allowed=True) == "roll, pitch known to 0.04 deg; torques may go"
-    two = said(reason("not_armed"), reason("stop", "2027-01-15T10:30:00Z"))
+    two = said(reason("stop", "2027-01-15T10:30:00Z"), reason("not_armed"))
     assert two.endswith(
-        "no torque: an operator stopped control since 10:30 (and 1 more); find the cause, then reset control"
+        "no torque: an operator stopped control (since 10:30) (and 1 more); find the cause, then reset control"
     )
     assert "but the sign of yaw is not proven" in said(reason("yaw_sign"), allowed=True)
     assert said(row={**ROW, "status": "NOT_RECEIVED"}, allowed=True).startswith("no row has come yet;")
 
 
 def test_a_reason_has_the_value_of_its_condition() -> None:
-    condition = {"code": "beyond_validity", "value": 0.417, "unit": "deg", "since": "2027-01-15T10:16:00Z"}
-    assert "range of the model 0.42 deg since 10:16;" in said(reason("beyond_validity"), conditions=[condition])
+    condition = {
+        "code": "beyond_validity",
+        "value": 0.417,
+        "limit": 0.4,
+        "unit": "deg",
+        "since": "2027-01-15T10:16:00Z",
+    }
+    assert "range of the model 0.42 of 0.40 deg (since 10:16);" in said(
+        reason("beyond_validity"), conditions=[condition]
+    )
     assert "downlink fade 2.5 dB;" in said(reason("downlink_fade"))
 
 
@@ -59,9 +71,15 @@ def test_values_are_not_read_as_words_again() -> None:
     assert words("views.now.sentence.forbidden", known="{next}", reason="r", next="n") == "{next}; no torque: r; n"
 
 
-def test_the_reason_to_act_on_comes_first() -> None:
-    order = [each["code"] for each in ranked([reason(code) for code in ("not_armed", "yaw_sign", "stop", "fade")])]
-    assert order == ["stop", "fade", "yaw_sign", "not_armed"]
+def test_what_waits_for_a_person_and_what_must_be_mended_first() -> None:
+    assert "command 3, 4 waits for a second person" in said(reason("yaw_sign"), allowed=True, open_commands=[3, 4])
+    assert "command 2 has no report" in said(allowed=True, unreported_commands=[2])
+    assert "no torque" in said(reason("stop"), open_commands=[3])
+    empty = said(reason("not_aligned"), reason("no_attitude"), newest=None)
+    assert "no attitude has been computed yet (and 1 more); check the links" in empty
+    assert said(reason("not_aligned"), row={**ROW, "status": "INVALID"}).startswith("the attitude is not known;")
+    precise = {**ROW, "sigma_deg": {"yaw": 0.1, "roll": 0.0101, "pitch": 0.01}}
+    assert "known to 0.03 deg" in said(allowed=True, row=precise), "never better than it is"
 
 
 @pytest.mark.parametrize(("value", "shown"), [(None, MISSING), (-0.25, "-0.250"), (1.0, "1.000")])
