@@ -25,7 +25,7 @@ class ChangeError(ValueError):
 
 
 class ChangeKind(StrEnum):
-    """What changes."""
+    """Kinds of changes."""
 
     RAIN = "rain"
     STEP = "step"

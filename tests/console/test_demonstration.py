@@ -85,5 +85,6 @@ def test_from_the_command_to_a_confirmed_torque(service, new_page, screenshot):
         assert time.monotonic() < deadline
         time.sleep(0.2)
     executed_s = time.monotonic() - service.began
+    expect(page.locator(".card.owed")).to_have_count(0)
     screenshot(page, "demonstration-executed")
     print(f"from the command: armed {armed_s:.0f} s, confirmed {confirmed_s:.0f} s, executed {executed_s:.0f} s")

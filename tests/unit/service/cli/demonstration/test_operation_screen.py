@@ -1,6 +1,7 @@
 """The screen of the operation: every answer stands on it, and it fits a terminal of 80 columns and 24 lines."""
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,7 +43,7 @@ def scene(*, is_flown=True, roll_deg=0.02) -> Scene:
 
 def printed(moment: Scene, alone: FlightAlone | None = None, width: int = 80) -> list[str]:
     out = io.StringIO()
-    key_file = "/home/operator/soo-demo/administrator.key"
+    key_file = Path("soo-demo-abcdefgh/administrator.key")
     Console(file=out, width=width).print(operation_screen(moment, alone, key_file))
     return out.getvalue().splitlines()
 
