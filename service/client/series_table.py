@@ -25,7 +25,7 @@ _AXES = ("yaw_deg", "pitch_deg", "roll_deg")
 
 
 @dataclass(frozen=True, slots=True)
-class SeriesTable:
+class SeriesArrays:
     """Columns of numbers over instants.
 
     Parameters
@@ -52,7 +52,7 @@ class SeriesTable:
         """Units of the columns that have one."""
         return {name: unit for name in self.columns if (unit := unit_of(name)) is not None}
 
-    def complete(self, *names: str) -> "SeriesTable":
+    def complete(self, *names: str) -> "SeriesArrays":
         """Return the rows in which all these columns have a value.
 
         Raises
@@ -62,7 +62,7 @@ class SeriesTable:
         """
         held = np.all([np.isfinite(self.columns[name]) for name in names], axis=0)
         columns = {name: column[held] for name, column in self.columns.items()}
-        return SeriesTable(self.epochs_us[held], columns, self.attributes)
+        return SeriesArrays(self.epochs_us[held], columns, self.attributes)
 
     def rotations(self) -> "Rotation":
         """Return the attitudes as T rotations: applied to vectors of the body they give those of the nadir frame.
@@ -105,7 +105,7 @@ class SeriesTable:
         return xarray.Dataset(variables, {"epoch": epochs}, dict(self.attributes))
 
 
-def table_of_rows(rows: Iterable[Mapping[str, Any]]) -> SeriesTable:
+def table_of_rows(rows: Iterable[Mapping[str, Any]]) -> SeriesArrays:
     """Return the numbers of rows of a history, such as `attitude_history` yields them.
 
     Words that all rows share, such as method and version, become attributes; other words and lists are left out.
@@ -117,10 +117,10 @@ def table_of_rows(rows: Iterable[Mapping[str, Any]]) -> SeriesTable:
     words = {name for row in held for name, value in row.items() if isinstance(value, str)} - {"epoch", "received_at"}
     shared = {name: {row.get(name) for row in held} for name in sorted(words)}
     attributes = {name: str(values.pop()) for name, values in shared.items() if len(values) == 1}
-    return SeriesTable(_microseconds(row["epoch"] for row in held), columns, attributes)
+    return SeriesArrays(_microseconds(row["epoch"] for row in held), columns, attributes)
 
 
-def table_of_samples(samples: Mapping[str, Any], statistic: Literal["avg", "min", "max"] = "avg") -> SeriesTable:
+def table_of_samples(samples: Mapping[str, Any], statistic: Literal["avg", "min", "max"] = "avg") -> SeriesArrays:
     """Return one statistic of each series of `samples`; method or carrier stand before the name of the quantity."""
     columns = {
         "_".join(filter(None, (series["method"], series["carrier"], series["quantity"]))): np.array(
@@ -129,7 +129,7 @@ def table_of_samples(samples: Mapping[str, Any], statistic: Literal["avg", "min"
         for series in samples["series"]
     }
     attributes = {"statistic": statistic, "version": str(samples["version"]), "interval_s": str(samples["interval_s"])}
-    return SeriesTable(_microseconds(samples["epochs"]), columns, attributes)
+    return SeriesArrays(_microseconds(samples["epochs"]), columns, attributes)
 
 
 def _numbers(row: Mapping[str, Any]) -> Iterator[tuple[str, float]]:

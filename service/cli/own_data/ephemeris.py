@@ -51,11 +51,11 @@ def put(
     """Store an orbit of a TLE, OMM, OEM or JSON file."""
     orbit, ephemeris = _read(file)
     with connected(service, key_env) as client:
-        craft = client.spacecraft(spacecraft)
+        known = client.spacecraft(spacecraft)
         understood = _understood(orbit, ephemeris, client.status(spacecraft)["now"])
         if not as_json:
             show(str(file), ((name, str(value)) for name, value in understood.items() if value is not None))
-        _check(file, orbit, ephemeris, craft, is_relocating=relocating)
+        _check(file, orbit, ephemeris, known, is_relocating=relocating)
         if dry_run:
             report({"understood": understood}, as_json=as_json, sentence="nothing was stored")
             return
@@ -116,16 +116,16 @@ def _understood(orbit: "OrbitFile", ephemeris: "Ephemeris", now: str | None) -> 
 
 
 def _check(
-    file: Path, orbit: "OrbitFile", ephemeris: "Ephemeris", craft: dict[str, Any], *, is_relocating: bool
+    file: Path, orbit: "OrbitFile", ephemeris: "Ephemeris", known: dict[str, Any], *, is_relocating: bool
 ) -> None:
     """End when the orbit is that of another satellite."""
     from service.pipeline.inputs.catalogue_checks import contradiction_of
 
-    own = craft.get("cospar_id")
+    own = known.get("cospar_id")
     if own and orbit.cospar_id and orbit.cospar_id[:8] + orbit.cospar_id[8:].strip() != own:
         name = orbit.name or "an object"
-        end(f"{file} is of {name} {orbit.cospar_id}; spacecraft {craft['id']} is {own}: choose its own file")
-    contradiction = contradiction_of(ephemeris, craft["longitude_deg"])
+        end(f"{file} is of {name} {orbit.cospar_id}; spacecraft {known['id']} is {own}: choose its own file")
+    contradiction = contradiction_of(ephemeris, known["longitude_deg"])
     if contradiction is not None and not is_relocating:
         end(
             f"{file} is the orbit of another satellite: {contradiction}; or state --relocating when it moves on purpose"

@@ -1,1 +1,4 @@
-"""Commands of a shift: read the state, answer alarms, order control, release torques, hand over, watch."""
+"""Commands of a shift: read the state, answer alarms, order control, release torques, hand over, watch.
+
+Public: reading.
+"""

@@ -73,7 +73,7 @@ def axes(values: Mapping[str, float | None], digits: int, unit: str) -> str:
 
 def sentence(status: Json, row: Json, control: Json) -> str:
     """Return what is known, whether torques may go, the reason to act on and its next step, as the console says it."""
-    verdict, known = status["control"], _known(row)
+    verdict, conditions, known = status["control"], control["conditions"], _known(row)
     owed = next((name for name in _OWED if control[name]), None)
     if verdict["allowed"] and owed:
         return words(f"views.now.sentence.{owed}", known=known, number=", ".join(map(str, control[owed])))
@@ -83,7 +83,7 @@ def sentence(status: Json, row: Json, control: Json) -> str:
     reason = next_step = ""
     if reasons:
         more = words("views.now.more", count=len(reasons) - 1) if len(reasons) > 1 else ""
-        reason = f"{_reason(reasons[0], row, control['conditions'])} {more}".rstrip()
+        reason = f"{_reason(reasons[0], row, conditions)} {more}".rstrip()
         next_step = meaning("reasons", reasons[0]["code"], "next", reasons[0]["next_step"])
     key = "forbidden" if not verdict["allowed"] else "allowedBut" if reasons else "allowed"
     return words(f"views.now.sentence.{key}", known=known, reason=reason, next=next_step)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.client.series_table import SeriesTable, table_of_rows, table_of_samples
+from service.client.series_table import SeriesArrays, table_of_rows, table_of_samples
 from service.core.geometry.frames import body_from_nadir
 from service.core.geometry.quaternion import quaternion_of_attitude
 
@@ -62,7 +62,7 @@ def test_samples_are_named_by_method_or_carrier() -> None:
 def test_rotations_are_those_of_the_frames(attitude_deg: list[tuple[float, float, float]]) -> None:
     angles = np.array(attitude_deg)
     columns = dict(zip(AXES, angles.T, strict=True))
-    rotations = SeriesTable(np.arange(len(angles)), columns).rotations()
+    rotations = SeriesArrays(np.arange(len(angles)), columns).rotations()
     np.testing.assert_allclose(rotations.inv().as_matrix(), body_from_nadir(angles), atol=1e-14)
     # messages name the frame rotation nadir -> body, which is the turn of the body itself
     alignment = np.abs(np.sum(rotations.as_quat() * quaternion_of_attitude(angles), axis=-1))

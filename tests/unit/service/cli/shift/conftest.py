@@ -29,6 +29,7 @@ def condition(code: str, limit: float, **changes: Any) -> dict[str, Any]:
     return {"code": code, "limit": limit, "value": None, "unit": "deg", "since": None, **changes}
 
 
+NOTHING_OWED: dict[str, list[int]] = {"open_commands": [], "unreported_commands": []}
 CONDITIONS = [condition("yaw_beyond", 0.4), condition("beyond_validity", 0.4), condition("protection_level", 0.22)]
 
 
@@ -40,7 +41,7 @@ def alarm(number: int = 1, **changes: Any) -> dict[str, Any]:
 
 def status(control: dict[str, Any], **changes: Any) -> dict[str, Any]:
     link = {"id": "sa-1", "source": "sa-1", "state": "MEASURE", "warnings": [], "rows_missing": 2, "newest_epoch": NOW}
-    times = {"now": NOW, "newest_attitude": NOW, "pending": 0, "method": "robust"}
+    times = {"now": NOW, "newest_measurement": NOW, "newest_attitude": NOW, "pending": 0, "method": "robust"}
     return {**times, "control": control, "methods_disagree": False, "advice": [], "links": [link], **changes}
 
 
@@ -74,7 +75,7 @@ class FakeService:
         self.alarms = [alarm()]
         self.rows = {"robust": attitude(), "paper": attitude("paper")}
         self.command_document = command()
-        self.control_document = {"state": "TRIPPED", "since": NOW, "conditions": CONDITIONS}
+        self.control_document = {"state": "TRIPPED", "since": NOW, "conditions": CONDITIONS, **NOTHING_OWED}
 
     def spacecraft(self, name: str) -> Any:
         return {"id": name, "simulated": True}
