@@ -10,6 +10,10 @@ _COMMANDS = {
         "demonstration.demo",
         "Show the whole chain: SCPI analyzer to angles to torques that keep the spacecraft, on a virtual clock.",
     ),
+    "init": CommandSource(
+        "administration.init",
+        "Make a folder from which a service starts: settings, archive, first key, systemd unit.",
+    ),
     "serve": CommandSource(
         "administration.serve", "Serve the REST interface; creates and migrates its database before it is ready."
     ),

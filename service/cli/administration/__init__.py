@@ -1,1 +1,1 @@
-"""Commands of an administrator: serve, keys, backup, maintenance, doctor, audit."""
+"""Commands of an administrator: init, serve, keys, backup, maintenance, doctor, audit."""
