@@ -1,10 +1,8 @@
 """``soo control``: orders to the interlock. Exit codes: 0 the service confirmed the order, 1 it did not."""
 
-from collections.abc import Iterator
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import RenderableType
 
 from service.cli.command_group import end, new_app
 from service.cli.operation.connection import (
@@ -19,6 +17,11 @@ from service.cli.operation.connection import (
 from service.cli.shift.tables import reasons_table, show
 from service.cli.shift.words import clean, meaning, utc, words
 from service.client.documents import Json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rich.console import RenderableType
 
 app = new_app(help="Control: arm, stop, reset.", no_args_is_help=True)
 Comment = Annotated[str, typer.Option(help="Comment for the shift log.")]
@@ -75,7 +78,7 @@ def reset(
 def _show(control: Json, spacecraft: str, *, as_json: bool) -> None:
     """Print the state of the interlock after an order."""
 
-    def parts() -> Iterator[RenderableType]:
+    def parts() -> "Iterator[RenderableType]":
         yield f"{spacecraft}: {meaning('states', control['state'])}; since {utc(control['since'])} UTC"
         if control["control"]["reasons"]:
             yield reasons_table(control["control"]["reasons"])

@@ -2,14 +2,16 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-
-from rich.console import Console, Group, RenderableType
-from rich.text import Text
+from typing import TYPE_CHECKING
 
 from service.cli.shift.tables import alarm_line, axes_table, excluded_line, limit_of, link_line
 from service.cli.shift.words import AXES, clean, meaning, number, sentence, utc, words
 from service.client.documents import Json
 from service.records.epoch import DAY_US, parse_epoch
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+    from rich.text import Text
 
 _BLOCKS, _ASCII = "▁▂▃▄▅▆▇█", "_.-:=+*#"
 #: lines that stand beside alarms and links, and the least of each list that is shown
@@ -32,14 +34,17 @@ class LiveState:
     samples: Json | None
 
 
-def render(state: LiveState, console: Console, cut: str = "") -> RenderableType:
+def render(state: LiveState, console: "Console", cut: str = "") -> "RenderableType":
     """Return the screen; ``cut`` says since when nothing comes, and why."""
+    # rich costs as much as the rest of a start
+    from rich.console import Group
+
     lists = max(2 * _LEAST_LINES, console.height - _OTHER_LINES) // 2
     blocks = _BLOCKS if console.encoding.startswith("utf") else _ASCII
     return Group(*_parts(state, cut, lists, blocks))
 
 
-def _parts(state: LiveState, cut: str, lists: int, blocks: str) -> Iterator[RenderableType]:
+def _parts(state: LiveState, cut: str, lists: int, blocks: str) -> "Iterator[RenderableType]":
     """Yield the lines of the screen."""
     status, row, conditions = state.status, state.row, state.control["conditions"]
     verdict = status["control"]
@@ -47,7 +52,7 @@ def _parts(state: LiveState, cut: str, lists: int, blocks: str) -> Iterator[Rend
         yield _line(cut, "bold reverse")
         yield _line("below is what was last read; what holds now is not known", "bold")
     style = "bold" if cut else "bold green" if verdict["allowed"] else "bold red"
-    yield Text(sentence(status, row, state.control), style)
+    yield _line(sentence(status, row, state.control), style, is_cut=False)
     simulated = f" {words('app.simulated')}" if state.spacecraft["simulated"] else ""
     title = f"{clean(state.spacecraft['id'])}{simulated}, {utc(status['now'])} UTC"
     yield _line(f"{title}; {words('views.control.title')}: {meaning('states', verdict['state'])}")
@@ -61,12 +66,14 @@ def _parts(state: LiveState, cut: str, lists: int, blocks: str) -> Iterator[Rend
     yield _line("q ends", "dim")
 
 
-def _line(text: str, style: str = "") -> Text:
-    """Return a line that ends at the edge of the terminal."""
-    return Text(text, style, no_wrap=True, overflow="ellipsis")
+def _line(text: str, style: str = "", *, is_cut: bool = True) -> "Text":
+    """Return a line that ends at the edge of the terminal, or goes on below."""
+    from rich.text import Text
+
+    return Text(text, style, no_wrap=is_cut, overflow="ellipsis" if is_cut else None)
 
 
-def _list(title: str, lines: list[str], most: int, style: str) -> Iterator[Text]:
+def _list(title: str, lines: list[str], most: int, style: str) -> "Iterator[Text]":
     """Yield a list under its title; entries that have no room are counted."""
     yield _line(f"{title}: {len(lines) or words('views.now.none')}", "bold")
     shown = lines if len(lines) <= most else lines[: most - 1]

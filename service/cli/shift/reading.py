@@ -4,10 +4,9 @@ Exit codes: 0 normal, 1 the service refused or did not answer, 2 a wrong option,
 has tripped (``soo status``).
 """
 
-from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import typer
-from rich.console import RenderableType
 
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
@@ -21,6 +20,11 @@ from service.cli.operation.connection import (
 from service.cli.shift.tables import alarm_line, axes_table, columns, excluded_line, link_line, reasons_table, show
 from service.cli.shift.words import clean, meaning, number, sentence, utc, words
 from service.client.documents import Json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rich.console import RenderableType
 
 EXIT_ATTENTION, EXIT_TRIPPED = 3, 4
 
@@ -39,7 +43,7 @@ def status(
         )
     verdict = found["control"]
 
-    def parts() -> Iterator[RenderableType]:
+    def parts() -> "Iterator[RenderableType]":
         yield f"{spacecraft}: {sentence(found, row, control)}"
         yield f"{words('views.control.title')}: {meaning('states', verdict['state'])}"
         if verdict["reasons"]:
@@ -70,7 +74,7 @@ def attitude(
             other = Json(client.attitude(spacecraft, "paper" if row["method"] == "robust" else "robust"))
             control = Json(client.control(spacecraft))
 
-    def parts() -> Iterator[RenderableType]:
+    def parts() -> "Iterator[RenderableType]":
         said = [meaning("statuses", row["status"]), meaning("statuses", row["status"], "next")]
         yield f"{spacecraft}, {utc(row['epoch'])} UTC: {'; '.join(filter(None, said))}"
         yield axes_table(row, other, control["conditions"])
@@ -97,7 +101,7 @@ def carriers(
         plan, row = client.carriers(spacecraft), Json(client.attitude(spacecraft))
     reasons = {each["carrier"]: each["reason"] for each in row["excluded"]}
 
-    def parts() -> Iterator[RenderableType]:
+    def parts() -> "Iterator[RenderableType]":
         count = words("views.now.used", used=row["carriers_used"], all=len(plan["carriers"]))
         yield f"{spacecraft}, {utc(row['epoch'])} UTC: {count}"
         table = columns("carrier", "state", "next step", "transponder", "station")

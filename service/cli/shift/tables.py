@@ -4,30 +4,35 @@ import io
 import json
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
-from rich.console import Console, RenderableType
-from rich.table import Table
 
 from service.cli.command_group import end
 from service.cli.operation.connection import OLDER
 from service.cli.shift.words import AXES, axes, clean, meaning, number, utc, words
 from service.client.documents import Json
 
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+    from rich.table import Table
+
 #: code of the condition that limits each angle
 LIMITS = {"yaw": "yaw_beyond", "roll": "beyond_validity", "pitch": "beyond_validity"}
 
 
-def screen(*, is_error: bool = False) -> Console:
+def screen(*, is_error: bool = False) -> "Console":
     """Return a console that prints texts as they are; a character that the output cannot hold becomes a mark."""
     output = sys.stderr if is_error else sys.stdout
     if isinstance(output, io.TextIOWrapper):
         output.reconfigure(errors="replace")
+    # rich costs as much as the rest of a start
+    from rich.console import Console
+
     return Console(markup=False, highlight=False, emoji=False, stderr=is_error)
 
 
-def show(document: object, parts: Callable[[], Iterable[RenderableType]], *, as_json: bool) -> None:
+def show(document: object, parts: "Callable[[], Iterable[RenderableType]]", *, as_json: bool) -> None:
     """Print the document of the service for programs, or what is made of it for people."""
     if as_json:
         typer.echo(json.dumps(document))
@@ -40,8 +45,10 @@ def show(document: object, parts: Callable[[], Iterable[RenderableType]], *, as_
         end(f"the answer of the service has no {error}: {OLDER}", 1, error)
 
 
-def columns(*titles: str, show_header: bool = True) -> Table:
+def columns(*titles: str, show_header: bool = True) -> "Table":
     """Return a table without lines; what is wider than its column goes on below, and is not cut off."""
+    from rich.table import Table
+
     table = Table(box=None, pad_edge=False, header_style="bold", show_header=show_header)
     for title in titles:
         table.add_column(title, overflow="fold")
@@ -53,7 +60,7 @@ def limit_of(conditions: Iterable[Json], code: str) -> float | None:
     return next((each["limit"] for each in conditions if each["code"] == code), None)
 
 
-def axes_table(row: Json, other: Json, conditions: list[Json]) -> Table:
+def axes_table(row: Json, other: Json, conditions: list[Json]) -> "Table":
     """Return angle, limit, uncertainty and the other method's angle of each axis."""
     names = ("axis", "angle", "toLimit", "sigma", "protection", "otherMethod")
     table = columns(*(words(f"views.now.{name}") for name in names))
@@ -83,7 +90,7 @@ def _room(angle: float | None, limit: float | None) -> str:
     return f"{left} {words('views.now.ofAlert', alert=number(limit, 2))}"
 
 
-def reasons_table(reasons: list[Json]) -> Table:
+def reasons_table(reasons: list[Json]) -> "Table":
     """Return every reason with its begin and the next step, the one to act on first."""
     table = columns("why no torque, or no yaw torque", "since, UTC", "next step")
     for each in reasons:
@@ -117,7 +124,7 @@ def excluded_line(row: Json) -> str:
     return ", ".join(said) or words("views.now.none")
 
 
-def command_facts(command: Json) -> tuple[RenderableType, ...]:
+def command_facts(command: Json) -> "tuple[RenderableType, ...]":
     """Return what a person must see of a command: purpose, pulses, predicted angles, checks and digest."""
     predicted = command["predicted"]
     facts: Mapping[str, Any] = {
