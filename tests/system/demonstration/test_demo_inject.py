@@ -86,25 +86,31 @@ def test_no_demonstration_is_changed_where_none_runs(environment, tmp_path):
     assert (ran.returncode, "start one with soo demo" in ran.stderr) == (1, True)
 
 
-def test_its_addresses_are_for_its_user_alone(client, environment):
+def test_what_is_injected_has_its_answer_and_no_wrong_torque(client, environment):
+    """One story: each change begins in the state that the one before it left."""
+    _its_addresses_are_for_its_user_alone(environment)
+    ran = inject(environment, "step", "--carrier", "c99")
+    assert (ran.returncode, "the carriers are c00" in ran.stderr) == (2, True)
+    for kind, carrier in (("dead-carrier", "c03"), ("step", "c05")):
+        _a_carrier_that_changes_is_left_out_and_control_goes_on(client, environment, kind, carrier)
+    _rain_over_the_receiving_site_inhibits_until_it_is_over(client, environment)
+    _wheels_that_reverse_end_control(client, environment)
+    _a_stop_trips_control_until_it_is_reset(client, environment)
+
+
+def _its_addresses_are_for_its_user_alone(environment):
     path = Path(environment["XDG_RUNTIME_DIR"]) / "soo" / "demonstration.json"
     assert path.stat().st_mode & 0o777 == 0o600
 
 
-def test_a_carrier_that_is_not_there_is_refused(client, environment):
-    ran = inject(environment, "step", "--carrier", "c99")
-    assert (ran.returncode, "the carriers are c00" in ran.stderr) == (2, True)
-
-
-@pytest.mark.parametrize(("kind", "carrier"), [("dead-carrier", "c03"), ("step", "c05")])
-def test_a_carrier_that_changes_is_left_out_and_control_goes_on(client, environment, kind, carrier):
+def _a_carrier_that_changes_is_left_out_and_control_goes_on(client, environment, kind, carrier):
+    until(lambda: client.control(CRAFT)["state"] == "ENGAGED", "control goes")
     assert injected(environment, kind, "--carrier", carrier, "--minutes", "60")["carrier"] == carrier
     until(lambda: carrier in excluded(client), f"{carrier} is left out")
     assert client.control(CRAFT)["state"] == "ENGAGED"
 
 
-def test_rain_over_the_receiving_site_inhibits_until_it_is_over(client, environment):
-    until(lambda: client.control(CRAFT)["state"] == "ENGAGED", "control goes")
+def _rain_over_the_receiving_site_inhibits_until_it_is_over(client, environment):
     # short: nobody keeps the spacecraft until ten good minutes after it
     injected(environment, "rain", "--minutes", "10")
     until(lambda: "fade" in client.control(CRAFT)["reasons"], "the fade inhibits")
@@ -112,14 +118,14 @@ def test_rain_over_the_receiving_site_inhibits_until_it_is_over(client, environm
     until(lambda: client.control(CRAFT)["state"] == "ENGAGED", "control resumes by itself")
 
 
-def test_wheels_that_reverse_end_control(client, environment):
+def _wheels_that_reverse_end_control(client, environment):
     injected(environment, "sign", "--minutes", "720")
     # by the response that was missed, or at the latest where roll or pitch leaves the range of control
     until(lambda: {"response_missed", "hand_over"} & set(client.control(CRAFT)["reasons"]), "control ends")
     until(lambda: torque_is_zero(client), "no torque goes")
 
 
-def test_a_stop_trips_control_until_it_is_reset(client, environment):
+def _a_stop_trips_control_until_it_is_reset(client, environment):
     assert injected(environment, "stop") == {"type": "stopped", "state": "TRIPPED"}
     assert "stop" in client.control(CRAFT)["trips"]
     until(lambda: torque_is_zero(client), "no torque goes")
