@@ -1,7 +1,7 @@
 FROM python:3.11.13-slim-bookworm
 WORKDIR /opt/soo
 COPY requirements.lock requirements-build.lock ./
-RUN pip install --no-cache-dir --require-hashes -r requirements.lock && pip install --no-cache-dir --require-hashes --no-deps -r requirements-build.lock
+RUN pip install --no-cache-dir --require-hashes --no-deps -r requirements.lock && pip install --no-cache-dir --require-hashes --no-deps -r requirements-build.lock
 COPY pyproject.toml README.md ./
 COPY service service
 COPY db db
