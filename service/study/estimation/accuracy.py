@@ -2,8 +2,8 @@
 
     skill = 1 - mean(error^2) / mean(truth^2)     slope of the answer on the truth by least squares
 
-Both are pooled over seeds; rms and the 95 % error are the means of the seeds' own. The law of this file: a row without
-an answer is no error, but an answer to fewer than ``MIN_ANSWERED`` of the rows has no figures.
+Both are pooled over seeds, as is the stated sigma; rms and the 95 % error are the means of the seeds' own. The law of
+this file: a row without an answer is no error, but an answer to fewer than ``MIN_ANSWERED`` of the rows has no figures.
 """
 
 from collections.abc import Sequence
@@ -83,6 +83,7 @@ def accuracy_statistics(seeds: Sequence[Accuracy]) -> Statistics:
             "skill": 1.0 - square / truth,
             "slope": covariance / variance,
             "rms_over_sigma": np.sqrt(square / sigma),
+            "sigma_deg": np.sqrt(sigma),
         }
     statistics = {f"{name}.{axis}": float(values[k]) for name, values in by_axis.items() for k, axis in enumerate(AXES)}
     return {**statistics, "answered": float(np.mean([seed.answered for seed in seeds]))}

@@ -70,9 +70,8 @@ def _skills(values: Sequence[float]) -> list[Limit]:
 
 
 def _skill() -> list[Bound]:
-    """Return the bounds of skill and slope."""
+    """Return the bounds of skill and slope where the spacecraft moves; where it is quiet both say nothing."""
     return [
-        *_angles("nominal", "skill", _skills((0.0, 0.80, 0.75)), _skills((0.3, 0.90, 0.88))),
         *_angles("octants", "skill", _skills((0.70, 0.97, 0.97)), _skills((0.85, 0.99, 0.99)), is_goal_asked=True),
         *_angles("octants", "slope", [within(1.0, 0.15)] * 3, [within(1.0, 0.05)] * 3),
         *_angles("yaw_hold", "skill", _skills((0.50, 0.85, 0.70)), _skills((0.75, 0.95, 0.90)), is_goal_asked=True),

@@ -118,6 +118,7 @@ OPTIONAL_STATISTICS = (
     "after_dark",
     "yardstick",
     "rms_over_oracle",
+    "rms_over_bound",
 )
 
 

@@ -145,12 +145,22 @@ def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Statistics]:
     if ORACLE in methods:
         for method in methods:
             reported[method] |= _ratio_to_oracle(reported[method], reported[ORACLE])
+            reported[method] |= _ratio_to_bound(reported[method], reported[ORACLE])
     return reported
 
 
 def _ratio_to_oracle(own: Statistics, oracle: Statistics) -> Statistics:
     """Return rms of an answer over that of the oracle, axis by axis."""
     return {f"rms_over_oracle.{axis}": own[f"rms_deg.{axis}"] / oracle[f"rms_deg.{axis}"] for axis in AXES}
+
+
+def _ratio_to_bound(own: Statistics, oracle: Statistics) -> Statistics:
+    """Return the covariance bound, which the oracle's Riccati equation gives, and an answer's pooled rms over it."""
+    statistics = {f"bound_deg.{axis}": oracle[f"sigma_deg.{axis}"] for axis in AXES}
+    for axis in AXES:
+        rms_deg = own[f"rms_over_sigma.{axis}"] * own[f"sigma_deg.{axis}"]
+        statistics[f"rms_over_bound.{axis}"] = rms_deg / statistics[f"bound_deg.{axis}"]
+    return statistics
 
 
 def _courses(by_scenario: Mapping[str, Sequence[UnitResult]], one: str, other: str) -> list[tuple[Course, Course]]:

@@ -35,6 +35,7 @@ def tables(campaign: Campaign) -> tuple[ReportTable, ...]:
     """Return the tables of a campaign; what was not run has no row, a table without rows is left out."""
     made = (
         _accuracy(campaign),
+        _covariance_bounds(campaign),
         _baselines(campaign),
         _control(campaign),
         _yardstick(campaign),
@@ -172,6 +173,24 @@ def _accuracy(campaign: Campaign) -> ReportTable:
     )
     columns = ("scenario", "method", "rms", "p95", "skill", "slope", "rms/sigma", "rms/oracle")
     return ReportTable("Errors", columns, rows)
+
+
+def _covariance_bounds(campaign: Campaign) -> ReportTable:
+    """Return the errors beside the covariance of a filter that knows the true statistics."""
+    rows = tuple(
+        (
+            scenario,
+            method,
+            _angles(statistics, "bound_deg", 4),
+            _angles(statistics, "rms_deg", 4),
+            _angles(statistics, "sigma_deg", 4),
+            _angles(statistics, "rms_over_bound", 2),
+        )
+        for scenario, method, statistics in _answers(campaign, (*METHODS, ORACLE))
+        if "bound_deg.yaw" in statistics
+    )
+    columns = ("scenario", "method", "bound (Riccati)", "rms", "stated sigma", "pooled rms/bound")
+    return ReportTable("Covariance bounds", columns, rows)
 
 
 def _baselines(campaign: Campaign) -> ReportTable:

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from service.study.estimation.accuracy import AXES
 from service.study.estimation.baselines import BASELINES, UNINFORMED
+from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Mark, at_least, at_most
 from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics, versions
+from service.study.estimation.measures import measure_method
 
 PLAN = CampaignPlan(("octants",), 2)
 
@@ -27,6 +30,24 @@ def test_figures_stand_for_both_methods_and_every_baseline(judged_unit):
     assert set(figures) == {("octants", answer) for answer in ("robust", "paper", *BASELINES)}
     assert figures["octants", "zero"]["skill.roll"] == 0.0
     assert figures["octants", "robust"]["rms_deg.roll"] == 0.0
+
+
+def test_the_covariance_bound_is_what_the_oracle_states_of_itself(judged_unit, said, toured_world, driven_world):
+    unit = judged_unit()
+    truth = toured_world.truth.attitude_deg
+    oracle = said(truth + 0.03, sigma_deg=0.04)
+    unit.methods["oracle"] = measure_method(toured_world, driven_world({}), oracle)
+    figures = collect_metrics([unit])
+    for axis in AXES:
+        assert figures["octants", "oracle"][f"bound_deg.{axis}"] == pytest.approx(0.04, rel=1e-12)
+        assert figures["octants", "oracle"][f"rms_over_bound.{axis}"] == pytest.approx(0.75, rel=1e-12)
+        half = figures["octants", "paper"]
+        assert half[f"rms_over_bound.{axis}"] == pytest.approx(half[f"rms_deg.{axis}"] / 0.04, rel=1e-12)
+
+
+def test_quiet_scenarios_are_not_judged_by_skill_and_slope():
+    judged = {bound.scenario for bound in BOUNDS if bound.figure.startswith(("skill", "slope"))}
+    assert judged == {"octants", "yaw_hold"}
 
 
 def test_a_refused_seed_misses_every_bound_of_its_scenario(judged_unit):
