@@ -25,6 +25,7 @@ from service.pipeline.estimation.carrier_results import carrier_results, carrier
 from service.pipeline.estimation.method import CommandEvidence, MethodRunner
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.pipeline.estimation.paper.runner import PaperRunner
+from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.runner import RobustRunner
 from service.pipeline.estimation.row_evidence import RowEvidence
 from service.pipeline.inputs.knowledge import Knowledge, Lookup, update
@@ -61,6 +62,8 @@ class Chain:
         Methods to run.
     has_commands : bool
         False leaves out the torques; with them the method that drives control must be among the methods.
+    recorder : RowRecorder, optional
+        Keeps what the filter of the robust method did with each row.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class Chain:
         methods: Sequence[Method] = METHODS,
         *,
         has_commands: bool = True,
+        recorder: RowRecorder | None = None,
     ) -> None:
         self._lookup = lookup
         self._config = config
@@ -78,6 +82,9 @@ class Chain:
         self._has_commands = has_commands
         self._knowledge = Knowledge()
         self._runners: tuple[MethodRunner, ...] = tuple(_RUNNERS[m](lookup, config) for m in METHODS if m in methods)
+        for runner in self._runners:
+            if isinstance(runner, RobustRunner):
+                runner.recorder = recorder
         self._carry_n_m_s = NO_CARRY
         self._swing: PanelSwing | None = None
         self._newest_us: int | None = None

@@ -209,4 +209,18 @@ def _misleading(scenario: str, share: float, episodes: float) -> list[Bound]:
     ]
 
 
-BOUNDS: tuple[Bound, ...] = tuple(_skill() + _accuracy() + _control() + _faults() + _snapshot() + _integrity())
+def _smoothed() -> list[Bound]:
+    """Return the bounds of smoothed angles over the filter's on the same rows."""
+    bounds = [
+        *_angles("nominal", "smoothed.over_filter", (0.88, 0.75, 0.78), source=ASKED),
+        *_angles("nominal", "smoothed_2h.over_filter", (0.92, 0.78, 0.85), source=ASKED),
+        *_angles("blackout", "smoothed.dark_deg", (0.25, 0.05, 0.06), source=ASKED),
+    ]
+    for scenario in ("mixed", "steps", "uplink_rain", "transponder"):
+        bounds += _angles(scenario, "smoothed.over_filter", (0.95, 0.95, 0.95), source=ASKED)
+    return bounds
+
+
+BOUNDS: tuple[Bound, ...] = tuple(
+    _skill() + _accuracy() + _control() + _faults() + _snapshot() + _integrity() + _smoothed()
+)

@@ -119,6 +119,7 @@ OPTIONAL_STATISTICS = (
     "yardstick",
     "rms_over_oracle",
     "rms_over_bound",
+    "smoothed",
 )
 
 

@@ -9,14 +9,15 @@ from importlib.metadata import version
 from typing import NamedTuple
 
 from service.study.estimation.accuracy import AXES, Statistics, accuracy_statistics
-from service.study.estimation.baselines import BASELINES, UNINFORMED
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
+from service.study.estimation.flight.baselines import BASELINES, UNINFORMED
 from service.study.estimation.flight.drive import UndrivenError
 from service.study.estimation.flight.oracle import ORACLE
 from service.study.estimation.measures import statistics_of
 from service.study.estimation.nights import night_statistics
 from service.study.estimation.scenarios import SNAPSHOT
+from service.study.estimation.smoothing_gain import gain_statistics
 from service.study.estimation.trials.snapshot_trials import SnapshotTrials, run_trials, trial_statistics
 from service.study.estimation.unit import Course, Unit, UnitResult, run_unit
 from service.study.estimation.yardstick import yardstick_statistics
@@ -142,6 +143,9 @@ def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Statistics]:
     for answer in dict.fromkeys(answer for seed in seeds for answer in seed.yardsticks):
         answering = {seed.unit.seed: seed.yardsticks[answer] for seed in seeds if answer in seed.yardsticks}
         reported[answer] = {**reported.get(answer, {}), **yardstick_statistics(answering)}
+    for answer in dict.fromkeys(answer for seed in seeds for answer in seed.gains):
+        gains = gain_statistics(answer, [seed.gains[answer] for seed in seeds if answer in seed.gains])
+        reported.setdefault("robust", {}).update(gains)
     if ORACLE in methods:
         for method in methods:
             reported[method] |= _ratio_to_oracle(reported[method], reported[ORACLE])

@@ -1,19 +1,19 @@
-"""Report of a campaign: tables for people, one document for programs.
+"""Report of a campaign: tables for people.
 
 Angles stand as yaw/roll/pitch in one cell. Numbers that are not there, or that a mean cannot hold, are a dash in a
-table and null in the document.
+table.
 """
 
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from service.study.estimation.accuracy import AXES, Statistics
-from service.study.estimation.baselines import BASELINES
-from service.study.estimation.bounds import Judged, Limit, Mark
+from service.study.estimation.bounds import Judged, Mark
 from service.study.estimation.campaign import METHODS, Campaign, versions
+from service.study.estimation.flight.baselines import BASELINES
 from service.study.estimation.flight.oracle import ORACLE
 
 MARKER_BEGIN = "<!-- soo study estimation: begin -->"
@@ -36,6 +36,7 @@ def tables(campaign: Campaign) -> tuple[ReportTable, ...]:
     made = (
         _accuracy(campaign),
         _covariance_bounds(campaign),
+        _smoothed(campaign),
         _baselines(campaign),
         _control(campaign),
         _yardstick(campaign),
@@ -68,30 +69,6 @@ def verdict_lines(campaign: Campaign) -> list[str]:
     return lines
 
 
-def as_document(campaign: Campaign, command: str) -> dict[str, Any]:
-    """Return everything a program may want, fit for JSON."""
-    plan = campaign.plan
-    statistics: dict[str, dict[str, dict[str, float | None]]] = {}
-    for (scenario, answer), reported in campaign.statistics.items():
-        statistics.setdefault(scenario, {})[answer] = {name: _finite(value) for name, value in reported.items()}
-    return {
-        "command": command,
-        "versions": versions(),
-        "seeds": list(range(1, plan.seeds + 1)),
-        "operation_days": plan.operation_days,
-        "seconds": round(campaign.seconds, 1),
-        "figures": statistics,
-        "bounds": [_bound_document(judged) for judged in campaign.judged],
-        "missed": len(campaign.missed),
-        "refusals": [
-            {"scenario": run.unit.scenario, "seed": run.unit.seed, "detail": run.refusal} for run in campaign.refusals
-        ],
-        "baselines_that_keep_all_bounds": [
-            {"scenario": scenario, "baseline": baseline} for scenario, baseline in campaign.idle
-        ],
-    }
-
-
 def markdown(campaign: Campaign, command: str) -> str:
     """Return the tables as a section of a page, between markers."""
     made_with = ", ".join(f"{name} {number}" for name, number in versions().items())
@@ -121,32 +98,6 @@ def _paragraph(text: str, bullet: str = "") -> list[str]:
 def _line(cells: Sequence[str]) -> str:
     """Return one line of a table in Markdown."""
     return f"| {' | '.join(cells)} |"
-
-
-def _bound_document(judged: Judged) -> dict[str, Any]:
-    """Return one bound with its mark."""
-    bound = judged.bound
-    return {
-        "scenario": bound.scenario,
-        "method": bound.method,
-        "figure": bound.figure,
-        "value": None if judged.value is None else _finite(judged.value),
-        "must": _interval(bound.must),
-        "goal": _interval(bound.goal),
-        "goal_asked": bound.is_goal_asked,
-        "source": bound.source,
-        "mark": judged.mark.value,
-    }
-
-
-def _interval(limit: Limit | None) -> list[float | None] | None:
-    """Return a limit as its two ends, None for an open one."""
-    return None if limit is None else [_finite(limit.low), _finite(limit.high)]
-
-
-def _finite(value: float) -> float | None:
-    """Return a number that JSON can hold."""
-    return value if math.isfinite(value) else None
 
 
 def _answers(campaign: Campaign, answers: Sequence[str] = METHODS) -> Iterator[tuple[str, str, Statistics]]:
@@ -191,6 +142,36 @@ def _covariance_bounds(campaign: Campaign) -> ReportTable:
     )
     columns = ("scenario", "method", "bound (Riccati)", "rms", "stated sigma", "pooled rms/bound")
     return ReportTable("Covariance bounds", columns, rows)
+
+
+def _smoothed(campaign: Campaign) -> ReportTable:
+    """Return what the smoothed answers gain over the filter on the same rows."""
+    rows = tuple(
+        (
+            scenario,
+            answer,
+            _angles(statistics, f"{name}.rms_deg", 4),
+            _angles(statistics, f"{name}.over_filter", 2),
+            _angles(statistics, f"{name}.over_sigma", 2),
+            _angles(statistics, f"{name}.large_near_events", 4),
+            _angles(statistics, f"{name}.filter_large_near_events", 4),
+            _angles(statistics, f"{name}.dark_deg", 3) if f"{name}.dark_deg.yaw" in statistics else _DASH,
+        )
+        for scenario, _, statistics in _answers(campaign, ("robust",))
+        for name, answer in (("smoothed", "whole span"), ("smoothed_2h", "2 h of lag"))
+        if f"{name}.rms_deg.yaw" in statistics
+    )
+    columns = (
+        "scenario",
+        "smoothed by",
+        "rms",
+        "over the filter",
+        "rms/sigma",
+        "beyond 3 sigma near events",
+        "the same, filter",
+        "largest without carriers",
+    )
+    return ReportTable("Smoothed angles", columns, rows)
 
 
 def _baselines(campaign: Campaign) -> ReportTable:

@@ -15,11 +15,12 @@ from service.records.catalogue import Method
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import Accuracy, measure_accuracy
-from service.study.estimation.baselines import baseline_answers
+from service.study.estimation.flight.baselines import baseline_answers
 from service.study.estimation.flight.drive import Driven, UndrivenError, drive
 from service.study.estimation.flight.oracle import ORACLE, oracle_series
 from service.study.estimation.flight.world import World, export_world, read_world
 from service.study.estimation.measures import Measures, judged_rows, measure_method
+from service.study.estimation.smoothing_gain import SmoothingGain, measure_gain
 from service.study.estimation.yardstick import Yardstick, measure_yardstick, measure_yardsticks
 
 
@@ -79,6 +80,8 @@ class UnitResult:
     course: Course | None = None
     #: by name of the answer
     yardsticks: dict[str, Yardstick] = field(default_factory=dict)
+    #: of the smoothed answers, by name
+    gains: dict[str, SmoothingGain] = field(default_factory=dict)
 
 
 def run_unit(unit: Unit) -> UnitResult:
@@ -102,7 +105,10 @@ def run_unit(unit: Unit) -> UnitResult:
     methods = {name: measure_method(world, driven, series) for name, series in everyone.items()}
     baselines, course = _baselines(world, driven), _course(world, driven)
     yardsticks = {**measure_yardsticks(world, driven, Method.ROBUST), ORACLE: measure_yardstick(world, driven, oracle)}
-    return UnitResult(unit, time.monotonic() - began_s, "", methods, baselines, course, yardsticks)
+    robust = driven.methods.get(Method.ROBUST)
+    past = {} if robust is None else driven.smoothed
+    gains = {name: measure_gain(world, driven, robust, series) for name, series in past.items() if robust is not None}
+    return UnitResult(unit, time.monotonic() - began_s, "", methods, baselines, course, yardsticks, gains)
 
 
 def _driven(world: World) -> Driven | str:

@@ -201,7 +201,8 @@ def _judged(
     residual_db = found.residual_db
     if after.gaussian is not found.state.gaussian:
         residual_db = _left_db(model, after, row.deviation_db)
-    return _reported(model, after, found.innovation_db, found.used, cause, limits, residual_db, is_ordinary=is_ordinary)
+    reported = _reported(model, after, found.innovation_db, found.used, cause, limits, residual_db)
+    return reported._replace(is_ordinary=is_ordinary, effective=found.effective)
 
 
 def _left_db(model: CarrierModel, state: FilterState, deviation_db: FloatArray) -> FloatArray:
@@ -235,8 +236,6 @@ def _reported(
     cause: Cause | None,
     limits: IntegrityLimits,
     residual_db: FloatArray,
-    *,
-    is_ordinary: bool = True,
 ) -> FilterStep:
     """Return the step's result with the judgement of its integrity."""
     gaussian = state.gaussian
@@ -266,5 +265,4 @@ def _reported(
         float(gaussian.mean[RAIN]),
         assess(evidence, limits),
         residual_db,
-        is_ordinary,
     )

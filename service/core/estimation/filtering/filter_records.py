@@ -11,6 +11,7 @@ from service.core.estimation.filtering.anchor.anchor_watch import AnchorWatch, c
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch, healthy
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause
 from service.core.estimation.filtering.causes.rain_state import RainWatch, dry_watch
+from service.core.estimation.filtering.filter_update import EffectiveUpdate
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_state import Gaussian
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, executed_commands
@@ -59,6 +60,8 @@ class FilterStep(NamedTuple):
     residual_db: FloatArray
     #: whether nothing was found that takes a row through its stages one by one
     is_ordinary: bool = True
+    #: update as it acted; None where no row was used
+    effective: EffectiveUpdate | None = None
 
 
 def start(model: CarrierModel, epoch_us: int, gaussian: Gaussian) -> FilterState:

@@ -127,6 +127,19 @@ def _innovate_at(
     return Innovation(carriers, innovation_db, predicted, white_db2[carriers], jacobian, cross)
 
 
+class EffectiveUpdate(NamedTuple):
+    """Update of a row as it acted, for who goes back over the rows."""
+
+    #: state right after it
+    state: Gaussian
+    #: innovations that moved the state, linearised where they led, white noise as weighted
+    innovation: Innovation
+    #: carriers in it, 0 = there was no update
+    degrees: int
+    #: dB, what rain below zero was raised by
+    rain_raised_db: float
+
+
 class Updated(NamedTuple):
     """State after a row and the residuals of the row."""
 
@@ -136,6 +149,7 @@ class Updated(NamedTuple):
     #: normalised innovation squared and the carriers in it
     nis: float
     degrees: int
+    effective: EffectiveUpdate
 
 
 def update(
@@ -166,17 +180,19 @@ def update(
     mean, whitened, residual = _updated(state, innovation)
     own = np.ascontiguousarray(whitened[:, ATTITUDE])
     shift, nis = (residual @ own) / np.sqrt((own * own).sum(axis=0)), float(residual @ residual)
-    at_deg = state.mean[ATTITUDE]
+    at_deg, final = state.mean[ATTITUDE], innovation
     for _ in range(_MAX_PASSES):
         if float(np.abs(mean[ATTITUDE] - at_deg).max()) <= _RELINEARISE_DEG:
             break
         at_deg = mean[ATTITUDE]
         all_white = np.zeros(len(deviation_db))
         all_white[carriers] = white
-        again = _innovate_at(model, state, deviation_db, carriers, all_white, at_deg)
-        mean, whitened, residual = _updated(state, again)
+        final = _innovate_at(model, state, deviation_db, carriers, all_white, at_deg)
+        mean, whitened, residual = _updated(state, final)
     covariance = array_kernels.reduce(state.covariance, whitened)
-    return Updated(_with_rain_above_zero(mean, covariance), shift, nis, len(carriers))
+    after = _with_rain_above_zero(mean, covariance)
+    effective = EffectiveUpdate(after, final, len(carriers), max(0.0, -float(mean[RAIN])))
+    return Updated(after, shift, nis, len(carriers), effective)
 
 
 def _updated(state: Gaussian, innovation: Innovation) -> tuple[FloatArray, FloatArray, FloatArray]:

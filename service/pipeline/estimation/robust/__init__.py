@@ -1,4 +1,4 @@
 """Robust method: attitude filter over all carriers.
 
-Public: attitude_rows, runner, saved_state.
+Public: attitude_rows, row_recorder, runner, saved_state.
 """

@@ -5,7 +5,6 @@ state alone. Without an ephemeris that reaches the row, or with fewer than four 
 on with an honest sigma, and control waits.
 """
 
-import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,7 +15,7 @@ from service.core.estimation.filtering.carry_over import carry_over
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
 from service.core.estimation.filtering.model.declared import Declared
-from service.core.estimation.filtering.model.filter_model import FilterSettings
+from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion
 from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     DRIFT,
@@ -24,8 +23,6 @@ from service.core.estimation.filtering.model.filter_state import (
     RATE,
     initial_gaussian,
 )
-from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, torque_states
-from service.core.estimation.filtering.model.torque_prior import wave_period_us
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
@@ -33,15 +30,16 @@ from service.pipeline.estimation.method import CarrierLevels
 from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row
 from service.pipeline.estimation.robust.frozen_readings import LastReadings, frozen, no_readings, push_readings
 from service.pipeline.estimation.robust.model import RobustModel, signals
+from service.pipeline.estimation.robust.residual_torque import is_torque_shown
+from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
 from service.pipeline.inputs.knowledge import Knowledge
-from service.pipeline.inputs.known_motion import DEG_H2_N_M, CommandedMotion, consume
+from service.pipeline.inputs.known_motion import CommandedMotion, consume
 from service.pipeline.inputs.reference_angles import usual_sigma_deg
 from service.pipeline.kernels import kernels_named
 from service.records.calibration import Alignment
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, FloatArray, named_axes
-from service.records.levels.disturbance import Disturbance
+from service.records.levels.attitude import AttitudeRow, FloatArray
 from service.records.levels.measurement import Measurement
 
 
@@ -138,8 +136,12 @@ def step_robust(
     is_late: bool,
     is_catch_up: bool,
     config: ChainConfig,
+    recorder: RowRecorder | None = None,
 ) -> RobustStep:
-    """Take one row whose powers stand in the calibration's order and return its outcome and the next state."""
+    """Take one row whose powers stand in the calibration's order and return its outcome and the next state.
+
+    A recorder keeps what the filter did to the state; it changes no bit.
+    """
     expected_dbm = model.expected_dbm(measurement.epoch_us)
     readings = state.readings if is_late else push_readings(state.readings, power_dbm, measurement.epoch_us)
     is_frozen = frozen(readings, measurement.epoch_us)
@@ -149,21 +151,8 @@ def step_robust(
     known, commanded = consume(state.commanded, state.filter.epoch_us, measurement.epoch_us)
     unreported, released = _unreported(state.released, state.filter.epoch_us, measurement.epoch_us)
     declared = _declared(state, model, knowledge, measurement, config)
-    found = step(
-        model.filter,
-        model.settings,
-        state.filter,
-        measurement.epoch_us,
-        deviation_db,
-        known._replace(unreported=unreported),
-        limits=model.limits,
-        declared=declared,
-        reported_wet=knowledge.reported_wet(model.carrier_ids, measurement.epoch_us),
-        kernels=kernels_named(config.kernels),
-    )
-    if not (np.isfinite(found.attitude_deg).all() and np.isfinite(found.covariance_deg2).all()):
-        message = "the filter lost its numbers; the state before this row is kept"
-        raise ArithmeticError(message)
+    known = known._replace(unreported=unreported)
+    found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, config, recorder)
     is_without_orbit = not np.isfinite(expected_dbm).any()
     residual_db = found.residual_db
     fixed = Fixed(found, deviation_db, is_frozen, rates_deg_s(model, found), declared, is_without_orbit, residual_db)
@@ -175,10 +164,43 @@ def step_robust(
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         validity_limit_deg=config.interlock.validity_limit_deg,
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
-        is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(found, model, len(released)),
+        is_torque_to_be_stated=model.is_torque_unknown and is_torque_shown(found.state, model, len(released)),
     )
     after = RobustState(found.state, commanded, readings, released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, residual_db, after, found.is_ordinary)
+
+
+def _filtered(
+    state: RobustState,
+    model: RobustModel,
+    knowledge: Knowledge,
+    epoch_us: int,
+    deviation_db: FloatArray,
+    known: KnownMotion,
+    declared: Declared | None,
+    config: ChainConfig,
+    recorder: RowRecorder | None,
+) -> FilterStep:
+    """Return the filter after a row; ArithmeticError where its numbers are lost."""
+    kernels = kernels_named(config.kernels)
+    found = step(
+        model.filter,
+        model.settings,
+        state.filter,
+        epoch_us,
+        deviation_db,
+        known,
+        limits=model.limits,
+        declared=declared,
+        reported_wet=knowledge.reported_wet(model.carrier_ids, epoch_us),
+        kernels=kernels if recorder is None else recorder.capturing(kernels),
+    )
+    if not (np.isfinite(found.attitude_deg).all() and np.isfinite(found.covariance_deg2).all()):
+        message = "the filter lost its numbers; the state before this row is kept"
+        raise ArithmeticError(message)
+    if recorder is not None:
+        recorder.push(model, state.filter, found)
+    return found
 
 
 def _late_step(
@@ -212,13 +234,6 @@ def rates_deg_s(model: RobustModel, found: FilterStep) -> FloatArray:
     return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
 
 
-def _is_torque_seen(found: FilterStep, model: RobustModel, shares: int) -> bool:
-    """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
-    gaussian = found.state.gaussian
-    positions = torque_states(model.filter, gaussian, shares)
-    return any(found.state.motion.is_followed) or (positions is not None and is_torque_seen(gaussian, positions))
-
-
 def _unreported(
     released: tuple[tuple[int, CommandedMotion], ...], from_us: int, to_us: int
 ) -> tuple[FloatArray, tuple[tuple[int, CommandedMotion], ...]]:
@@ -231,28 +246,6 @@ def _unreported(
         effects[position] = known.correction_deg + known.late_correction_deg + half_h * rate, rate
         left.append((counter, rest))
     return effects, tuple(left)
-
-
-def known_disturbance(state: RobustState, model: RobustModel) -> Disturbance | None:
-    """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
-    gaussian, epoch_us = state.filter.gaussian, state.filter.epoch_us
-    positions = torque_states(model.filter, gaussian, len(state.released))
-    if positions is None or model.inertia_kg_m2 is None:
-        return None
-    period_us = wave_period_us(model.settings)
-    phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
-    cos, sin = math.cos(phase), math.sin(phase)
-    # what was a cosine since phase zero is a cosine and a sine since the row
-    turn = np.kron(np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]), np.eye(3))
-    unit = np.array(model.inertia_kg_m2) * DEG_H2_N_M
-    constant, cosine, sine = (turn @ gaussian.mean[positions]).reshape(3, 3) * unit
-    covariance = turn @ gaussian.covariance[positions, positions] @ turn.T
-    now = np.kron(np.array([1.0, 1.0, 0.0]), np.eye(3))
-    # the covariance of a profile has no full rank: rounding may leave less than nothing of a variance
-    sigma = np.sqrt(np.maximum(0.0, np.diag(now @ covariance @ now.T))) * unit
-    return Disturbance(
-        epoch_us, period_us / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
-    )
 
 
 def _declared(

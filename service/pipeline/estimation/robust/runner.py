@@ -17,10 +17,11 @@ from service.pipeline.estimation.robust.method import (
     carried_state,
     carrier_levels,
     initial_state,
-    known_disturbance,
     step_robust,
 )
 from service.pipeline.estimation.robust.model import RobustModel, robust_model
+from service.pipeline.estimation.robust.residual_torque import known_disturbance
+from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.saved_state import SavedRobust, newest_row, saved_robust
 from service.pipeline.estimation.robust.unreported_commands import (
     MAX_ROWS,
@@ -75,6 +76,7 @@ class RobustRunner:
         self._state: RobustState | None = None
         self._columns: CalibratedColumns | None = None
         self._last: tuple[RobustStep, RobustModel] | None = None
+        self.recorder: RowRecorder | None = None  # keeps effective rows for a smoother; no part of the state
         self.rows_by_kind = {True: 0, False: 0}  # in time, by whether they were ordinary; no part of the state
         self._reported: list[tuple[Motion, Spacecraft | None]] = []
         #: released and not reported, by counter
@@ -91,19 +93,16 @@ class RobustRunner:
     def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:
         """Take in a correction, a command that counts as applied, a release or a report."""
         record = knowledge.spacecraft
-        match content:
-            case ReleasedCommand() if content.counter not in self._open:
-                self._open[content.counter] = content, record
-                self._uncertain(content, record)
-            case ReportedCommand() if content.counter in self._open:
-                self._reported.append((content, self._open.pop(content.counter)[1]))
-                if self._branch is not None:
-                    self._state, self._branch = reported(self._branch, content)
-            case Correction() | AppliedCommand():
-                self._reported.append((content, record))
-                self._known(content, record)
-            case _:
-                pass
+        if isinstance(content, ReleasedCommand) and content.counter not in self._open:
+            self._open[content.counter] = content, record
+            self._uncertain(content, record)
+        elif isinstance(content, ReportedCommand) and content.counter in self._open:
+            self._reported.append((content, self._open.pop(content.counter)[1]))
+            if self._branch is not None:
+                self._state, self._branch = reported(self._branch, content)
+        elif isinstance(content, Correction | AppliedCommand):
+            self._reported.append((content, record))
+            self._known(content, record)
 
     def _known(self, content: Correction | AppliedCommand, record: Spacecraft | None) -> None:
         """Let the filter know of a motion."""
@@ -170,6 +169,7 @@ class RobustRunner:
             is_late=is_late,
             is_catch_up=is_catch_up,
             config=self._config,
+            recorder=self.recorder,
         )
         outcome = consume(self._state)
         self._state = outcome.state
@@ -191,8 +191,7 @@ class RobustRunner:
 
     def restore(self, saved: SavedRobust, knowledge: Knowledge) -> None:
         """Go on from a saved state under the knowledge of then."""
-        under = saved.aligned_under_id
-        self._aligned_under = None if under is None else self._lookup.ephemeris(under)
+        self._aligned_under = None if (under := saved.aligned_under_id) is None else self._lookup.ephemeris(under)
         self._model, self._columns = self._model_of(knowledge)
         self._state, self._last = saved.state, newest_row(saved, self._model)
 
@@ -246,7 +245,7 @@ class RobustRunner:
         """Return the torque that acts without being fed forward; None where the catalogue states none."""
         if self._model is None or self._state is None:
             return None
-        return known_disturbance(self._state, self._model)
+        return known_disturbance(self._state.filter, self._model, len(self._state.released))
 
     def _forget(self, before_us: int) -> None:
         """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""

@@ -1,4 +1,4 @@
 """Flight of the chain over one simulated world of the estimation study.
 
-Public: catalogue_lines, drive, episodes, oracle, world.
+Public: baselines, catalogue_lines, drive, episodes, oracle, past, world.
 """

@@ -3,7 +3,7 @@
 Nothing of the truth is at hand in this module.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from service.records.inputs import (
 from service.records.journal import SlowInput
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 from service.study.estimation.flight.journal import Entry, measurements, slow_entries
+from service.study.estimation.flight.past import Past, PastSeries
 from service.study.estimation.flight.world import Ground
 
 #: what a row says, among its inhibitions or as advice, when the spacecraft moves other than it was told to, or the
@@ -78,6 +79,8 @@ class Driven:
     hypothesis: IntArray | None = None
     #: per carrier: change with roll, dB/deg
     roll_slopes_db_per_deg: tuple[float, ...] = ()
+    #: smoothed answers of the robust method by name
+    smoothed: dict[str, PastSeries] = field(default_factory=dict)
 
 
 class UndrivenError(Exception):
@@ -107,10 +110,11 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     start_us = ground.phases["operation"].start_us
     before = [entry.content for entry in entries if entry.epoch_us < start_us]
     documents.alignments[1] = align(ground, documents)
-    chain = Chain(documents, config or ChainConfig())
+    past = Past()
+    chain = Chain(documents, config or ChainConfig(), recorder=past.recorder)
     for content in (*opening, CalibrationActivation(1, 1), *before, AlignmentSet(1)):
         chain.update(content)
-    return _operate(chain, ground, documents, entries[len(before) :])
+    return replace(_operate(chain, ground, documents, entries[len(before) :], past), smoothed=past.series())
 
 
 def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibration:
@@ -167,8 +171,8 @@ def align(ground: Ground, documents: JournalDocuments) -> Alignment:
     return replace(aligned.to_record(stated, window, ",".join(sorted(set(ground.sensors))), "study"), id=1)
 
 
-def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries: list[Entry]) -> Driven:
-    """Run the chain over the rows of operation and keep what every method says."""
+def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries: list[Entry], past: Past) -> Driven:
+    """Run the chain over the rows of operation and keep what every method says, and what the smoothers need."""
     rows = np.flatnonzero(ground.is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
     reported: list[tuple[AttitudeRow, ...]] = []
     hypothesis: list[list[int]] = []
@@ -178,6 +182,7 @@ def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries:
             _hypotheses(chain, ground.carrier_ids) if len(reported) % _ASKED_ROWS == 0 else hypothesis[-1]
         )
         reported.append(() if outcome is None else outcome.rows)
+        past.push_newest()
     names = sorted({row.method.value for some in reported for row in some})
     by_method = {name: [next((row for row in some if row.method == name), None) for some in reported] for name in names}
     alignment, calibrated = documents.alignments[1], documents.calibrations[1].result

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
-from service.study.estimation.baselines import COUPLING_RAD_H, commanded_deg
+from service.study.estimation.flight.baselines import COUPLING_RAD_H, commanded_deg
 from service.study.estimation.flight.drive import MethodSeries
 from service.study.estimation.flight.episodes import stretches
 from service.study.estimation.flight.world import TrueStatistics, World

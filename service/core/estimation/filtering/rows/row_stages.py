@@ -31,7 +31,7 @@ from service.core.estimation.filtering.causes.common_cause import (
 )
 from service.core.estimation.filtering.causes.rain_state import RainWatch, pass_minutes, push_common
 from service.core.estimation.filtering.filter_records import FilterState
-from service.core.estimation.filtering.filter_update import Innovation, innovate, site_db, update
+from service.core.estimation.filtering.filter_update import EffectiveUpdate, Innovation, innovate, site_db, update
 from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_state import CHAIN, Gaussian
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, is_share_likelier, push_row
@@ -99,6 +99,7 @@ class UsedRow(NamedTuple):
     #: whether another share of the commands is likelier, and whether a carrier has failed
     is_doubted: bool
     is_failed: bool
+    effective: EffectiveUpdate
 
 
 def use_row(
@@ -118,7 +119,8 @@ def use_row(
     watch = count_row(state.carriers, innovation.carriers, excess, is_measured, minutes, values)
     is_failed = bool(failed(watch).any())
     if len(kept.carriers) < MIN_CARRIERS:
-        return UsedRow(gaussian, watch, motion, command, kept, 0.0, 0, False, False, is_failed)
+        effective = EffectiveUpdate(gaussian, kept, 0, 0.0)
+        return UsedRow(gaussian, watch, motion, command, kept, 0.0, 0, False, False, is_failed, effective)
     updated = update(model, gaussian, deviation_db, kept)
     shifted = (
         forget_shifts(motion, state.epoch_us)
@@ -130,7 +132,9 @@ def use_row(
         command = push_row(model, command, kept, updated.state.covariance, is_shared)
     is_doubted = is_share_likelier(command)
     nis, degrees = updated.nis, updated.degrees
-    return UsedRow(updated.state, watch, shifted, command, kept, nis, degrees, is_moving, is_doubted, is_failed)
+    return UsedRow(
+        updated.state, watch, shifted, command, kept, nis, degrees, is_moving, is_doubted, is_failed, updated.effective
+    )
 
 
 class ClosedRow(NamedTuple):
@@ -195,6 +199,7 @@ class OrdinaryRow(NamedTuple):
     residual_db: FloatArray
     is_due: bool
     is_returning: bool
+    effective: EffectiveUpdate
 
 
 def ordinary_row(
@@ -231,7 +236,9 @@ def ordinary_row(
     innovation_db = np.full(len(deviation_db), np.nan)
     innovation_db[present] = screened.innovation.innovation_db
     carriers, is_due, is_returning = used.kept.carriers, closed.is_due, closed.is_returning
-    return OrdinaryRow(is_ordinary, state, innovation_db, carriers, closed.residual_db, is_due, is_returning)
+    return OrdinaryRow(
+        is_ordinary, state, innovation_db, carriers, closed.residual_db, is_due, is_returning, used.effective
+    )
 
 
 def _sigma_db(innovation: Innovation) -> FloatArray:

@@ -107,7 +107,8 @@ def staged_row(
     innovation_db = np.full(model.carriers, np.nan)
     innovation_db[row.present] = screened.innovation.innovation_db
     carriers, is_due, is_returning = used.kept.carriers, closed.is_due, closed.is_returning
-    return OrdinaryRow(False, after, innovation_db, carriers, closed.residual_db, is_due, is_returning), cause
+    found = OrdinaryRow(False, after, innovation_db, carriers, closed.residual_db, is_due, is_returning, used.effective)
+    return found, cause
 
 
 def _screened(

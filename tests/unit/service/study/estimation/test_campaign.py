@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from service.study.estimation.accuracy import AXES
-from service.study.estimation.baselines import BASELINES, UNINFORMED
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Mark, at_least, at_most
 from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics, versions
+from service.study.estimation.flight.baselines import BASELINES, UNINFORMED
 from service.study.estimation.measures import measure_method
 
 PLAN = CampaignPlan(("octants",), 2)

@@ -10,11 +10,11 @@ from service.study.estimation.report import (
     MARKER_BEGIN,
     MARKER_END,
     _number,
-    as_document,
     markdown,
     tables,
     verdict_lines,
 )
+from service.study.estimation.report_document import as_document
 
 COMMAND = "soo study estimation --scenario octants --seeds 1"
 

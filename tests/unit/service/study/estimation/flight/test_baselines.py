@@ -5,7 +5,13 @@ import pytest
 
 from service.records.inputs import Correction
 from service.records.levels.attitude import Axes
-from service.study.estimation.baselines import BASELINES, COUPLING_RAD_H, FEEDBACK_H, baseline_answers, commanded_deg
+from service.study.estimation.flight.baselines import (
+    BASELINES,
+    COUPLING_RAD_H,
+    FEEDBACK_H,
+    baseline_answers,
+    commanded_deg,
+)
 
 HOUR_US = 3_600_000_000
 START_US = 1_800_000_000_000_000
