@@ -101,6 +101,8 @@ def no_calibration(ground: ReleaseGround) -> None:
     ground.rows(FADE_ROWS, GOOD_DEG)
 
 
+#: states in which no row of the last hour has angles
+WITHOUT_ANGLES = ("d", "g", "i")
 #: state -> how it is made, what the heading says
 STATES: dict[str, tuple[Callable[[ReleaseGround], None], str]] = {
     "a": (too_few_carriers, "too few carriers"),
@@ -127,6 +129,8 @@ def test_a_known_state_is_said_with_reason_and_next_step(page, ground, open_view
     expect(page.get_by_role("heading", level=1)).to_contain_text(said)
     expect(page.locator(".link .symbol.normal")).to_be_visible()
     expect(page.locator("main")).not_to_contain_text("NaN")
+    hour = "No angle in the last hour" if name in WITHOUT_ANGLES else "Last hour, deg"
+    expect(page.locator(".hour")).to_have_text([re.compile(hour)] * 3)
     assert fits(page)
     screenshot(page, f"state-{name}")
 

@@ -19,8 +19,7 @@ export const listeners = { unauthorized: () => {}, clock: (/** @type {number} */
 
 /**
  * Return the address of a resource, for links too.
- * @param {string} path
- * @param {Object<string, any>} params Null and undefined are left out, lists are repeated.
+ * @param {string} path @param {Object<string, any>} params Null and undefined are left out, lists are repeated.
  */
 export function address(path, params = {}) {
   const url = new URL(BASE.href + path);
@@ -30,16 +29,11 @@ export function address(path, params = {}) {
   return url.href;
 }
 
-/**
- * @param {string} path
- * @param {Object<string, any>} params
- * @param {{signal?: AbortSignal}} options
- */
+/** @param {string} path @param {Object<string, any>} params @param {{signal?: AbortSignal}} options */
 export const get = (path, params = {}, options = {}) => ask("GET", address(path, params), undefined, options);
 
 /**
- * @param {string} path
- * @param {any} body
+ * @param {string} path @param {any} body
  * @param {{key?: string, signal?: AbortSignal, params?: Object<string, any>}} options `key` of a second person, for this one request.
  */
 export const post = (path, body = undefined, options = {}) => ask("POST", address(path, options.params), body, options);
@@ -55,8 +49,7 @@ export const remove = (path, options = {}) => ask("DELETE", address(path), undef
 
 /**
  * Return an answer whose body is read by the caller.
- * @param {string} url
- * @param {RequestInit} init
+ * @param {string} url @param {RequestInit} init
  * @returns {Promise<Response>}
  */
 export async function open(url, init) {
@@ -84,8 +77,7 @@ async function ask(method, url, body, { key, signal } = {}) {
 
 /**
  * Return the problem of an answer that is none.
- * @param {Response} answer
- * @param {boolean} isOwn Whether the request came with the session of the page.
+ * @param {Response} answer @param {boolean} isOwn Whether the request came with the session of the page.
  */
 export async function problemOf(answer, isOwn = true) {
   const problem = await answer.json().catch(() => ({}));

@@ -48,11 +48,7 @@ function offered() {
   return VIEWS.filter((view) => !view.permission || permissions.includes(view.permission));
 }
 
-/**
- * Go to a view.
- * @param {string} name
- * @param {Object<string, string> | URLSearchParams} parameters
- */
+/** Go to a view. @param {string} name @param {Object<string, string> | URLSearchParams} parameters */
 function go(name, parameters = {}) {
   location.hash = addressOf(name, parameters);
 }

@@ -6,7 +6,7 @@
  */
 
 import { element, fill } from "./element.js";
-import { utc } from "./words.js";
+import { number, utc } from "./words.js";
 
 /** Room of the axis left of each panel, px; what stands beside the panels keeps it too. */
 export const LEFT_PX = 84;
@@ -21,10 +21,7 @@ const LEAST_DRAG_PX = 5;
 
 let asked = null;
 
-/**
- * Load uPlot once.
- * @returns {Promise<boolean>} Whether curves can be drawn.
- */
+/** Load uPlot once. @returns {Promise<boolean>} Whether curves can be drawn. */
 export function canDraw() {
   asked ??= new Promise((resolve) => {
     const script = element("script", { src: "uplot.js", onload: () => resolve("uPlot" in window), onerror: () => resolve(false) });
@@ -92,7 +89,7 @@ export function stack({ label, panels: count, height, onRange, onSelect = onRang
       legend: { show: false },
       padding: [8, RIGHT_PX, 8, 0],
       scales: { x: { time: true, range: () => range }, y: { range: (_, low, high) => around(low, high, limits[index]) } },
-      axes: [{ ...lines(), size: isLast ? AXIS_PX : 0, values: isLast ? instants : () => [], space: 90 }, { ...lines(), size: LEFT_PX, values: (_, ticks) => ticks.map((tick) => String(Number(tick.toPrecision(6)))) }],
+      axes: [{ ...lines(), size: isLast ? AXIS_PX : 0, values: isLast ? instants : () => [], space: 90 }, { ...lines(), size: LEFT_PX, values: (_, ticks) => ticks.map(tickText) }],
       series: [{}, ...seriesOf(panel)],
       bands: panel.bands.map((band, position) => ({ series: [2 * position + 1, 2 * position + 2], fill: () => faded(band.tone, band.share) })),
       cursor: { drag: { x: true, y: false, setScale: false }, y: false, sync: { key, setSeries: false, filters: { pub: (kind) => kind === "mousemove" || kind === "mouseleave" } } },
@@ -110,9 +107,7 @@ export function stack({ label, panels: count, height, onRange, onSelect = onRang
     node,
     /**
      * Draw rows.
-     * @param {number[]} epochs s since 1970, ascending.
-     * @param {Panel[]} panels As many as there are hosts.
-     * @param {[number, number]} span
+     * @param {number[]} epochs s since 1970, ascending. @param {Panel[]} panels As many as there are hosts. @param {[number, number]} span
      */
     draw(epochs, panels, span) {
       range = span;
@@ -173,6 +168,12 @@ function drawLimits(plot, limits) {
     ctx.stroke();
   }
   ctx.restore();
+}
+
+/** Return a number with as many digits as it has. */
+function tickText(tick) {
+  const rounded = Number(tick.toPrecision(6));
+  return number(rounded, String(rounded).split(".")[1]?.length ?? 0);
 }
 
 /** Return texts of instants: as much of date and time as the distance of the ticks needs. */

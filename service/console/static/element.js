@@ -17,20 +17,14 @@ export function element(tag, attributes = {}, ...children) {
 
 /**
  * Return an element of SVG; its attributes are attributes.
- * @param {string} tag
- * @param {Object<string, any>} attributes
- * @param {...Child} children
+ * @param {string} tag @param {Object<string, any>} attributes @param {...Child} children
  * @returns {any}
  */
 export function svg(tag, attributes = {}, ...children) {
   return filled(document.createElementNS(SVG, tag), attributes, children);
 }
 
-/**
- * Replace the children of a node.
- * @param {Element} node
- * @param {...Child} children
- */
+/** Replace the children of a node. @param {Element} node @param {...Child} children */
 export function fill(node, ...children) {
   node.replaceChildren(...flat(children));
   return node;
@@ -38,8 +32,7 @@ export function fill(node, ...children) {
 
 /**
  * Set the text of a node where it is another: a reader of the screen hears changes only.
- * @param {Element} node
- * @param {string} text
+ * @param {Element} node @param {string} text
  */
 export function setText(node, text) {
   if (node.textContent !== text) node.textContent = text;
@@ -59,11 +52,7 @@ export function onFrame(draw) {
   };
 }
 
-/**
- * Draw at once, then each half second while the node is on the page.
- * @param {() => void} draw
- * @param {Element} node
- */
+/** Draw at once, then each half second while the node is on the page. @param {() => void} draw @param {Element} node */
 export function every(draw, node) {
   draw();
   const timer = setInterval(() => (node.isConnected ? draw() : clearInterval(timer)), 500);

@@ -48,8 +48,7 @@ export function createStore() {
     },
     /**
      * Call a listener with a part of the state whenever that is another object or value.
-     * @param {(state: State) => any} selector
-     * @param {(part: any) => void} listener
+     * @param {(state: State) => any} selector @param {(part: any) => void} listener
      * @returns {() => void} Ends it.
      */
     subscribe(selector, listener) {
@@ -63,8 +62,7 @@ export function createStore() {
     },
     /**
      * Call a listener with every event of a kind, none left out: measurement, attitude, torque, alarm, status, dropped …
-     * @param {string} kind
-     * @param {(content: any) => void} listener
+     * @param {string} kind @param {(content: any) => void} listener
      * @returns {() => void} Ends it.
      */
     on(kind, listener) {

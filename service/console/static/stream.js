@@ -20,8 +20,7 @@ const NUMBERED = ["measurement", "attitude", "torque", "alarm"];
 
 /**
  * Follow a spacecraft: fill the store and publish each event.
- * @param {any} store
- * @param {string} spacecraft
+ * @param {any} store @param {string} spacecraft
  * @returns {{close: () => void, refresh: () => Promise<void>}}
  */
 export function follow(store, spacecraft) {

@@ -13,10 +13,7 @@ let chosen = "en";
 let plural = new Intl.PluralRules("en");
 const formats = new Map();
 
-/**
- * Load the words of a language.
- * @param {string} language One of LANGUAGES.
- */
+/** Load the words of a language. @param {string} language One of LANGUAGES. */
 export async function loadWords(language) {
   const answer = await fetch(`words/${language}.json`);
   table = await answer.json();
@@ -33,8 +30,7 @@ export function language() {
 
 /**
  * Return the words of a key.
- * @param {string} key Levels divided by dots.
- * @param {Object<string, any>} values For `{name}`; `count` also chooses the plural.
+ * @param {string} key Levels divided by dots. @param {Object<string, any>} values For `{name}`; `count` also chooses the plural.
  * @returns {string} The key itself where there are none.
  */
 export function words(key, values = {}) {
@@ -47,9 +43,7 @@ export function words(key, values = {}) {
  * Return the words of a code of the service.
  * @param {string} group `reasons` or `inhibitions`, `states`, `statuses`, `commands`, `exclusions`, `flags`, `alarms`,
  *   `severities`, `units`, `advice`, `operations` or `problems`.
- * @param {string} code
- * @param {"name" | "next"} part What it means, or the next step.
- * @param {Object<string, any>} values
+ * @param {string} code @param {"name" | "next"} part What it means, or the next step. @param {Object<string, any>} values
  * @returns {string} A code that is not known stands for itself; its next step is empty.
  */
 export function meaning(group, code, part = "name", values = {}) {
@@ -57,11 +51,7 @@ export function meaning(group, code, part = "name", values = {}) {
   return found === undefined ? (part === "name" ? (code ?? MISSING) : "") : composed(found, values);
 }
 
-/**
- * Return a number.
- * @param {number | null | undefined} value
- * @param {number} digits Behind the point.
- */
+/** Return a number. @param {number | null | undefined} value @param {number} digits Behind the point. */
 export function number(value, digits = 2) {
   if (!Number.isFinite(value)) return MISSING;
   return format(`number ${digits}`, {
@@ -74,8 +64,7 @@ export function number(value, digits = 2) {
 
 /**
  * Return an instant in UTC.
- * @param {string | number | null | undefined} epoch ISO 8601, or milliseconds.
- * @param {"both" | "date" | "time" | "minute"} part
+ * @param {string | number | null | undefined} epoch ISO 8601, or milliseconds. @param {"both" | "date" | "time" | "minute"} part
  */
 export function utc(epoch, part = "both") {
   const instant = epoch === null || epoch === undefined ? NaN : new Date(epoch).getTime();
@@ -85,10 +74,7 @@ export function utc(epoch, part = "both") {
   return { both: `${date} ${time}`, date, time, minute: time.slice(0, 5) }[part];
 }
 
-/**
- * Return a length of time in its greatest unit, and the next one where that tells.
- * @param {number | null | undefined} seconds
- */
+/** Return a length of time in its greatest unit, and the next one where that tells. @param {number | null | undefined} seconds */
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return MISSING;
   const whole = Math.round(Math.abs(seconds));

@@ -104,12 +104,14 @@ def _values_of(view: ControlView | None, row: AttitudeRow | None, limits: Interl
     if view is not None:
         good = view.good_minutes
         found["good_minutes"] = ConditionValue(_GOOD_MINUTES, good.elapsed_s, good.needed_s)
+    # limits hold before the first row too
+    angle_deg = level_deg = math.nan
     if row is not None:
         fade_db = row.downlink_fade_db if row.downlink_fade_db > 0.0 or not row.downlink_fade else math.nan
         found["fade"] = found["downlink_fade"] = ConditionValue(MEASURES[Condition.FADE], fade_db)
-        angle, level_deg = MEASURES[Condition.HAND_OVER], greater_angle_deg(row.protection_deg)
-        found["beyond_validity"] = ConditionValue(angle, greater_angle_deg(row.attitude_deg), limits.validity_limit_deg)
-        found["protection_level"] = ConditionValue(_PROTECTION, level_deg, limits.alert_limit_deg)
+        angle_deg, level_deg = greater_angle_deg(row.attitude_deg), greater_angle_deg(row.protection_deg)
+    found["beyond_validity"] = ConditionValue(MEASURES[Condition.HAND_OVER], angle_deg, limits.validity_limit_deg)
+    found["protection_level"] = ConditionValue(_PROTECTION, level_deg, limits.alert_limit_deg)
     return found
 
 

@@ -61,8 +61,8 @@ def ground(ground: ReleaseGround) -> ReleaseGround:
     """Give the station after five minutes in which some carriers were absent."""
     minutes = np.arange(1, 6) * 60 * S
     power_dbm = PAYLOAD.power_dbm(ground.now_us + minutes, (0.0, 0.03, 0.0))
-    rows = [[None if k in ABSENT else float(value) for k, value in enumerate(each)] for each in power_dbm]
-    ground.send(ground.now_us + minutes, np.array(rows, dtype=object))
+    power_dbm[:, ABSENT] = np.nan
+    ground.send(ground.now_us + minutes, power_dbm)
     ground.now_us += int(minutes[-1])
     until(
         lambda: sum(each["is_active"] for each in ground.get("/alarms")["rows"]) >= len(ABSENT), "carriers are absent"
@@ -260,6 +260,12 @@ def test_entries_of_the_audit_log_are_filtered_and_their_chain_is_checked(page, 
     page.get_by_role("button", name="Show").click()
     expect(page.get_by_text("Nothing to show.")).to_be_visible()
     page.goto("/console/#/audit?target=/keys")
+    expect(page.locator("main tbody tr").first).to_contain_text("bootstrap")
+    for written, is_shown in (("2026-02-31", False), ("2000-01-01 12:00", True)):
+        page.get_by_label("From, UTC").fill(written)
+        page.get_by_role("button", name="Show").click()
+        assert ("start=2000-01-01T12" in page.url) == is_shown, "what is no day asks for nothing"
+    expect(page.get_by_label("From, UTC")).to_have_value("2000-01-01 12:00:00")
     expect(page.locator("main tbody tr").first).to_contain_text("bootstrap")
     expect(page.get_by_role("status").filter(has_text="the chain")).to_be_visible()
 

@@ -23,8 +23,7 @@ export function soon(act) {
 }
 
 /**
- * @param {string} path
- * @param {(rows: any[], answer: any) => any} draw Returns the node for all rows read so far.
+ * @param {string} path @param {(rows: any[], answer: any) => any} draw Returns the node for all rows read so far.
  * @returns {{node: Element, load: (params: Object<string, any>) => Promise<void>, reload: () => Promise<void>, redraw: () => void, close: () => void}}
  */
 export function newestFirst(path, draw) {

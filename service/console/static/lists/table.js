@@ -2,11 +2,7 @@
 
 import { element } from "../element.js";
 
-/**
- * @param {string} label For who does not see it.
- * @param {string[]} columns Headings.
- * @param {any[]} rows Rows of the body.
- */
+/** @param {string} label For who does not see it. @param {string[]} columns Headings. @param {any[]} rows Rows of the body. */
 export function table(label, columns, rows) {
   const headings = columns.map((each) => element("th", { scope: "col" }, each));
   return element("div", { class: "scroll", tabIndex: 0, role: "group", "aria-label": label },
@@ -25,9 +21,7 @@ export function row(first, ...cells) {
 
 /**
  * A chooser of one of some words.
- * @param {string} label
- * @param {[string, string][]} options Values and words.
- * @param {(value: string) => void} change
+ * @param {string} label @param {[string, string][]} options Values and words. @param {(value: string) => void} change
  * @param {string} chosen
  */
 export function choice(label, options, change, chosen = options[0][0]) {
@@ -40,11 +34,7 @@ export function choice(label, options, change, chosen = options[0][0]) {
   return element("span", { class: "chooser", role: "group", "aria-label": label }, buttons);
 }
 
-/**
- * A labelled field of a form.
- * @param {string} label
- * @param {any} input
- */
+/** A labelled field of a form. @param {string} label @param {any} input */
 export function field(label, input) {
   return element("label", { class: "labelled" }, element("span", {}, label), input);
 }

@@ -36,9 +36,7 @@ export function alarmSummary(store) {
       fill(said, refused && problemText(refused.reason));
       drawn = null;
     };
-    fill(
-      node,
-      symbol(worst ? SEVERITY_LEVEL[worst.severity] : isCut ? "off" : "normal"),
+    fill(node, symbol(worst ? SEVERITY_LEVEL[worst.severity] : isCut ? "off" : "normal"),
       element("a", { href: "#/alarms" }, worst ? words("app.alarms.open", { count: open.length, worst: meaning("alarms", worst.condition) }) : words(isCut ? "app.alarms.unknown" : "app.alarms.none")),
       mayOperate && waiting.length > 0 && element("button", { type: "button", onclick: acknowledge }, words("app.alarms.acknowledge", { count: waiting.length })),
       said,

@@ -5,9 +5,7 @@ import { LANGUAGES, language, words } from "../words.js";
 
 /** @param {(language: string) => void} change */
 export function languageChooser(change) {
-  return element(
-    "span",
-    { class: "chooser", role: "group", "aria-label": words("app.language") },
+  return element("span", { class: "chooser", role: "group", "aria-label": words("app.language") },
     LANGUAGES.map((each) =>
       element("button", { type: "button", lang: each, "aria-pressed": each === language(), onclick: () => change(each) }, each.toUpperCase()),
     ),

@@ -2,15 +2,12 @@
 
 import { AXES, address, post } from "../api.js";
 import { element } from "../element.js";
+import { instantInput, instantText } from "../lists/instant_input.js";
 import { meaning, number, utc, words } from "../words.js";
 import { pulsePlots } from "./steps.js";
 import { symbol } from "./symbol.js";
 
-/**
- * Return what a command is.
- * @param {any} command
- * @param {any} spacecraft
- */
+/** Return what a command is. @param {any} command @param {any} spacecraft */
 export function commandFacts(command, spacecraft) {
   const { predicted, schedule_check: check } = command;
   const impulse = axes(command.gross_impulse_n_m_s, 4, "unit.n_m_s");
@@ -52,8 +49,7 @@ function checks(all) {
 
 /**
  * Return a prepared command that waits for another person, with the forms of those who may do something.
- * @param {any} command
- * @param {any} context
+ * @param {any} command @param {any} context
  * @param {(act: () => Promise<any>, said: any) => Promise<boolean>} run Shows what comes of an order at `said`.
  */
 export function waitingCommand(command, { spacecraft, session }, run) {
@@ -71,19 +67,15 @@ export function waitingCommand(command, { spacecraft, session }, run) {
   };
   const isSecond = session.permissions.includes("approve") && session.name !== command.prepared_by;
   const mayCancel = session.permissions.includes("operate");
-  return element(
-    "section",
+  return element("section",
     { class: "card waiting", "data-command": command.id, "aria-label": words("views.control.waiting", { id: command.id }) },
     element("h2", {}, words("views.control.waiting", { id: command.id }), " ", command.simulated && element("strong", { class: "simulated" }, words("app.simulated"))),
     commandFacts(command, spacecraft),
     mayCancel && element("p", { class: "field" }, element("label", { htmlFor: "confirm-comment" }, words("views.control.comment")), comment),
     isSecond && element("p", {}, element("button", { type: "button", class: "primary", onclick: () => run(() => post(`${base}:confirm`, body()), said) }, words("views.control.confirmAs")), " ", element("bdi", {}, session.name)),
     mayCancel &&
-      element(
-        "form",
-        { class: "field", onsubmit: confirmByKey },
-        element("label", { htmlFor: "second-key" }, words("views.control.secondKey")),
-        key,
+      element("form", { class: "field", onsubmit: confirmByKey },
+        element("label", { htmlFor: "second-key" }, words("views.control.secondKey")), key,
         element("button", { type: "submit" }, words("views.control.confirmByKey")),
       ),
     mayCancel && element("p", { class: "detail" }, words("views.control.secondKeyExplained")),
@@ -94,59 +86,36 @@ export function waitingCommand(command, { spacecraft, session }, run) {
 
 /**
  * Return a released command whose report is owed.
- * @param {any} command
- * @param {any} context
- * @param {(act: () => Promise<any>, said: any) => Promise<boolean>} run
+ * @param {any} command @param {any} context @param {(act: () => Promise<any>, said: any) => Promise<boolean>} run
  */
 export function owedCommand(command, { spacecraft, session }, run) {
   const path = `/spacecraft/${spacecraft.id}/torques/${command.id}`;
   const said = element("div", { class: "said" });
-  const [from, until] = ["from", "until"].map((name) => element("input", { id: `executed-${name}`, autocomplete: "off", placeholder: utc(name === "from" ? command.start : command.stop), maxLength: 40 }));
-  const instant = (input) => (input.value.trim() ? `${input.value.trim().replace(" ", "T").replace(/Z$/, "")}Z` : null);
+  const [from, until] = ["from", "until"].map((name) => instantInput({ id: `executed-${name}`, placeholder: utc(name === "from" ? command.start : command.stop) }));
   const report = (word) => () =>
-    run(() => post(`${path}:${word}`, word === "sent" ? {} : { executed_from: instant(from), executed_until: instant(until) }), said);
+    run(() => post(`${path}:${word}`, word === "sent" ? {} : { executed_from: instantText(from), executed_until: instantText(until) }), said);
   const button = (word) => element("button", { type: "button", onclick: report(word) }, words(`views.control.report.${word}`));
-  return element(
-    "section",
+  return element("section",
     { class: "card owed", "data-command": command.id, "aria-label": words("views.control.owed", { id: command.id }) },
     element("h2", {}, words("views.control.owed", { id: command.id }), " ", meaning("commands", command.state)),
     element("p", {}, element("a", { href: address(`${path}/uplink`), download: `uplink-${spacecraft.id}-${command.id}.json` }, words("views.control.uplink"))),
     session.permissions.includes("operate") && [
-      element(
-        "div",
-        { class: "field" },
-        command.state === "RELEASED" && button("sent"),
-        button("executed"),
-        button("failed"),
-        element("label", { htmlFor: "executed-from" }, words("views.control.executedFrom")),
-        from,
-        element("label", { htmlFor: "executed-until" }, words("views.control.executedUntil")),
-        until,
+      element("div", { class: "field" }, command.state === "RELEASED" && button("sent"), button("executed"), button("failed"),
+        element("label", { htmlFor: "executed-from" }, words("views.control.executedFrom")), from,
+        element("label", { htmlFor: "executed-until" }, words("views.control.executedUntil")), until,
       ),
       element("p", { class: "detail" }, words("views.control.reportExplained")),
     ],
-    said,
-    commandFacts(command, spacecraft),
+    said, commandFacts(command, spacecraft),
   );
 }
 
-/**
- * Return the history of commands, newest first; a row opens its facts.
- * @param {any[]} commands
- * @param {any} spacecraft
- */
+/** Return the history of commands, newest first; a row opens its facts. @param {any[]} commands @param {any} spacecraft */
 export function commandHistory(commands, spacecraft) {
   const rows = [...commands].reverse().map((command) =>
-    element(
-      "details",
-      { "data-command": command.id, ontoggle: (event) => open(event.currentTarget, command, spacecraft) },
-      element(
-        "summary",
-        {},
-        `${command.id} · ${utc(command.prepared_at)} · ${meaning("commands", command.state)} · `,
-        element("bdi", {}, command.prepared_by),
-        command.confirmed_by && [" + ", element("bdi", {}, command.confirmed_by)],
-        " · ",
+    element("details", { "data-command": command.id, ontoggle: (event) => open(event.currentTarget, command, spacecraft) },
+      element("summary", {}, `${command.id} · ${utc(command.prepared_at)} · ${meaning("commands", command.state)} · `,
+        element("bdi", {}, command.prepared_by), command.confirmed_by && [" + ", element("bdi", {}, command.confirmed_by)], " · ",
         element("bdi", {}, command.reason),
       ),
     ),
@@ -157,4 +126,3 @@ export function commandHistory(commands, spacecraft) {
 function open(details, command, spacecraft) {
   if (details.open && details.childElementCount === 1) details.append(...commandFacts(command, spacecraft).flat());
 }
-

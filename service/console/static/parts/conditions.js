@@ -39,9 +39,7 @@ function rowOf(condition) {
   const state = met === null ? "unjudged" : met ? "met" : consequence;
   const next = met === false && meaning("reasons", code, "next");
   const relation = { greatest: "≤", least: "≥" }[bound] ?? "";
-  return element(
-    "tr",
-    { "data-code": code, "data-met": String(met) },
+  return element("tr", { "data-code": code, "data-met": String(met) },
     element("td", { class: "nowrap" }, symbol(met === false ? LEVELS[consequence] : met ? "normal" : "off"), " ", words(`views.control.met.${state}`)),
     element("th", { scope: "row" }, meaning("reasons", code), next && element("span", { class: "detail next" }, next)),
     element("td", { class: "figure" }, figure(value, unit)),

@@ -26,9 +26,7 @@ export function curvesOf(answer) {
 
 /**
  * Return samples of which the newest are replaced by a later answer on the same intervals: none is lost, none is twice.
- * @param {Curves} held
- * @param {Curves} later
- * @param {number} since s since 1970: begin of the later answer.
+ * @param {Curves} held @param {Curves} later @param {number} since s since 1970: begin of the later answer.
  */
 export function renewed(held, later, since) {
   const kept = held.epochs.filter((epoch) => epoch < since).length;
@@ -43,8 +41,7 @@ export function renewed(held, later, since) {
 
 /**
  * Return epochs with a row of nothing in each gap, so that no line crosses it, and the place of each in the samples.
- * @param {Curves} curves
- * @param {{start: string, stop: string}[]} gaps
+ * @param {Curves} curves @param {{start: string, stop: string}[]} gaps
  */
 function broken({ epochs, interval }, gaps) {
   const ends = gaps.map((gap) => [Date.parse(gap.start) / 1000, Date.parse(gap.stop) / 1000]);
@@ -67,8 +64,7 @@ function broken({ epochs, interval }, gaps) {
 
 /**
  * Return epochs and panels of the axes: lines with sigma and protection level where rows stand close, else their span.
- * @param {Curves} curves
- * @param {{gaps: any[], methods: string[], limits: {value: number, tone: string}[]}} given The driving method first.
+ * @param {Curves} curves @param {{gaps: any[], methods: string[], limits: {value: number, tone: string}[]}} given The driving method first.
  * @returns {{epochs: number[], places: number[], panels: import("../chart.js").Panel[]}}
  */
 export function panelsOf(curves, { gaps, methods, limits }) {
@@ -94,10 +90,7 @@ export function panelsOf(curves, { gaps, methods, limits }) {
       : [{ low: around(centre, sigma, -SIGMAS), high: around(centre, sigma, SIGMAS), tone: "quiet", share: 0.3 }];
     const lines = isWide
       ? []
-      : [
-          { name: other, values: angle(other, "avg"), tone: "interactive", isDashed: true },
-          { name: driving, values: centre, tone: "text" },
-        ];
+      : [{ name: other, values: angle(other, "avg"), tone: "interactive", isDashed: true }, { name: driving, values: centre, tone: "text" }];
     return { title: words(`app.axis.${axis}`), lines, bands: [...levels, ...near], limits };
   });
   return { epochs: rows, places, panels };
@@ -112,8 +105,7 @@ export function isEnvelope({ columns }) {
 
 /**
  * Return what the curves are, each with a piece of it.
- * @param {string[]} methods The driving one first.
- * @param {boolean} isWide
+ * @param {string[]} methods The driving one first. @param {boolean} isWide
  */
 export function legendOf(methods, isWide) {
   const [driving, other] = methods.map((method) => words(`views.history.method.${method}`));
@@ -125,9 +117,7 @@ export function legendOf(methods, isWide) {
 
 /**
  * Return what both methods say in one interval, as text.
- * @param {Curves} curves
- * @param {number} place Of the interval; a number behind the last stands for none.
- * @param {string[]} methods
+ * @param {Curves} curves @param {number} place Of the interval; a number behind the last stands for none. @param {string[]} methods
  */
 export function readingOf({ epochs, columns }, place, methods) {
   const said = AXES.map((axis) => {
@@ -146,9 +136,7 @@ function rangeText(column, place) {
 
 /**
  * Return the samples as a table, evenly chosen where there are more than `most`.
- * @param {Curves} curves
- * @param {string[]} methods
- * @param {number} most
+ * @param {Curves} curves @param {string[]} methods @param {number} most
  */
 export function curveTable(curves, methods, most) {
   const step = Math.max(1, Math.ceil(curves.epochs.length / most));
@@ -158,10 +146,7 @@ export function curveTable(curves, methods, most) {
   const rows = places.map((place) =>
     element("tr", {}, element("th", { scope: "row" }, utc(curves.epochs[place] * 1000)), kinds.map(([method, axis]) => element("td", {}, rangeText(curves.columns.get(`${method} ${axis}_deg`), place)))),
   );
-  return element(
-    "table",
-    {},
-    element("caption", {}, words("views.history.figures")),
+  return element("table", {}, element("caption", {}, words("views.history.figures")),
     element("thead", {}, element("tr", {}, element("th", { scope: "col" }, words("views.history.column.start")), head)),
     element("tbody", {}, rows),
   );

@@ -30,10 +30,7 @@ const [SLOPE_BINS, SLOPE_ROWS] = [60, 15];
  * @property {number} age s
  */
 
-/**
- * Return the gauge of an axis.
- * @param {string} axis
- */
+/** Return the gauge of an axis. @param {string} axis */
 export function gauge(axis) {
   const [low, high] = [svg("rect", { class: "beyond", y: 18, height: 40 }), svg("rect", { class: "beyond", y: 18, height: 40 })];
   const sigma = svg("rect", { class: "sigma", y: 30, height: 16 });
@@ -42,18 +39,8 @@ export function gauge(axis) {
   const other = svg("path", { class: "other" });
   const labels = [-1, 0, 1].map(() => svg("text", { y: 94 }));
   const ticks = svg("path", { class: "ticks" });
-  const scale = svg(
-    "svg",
-    { class: "scale", viewBox: `0 0 ${WIDTH} 98`, role: "img" },
-    svg("defs", {}, hatch(axis)),
-    [low, high],
-    svg("path", { class: "line", d: `M${WIDTH / 2 - HALF} 38h${2 * HALF}` }),
-    ticks,
-    sigma,
-    levels,
-    other,
-    needle,
-    labels,
+  const scale = svg("svg", { class: "scale", viewBox: `0 0 ${WIDTH} 98`, role: "img" }, svg("defs", {}, hatch(axis)), [low, high],
+    svg("path", { class: "line", d: `M${WIDTH / 2 - HALF} 38h${2 * HALF}` }), ticks, sigma, levels, other, needle, labels,
     svg("rect", { class: "stale", width: WIDTH, height: 98, fill: `url(#hatch-${axis})` }),
   );
   const hour = lastHour();
@@ -66,20 +53,11 @@ export function gauge(axis) {
   const otherText = element("dd", {});
   const age = element("p", { class: "age" });
   const entry = (name, node) => element("div", {}, element("dt", {}, words(`views.now.${name}`)), node);
-  const facts = element(
-    "dl",
-    {},
+  const facts = element("dl", {},
     [entry("rate", rate), entry("toLimit", toLimit), entry("sigma", sigmaText), entry("protection", protection), entry("otherMethod", otherText)],
   );
-  const node = element(
-    "section",
-    { class: "gauge", "aria-label": words(`app.axis.${axis}`) },
-    element("h2", {}, words(`app.axis.${axis}`)),
-    element("p", { class: "reading" }, value, " ", unit),
-    age,
-    scale,
-    facts,
-    hour.node,
+  const node = element("section", { class: "gauge", "aria-label": words(`app.axis.${axis}`) }, element("h2", {}, words(`app.axis.${axis}`)),
+    element("p", { class: "reading" }, value, " ", unit), age, scale, facts, hour.node,
   );
 
   /** @param {AxisState} state */
@@ -151,9 +129,10 @@ function lastHour() {
   const bins = new Map();
   const curve = svg("path", { class: "curve" });
   const limits = svg("path", { class: "limit" });
-  const top = svg("text", { x: 2, y: 10 });
-  const bottom = svg("text", { x: 2, y: 156 });
-  const node = svg("svg", { class: "hour", viewBox: `0 0 ${WIDTH} 160`, role: "img", "aria-label": words("views.now.lastHour") }, limits, curve, top, bottom);
+  const [top, bottom, title] = ["top", "bottom", "title"].map((name) => element("span", { class: name }));
+  // the plot takes what room there is; its texts keep their size
+  const plot = svg("svg", { viewBox: `0 0 ${WIDTH} 160`, preserveAspectRatio: "none" }, limits, curve);
+  const node = element("div", { class: "hour", role: "img", "aria-label": words("views.now.lastHour") }, plot, top, bottom, title);
   let newest = 0;
 
   /** Forget all rows, and the newest bin too: an archive that was set back begins before it. */
@@ -184,6 +163,7 @@ function lastHour() {
     curve.setAttribute("d", path.join(""));
     const inSight = [-1, 1].map((sign) => sign * (limit ?? NaN)).filter((angle) => Math.abs(angle - middle) < half);
     limits.setAttribute("d", inSight.map((angle) => `M0 ${y(angle)}H${WIDTH}`).join(""));
+    setText(title, words(angles.length ? "views.now.lastHour" : "views.now.emptyHour"));
     setText(top, angles.length ? number(middle + half, 3) : "");
     setText(bottom, angles.length ? number(middle - half, 3) : "");
   }

@@ -18,23 +18,12 @@ export function header({ store, stop, views, chooseSpacecraft, changeLanguage, c
   const options = fleet.map((each) => element("option", { value: each.id, selected: each.id === spacecraft?.id }, each.name ? `${each.id} · ${each.name}` : each.id));
   const chooser = element("select", { "aria-label": words("app.spacecraft"), onchange: () => chooseSpacecraft(chooser.value) }, options);
   const person = element("span", { class: "person", title: words(`app.role.${session.role}`) }, session.name);
-  const bar = element(
-    "div",
-    { class: "bar" },
-    chooser,
-    spacecraft?.simulated && element("strong", { class: "simulated" }, words("app.simulated")),
-    clock(store),
-    linkState(store),
-    alarmSummary(store),
-    element("span", { class: "space" }),
-    stop.button,
+  const bar = element("div", { class: "bar" }, chooser,
+    spacecraft?.simulated && element("strong", { class: "simulated" }, words("app.simulated")), clock(store), linkState(store),
+    alarmSummary(store), element("span", { class: "space" }), stop.button,
   );
-  const account = element(
-    "div",
-    { class: "account" },
-    person,
-    element("button", { type: "button", onclick: signOut }, words("app.signOut")),
-    languageChooser(changeLanguage),
+  const account = element("div", { class: "account" }, person,
+    element("button", { type: "button", onclick: signOut }, words("app.signOut")), languageChooser(changeLanguage),
     themeChooser(changeTheme),
   );
   const links = views.map(({ name }) =>

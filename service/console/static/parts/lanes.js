@@ -23,8 +23,7 @@ const MOST_TEXTS = 8;
 
 /**
  * Return the lanes of a timeline, items in order of start.
- * @param {any} timeline Answer of `GET …/timeline`.
- * @param {string} method Whose states are shown.
+ * @param {any} timeline Answer of `GET …/timeline`. @param {string} method Whose states are shown.
  * @param {number} present s since 1970: what has not ended lasts until then.
  * @returns {{name: string, items: Item[]}[]}
  */
@@ -58,8 +57,7 @@ export function lanesOf(timeline, method, present) {
 
 /**
  * Return the drawing of lanes on a span.
- * @param {{name: string, items: Item[]}[]} lanes
- * @param {[number, number]} span s since 1970.
+ * @param {{name: string, items: Item[]}[]} lanes @param {[number, number]} span s since 1970.
  * @param {number} width Of the panels above, px.
  */
 export function drawnLanes(lanes, span, width) {
@@ -77,8 +75,7 @@ function drawnLane(name, items, [start, stop], width) {
     texts: [textOf(each)],
   })));
   const label = words(`views.history.lane.${name}`);
-  const drawing = svg(
-    "svg",
+  const drawing = svg("svg",
     { class: "lane", role: "img", width: wide, height: HEIGHT_PX, "aria-label": words("views.history.laneSummary", { lane: label, count: inside.length }) },
     bars.map((bar) =>
       svg("rect", { class: bar.level, x: bar.left, y: 2, width: Math.max(bar.right - bar.left, 1), height: HEIGHT_PX - 4 }, svg("title", {}, bar.texts.join("\n"))),
@@ -108,9 +105,7 @@ export function textOf({ start, stop, text }) {
 
 /**
  * Return the items of lanes as a table.
- * @param {{name: string, items: Item[]}[]} lanes
- * @param {[number, number]} span
- * @param {number} most Rows.
+ * @param {{name: string, items: Item[]}[]} lanes @param {[number, number]} span @param {number} most Rows.
  */
 export function laneTable(lanes, [start, stop], most) {
   const all = lanes.flatMap(({ name, items }) => items.filter((each) => each.stop >= start && each.start <= stop).map((each) => ({ name, ...each })));

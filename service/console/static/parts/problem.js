@@ -4,10 +4,7 @@ import { element } from "../element.js";
 import { meaning, number, words } from "../words.js";
 import { symbol } from "./symbol.js";
 
-/**
- * Return what a problem says, as one line of words.
- * @param {any} problem
- */
+/** Return what a problem says, as one line of words. @param {any} problem */
 export function problemText(problem) {
   // without a status the page itself has met it
   const group = problem.status === 0 ? "faults" : "problems";
@@ -18,10 +15,7 @@ export function problemText(problem) {
   return [name, next, wait].filter(Boolean).join(" ");
 }
 
-/**
- * Return a problem to be shown where the answer would stand.
- * @param {any} problem
- */
+/** Return a problem to be shown where the answer would stand. @param {any} problem */
 export function failure(problem) {
   const detail = problem.detail && element("p", { class: "detail", lang: "en" }, problem.detail);
   return element("div", { class: "failure", role: "alert" }, symbol("critical"), element("div", {}, element("p", {}, problemText(problem)), detail));

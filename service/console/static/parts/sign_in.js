@@ -26,12 +26,8 @@ export function signIn({ open, problem, changeLanguage, changeTheme }) {
       button.disabled = false;
     }
   };
-  return element(
-    "main",
-    { class: "sign-in" },
-    element("h1", {}, words("app.signIn.title")),
-    element("form", { onsubmit: submit }, element("label", { htmlFor: "key" }, words("app.signIn.key")), key, button),
-    said,
+  return element("main", { class: "sign-in" }, element("h1", {}, words("app.signIn.title")),
+    element("form", { onsubmit: submit }, element("label", { htmlFor: "key" }, words("app.signIn.key")), key, button), said,
     element("p", { class: "detail" }, words("app.signIn.explanation")),
     element("p", { class: "choosers" }, languageChooser(changeLanguage), themeChooser(changeTheme)),
   );

@@ -32,17 +32,12 @@ const HEIGHT = 30;
 /** Middles of the states. */
 const PLACES = { TRIPPED: [70, 90], INHIBITED: [235, 90], ARMED: [400, 90], ENGAGED: [400, 20], RECOVERY: [400, 160] };
 
-/**
- * Return the diagram, and what leads out of the present state in words.
- * @param {string} state
- */
+/** Return the diagram, and what leads out of the present state in words. @param {string} state */
 export function stateDiagram(state) {
   const pairs = [...new Set(WAYS.map(([from, , to]) => `${from} ${to}`))].map((pair) => pair.split(" "));
   const lines = pairs.map(([from, to]) => arrow(from, to, from === state));
   const nodes = Object.entries(PLACES).map(([name, [x, y]]) =>
-    svg(
-      "g",
-      { class: name === state ? "state present" : "state" },
+    svg("g", { class: name === state ? "state present" : "state" },
       svg("rect", { x: x - WIDTH / 2, y: y - HEIGHT / 2, width: WIDTH, height: HEIGHT, rx: 4 }),
       svg("text", { x, y: y + 4, "text-anchor": "middle" }, name),
     ),

@@ -12,9 +12,7 @@ const POINTS = 240;
 
 /**
  * Return the change of the angles of a rigid body that pulses bring about.
- * @param {any[]} schedule
- * @param {number[][]} inertia kg m², x roll, y pitch, z yaw.
- * @param {number} at Milliseconds.
+ * @param {any[]} schedule @param {number[][]} inertia kg m², x roll, y pitch, z yaw. @param {number} at Milliseconds.
  * @returns {number[]} deg: roll, pitch, yaw.
  */
 export function anglesAt(schedule, inertia, at) {
@@ -29,11 +27,7 @@ export function anglesAt(schedule, inertia, at) {
   return inverse.map((row) => (row.reduce((sum, each, index) => sum + each * twice[index], 0) * 180) / Math.PI);
 }
 
-/**
- * Return both plots; the axis of time is shared.
- * @param {any} command
- * @param {number[][] | null} inertia
- */
+/** Return both plots; the axis of time is shared. @param {any} command @param {number[][] | null} inertia */
 export function pulsePlots(command, inertia) {
   const { schedule } = command;
   const instants = [command.start, command.stop, ...schedule.map(({ start }) => start)];
@@ -44,12 +38,9 @@ export function pulsePlots(command, inertia) {
   const times = Array.from({ length: POINTS + 1 }, (_, index) => span[0] + ((span[1] - span[0]) * index) / POINTS);
   const angles = inertia && times.map((time) => anglesAt(schedule, inertia, time));
   const lines = angles && AXES.map((_, axis) => times.map((time, index) => [time, angles[index][axis]]));
-  return element(
-    "figure",
-    { class: "pulses" },
+  return element("figure", { class: "pulses" },
     element("figcaption", {}, AXES.map((axis) => element("span", { class: `line-${axis}` }, words(`app.axis.${axis}`)))),
-    plot(torques, span, words("views.control.torque"), 4),
-    lines && plot(lines, span, words("views.control.angle"), 3),
+    plot(torques, span, words("views.control.torque"), 4), lines && plot(lines, span, words("views.control.angle"), 3),
   );
 }
 

@@ -13,21 +13,12 @@ const SHAPES = {
 };
 
 /** Levels of the severities of alarms. */
-export const SEVERITY_LEVEL = {
-  severe: "critical",
-  critical: "critical",
-  distress: "serious",
-  warning: "caution",
-  watch: "standby",
-};
+export const SEVERITY_LEVEL = { severe: "critical", critical: "critical", distress: "serious", warning: "caution", watch: "standby" };
 
 /** From worst to best. */
 export const LEVELS = Object.keys(SHAPES);
 
-/**
- * Return the symbol of a level; the word stands beside it.
- * @param {string} level One of LEVELS.
- */
+/** Return the symbol of a level; the word stands beside it. @param {string} level One of LEVELS. */
 export function symbol(level) {
   const shape = svg("path", { d: SHAPES[level] ?? SHAPES.off, "fill-rule": "evenodd" });
   return svg("svg", { class: `symbol ${level}`, viewBox: "0 0 16 16", "aria-hidden": "true" }, shape);

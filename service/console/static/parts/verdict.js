@@ -9,8 +9,7 @@ const UNITS = { deg: ["deg", 2], dB: ["db", 1], "%": ["percent", 0] };
 
 /**
  * Return the sentence.
- * @param {any} status Answer of `GET …/status`.
- * @param {any} row Newest row of the method that drives control.
+ * @param {any} status Answer of `GET …/status`. @param {any} row Newest row of the method that drives control.
  * @param {any} control Answer of `GET …/control`, null: not there yet.
  */
 export function sentence(status, row, control) {
@@ -46,5 +45,6 @@ function reasonText(reason, conditions, row) {
   const ofLimit = Number.isFinite(limit) && words("views.now.ofAlert", { alert: number(limit, digits) });
   const size = Number.isFinite(value) && unit && [number(value, digits), ofLimit, words(`app.unit.${unit}`)].filter(Boolean).join(" ");
   const since = reason.since ?? condition?.since;
-  return [meaning("reasons", reason.code), size, since && words("views.now.since", { at: utc(since, "minute") })].filter(Boolean).join(" ");
+  const name = meaning("reasons", reason.code);
+  return [ofLimit && size ? `${name},` : name, size, since && words("views.now.since", { at: utc(since, "minute") })].filter(Boolean).join(" ");
 }

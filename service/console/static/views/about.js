@@ -12,10 +12,7 @@ export function show({ store }) {
   const ending = new AbortController();
   const body = element("div", {}, element("p", { class: "notice" }, words("views.about.loading")));
   load();
-  return {
-    node: element("section", { class: "about", "aria-label": words("views.about.title") }, body),
-    close: () => ending.abort(),
-  };
+  return { node: element("section", { class: "about", "aria-label": words("views.about.title") }, body), close: () => ending.abort() };
 
   async function load() {
     try {
@@ -32,14 +29,9 @@ function contents(about, offsetMs) {
   const set = settings.filter(({ source }) => source !== "default");
   return [
     element("h1", {}, words("views.about.heading", { version: about.version })),
-    element(
-      "dl",
-      {},
-      fact("version", about.version),
-      fact("python", about.python),
-      fact("now", `${utc(clock.now)} UTC`),
+    element("dl", {}, fact("version", about.version), fact("python", about.python), fact("now", `${utc(clock.now)} UTC`),
       fact("clock", words(`views.about.clocks.${clock.kind}`)),
-      fact("offset", words(offsetMs >= 0 ? "views.about.behind" : "views.about.ahead", { time: duration(offsetMs / 1000) })),
+      fact("offset", words(Math.abs(offsetMs) < 2000 ? "views.about.equal" : offsetMs > 0 ? "views.about.behind" : "views.about.ahead", { time: duration(offsetMs / 1000) })),
     ),
     element("h2", {}, words("views.about.settings")),
     element("p", { class: "detail" }, words("views.about.settingsNote", { count: set.length })),
@@ -66,9 +58,7 @@ function table(label, columns, rows) {
   const lines = rows.map((row) =>
     element("tr", { class: row.class }, row.cells.map((text, k) => (k === 0 ? element("th", { scope: "row" }, text) : element("td", { lang: columns[k] === "meaning" ? "en" : null }, element("bdi", {}, text))))),
   );
-  return element(
-    "div",
-    { class: "scroll", tabIndex: 0, role: "region", "aria-label": words(`views.about.${label}`) },
+  return element("div", { class: "scroll", tabIndex: 0, role: "region", "aria-label": words(`views.about.${label}`) },
     element("table", {}, element("thead", {}, element("tr", {}, heads)), element("tbody", {}, lines)),
   );
 }

@@ -3,6 +3,7 @@
 import { Problem, address, get, remove } from "../api.js";
 import { element, fill } from "../element.js";
 import { ask } from "../lists/dialog.js";
+import { dayInput, instantMs, writeInstant } from "../lists/instant_input.js";
 import { newestFirst, soon } from "../lists/newest_first.js";
 import { field, foreign, row, table } from "../lists/table.js";
 import { failure } from "../parts/problem.js";
@@ -40,7 +41,7 @@ export function show({ store, spacecraft, session, parameters, rewrite }) {
   let asking = new AbortController();
   const replays = newestFirst(`${base}/replays`, (rows) => listed("replays", rows.map(replayOf)));
   const inputs = {
-    ...Object.fromEntries(["first", "last"].map((key) => [key, element("input", { type: "date", required: true, min: EARLIEST_DAY, max: LATEST_DAY })])),
+    ...Object.fromEntries(["first", "last"].map((key) => [key, dayInput({ required: true })])),
     series: element("select", {}, optionsOf(Object.keys(FORMATS), "series", parameters.get("series"))),
     format: element("select"),
     method: element("select", {}, optionsOf(METHODS, "method", parameters.get("method"))),
@@ -53,15 +54,15 @@ export function show({ store, spacecraft, session, parameters, rewrite }) {
     inputs.method.disabled = series !== "attitude";
     inputs.version.disabled = !OF_REPLAYS.includes(series);
   }
-  const span = () => ({ start: iso(Date.parse(inputs.first.value)), stop: iso(Date.parse(inputs.last.value) + DAY_MS) });
+  const span = () => ({ start: iso(instantMs(inputs.first)), stop: iso(instantMs(inputs.last) + DAY_MS) });
   const versionOf = (series) => (OF_REPLAYS.includes(series) && inputs.version.value.trim()) || null;
   /** Parameters of the files of a series, those that it does not have left out. */
   const fileOf = (series, format, method) => ({ format, method: series === "attitude" ? method : null, version: versionOf(series), ...span() });
   const wanted = () => fileOf(inputs.series.value, inputs.format.value, inputs.method.value);
 
   function choose([start, stop]) {
-    inputs.first.value = utc(start, "date");
-    inputs.last.value = utc(stop - DAY_MS, "date");
+    writeInstant(inputs.first, start);
+    writeInstant(inputs.last, stop - DAY_MS);
     load();
   }
 

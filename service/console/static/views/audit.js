@@ -2,6 +2,7 @@
 
 import { element, fill } from "../element.js";
 import { canCheck, misfits } from "../lists/audit_chain.js";
+import { instantInput, instantMs, instantText } from "../lists/instant_input.js";
 import { newestFirst } from "../lists/newest_first.js";
 import { symbol } from "../parts/symbol.js";
 import { field, foreign, row, table } from "../lists/table.js";
@@ -12,6 +13,7 @@ export const name = "audit";
 const ROLES = ["", "viewer", "station", "operator", "approver", "admin"];
 const COLUMNS = ["number", "at", "who", "action", "target", "outcome", "address", "chain"];
 const HASH_SHOWN = 12;
+const ENDS = ["start", "stop"];
 
 /** @param {{parameters: URLSearchParams, go: (view: string, parameters: Object<string, string>) => void}} context */
 export function show({ parameters, go }) {
@@ -42,10 +44,9 @@ export function show({ parameters, go }) {
     action: element("input", { maxLength: 200, value: parameters.get("action") ?? "" }),
     outcome: element("input", { maxLength: 200, value: parameters.get("outcome") ?? "" }),
     target: element("input", { maxLength: 200, value: parameters.get("target") ?? "" }),
-    start: element("input", { maxLength: 40, placeholder: words("views.audit.epoch"), value: parameters.get("start") ?? "" }),
-    stop: element("input", { maxLength: 40, placeholder: words("views.audit.epoch"), value: parameters.get("stop") ?? "" }),
+    ...Object.fromEntries(ENDS.map((end) => [end, instantInput({ value: (parameters.get(end) ?? "").slice(0, 19).replace("T", " ") })])),
   };
-  const given = () => Object.fromEntries(Object.entries(inputs).map(([key, input]) => [key, input.value.trim()]).filter(([, value]) => value));
+  const given = () => Object.fromEntries(Object.entries(inputs).map(([key, input]) => [key, ENDS.includes(key) && Number.isFinite(instantMs(input)) ? instantText(input) : input.value.trim()]).filter(([, value]) => value));
   const filter = element("form", { class: "tools", onsubmit: (event) => (event.preventDefault(), go("audit", given())) },
     Object.entries(inputs).map(([key, input]) => field(words(`views.audit.filter.${key}`), input)),
     element("button", { type: "submit", class: "primary" }, words("views.audit.apply")));

@@ -3,6 +3,7 @@
 import { get, post } from "../api.js";
 import { element, fill } from "../element.js";
 import { ask } from "../lists/dialog.js";
+import { instantInput, instantMs, instantText } from "../lists/instant_input.js";
 import { choice, field, foreign, row, table } from "../lists/table.js";
 import { symbol } from "../parts/symbol.js";
 import { duration, number, utc, words } from "../words.js";
@@ -147,7 +148,7 @@ function alignment({ path, plot, mayOperate, mayApprove }) {
   let isManual = false;
 
   const reason = element("input", { maxLength: REASON_LENGTH, autocomplete: "off" });
-  const epoch = element("input", { type: "datetime-local", step: 1, max: "9999-12-31T23:59:59", required: true });
+  const epoch = instantInput({ required: true });
   const angle = (options) => element("input", { type: "number", step: "any", max: MOST_DEG, required: true, ...options });
   const angles = Object.fromEntries(AXES.map((axis) => [axis, angle({ min: -MOST_DEG })]));
   const sigmas = Object.fromEntries(AXES.map((axis) => [axis, angle({ min: 1e-6 })]));
@@ -164,7 +165,7 @@ function alignment({ path, plot, mayOperate, mayApprove }) {
     const override = reason.value.trim() ? { override_reason: reason.value.trim() } : {};
     if (!isManual) return { ...plot.windowOf("alignment"), sources: plot.sources(), ...override };
     const numbers = (inputs, suffix) => Object.fromEntries(AXES.map((axis) => [`${axis}${suffix}`, Number(inputs[axis].value)]));
-    return { source: "manual", epoch: new Date(`${epoch.value}Z`).toISOString(), ...numbers(angles, "_deg"), sigma_deg: numbers(sigmas, ""), ...override };
+    return { source: "manual", epoch: instantText(epoch), ...numbers(angles, "_deg"), sigma_deg: numbers(sigmas, ""), ...override };
   }
 
   /** Say what it will do, and do it when that is confirmed. */
@@ -233,7 +234,7 @@ function selection(path) {
   const rule = chooser(w("selection.rule"), RULES, "rule");
   const turns = chooser(w("selection.turns"), TURNS, "turnKind");
   const count = element("input", { type: "number", min: 5, max: 1000, step: 1 });
-  const start = element("input", { type: "datetime-local", step: 60, max: "9999-12-31T23:59" });
+  const start = instantInput();
   const button = element("button", { type: "submit" }, w("selection.button"));
 
   async function load(event) {
@@ -242,7 +243,7 @@ function selection(path) {
     fill(said);
     try {
       const answer = await get(`${path}/carrier-selection`, { rule: rule.value, turns: turns.value, count: count.value || null }, { signal: ending.signal });
-      fill(found, drawn(answer, start.value ? Date.parse(`${start.value}Z`) : null));
+      fill(found, drawn(answer, start.value ? instantMs(start) : null));
     } catch (error) {
       if (ending.signal.aborted) return;
       fill(found);

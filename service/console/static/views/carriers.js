@@ -44,13 +44,9 @@ function everyCarrier({ spacecraft, parameters, go }) {
   const buttons = FORMS.map((each) =>
     element("button", { type: "button", "aria-pressed": each === form, onclick: () => go(name, { form: each }) }, words(`views.carriers.form.${each}`)),
   );
-  const node = element(
-    "div",
-    { class: "every" },
-    element("div", { role: "status" }, element("h1", { class: "verdict" }, mark, sentence)),
+  const node = element("div", { class: "every" }, element("div", { role: "status" }, element("h1", { class: "verdict" }, mark, sentence)),
     element("div", { class: "chooser", role: "group", "aria-label": words("views.carriers.form.title") }, buttons),
-    element("div", { class: "sides" }, part.node, map),
-    notice,
+    element("div", { class: "sides" }, part.node, map), notice,
   );
   let shownPlan = null;
   let shownMap = "";
@@ -69,8 +65,7 @@ function everyCarrier({ spacecraft, parameters, go }) {
       const key = JSON.stringify([carriers.plan?.plan_id, carriers.calibration?.id, listed.map(({ id }) => levelOf(id))]);
       if (key === shownMap) return;
       shownMap = key;
-      fill(
-        map,
+      fill(map,
         listed.length > 0 && carrierMap({ longitudeDeg: spacecraft.longitude_deg, carriers: listed, calibration: carriers.calibration, levelOf }),
         element("figcaption", { class: "detail" }, words(`views.carriers.map.${carriers.calibration ? "arrows" : "noArrows"}`)),
       );

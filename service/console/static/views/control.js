@@ -2,6 +2,7 @@
 
 import { AXES, Problem, get, post } from "../api.js";
 import { element, fill, onFrame } from "../element.js";
+import { instantInput, instantText } from "../lists/instant_input.js";
 import { commandFacts, commandHistory, owedCommand, waitingCommand } from "../parts/command.js";
 import { conditions } from "../parts/conditions.js";
 import { failure } from "../parts/problem.js";
@@ -82,7 +83,9 @@ export function show({ store, spacecraft, session }) {
     const worst = control.conditions.find(({ met, consequence }) => met === false && consequence !== "yaw");
     const why = allowed || !worst ? meaning("states", control.state) : `${meaning("reasons", worst.code)}; ${meaning("reasons", worst.code, "next")}`;
     fill(verdict, element("h1", {}, symbol(allowed ? "normal" : "critical"), " ", words(allowed ? "views.control.allowed" : "views.control.forbidden"), " – ", why));
-    if (control.since) verdict.append(element("p", { class: "detail" }, words("views.control.sinceState", { at: utc(control.since), count: reasons.length })));
+    const others = reasons.filter(({ code }) => code !== worst?.code).map(({ code }) => meaning("reasons", code));
+    const since = control.since && words("views.control.sinceState", { at: utc(control.since) });
+    verdict.append(element("p", { class: "detail" }, [since, ...others].filter(Boolean).join("; ")));
     fill(diagram, stateDiagram(control.state));
     const wasOpen = table.querySelector("details")?.open;
     fill(table, conditions(control));
@@ -106,9 +109,7 @@ export function show({ store, spacecraft, session }) {
   }
 
   const lost = element("div");
-  const node = element(
-    "section",
-    { class: "control-view", "aria-label": words("views.control.title") },
+  const node = element("section", { class: "control-view", "aria-label": words("views.control.title") },
     element("div", { class: "control-state" }, element("div", { role: "status" }, verdict), lost, said, commands, may("operate") && orders(path, may, run, said), may("operate") && prepareForm(path, spacecraft, run), standing),
     element("div", { class: "control-conditions" }, diagram, element("h2", {}, words("views.control.conditions")), table),
     element("div", { class: "control-history" }, history),
@@ -143,7 +144,7 @@ function standingFacts(control) {
     control.authorised_by.length > 0 && ["authorised", [control.authorised_by.map((each, index) => [index ? " + " : "", element("bdi", {}, each)]), ` – ${utc(control.authorised_until)}`]],
     ["envelope", words("views.control.envelope", { angle: number(envelope.angle_change_deg, 3), rate: number(envelope.rate_change_deg_s, 5), impulse: number(envelope.impulse_n_m_s, 3), hour: number(envelope.impulse_an_hour_n_m_s, 3) })],
     ["sent", AXES.map((axis) => `${words(`app.axis.${axis}`)} ${number(sent?.[axis], 4)}`).join(", ")],
-    ["proven", control.proven_axes.map((axis) => words(`app.axis.${axis}`)).join(", ") || "–"],
+    ["proven", control.proven_axes.map((axis) => words(`app.axis.${axis}`)).join(", ") || words("views.control.noAxis")],
     check && ["signCheck", [words("views.control.signCheck", { axis: words(`app.axis.${check.axis}`), state: words(`views.control.signState.${check.state}`), done: check.legs_done, legs: check.legs, until: utc(check.until) }), check.detail && element("span", { class: "detail", lang: "en" }, ` ${check.detail}`)]],
   ].filter(Boolean);
   return element("dl", { class: "facts" }, facts.map(([key, value]) => [element("dt", {}, words(`views.control.fact.${key}`)), element("dd", {}, value)]));
@@ -168,9 +169,7 @@ function orders(path, may, run, said) {
     };
     await run(act, said);
   };
-  return element(
-    "section",
-    { class: "card orders", "aria-label": words("views.control.orders") },
+  return element("section", { class: "card orders", "aria-label": words("views.control.orders") },
     element("p", { class: "field" }, element("label", { htmlFor: "order-comment" }, words("views.control.comment")), comment),
     element("p", { class: "field" }, button("arm", order("arm")), button("disengage", order("disengage")), button("reset", order("reset"))),
     element("p", { class: "field" }, element("label", { htmlFor: "sign-axis" }, words("views.control.signAxis")), axis, button("signCheck", order("sign-check", () => ({ axis: axis.value })))),
@@ -182,12 +181,12 @@ function prepareForm(path, spacecraft, run) {
   const said = element("div", { class: "said" });
   const shown = element("div");
   const reason = element("input", { id: "prepare-reason", required: true, maxLength: 1000, autocomplete: "off" });
-  const start = element("input", { id: "prepare-start", maxLength: 40, autocomplete: "off" });
+  const start = instantInput({ id: "prepare-start" });
   const length = element("input", { id: "prepare-length", type: "number", min: 1, max: 86400, step: "any" });
   const torque = element("input", { id: "prepare-torque", type: "number", min: 0, max: 1000, step: "any" });
   const body = (isDry) => ({
     reason: reason.value,
-    start: start.value.trim() ? `${start.value.trim().replace(" ", "T").replace(/Z$/, "")}Z` : null,
+    start: instantText(start),
     duration_s: length.value ? Number(length.value) : null,
     max_torque_n_m: torque.value ? Number(torque.value) : null,
     dry_run: isDry,
@@ -204,18 +203,9 @@ function prepareForm(path, spacecraft, run) {
     await run(act, said);
   };
   const field = (key, input) => element("p", { class: "field" }, element("label", { htmlFor: input.id }, words(`views.control.${key}`)), input);
-  return element(
-    "form",
-    { class: "card prepare", "aria-label": words("views.control.prepare"), onsubmit: submit },
-    element("h2", {}, words("views.control.prepare")),
-    field("reasonOfCommand", reason),
-    field("start", start),
-    field("length", length),
-    field("greatest", torque),
-    element("button", { type: "submit", value: "dry" }, words("views.control.lookFirst")),
-    " ",
-    element("button", { type: "submit", value: "prepare", class: "primary" }, words("views.control.prepareButton")),
-    said,
-    shown,
+  return element("form", { class: "card prepare", "aria-label": words("views.control.prepare"), onsubmit: submit },
+    element("h2", {}, words("views.control.prepare")), field("reasonOfCommand", reason), field("start", start), field("length", length),
+    field("greatest", torque), element("button", { type: "submit", value: "dry" }, words("views.control.lookFirst")), " ",
+    element("button", { type: "submit", value: "prepare", class: "primary" }, words("views.control.prepareButton")), said, shown,
   );
 }

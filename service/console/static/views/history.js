@@ -74,27 +74,14 @@ export function show({ store, spacecraft, parameters, rewrite }) {
     },
   });
   const plots = element("div", { class: "plots", tabIndex: 0, role: "group", "aria-label": words("views.history.keys"), onkeydown: onKey }, titled(chart.node), lanes);
-  const node = element(
-    "section",
-    { class: "history", "aria-label": words("views.history.title"), "aria-busy": "true" },
+  const node = element("section", { class: "history", "aria-label": words("views.history.title"), "aria-busy": "true" },
     element("div", { class: "history-head" }, heading, status),
-    element(
-      "div",
-      { class: "toolbar", role: "toolbar", "aria-label": words("views.history.tools") },
-      Object.entries(SPANS_S).map(([key, size]) => button(`span.${key}`, () => choose(size))),
-      button("earlier", () => pan(-PAN)),
-      button("later", () => pan(PAN)),
-      button("closer", () => zoom(1 / ZOOM)),
-      button("wider", () => zoom(ZOOM)),
-      liveButton,
-      tableButton,
+    element("div", { class: "toolbar", role: "toolbar", "aria-label": words("views.history.tools") },
+      Object.entries(SPANS_S).map(([key, size]) => button(`span.${key}`, () => choose(size))), button("earlier", () => pan(-PAN)),
+      button("later", () => pan(PAN)), button("closer", () => zoom(1 / ZOOM)), button("wider", () => zoom(ZOOM)), liveButton, tableButton,
     ),
-    first.isBad && element("p", { class: "notice", role: "alert" }, words("views.history.badSpan")),
-    problem,
-    element("div", { class: "history-head" }, legend, reading),
-    plots,
-    links,
-    tables,
+    first.isBad && element("p", { class: "notice", role: "alert" }, words("views.history.badSpan")), problem,
+    element("div", { class: "history-head" }, legend, reading), plots, links, tables,
   );
 
   const methods = () => (store.get().status?.method === "paper" ? ["paper", "robust"] : ["robust", "paper"]);

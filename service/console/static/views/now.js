@@ -108,13 +108,9 @@ export function show({ store, spacecraft }) {
   }
   draw();
   return {
-    node: element(
-      "div",
-      { class: "now" },
-      element("div", { role: "status", class: "answer" }, verdict, refused),
+    node: element("div", { class: "now" }, element("div", { role: "status", class: "answer" }, verdict, refused),
       element("div", { class: "gauges" }, AXES.map((axis) => gauges[axis].node)),
-      element("div", { class: "cards" }, Object.values(cards).map((each) => each.node)),
-      carriers,
+      element("div", { class: "cards" }, Object.values(cards).map((each) => each.node)), carriers,
     ),
     close() {
       state.isClosed = true;
@@ -216,7 +212,7 @@ function drawLevel(each, row) {
     const isFading = row?.downlink_fade;
     return pairs([
       [words("views.now.common"), db(row?.common_db)],
-      [words("views.now.fade"), [isFading && symbol("caution"), isFading ? db(fade) : words("views.now.none")]],
+      [words("views.now.fade"), isFading ? [symbol("caution"), " ", db(fade)] : row ? words("views.now.none") : number(null)],
       [words("views.now.residual"), db(row?.residual_rms_db)],
       [words("views.now.rowOf"), element("time", { class: "row" }, utc(row?.epoch, "time"))],
     ]);
@@ -262,11 +258,12 @@ function drawCarriers(node, plan, row) {
   const all = plan?.carriers ?? [];
   const count = element("li", { class: "count" }, words("views.now.used", { used: row?.carriers_used ?? 0, all: all.length }));
   node.classList.toggle("many", all.length > 40);
-  fill(node, count, all.map((carrier) => carrierOf(carrier, reasons.get(carrier.id))));
+  fill(node, count, all.map((carrier) => carrierOf(carrier, reasons.get(carrier.id), row?.carriers_used > 0)));
 }
 
-function carrierOf(carrier, reason) {
-  const level = reason ? (EXCLUDED_LEVEL[reason] ?? "caution") : carrier.enabled ? "normal" : "off";
-  const said = reason ? meaning("exclusions", reason) : words(carrier.enabled ? "views.now.carrierUsed" : "views.now.carrierOff");
+/** Without an excluding reason a carrier is used, but in a row that gave no attitude none is. */
+function carrierOf(carrier, reason, isFix) {
+  const level = reason ? (EXCLUDED_LEVEL[reason] ?? "caution") : carrier.enabled && isFix ? "normal" : "off";
+  const said = reason ? meaning("exclusions", reason) : words(!carrier.enabled ? "views.now.carrierOff" : isFix ? "views.now.carrierUsed" : "views.now.carrierUnused");
   return element("li", { class: reason ? "excluded" : "", title: `${carrier.id}: ${said}` }, symbol(level), element("span", { class: "id" }, carrier.id), element("span", { class: "why" }, reason ? said : ""));
 }

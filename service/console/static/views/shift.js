@@ -7,6 +7,7 @@ import { failure } from "../parts/problem.js";
 import { SEVERITY_LEVEL, symbol } from "../parts/symbol.js";
 import { choice, field, foreign, row, table } from "../lists/table.js";
 import { meaning, number, utc, words } from "../words.js";
+import { stateWords } from "./links.js";
 
 export const name = "shift";
 
@@ -121,7 +122,7 @@ function handoverOf(answer) {
   const alarm = (each) => [symbol(SEVERITY_LEVEL[each.severity]), " ", meaning("alarms", each.condition), " ", foreign(each.thing), ` ${utc(each.raised_at)} ${words(`views.alarms.state.${each.state}`)}`];
   const { control } = answer;
   const verdict = [symbol(control.allowed ? "normal" : "critical"), " ", words(control.allowed ? "views.now.allowed" : "views.now.forbidden"), ...control.reasons.map((each) => `; ${meaning("reasons", each.code)}`)];
-  const link = (each) => [foreign(each.id), ` ${each.state}${each.enabled ? "" : `, ${words("views.shift.disabled")}`}`, each.warnings.map((warning) => [" ", foreign(warning.detail || warning.code)])];
+  const link = (each) => [foreign(each.id), ` ${stateWords(each.state)}${each.enabled ? "" : `, ${words("views.shift.disabled")}`}`, each.warnings.map(({ code, detail }) => [`; ${meaning("problems", code)} `, element("span", { lang: "en" }, foreign(detail))])];
   const source = (each) => [foreign(each.source), ` ${utc(each.newest_epoch)}; ${words("views.shift.missing", { count: each.rows_missing ?? 0 })}`];
   const ending = [
     ...answer.keys.map((each) => [foreign(each.name), ` ${utc(each.expires_at)}`]),
@@ -130,7 +131,7 @@ function handoverOf(answer) {
   ].filter(Boolean);
   return element("div", { class: "columns" },
     element("div", {}, element("p", {}, utc(answer.at), " UTC"), element("p", {}, verdict), list("alarms", answer.alarms.map(alarm)), list("covered", [...answer.shelved, ...answer.suppressed].map(alarm))),
-    element("div", {}, list("operations", answer.operations.map((each) => [foreign(each.kind), ` ${utc(each.start)} – ${each.stop ? utc(each.stop) : words("views.shift.open")} `, foreign(each.comment)])), list("links", answer.links.map(link)), list("sources", answer.sources.map(source)), list("ending", ending)));
+    element("div", {}, list("operations", answer.operations.map((each) => [meaning("operations", each.kind), ` ${utc(each.start)} – ${each.stop ? utc(each.stop) : words("views.shift.open")} `, foreign(each.comment)])), list("links", answer.links.map(link)), list("sources", answer.sources.map(source)), list("ending", ending)));
 }
 
 const alarmName = (alarm) => [meaning("alarms", alarm.condition), " ", foreign(alarm.thing), " "];
@@ -142,9 +143,9 @@ const alarmEvents = (alarm) => [
 const commandEvents = (command) => [
   { at: command.prepared_at, what: [words("views.shift.prepared", { id: command.id }), " ", foreign(command.reason)], who: command.prepared_by },
   { at: command.released_at, what: words("views.shift.released", { id: command.id }), who: command.confirmed_by ?? command.prepared_by },
-  { at: command.reported_at, what: words("views.shift.reported", { id: command.id, state: command.state }), who: command.reported_by },
+  { at: command.reported_at, what: words("views.shift.reported", { id: command.id, state: meaning("commands", command.state) }), who: command.reported_by },
 ];
-const operationEvent = (operation) => ({ at: operation.start, what: [words("views.shift.operation"), " ", foreign(operation.kind), " ", foreign(operation.comment)], who: "" });
+const operationEvent = (operation) => ({ at: operation.start, what: [words("views.shift.operation"), " ", meaning("operations", operation.kind), " ", foreign(operation.comment)], who: "" });
 const auditEvent = (entry) => ({ at: entry.at, what: [foreign(entry.action), " ", foreign(entry.target), entry.outcome === "done" ? "" : ` ${entry.outcome}`], who: entry.who });
 
 /** Return a note; a correction names the one that it corrects. */

@@ -276,7 +276,8 @@ def input_conditions(inputs: InterlockInputs, now_us: int, settings: ReleaseSett
 def input_values(inputs: InterlockInputs, now_us: int) -> dict[Condition, float]:
     """Return the values of `MEASURES` that lie in the other inputs."""
     values: dict[Condition, float] = {Condition.LEASE: inputs.lease_holders}
-    if inputs.ephemeris_stop_us is not None:
+    # the clock of the data stands at zero before the first row
+    if inputs.ephemeris_stop_us is not None and now_us > 0:
         values[Condition.EPHEMERIS] = (inputs.ephemeris_stop_us - now_us) / US_PER_S
     if inputs.momentum_share is not None:
         values[Condition.MOMENTUM] = 100.0 * inputs.momentum_share

@@ -130,3 +130,8 @@ async def test_without_the_wheel_the_console_is_served_and_the_log_says_what_to_
     assert {"index.html", "app.js", "words/ru.json"} <= set(files)
     assert "uplot.js" not in files
     assert "pip install soo[console]" in caplog.text
+
+
+def test_modules_and_styles_stay_few():
+    lines = sum(len(path.read_text().splitlines()) for end in ("js", "css") for path in STATIC.rglob(f"*.{end}"))
+    assert lines <= 6000

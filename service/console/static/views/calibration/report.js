@@ -54,10 +54,7 @@ export const isUnfinished = ({ state, observability }) => state === "draft" && !
 /** Return the active calibration of a method, undefined where there is none. @param {any[]} all @param {string} method */
 export const activeOf = (all, method) => all.find((each) => each.state === "active" && each.method === method);
 
-/**
- * @param {any[]} all Newest first.
- * @param {any} given `driving` returns the state of control and its method.
- */
+/** @param {any[]} all Newest first. @param {any} given `driving` returns the state of control and its method. */
 export function calibrationTable(all, given) {
   const rows = all.filter((each, place) => place < SHOWN || each.state === "active").map((each) => {
     const pick = element("button", { type: "button", "aria-pressed": each.id === given.chosen, onclick: () => given.choose(each.id) }, w("number", { id: each.id }));

@@ -3,6 +3,7 @@
 import { get } from "../../api.js";
 import { LEFT_PX, RIGHT_PX, canDraw, stack } from "../../chart.js";
 import { element, fill, onFrame, setText } from "../../element.js";
+import { instantInput, instantMs, writeInstant } from "../../lists/instant_input.js";
 import { choice } from "../../lists/table.js";
 import { presentOf } from "../../parts/header.js";
 import { drawnLanes, lanesOf } from "../../parts/lanes.js";
@@ -23,8 +24,6 @@ const PANEL_PX = 110;
 /** Windows that are dragged begin and end with a minute. */
 const GRID_S = 60;
 const SETTLE_MS = 150;
-/** Years have four digits. */
-const LATEST = "9999-12-31T23:59:59";
 /** Readings farther apart than so many usual distances are not joined by a line. */
 const GAP_FACTOR = 10;
 
@@ -59,24 +58,21 @@ export function windowPlot({ store, path, mayOperate }) {
   const button = (key, onclick) => element("button", { type: "button", onclick }, words(`views.history.${key}`));
   const names = AXES.map((axis) => element("h2", {}, words("views.history.panel", { axis: axisWords(axis) })));
   const plot = element("div", { class: "panels", style: { "--left": `${LEFT_PX}px`, "--panel": `${PANEL_PX}px` } }, element("div", { class: "panel-names" }, names), chart.node, marks);
-  const node = element(
-    "div",
-    { class: "history windows", "aria-busy": "true" },
+  const node = element("div", { class: "history windows", "aria-busy": "true" },
     element("div", { class: "toolbar", role: "toolbar", "aria-label": w("drag") },
       mayOperate && [element("span", {}, w("drag")), choice(w("drag"), [...WINDOWS, "zoom"].map((name) => [name, w(`window.${name}`)]), (name) => (dragged = name))],
       button("earlier", () => move(-0.5, -0.5)), button("later", () => move(0.5, 0.5)), button("closer", () => move(0.25, -0.25)), button("wider", () => move(-0.5, 0.5)),
       element("button", { type: "button", onclick: begin }, w("newest"))),
     element("div", { class: "toolbar" }, AXES.map((axis) => element("span", {}, w("sensorOf", { axis: axisWords(axis) }), " ", sensors[axis]))),
-    problem, status,
-    element("div", { class: "plots" }, plot, lanes),
+    problem, status, element("div", { class: "plots" }, plot, lanes),
   );
 
   function windowFields(name) {
-    const ends = [0, 1].map((end) => element("input", { type: "datetime-local", step: 1, max: LATEST, required: true, "aria-label": w(end ? "stopOf" : "startOf", { window: w(`window.${name}`) }), oninput: () => write(end) }));
+    const ends = [0, 1].map((end) => instantInput({ required: true, "aria-label": w(end ? "stopOf" : "startOf", { window: w(`window.${name}`) }), oninput: () => write(end) }));
     const said = element("span", { class: "detail" });
     const declared = name === "turns" && element("button", { type: "button", onclick: takeDeclared }, w("declared"));
     function write(end) {
-      windows[name][end] = secondsOf(`${ends[end].value}Z`);
+      windows[name][end] = instantMs(ends[end]) / 1000;
       show();
     }
     function show() {
@@ -90,7 +86,7 @@ export function windowPlot({ store, path, mayOperate }) {
       node: element("p", { class: "field" }, element("span", { class: "window-name" }, w(`window.${name}`)), ends[0], " – ", ends[1], w("utc"), declared, said),
       /** Write a window that was dragged. */
       fill() {
-        ends.forEach((input, end) => (input.value = new Date(windows[name][end] * 1000).toISOString().slice(0, 19)));
+        ends.forEach((input, end) => writeInstant(input, windows[name][end] * 1000));
         show();
       },
     };

@@ -19,9 +19,7 @@ export function isDown(state) {
 
 /**
  * Return the key of the sentence, and its values.
- * @param {any[]} carriers Of the plan.
- * @param {Map<string, any>} states
- * @param {any} attitude Newest row; null where there is none.
+ * @param {any[]} carriers Of the plan. @param {Map<string, any>} states @param {any} attitude Newest row; null where there is none.
  * @returns {{kind: string, level: string, count: number, total: number, name: string, ids: string[], common: number}}
  */
 export function affected(carriers, states, attitude) {
@@ -48,7 +46,4 @@ export function affected(carriers, states, attitude) {
 }
 
 /** @type {[string, (carrier: any) => string | undefined][]} */
-const GROUPS = [
-  ["station", (carrier) => carrier.station?.name],
-  ["transponder", (carrier) => carrier.transponder],
-];
+const GROUPS = [["station", (carrier) => carrier.station?.name], ["transponder", (carrier) => carrier.transponder]];

@@ -24,8 +24,7 @@ const LEAST_DEG = 4;
 
 /**
  * Return the direction of a place from the satellite, degrees East and North; null where the Earth hides it.
- * @param {number} latitudeDeg
- * @param {number} eastDeg Longitude less that of the satellite.
+ * @param {number} latitudeDeg @param {number} eastDeg Longitude less that of the satellite.
  */
 export function seen(latitudeDeg, eastDeg) {
   const [latitude, longitude] = [latitudeDeg * RADIANS, eastDeg * RADIANS];
@@ -49,16 +48,14 @@ export function carrierMap({ longitudeDeg, carriers, calibration, levelOf, chose
   const greatest = arrows.reduce((most, { rise }) => Math.max(most, Math.hypot(rise.east, rise.north)), 1e-9);
   const count = stations.length;
   const look = lookAt(stations.map(({ at }) => at));
-  return svg(
-    "svg",
+  return svg("svg",
     {
       class: "map",
       viewBox: `${-WIDTH / 2} ${-WIDTH / 2} ${WIDTH} ${WIDTH}`,
       role: "img",
       "aria-label": words("views.carriers.map.label", { count, arrows: arrows.length }),
     },
-    svg("circle", { class: "earth", cx: look.x(0), cy: look.y(0), r: LIMB_DEG * look.scale }),
-    graticule(longitudeDeg, look),
+    svg("circle", { class: "earth", cx: look.x(0), cy: look.y(0), r: LIMB_DEG * look.scale }), graticule(longitudeDeg, look),
     arrows.map((each) => arrow(each, look, LONGEST / greatest)),
     stations.map((each) => station(each, look, levelOf(each.carrier.id), each.carrier.id === chosen, count <= MOST_NAMES)),
     arrows.length > 0 && svg("text", { x: 0.3 - WIDTH / 2, y: WIDTH / 2 - 0.4 }, words("views.carriers.map.scale", { greatest: number(greatest, 1) })),
@@ -95,12 +92,7 @@ function station({ carrier, at }, look, level, isChosen, hasName) {
   // abnormal ones differ by shape too
   const isAbnormal = level !== "normal" && level !== "off";
   const shape = isAbnormal ? svg("path", { class: `mark ${level}`, d: `M${x} ${y - 0.3}l0.3 0.3l-0.3 0.3l-0.3 -0.3Z` }) : svg("circle", { class: "mark", cx: x, cy: y, r: 0.16 });
-  return svg(
-    "g",
-    {},
-    svg("title", {}, name),
-    isChosen && svg("circle", { class: "chosen", cx: x, cy: y, r: 0.5 }),
-    shape,
+  return svg("g", {}, svg("title", {}, name), isChosen && svg("circle", { class: "chosen", cx: x, cy: y, r: 0.5 }), shape,
     (hasName || isChosen || isAbnormal) && svg("text", { x, y: y - 0.4, "text-anchor": "middle" }, carrier.id),
   );
 }

@@ -20,8 +20,7 @@ const STATES_EACH_MS = 1000;
 
 /**
  * Keep what is shown of the carriers; `draw` is called after every change.
- * @param {{store: any, spacecraft: any}} context
- * @param {(carriers: Carriers) => void} draw
+ * @param {{store: any, spacecraft: any}} context @param {(carriers: Carriers) => void} draw
  * @returns {() => void} Ends it.
  */
 export function followCarriers({ store, spacecraft }, draw) {
@@ -39,10 +38,7 @@ export function followCarriers({ store, spacecraft }, draw) {
   let calibratedAs = NaN;
 
   async function renew() {
-    const [rows, attitude] = await Promise.all([
-      get(`${base}/measurements`, {}, options),
-      get(`${base}/attitude`, { method }, options),
-    ]);
+    const [rows, attitude] = await Promise.all([get(`${base}/measurements`, {}, options), get(`${base}/attitude`, { method }, options)]);
     const measured = store.get().measurement?.plan_id;
     if (!found.plan || (measured && measured !== found.plan.plan_id)) found.plan = await get(`${base}/carriers`, { plan_id: measured }, options);
     const inForce = store.get().status?.calibration_id;

@@ -10,13 +10,13 @@ import { trace } from "./trace.js";
 export function carrierMultiples() {
   let cells = [];
   let samples = null;
-  const node = element("ul", { class: "multiples" });
+  const list = element("ul", { class: "multiples" });
   return {
-    node,
+    node: element("div", {}, element("p", { class: "detail" }, words("views.carriers.legend.multiples")), list),
     reset(carriers) {
       cells = carriers.map(cellOf);
       samples = null;
-      fill(node, cells.map((cell) => cell.node));
+      fill(list, cells.map((cell) => cell.node));
     },
     draw(carriers) {
       for (const cell of cells) cell.draw(carriers.states.get(cell.id), carriers.reasons.get(cell.id));
@@ -39,7 +39,8 @@ function cellOf({ id }) {
       const level = stateLevel(state);
       fill(mark, level !== "normal" && symbol(level));
       setText(said, [stateWords(state), reasonWords(state, reason)].filter(Boolean).join(": "));
-      setText(figures, words("views.carriers.cell", { residual: number(state?.residual_db, 2), cN0: number(state?.c_n0_db_hz, 1) }));
+      const isKnown = Number.isFinite(state?.c_n0_db_hz);
+      setText(figures, words(isKnown ? "views.carriers.cell" : "views.carriers.cellResidual", { residual: number(state?.residual_db, 2), cN0: number(state?.c_n0_db_hz, 1) }));
     },
     drawTraces(found) {
       const of = found?.traces.get(id);

@@ -27,7 +27,7 @@ export function oneCarrier({ store, spacecraft, parameters, go }, id) {
   const title = element("bdi", {}, id);
   const said = element("p", { role: "status" });
   const traces = element("div", { class: "traces" }, element("p", { class: "detail" }, words("views.carriers.loading")));
-  const facts = element("div", { class: "facts" });
+  const facts = element("div", { class: "plan-facts" });
   const map = element("figure", { class: "map-side" });
   const buttons = SPANS_H.map((each) =>
     element("button", { type: "button", "aria-pressed": each === hours, onclick: () => go("carriers", { carrier: id, hours: each }) }, duration(each * 3600)),
@@ -47,12 +47,8 @@ export function oneCarrier({ store, spacecraft, parameters, go }, id) {
     }
   }
 
-  const node = element(
-    "div",
-    { class: "one" },
-    element("p", {}, element("a", { href: "#/carriers" }, words("views.carriers.back"))),
-    element("h1", {}, mark, title),
-    said,
+  const node = element("div", { class: "one" }, element("p", {}, element("a", { href: "#/carriers" }, words("views.carriers.back"))),
+    element("h1", {}, mark, title), said,
     element("div", { class: "chooser", role: "group", "aria-label": words("views.carriers.span") }, buttons),
     element("div", { class: "sides" }, traces, element("div", { class: "map-side" }, map, facts)),
   );
@@ -122,10 +118,7 @@ function calibrationOf(of) {
   const fact = (key, values) => [element("dt", {}, words(`views.carriers.fact.${key}`)), element("dd", {}, words(`views.carriers.value.${key}`, values))];
   const { harmonic, sensitivity_db_per_deg: slope } = of;
   return [
-    element(
-      "dl",
-      {},
-      fact("sensitivity", { yaw: number(slope?.yaw, 2), roll: number(slope?.roll, 2), pitch: number(slope?.pitch, 2) }),
+    element("dl", {}, fact("sensitivity", { yaw: number(slope?.yaw, 2), roll: number(slope?.roll, 2), pitch: number(slope?.pitch, 2) }),
       fact("level", { level: number(of.level_dbm, 2) }),
       harmonic && fact("harmonic", { amplitude: number(harmonic.amplitude_db, 2), rms: number(harmonic.rms_db, 2), hours: number(harmonic.period_s / 3600, 2), node: utc(harmonic.node_epoch) }),
       fact("noise", { sigma: number(of.sigma_white_db, 3) }),

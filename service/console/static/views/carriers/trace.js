@@ -25,10 +25,7 @@ const LEAST_SPAN = 0.2;
  * @property {number | null} [zero] A level that is marked.
  */
 
-/**
- * Return a curve.
- * @param {Trace} drawn
- */
+/** Return a curve. @param {Trace} drawn */
 export function trace(drawn) {
   const { label, epochs, start, stop, lines, bands = [], isFramed = false, width = 160, height = 40, zero = null } = drawn;
   const frame = isFramed ? { left: 56, right: 8, top: 8, bottom: 22 } : { left: 1, right: 1, top: 2, bottom: 2 };
@@ -42,9 +39,7 @@ export function trace(drawn) {
   const xs = epochs.map((epoch) => x(epoch + drawn.intervalMs / 2));
   const gapMs = 2.5 * Math.max(drawn.intervalMs, spacingOf(epochs));
   const runs = (values) => runsOf(values, epochs, gapMs);
-  return svg(
-    "svg",
-    { class: "trace", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label },
+  return svg("svg", { class: "trace", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label },
     isFramed && scales({ low, high, start, stop, width, height, frame, x, y }),
     bands.map((band) => runs(band.low).map((run) => svg("path", { class: "band", d: ring(run, band, xs, y) }))),
     zero !== null && svg("line", { class: "zero", x1: frame.left, x2: width - frame.right, y1: y(zero), y2: y(zero) }),

@@ -20,16 +20,12 @@ export const stateWords = (state) => (state ? meaning("carriers", state.state) :
 
 /**
  * Return why a carrier is left out and what the references make of it, in words.
- * @param {any} state
- * @param {string | undefined} reason
+ * @param {any} state @param {string | undefined} reason
  */
 export function reasonWords(state, reason) {
   const hypothesis = state?.hypothesis && state.hypothesis !== "dry" ? meaning("hypotheses", state.hypothesis) : "";
   return [reason ? meaning("exclusions", reason) : "", hypothesis].filter(Boolean).join("; ");
 }
 
-/**
- * Return what to do about a reason.
- * @param {string | undefined} reason
- */
+/** Return what to do about a reason. @param {string | undefined} reason */
 export const reasonNext = (reason) => (reason ? meaning("exclusions", reason, "next") : "");

@@ -9,6 +9,7 @@ from service.pipeline.config import InterlockConfig
 from service.pipeline.control.control_conditions import control_conditions
 from service.pipeline.control.release.control_verdict import CODES, control_verdict
 from service.pipeline.control.release.events import OrderKind
+from service.pipeline.control.release.interlock_conditions import Condition, InterlockInputs, input_values
 from service.records.levels.attitude import Axes
 
 
@@ -122,3 +123,13 @@ def test_angles_that_are_not_numbers_have_no_value():
     values = {each.code: each for each in found}
     assert values["beyond_validity"].value is None
     assert (found[-1].code, found[-1].is_met, found[-1].consequence) == ("of_old", False, "inhibit")
+
+
+def test_limits_hold_before_the_first_row_and_an_ephemeris_is_not_counted_from_a_clock_that_has_no_time():
+    found = {each.code: each for each in control_conditions(None, None, control_verdict(None, None), InterlockConfig())}
+    limits = (InterlockConfig().validity_limit_deg, InterlockConfig().alert_limit_deg)
+    assert (found["beyond_validity"].limit, found["protection_level"].limit) == limits
+    assert (found["beyond_validity"].value, found["protection_level"].value) == (None, None)
+    inputs = InterlockInputs(ephemeris_stop_us=1_800_000_000 * US)
+    assert input_values(inputs, 1_799_999_000 * US)[Condition.EPHEMERIS] == 1000.0
+    assert Condition.EPHEMERIS not in input_values(inputs, 0)
