@@ -106,11 +106,12 @@ def _reason(reason: Json, row: Json, conditions: list[Json]) -> str:
     value, limit, unit = (condition.get(name) for name in ("value", "limit", "unit"))
     if code in {"fade", "downlink_fade"}:
         value, limit, unit = row["downlink_fade_db"], None, "dB"
-    parts = [meaning("reasons", code, default=reason["text"])]
+    name = meaning("reasons", code, default=reason["text"])
+    parts = [name]
     if value is not None and unit in _UNITS:
-        name, digits = _UNITS[unit]
+        unit_name, digits = _UNITS[unit]
         of_limit = [] if limit is None else [words("views.now.ofAlert", alert=number(limit, digits))]
-        parts += [number(value, digits), *of_limit, words(f"app.unit.{name}")]
+        parts = [f"{name}," if of_limit else name, number(value, digits), *of_limit, words(f"app.unit.{unit_name}")]
     since = reason["since"] or condition.get("since")
     return " ".join([*parts, *([words("views.now.since", at=utc(since)[11:16])] if since else [])])
 

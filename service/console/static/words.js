@@ -39,6 +39,12 @@ export function words(key, values = {}) {
   return composed(found, values);
 }
 
+/** Return the words of the state of a link; a front end of another version may have states of its own. */
+export function linkStateWords(state) {
+  const [key, said] = [`views.links.state.${state}`, words(`views.links.state.${state}`)];
+  return said === key ? state : said;
+}
+
 /**
  * Return the words of a code of the service.
  * @param {string} group `reasons` or `inhibitions`, `states`, `statuses`, `commands`, `exclusions`, `flags`, `alarms`,

@@ -130,6 +130,7 @@ export function show({ store, spacecraft, session }) {
 
 /** Say what an order has led to: a command, or a state of control. */
 function doneWords(answer) {
+  if (answer.dry_run) return words("views.control.done.dryRun");
   if (answer.checks) return words("views.control.done.command", { id: answer.id, state: meaning("commands", answer.state) });
   return words("views.control.done.control", { state: meaning("states", answer.state) });
 }

@@ -4,7 +4,7 @@ import { Problem, get, post } from "../api.js";
 import { element, fill } from "../element.js";
 import { failure } from "../parts/problem.js";
 import { symbol } from "../parts/symbol.js";
-import { duration, meaning, number, utc, words } from "../words.js";
+import { duration, linkStateWords, meaning, number, utc, words } from "../words.js";
 
 export const name = "links";
 const AGAIN_MS = 5000;
@@ -107,9 +107,9 @@ function rowOf(link, rate, orderOf) {
   const about = [detail?.analyzer, detail?.last_fault, detail?.last_failure].filter((each) => typeof each === "string" && each);
   return element("tr", { "data-link": link.id, "data-state": state },
     element("th", { scope: "row" }, element("bdi", {}, link.id), element("p", { class: "detail" }, words(`views.links.kind.${link.kind}`)), about.map((each) => element("p", { class: "detail" }, element("bdi", {}, each)))),
-    element("td", {}, symbol(level), " ", stateWords(state), element("p", { class: "detail" }, words("views.links.reported", { age: duration(link.age_s) })), link.reset_pending && element("p", {}, words("views.links.resetPending")), buttons),
+    element("td", {}, symbol(level), " ", linkStateWords(state), element("p", { class: "detail" }, words("views.links.reported", { age: duration(link.age_s) })), link.reset_pending && element("p", {}, words("views.links.resetPending")), buttons),
     element("td", {}, link.last_good ? [utc(link.last_good), element("p", { class: "detail" }, words("views.links.ago", { age: duration(link.last_good_age_s) }))] : words("views.links.noRow")),
-    element("td", {}, rate === null ? "" : words("views.links.rate", { rate: number(rate, 1) }), Number.isFinite(detail?.period_s) && element("p", { class: "detail" }, words("views.links.period", { period: duration(detail.period_s) }))),
+    element("td", {}, rate === null ? "" : words("views.links.rate", { rate: number(rate, 1) }), detail?.period_s >= 1 && element("p", { class: "detail" }, words("views.links.period", { period: duration(detail.period_s) }))),
     element("td", {}, element("dl", { class: "facts" }, counts.map(([label, count]) => [element("dt", {}, label), element("dd", {}, number(count, 0))]))),
     element("td", {}, warnings.map((each) => warningOf(each))),
   );
@@ -118,13 +118,6 @@ function rowOf(link, rate, orderOf) {
 function warningOf({ code, detail, since }) {
   const said = [meaning("problems", code), meaning("problems", code, "next"), since && words("views.links.since", { at: utc(since) })].filter(Boolean);
   return element("div", {}, symbol("caution"), " ", said.join(" "), element("p", { class: "detail", lang: "en" }, element("bdi", {}, detail)));
-}
-
-/** Return the words of a state; another front end may have states of its own. */
-export function stateWords(state) {
-  const key = `views.links.state.${state}`;
-  const known = words(key);
-  return known === key ? state : known;
 }
 
 function sourceOf({ id, role, newest_epoch, rows }, select) {

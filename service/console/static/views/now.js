@@ -7,7 +7,7 @@ import { presentOf } from "../parts/header.js";
 import { failure } from "../parts/problem.js";
 import { symbol } from "../parts/symbol.js";
 import { sentence } from "../parts/verdict.js";
-import { duration, meaning, number, utc, words } from "../words.js";
+import { duration, linkStateWords, meaning, number, utc, words } from "../words.js";
 
 export const name = "now";
 const HOUR_MS = 3_600_000;
@@ -212,7 +212,7 @@ function drawLevel(each, row) {
     const isFading = row?.downlink_fade;
     return pairs([
       [words("views.now.common"), db(row?.common_db)],
-      [words("views.now.fade"), isFading ? [symbol("caution"), " ", db(fade)] : row ? words("views.now.none") : number(null)],
+      [words("views.now.fade"), isFading ? [symbol("caution"), " ", db(fade)] : Number.isFinite(row?.common_db) ? words("views.now.none") : number(null)],
       [words("views.now.residual"), db(row?.residual_rms_db)],
       [words("views.now.rowOf"), element("time", { class: "row" }, utc(row?.epoch, "time"))],
     ]);
@@ -236,7 +236,7 @@ function linkLevel(link) {
 function linkText(link) {
   const warnings = link.warnings.map(({ code }) => meaning("problems", code));
   const missing = link.rows_missing ? words("views.now.missing", { count: link.rows_missing }) : "";
-  return [link.state ?? words("views.now.source"), ...warnings, missing].filter(Boolean).join("; ");
+  return [link.state ? linkStateWords(link.state) : words("views.now.source"), ...warnings, missing].filter(Boolean).join("; ");
 }
 
 function drawOperation(each, operations, present) {

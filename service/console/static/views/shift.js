@@ -6,8 +6,7 @@ import { newestFirst, soon } from "../lists/newest_first.js";
 import { failure } from "../parts/problem.js";
 import { SEVERITY_LEVEL, symbol } from "../parts/symbol.js";
 import { choice, field, foreign, row, table } from "../lists/table.js";
-import { meaning, number, utc, words } from "../words.js";
-import { stateWords } from "./links.js";
+import { linkStateWords, meaning, number, utc, words } from "../words.js";
 
 export const name = "shift";
 
@@ -122,7 +121,7 @@ function handoverOf(answer) {
   const alarm = (each) => [symbol(SEVERITY_LEVEL[each.severity]), " ", meaning("alarms", each.condition), " ", foreign(each.thing), ` ${utc(each.raised_at)} ${words(`views.alarms.state.${each.state}`)}`];
   const { control } = answer;
   const verdict = [symbol(control.allowed ? "normal" : "critical"), " ", words(control.allowed ? "views.now.allowed" : "views.now.forbidden"), ...control.reasons.map((each) => `; ${meaning("reasons", each.code)}`)];
-  const link = (each) => [foreign(each.id), ` ${stateWords(each.state)}${each.enabled ? "" : `, ${words("views.shift.disabled")}`}`, each.warnings.map(({ code, detail }) => [`; ${meaning("problems", code)} `, element("span", { lang: "en" }, foreign(detail))])];
+  const link = (each) => [foreign(each.id), ` ${linkStateWords(each.state)}${each.enabled ? "" : `, ${words("views.shift.disabled")}`}`, each.warnings.map(({ code, detail }) => [`; ${meaning("problems", code)} `, element("span", { lang: "en" }, foreign(detail))])];
   const source = (each) => [foreign(each.source), ` ${utc(each.newest_epoch)}; ${words("views.shift.missing", { count: each.rows_missing ?? 0 })}`];
   const ending = [
     ...answer.keys.map((each) => [foreign(each.name), ` ${utc(each.expires_at)}`]),

@@ -49,7 +49,7 @@ def test_attitude_has_each_axis_with_its_limit(service: Any) -> None:
     done = run("attitude")
     assert done.exit_code == 0
     assert "Roll   -0.330      0.07 of 0.40  0.020    0.100 of 0.22     -0.330" in done.stdout
-    assert "c03 (fades: rain over its station, or a loss of its own)" in " ".join(done.stdout.split())
+    assert "c03 (fades on its uplink)" in " ".join(done.stdout.split())
     service.rows["robust"] |= {"status": "EXPIRED", "roll_deg": -0.5}
     done = run("attitude")
     assert (done.exit_code, "beyond it of 0.40" in done.stdout) == (3, True)

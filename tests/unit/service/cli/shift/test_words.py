@@ -40,7 +40,7 @@ def test_the_sentence_says_what_is_known_the_first_reason_and_its_next_step() ->
     assert said(allowed=True) == "roll, pitch known to 0.04 deg; torques may go"
     two = said(reason("stop", "2027-01-15T10:30:00Z"), reason("not_armed"))
     assert two.endswith(
-        "no torque: an operator stopped control (since 10:30) (and 1 more); find the cause, then reset control"
+        "no torque: an operator stopped control since 10:30 (and 1 more); find the cause, then reset control"
     )
     assert "but the sign of yaw is not proven" in said(reason("yaw_sign"), allowed=True)
     assert said(row={**ROW, "status": "NOT_RECEIVED"}, allowed=True).startswith("no row has come yet;")
@@ -54,7 +54,7 @@ def test_a_reason_has_the_value_of_its_condition() -> None:
         "unit": "deg",
         "since": "2027-01-15T10:16:00Z",
     }
-    assert "range of the model 0.42 of 0.40 deg (since 10:16);" in said(
+    assert "range of the model, 0.42 of 0.40 deg since 10:16;" in said(
         reason("beyond_validity"), conditions=[condition]
     )
     assert "downlink fade 2.5 dB;" in said(reason("downlink_fade"))
