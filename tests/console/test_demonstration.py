@@ -1,4 +1,7 @@
-"""From ``soo demo --release two_step`` to a torque that is reported executed, in the browser, by two key files."""
+"""From ``soo demo --release two_step`` to a torque that is reported executed, in the browser, by two key files.
+
+``build/console/demonstration-*.png`` are the pictures of ``docs/images/demo/console-*.png``.
+"""
 
 import os
 import re
@@ -67,6 +70,11 @@ def test_from_the_command_to_a_confirmed_torque(service, new_page, screenshot):
     page.goto("/console/#/control")
     expect(page.locator(".state.present")).to_have_text("ARMED", timeout=WAIT_MS)
     armed_s = time.monotonic() - service.began
+    page.goto("/console/#/now")
+    expect(page.get_by_role("heading", level=1)).to_contain_text("torques may go")
+    expect(page.locator(".hour").first).to_contain_text("Last hour")
+    screenshot(page, "demonstration-now")
+    page.goto("/console/#/control")
     page.get_by_label("Reason", exact=True).fill("roll is off")
     page.get_by_role("button", name="Prepare", exact=True).click()
     card = page.locator(".card.waiting")

@@ -19,9 +19,10 @@ def test_the_sentence_and_the_axes_are_those_of_the_service(
 ):
     page = open_view(new_page(theme=theme, language=language), "now")
     expect(page.get_by_role("heading", level=1)).to_contain_text(
-        {"en": "torques may go, but the sign of yaw is not proven", "ru": "моменты разрешены, но знак рыскания не доказан"}[
-            language
-        ]
+        {
+            "en": "torques may go, but the sign of yaw is not proven",
+            "ru": "моменты разрешены, но знак рыскания не доказан",
+        }[language]
     )
     row = ground.get("/attitude")
     for axis, name in (("roll", {"en": "Roll", "ru": "Крен"}), ("yaw", {"en": "Yaw", "ru": "Рыскание"})):
