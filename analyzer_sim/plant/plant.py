@@ -13,15 +13,15 @@ import numpy as np
 from analyzer_sim.export import measured_dbm, sweep_noise_db
 from analyzer_sim.plant.schedule_lines import Schedule
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft.angles_loop import AnglesLoop
-from analyzer_sim.world.spacecraft.body_dynamics import Vector
+from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2, Vector
 from analyzer_sim.world.spacecraft.disturbance import disturbance
 from analyzer_sim.world.spacecraft.flown_spacecraft import OrbitalFrameSpacecraft, spacecraft_at_rest
 from analyzer_sim.world.spacecraft.hub_tones import HubTone
 from analyzer_sim.world.spacecraft.rigid_body import BodyState, RigidBody, TorqueElement, Triple
+from analyzer_sim.world.spacecraft.stored_momentum import unloaded, unloadings_us
 from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord
 from analyzer_sim.world.spacecraft.uplink import UPLINKS, Arrival, Command, CommandStore, Report, Uplink
 from analyzer_sim.world.spacecraft.wheels import QUANTUM_N_M, wheel_set
@@ -183,6 +183,17 @@ class Plant:
             self.state = self.flown.state
         else:
             self.state = self._perfect.fly(self.state, (begin_us, end_us), self._acting, drift_deg_s, unseen_n_m)
+        self._unload(begin_us, end_us)
+
+    def _unload(self, begin_us: int, end_us: int) -> None:
+        """Let thrusters take away what the wheels hold beyond their bias, where the story says so for a span."""
+        figures = self.world.scenario.wheels
+        before, after = np.searchsorted(unloadings_us(self.world.scenario), [begin_us, end_us], side="right").tolist()
+        if figures is None or before == after:
+            return
+        left = unloaded(figures, self.world.seed, after).tolist()
+        for wheel, momentum in zip(self.flown.wheels, left, strict=True):
+            wheel.momentum_n_m_s = momentum
 
     def _spacecraft(self, options: PlantOptions) -> OrbitalFrameSpacecraft:
         """Return the spacecraft as it stands when operation begins."""

@@ -34,10 +34,11 @@ import numpy as np
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS, Schedule, ScheduleError, parse_schedule
-from analyzer_sim.streams import FloatArray
+from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, reported_lines, truth_row
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft.disturbance import fed_forward
+from analyzer_sim.world.spacecraft.stored_momentum import told
 from analyzer_sim.world.spacecraft.telemetry import PERIOD_H
 from analyzer_sim.world.spacecraft.uplink import Report
 from analyzer_sim.world.spacecraft.wheels import rotor_speed_rpm
@@ -120,16 +121,31 @@ def _present(plant: Plant) -> Iterator[Line]:
 
 def telemetry_of(plant: Plant) -> Line:
     """Return what the spacecraft says of itself; its inertial model does not see the drift of its rate."""
-    momentum, reported = plant.momentum_n_m_s, plant.reported_telemetry()
+    reported = plant.reported_telemetry()
     x, y, z = (math.degrees(rate) for rate in plant.flown.commanded_rad_s)
     return {
         "epoch": rfc3339(plant.epoch_us),
         "onboard_mode": reported.onboard_mode,
+        **_momentum_of(plant),
+        "body_rate_deg_s": {"yaw": round(z, 9), "roll": round(x, 9), "pitch": round(y, 9)},
+    }
+
+
+def _momentum_of(plant: Plant) -> Line:
+    """Return what the spacecraft says of its wheels: with each row, or as often as the story says."""
+    momentum, reported, figures = plant.momentum_n_m_s, plant.reported_telemetry(), plant.world.scenario.wheels
+    is_active = reported.thrusters_active
+    if figures is None:
+        is_active = is_active and plant.epoch_us - reported.reported_us < PERIOD_H * _US_PER_H // 2
+    elif reported.reported_us != plant.epoch_us:
+        return {}
+    else:
+        noise = stream(plant.world.seed, "wheel noise", str(plant.row)).normal(size=3)
+        momentum = told(figures, plant.world.seed, np.array(momentum), noise).tolist()
+    return {
         "wheel_momentum_n_m_s": [round(h, 6) for h in momentum],
         "wheel_speed_rpm": [round(rotor_speed_rpm(h), 3) for h in momentum],
-        "thrusters_active": reported.thrusters_active
-        and plant.epoch_us - reported.reported_us < PERIOD_H * _US_PER_H // 2,
-        "body_rate_deg_s": {"yaw": round(z, 9), "roll": round(x, 9), "pitch": round(y, 9)},
+        "thrusters_active": is_active,
     }
 
 

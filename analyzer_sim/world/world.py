@@ -21,6 +21,7 @@ from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from analyzer_sim.world.payload.plan_versions import PlanVersion, plan_versions
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.sensors import References, references
+from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
 from analyzer_sim.world.spacecraft.operator import sensed_error_deg
 from analyzer_sim.world.spacecraft.spacecraft import Correction, Sensing, attitude_history
 from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord, telemetry
@@ -124,7 +125,9 @@ class World:
         self.plan_versions: tuple[PlanVersion, ...] = plan_versions(scenario, self.plan)
         self.source_switches: tuple[tuple[int, str], ...] = tuple(sorted(effects.source_switches))
         burns_us = tuple(impulse.epoch_us for impulse in self.orbit.impulses)
-        self.telemetry: tuple[TelemetryRecord, ...] = telemetry(scenario, seed, burns_us)
+        self.telemetry: tuple[TelemetryRecord, ...] = telemetry(
+            scenario, seed, burns_us, INERTIA_KG_M2, epochs_us, history.attitude_deg
+        )
         self._measured = np.flatnonzero(~self.rows.is_gap)
         self._position = -1
 

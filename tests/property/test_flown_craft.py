@@ -5,7 +5,7 @@ from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
+from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
 from analyzer_sim.world.spacecraft.flown_spacecraft import spacecraft_at_rest
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
 from analyzer_sim.world.spacecraft.wheels import QUANTUM_N_M, wheel_set

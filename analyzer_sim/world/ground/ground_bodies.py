@@ -12,6 +12,7 @@ from analyzer_sim.world.orbit.orbit import predicted_track
 from analyzer_sim.world.payload.carriers import BANDS, ROLLOFF, SPAN_START_HZ, Carrier
 from analyzer_sim.world.payload.effects import Operation
 from analyzer_sim.world.payload.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
+from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
 from analyzer_sim.world.spacecraft.spacecraft import Correction
 from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord
 from analyzer_sim.world.world import LONGITUDE_DEG, World
@@ -22,8 +23,6 @@ SPACECRAFT_ID = "yamal-202"
 TASK_ID = "yamal-202-ku"
 SWEEP_ID = "ku"
 SWEEP_POINTS = 2401
-#: moments of inertia, kg m2, about roll, pitch, yaw
-INERTIA_KG_M2 = (2600.0, 1400.0, 2600.0)
 #: largest torque on the body about an axis
 TORQUE_LIMIT_N_M = 0.05
 AXES = ("yaw", "roll", "pitch")

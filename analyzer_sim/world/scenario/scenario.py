@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from analyzer_sim.world.scenario.catalogue_closed import CLOSED
 from analyzer_sim.world.scenario.catalogue_hard import HARD
+from analyzer_sim.world.scenario.catalogue_motion import MOTION
 from analyzer_sim.world.scenario.catalogue_plain import PLAIN, downlink_rain
 from analyzer_sim.world.scenario.catalogue_sources import SOURCES_OF_REALITY
 from analyzer_sim.world.scenario.catalogue_weather import WEATHER
@@ -32,7 +33,7 @@ __all__ = [
 
 #: every scenario by name
 SCENARIOS: dict[str, Scenario] = {
-    scenario.name: scenario for scenario in (*PLAIN, *HARD, *WRONG, *SOURCES_OF_REALITY, *WEATHER)
+    scenario.name: scenario for scenario in (*PLAIN, *HARD, *WRONG, *SOURCES_OF_REALITY, *WEATHER, *MOTION)
 }
 #: those that can be flown in closed loop: a few more
 CLOSED_SCENARIOS: dict[str, Scenario] = {**SCENARIOS, **{scenario.name: scenario for scenario in CLOSED}}

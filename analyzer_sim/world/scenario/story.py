@@ -121,6 +121,33 @@ class RepeaterSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class WheelTelemetry:
+    """Wheels whose told momentum is that of the flown attitude: what they store, and the errors of what is told."""
+
+    #: momentum along pitch that every unloading restores, N m s
+    bias_n_m_s: float = -8.0
+    #: time between two records
+    period_min: float = 5.0
+    noise_n_m_s: float = 0.01
+    #: errors of the axes and of the scale, one sigma
+    misalignment_deg: float = 0.05
+    scale_error: float = 0.005
+    #: torque from outside about each axis: sizes of its constant part and of its daily wave, N m
+    torque_n_m: float = 1e-5
+    #: one sigma of what the told profile of this torque has wrong: one share of all axes, a smaller one of each
+    profile_error: float = 0.05
+    axis_profile_error: float = 0.01
+    #: wave of half a day, of which nobody knows, as a share of the daily one
+    half_day_share: float = 0.01
+    #: first-order torque of which nobody knows, N m, and its correlation time
+    unknown_n_m: float = 2e-7
+    unknown_tau_s: float = 3600.0
+    #: greatest change along roll and yaw by an unloading, N m s, and whether telemetry marks it
+    unloading_n_m_s: float = 2.0
+    is_unloading_marked: bool = True
+
+
+@dataclass(frozen=True, slots=True)
 class Phase:
     """One stretch of the story, [start, stop)."""
 
@@ -152,6 +179,8 @@ class Scenario:
     pause_h: float = 0.0
     #: what tells attitude until the operation phase
     sensors: tuple[Sensor, ...] = (STAR_TRACKER,)
+    #: wheels whose momentum follows from attitude and torques; none = hourly figures that act on nothing
+    wheels: WheelTelemetry | None = None
 
     @property
     def row_period_us(self) -> int:

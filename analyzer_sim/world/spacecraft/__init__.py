@@ -1,5 +1,5 @@
 """Spacecraft: attitude, body, wheels, on-board loop, telemetry and uplink.
 
 Public: angles_loop, body_dynamics, disturbance, flown_spacecraft, hub_tones, operator, rigid_body, spacecraft,
-telemetry, uplink, wheels.
+stored_momentum, telemetry, uplink, wheels.
 """

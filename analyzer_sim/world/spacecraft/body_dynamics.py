@@ -13,6 +13,9 @@ from typing import NamedTuple
 
 Vector = tuple[float, float, float]
 
+#: moments of inertia, kg m2, about roll, pitch, yaw
+INERTIA_KG_M2 = (2600.0, 1400.0, 2600.0)
+
 
 class Motion(NamedTuple):
     """Inertial rate in body axes, rad/s, and attitude against the orbital frame, rad."""

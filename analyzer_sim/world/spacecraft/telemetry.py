@@ -4,7 +4,8 @@
     yaw   h = a sin(w0 t + p)
     pitch h = b + r t, back to b at each unloading by thrusters, twelve hours apart
 
-None of it acts on the attitude; it only looks like the real thing.
+None of it acts on the attitude; it only looks like the real thing. A story with wheels of its own has momentum that
+follows from attitude and torques (`stored_momentum`), told as often as it says.
 """
 
 from dataclasses import dataclass
@@ -12,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from analyzer_sim.epochs import US_PER_H, US_PER_S
-from analyzer_sim.streams import stream
-from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.world.scenario.story import Scenario
+from analyzer_sim.streams import FloatArray, stream
+from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, EpochArray
+from analyzer_sim.world.scenario.story import Scenario, WheelTelemetry
+from analyzer_sim.world.spacecraft.stored_momentum import UNLOADING_H, told_momentum, unloadings_us
 
-#: time between two records and between two unloadings, h
+#: time between two records, h
 PERIOD_H = 1
-UNLOADING_H = 12
 #: mode of the phases with sensors, and of operation
 SENSOR_MODE = "sensor_pointing"
 FORECAST_MODE = "inertial_forecast"
@@ -35,8 +36,48 @@ class TelemetryRecord:
     thrusters_active: bool
 
 
-def telemetry(scenario: Scenario, seed: int, burns_us: tuple[int, ...]) -> tuple[TelemetryRecord, ...]:
-    """Return one record an hour from the first row to the last; nothing is sent in a pause."""
+def telemetry(
+    scenario: Scenario,
+    seed: int,
+    burns_us: tuple[int, ...],
+    inertia_kg_m2: tuple[float, float, float],
+    rows_us: EpochArray,
+    attitude_deg: FloatArray,
+) -> tuple[TelemetryRecord, ...]:
+    """Return the records from the first row to the last; nothing is sent in a pause.
+
+    They are hourly, or of the attitudes (T, 3) of rows (T,) where the story has wheels of its own.
+    """
+    if scenario.wheels is not None:
+        told = told_momentum(scenario, scenario.wheels, seed, inertia_kg_m2, rows_us, attitude_deg)
+        return _records(scenario, scenario.wheels, rows_us, told)
+    return _hourly(scenario, seed, burns_us)
+
+
+def is_unloaded(scenario: Scenario, from_us: int, to_us: int) -> bool:
+    """Return whether thrusters unload the wheels of a story after an epoch and not after another."""
+    epochs_us = unloadings_us(scenario)
+    return bool(((epochs_us > from_us) & (epochs_us <= to_us)).any())
+
+
+def _records(
+    scenario: Scenario, figures: WheelTelemetry, rows_us: EpochArray, told: FloatArray
+) -> tuple[TelemetryRecord, ...]:
+    """Return the records of what is told (T, 3) with the rows, one a period."""
+    period_us = round(60.0 * figures.period_min * US_PER_S)
+    records, before_us = [], scenario.start_us
+    for row in np.flatnonzero((rows_us - scenario.start_us) % period_us == 0).tolist():
+        epoch_us = int(rows_us[row])
+        roll, pitch, yaw = told[row].tolist()
+        is_unloading = figures.is_unloading_marked and is_unloaded(scenario, before_us, epoch_us)
+        mode = FORECAST_MODE if epoch_us >= scenario.operation_start_us else SENSOR_MODE
+        records.append(TelemetryRecord(epoch_us, mode, (roll, pitch, yaw), is_unloading))
+        before_us = epoch_us
+    return tuple(records)
+
+
+def _hourly(scenario: Scenario, seed: int, burns_us: tuple[int, ...]) -> tuple[TelemetryRecord, ...]:
+    """Return one record an hour that follows from nothing."""
     epochs_us = np.arange(scenario.start_us, scenario.stop_us, PERIOD_H * US_PER_H, dtype=np.int64)
     pauses = [phase for phase in scenario.phases if phase.name == "pause"]
     hours = (epochs_us - scenario.start_us) / US_PER_H

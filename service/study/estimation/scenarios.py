@@ -46,6 +46,7 @@ _MISMATCH = (
 )
 _SOURCES = ("beacons", "sensors", "prime_backup", "replan", "blackout", "few3", "corrections_late")
 _WEATHER = ("weather_far", "weather_near", "weather_turns", "weather_alignment", "weather_wet_season")
+_MOTION = ("wheels", "wheels_hourly", "wheels_unmarked", "wheels_misaligned", "wheels_zero")
 #: the worlds by which "never confident and wrong" is judged
 _YARDSTICK = (
     *_WEATHER,
@@ -62,7 +63,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "mismatch": _MISMATCH,
     "sources": _SOURCES,
     "weather": _WEATHER,
+    "motion": _MOTION,
     "yardstick": _YARDSTICK,
     "snapshot": (SNAPSHOT,),
-    "all": (*_PLAIN, *_FAULTS, *_RAIN, *_HARD, *_MISMATCH, *_SOURCES, *_WEATHER, SNAPSHOT),
+    "all": (*_PLAIN, *_FAULTS, *_RAIN, *_HARD, *_MISMATCH, *_SOURCES, *_WEATHER, *_MOTION, SNAPSHOT),
 }

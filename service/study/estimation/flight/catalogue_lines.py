@@ -93,8 +93,8 @@ def read_telemetry(body: Body) -> tuple[TelemetryRecord, ...]:
         TelemetryRecord(
             parse_epoch(record["epoch"]),
             record["onboard_mode"],
-            tuple(record["wheel_momentum_n_m_s"]),
-            thrusters_active=record["thrusters_active"],
+            tuple(record["wheel_momentum_n_m_s"]) if "wheel_momentum_n_m_s" in record else None,
+            thrusters_active=record.get("thrusters_active"),
         )
         for record in body["records"]
     )

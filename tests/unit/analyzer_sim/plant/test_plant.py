@@ -13,12 +13,12 @@ import pytest
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
 from analyzer_sim.export import export_arrays
 from analyzer_sim.plant.plant import Plant, PlantOptions
-from analyzer_sim.plant.plant_lines import run_plant
+from analyzer_sim.plant.plant_lines import run_plant, telemetry_of
 from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
-from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.scenario.events import Gap, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
 from analyzer_sim.world.scenario.story import KeepingErrors, RepeaterSettings
+from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
 from analyzer_sim.world.world import World
 
@@ -308,3 +308,23 @@ def test_a_story_with_power_control_can_be_flown() -> None:
     scenario = replace(SHORT, repeater=RepeaterSettings(power_controlled=("c04",), alc_transponders=("Ku3",)))
     rows = [line for line in played('{"schedule":[]}\n' * 40, scenario) if line["type"] == "row"]
     assert all(row["power_dbm"][4] is not None for row in rows)
+
+
+def test_wheels_of_a_story_are_told_at_its_times_and_hold_the_flown_attitude() -> None:
+    story = replace(scenario_named("wheels"), quiet_h=1.0, operation_h=3.0)
+    plant = Plant(story, 1)
+    told, held = [], []
+    while True:
+        line = telemetry_of(plant)
+        if "wheel_momentum_n_m_s" in line:
+            told.append(line["wheel_momentum_n_m_s"])
+            held.append(plant.momentum_n_m_s)
+            active = line["thrusters_active"]
+            assert active == (plant.epoch_us - story.start_us == 12 * 3_600_000_000)
+        if not plant.advance(parse_schedule('{"schedule": []}', plant.epoch_us)):
+            break
+    assert len(told) == 36
+    error = np.array(told) - np.array(held)
+    # noise, one rpm, half a per cent of scale and 0.05 deg of axes at 8 N m s
+    assert np.abs(error).max() < 0.2
+    assert 0.005 < np.diff(error, axis=0).std() < 0.05

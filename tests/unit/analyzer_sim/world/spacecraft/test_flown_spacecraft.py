@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.world.spacecraft.body_dynamics import Motion, Torques, orbit_normal_in_body, stepped
+from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2, Motion, Torques, orbit_normal_in_body, stepped
 from analyzer_sim.world.spacecraft.flown_spacecraft import OrbitalFrameSpacecraft, spacecraft_at_rest
 from analyzer_sim.world.spacecraft.hub_tones import HubTone, parse_tone
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
