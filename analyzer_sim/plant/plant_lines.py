@@ -38,7 +38,7 @@ from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, reported_lines, truth_row
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft.disturbance import fed_forward
-from analyzer_sim.world.spacecraft.stored_momentum import told
+from analyzer_sim.world.spacecraft.stored_momentum import with_errors
 from analyzer_sim.world.spacecraft.telemetry import PERIOD_H
 from analyzer_sim.world.spacecraft.uplink import Report
 from analyzer_sim.world.spacecraft.wheels import rotor_speed_rpm
@@ -141,7 +141,7 @@ def _momentum_of(plant: Plant) -> Line:
         return {}
     else:
         noise = stream(plant.world.seed, "wheel noise", str(plant.row)).normal(size=3)
-        momentum = told(figures, plant.world.seed, np.array(momentum), noise).tolist()
+        momentum = with_errors(figures, plant.world.seed, np.array(momentum), noise).tolist()
     return {
         "wheel_momentum_n_m_s": [round(h, 6) for h in momentum],
         "wheel_speed_rpm": [round(rotor_speed_rpm(h), 3) for h in momentum],

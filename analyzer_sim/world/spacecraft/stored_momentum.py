@@ -2,7 +2,7 @@
 
     Hx' = w0 Hz + Tx,  Hz' = -w0 Hx + Tz,  Hy' = Ty      H of the whole spacecraft, orbital frame, x roll, z yaw
     h = C H - J w                                        of the wheels, in the body; C, w as in `body_dynamics`
-    told = round_q((1 + s) (h + e x h) + noise)          s scale, e misalignment, q the momentum of one rpm
+    reported = round_q((1 + s) (h + e x h) + noise)      s scale, e misalignment, q the momentum of one rpm
 
 With z = Hx + i Hz the first two are z' = -i w0 z + T. Twice a day thrusters take away what has gathered. Vectors about
 x roll, y pitch, z yaw; N m s.
@@ -43,20 +43,13 @@ def true_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
     return TorqueProfile(constant, figures.torque_n_m * np.cos(phase), figures.torque_n_m * np.sin(phase))
 
 
-def told_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
-    """Return the torque that the ground believes to act."""
-    rng = stream(seed, "wheel torque told")
-    share = 1.0 + figures.profile_error * rng.normal() + figures.axis_profile_error * rng.normal(size=3)
-    return TorqueProfile(*(part / share for part in true_profile(figures, seed)))
-
-
 def unloadings_us(scenario: Scenario) -> EpochArray:
     """Return the epochs of the unloadings."""
     first_us = scenario.start_us + UNLOADING_H * US_PER_H
     return np.arange(first_us, scenario.stop_us, UNLOADING_H * US_PER_H, dtype=np.int64)
 
 
-def told_momentum(
+def reported_momentum(
     scenario: Scenario,
     figures: WheelTelemetry,
     seed: int,
@@ -64,7 +57,7 @@ def told_momentum(
     epochs_us: EpochArray,
     attitude_deg: FloatArray,
 ) -> FloatArray:
-    """Return what the wheels are told to hold (T, 3) at epochs (T,) of attitudes (T, 3), yaw, roll, pitch."""
+    """Return what the wheels are reported to hold (T, 3) at epochs (T,) of attitudes (T, 3), yaw, roll, pitch."""
     whole = _whole_momentum(scenario, figures, seed, epochs_us)
     attitude = np.radians(attitude_deg)
     rate = np.gradient(attitude, epochs_us / US_PER_S, axis=0)[:, [1, 2, 0]]
@@ -72,11 +65,11 @@ def told_momentum(
     for row, (yaw, roll, pitch) in enumerate(attitude.tolist()):
         turn = rate[row] - EARTH_RATE_RAD_S * np.array(orbit_normal_in_body(roll, pitch, yaw))
         stored[row] = _orbital_to_body(roll, pitch, yaw) @ whole[row] - np.array(inertia_kg_m2) * turn
-    return told(figures, seed, stored, stream(seed, "wheel noise").normal(size=stored.shape))
+    return with_errors(figures, seed, stored, stream(seed, "wheel noise").normal(size=stored.shape))
 
 
-def told(figures: WheelTelemetry, seed: int, stored: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return what is told of stored momentum (.., 3); noise (.., 3) of unit variance."""
+def with_errors(figures: WheelTelemetry, seed: int, stored: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return what is reported of stored momentum (.., 3); noise (.., 3) of unit variance."""
     rng = stream(seed, "wheel errors")
     skew = np.radians(rng.normal(0.0, figures.misalignment_deg, 3))
     scale = 1.0 + rng.normal(0.0, figures.scale_error, 3)

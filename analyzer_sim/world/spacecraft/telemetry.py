@@ -5,7 +5,7 @@
     pitch h = b + r t, back to b at each unloading by thrusters, twelve hours apart
 
 None of it acts on the attitude; it only looks like the real thing. A story with wheels of its own has momentum that
-follows from attitude and torques (`stored_momentum`), told as often as it says.
+follows from attitude and torques (`stored_momentum`), reported as often as it says.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from analyzer_sim.epochs import US_PER_H, US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, EpochArray
 from analyzer_sim.world.scenario.story import Scenario, WheelTelemetry
-from analyzer_sim.world.spacecraft.stored_momentum import UNLOADING_H, told_momentum, unloadings_us
+from analyzer_sim.world.spacecraft.stored_momentum import UNLOADING_H, reported_momentum, unloadings_us
 
 #: time between two records, h
 PERIOD_H = 1
@@ -49,8 +49,8 @@ def telemetry(
     They are hourly, or of the attitudes (T, 3) of rows (T,) where the story has wheels of its own.
     """
     if scenario.wheels is not None:
-        told = told_momentum(scenario, scenario.wheels, seed, inertia_kg_m2, rows_us, attitude_deg)
-        return _records(scenario, scenario.wheels, rows_us, told)
+        reported = reported_momentum(scenario, scenario.wheels, seed, inertia_kg_m2, rows_us, attitude_deg)
+        return _records(scenario, scenario.wheels, rows_us, reported)
     return _hourly(scenario, seed, burns_us)
 
 
@@ -61,14 +61,14 @@ def is_unloaded(scenario: Scenario, from_us: int, to_us: int) -> bool:
 
 
 def _records(
-    scenario: Scenario, figures: WheelTelemetry, rows_us: EpochArray, told: FloatArray
+    scenario: Scenario, figures: WheelTelemetry, rows_us: EpochArray, reported: FloatArray
 ) -> tuple[TelemetryRecord, ...]:
-    """Return the records of what is told (T, 3) with the rows, one a period."""
+    """Return the records of what is reported (T, 3) with the rows, one a period."""
     period_us = round(60.0 * figures.period_min * US_PER_S)
     records, before_us = [], scenario.start_us
     for row in np.flatnonzero((rows_us - scenario.start_us) % period_us == 0).tolist():
         epoch_us = int(rows_us[row])
-        roll, pitch, yaw = told[row].tolist()
+        roll, pitch, yaw = reported[row].tolist()
         is_unloading = figures.is_unloading_marked and is_unloaded(scenario, before_us, epoch_us)
         mode = FORECAST_MODE if epoch_us >= scenario.operation_start_us else SENSOR_MODE
         records.append(TelemetryRecord(epoch_us, mode, (roll, pitch, yaw), is_unloading))

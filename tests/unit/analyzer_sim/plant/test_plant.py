@@ -313,18 +313,18 @@ def test_a_story_with_power_control_can_be_flown() -> None:
 def test_wheels_of_a_story_are_told_at_its_times_and_hold_the_flown_attitude() -> None:
     story = replace(scenario_named("wheels"), quiet_h=1.0, operation_h=3.0)
     plant = Plant(story, 1)
-    told, held = [], []
+    reported, held = [], []
     while True:
         line = telemetry_of(plant)
         if "wheel_momentum_n_m_s" in line:
-            told.append(line["wheel_momentum_n_m_s"])
+            reported.append(line["wheel_momentum_n_m_s"])
             held.append(plant.momentum_n_m_s)
             active = line["thrusters_active"]
             assert active == (plant.epoch_us - story.start_us == 12 * 3_600_000_000)
         if not plant.advance(parse_schedule('{"schedule": []}', plant.epoch_us)):
             break
-    assert len(told) == 36
-    error = np.array(told) - np.array(held)
+    assert len(reported) == 36
+    error = np.array(reported) - np.array(held)
     # noise, one rpm, half a per cent of scale and 0.05 deg of axes at 8 N m s
     assert np.abs(error).max() < 0.2
     assert 0.005 < np.diff(error, axis=0).std() < 0.05
