@@ -23,6 +23,10 @@ _COMMANDS = {
     "send": CommandSource(
         "station.send", "Send an archive of carrier powers to the service; continues where it was interrupted."
     ),
+    "import": CommandSource(
+        "own_data.importing.command",
+        "Send a folder: spacecraft, carriers, orbit, readings and powers; creates what is missing, changes nothing.",
+    ),
     "calibrate": CommandSource(
         "operation.operate", "Fit daily changes and sensitivities from quiet days and calibration turns."
     ),

@@ -46,7 +46,7 @@ def calibrate(
     }
     with connected(service, key_env) as client:
         started = client.start_calibration(spacecraft, body)
-        _wait(client, started["job"], "calibration")
+        wait_for_job(client, started["job"], "calibration")
         if activate:
             client.activate_calibration(spacecraft, started["id"])
         calibration = client.calibration(spacecraft, started["id"])
@@ -126,7 +126,7 @@ def replay(
         with connected(service, key_env) as client:
             wanted = {name: value for name, value in body.items() if value is not None}
             started = client.request("POST", f"/spacecraft/{spacecraft}/replays", wanted)
-            _wait(client, started["job"], "replay")
+            wait_for_job(client, started["job"], "replay")
             report: dict[str, Any] = {"id": started["id"], "version": started["version"]}
     else:
         report = _replayed_in_parts(spacecraft, body, workers, scheduler, database)
@@ -162,7 +162,7 @@ def _replayed_in_parts(
     return {"id": replay.id, "version": replay.version}
 
 
-def _wait(client: "ServiceClient", job_id: str, what: str) -> None:
+def wait_for_job(client: "ServiceClient", job_id: str, what: str) -> None:
     """Wait for a job behind a progress bar."""
     with _shown(what) as show:
         client.wait_job(job_id, on_progress=show)

@@ -4,6 +4,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from service.client.documents import StatusReply
     from service.client.service_client import ServiceClient
 
 _POLL_S = 0.5
@@ -19,9 +20,10 @@ def wait_for_angles(
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=is_quiet or not console.is_terminal) as progress:
         task = progress.add_task("angles", total=None)
-        least, deadline_s = None, time.monotonic() + patience_s
+        least: int | None = None
+        deadline_s = time.monotonic() + patience_s
         while True:
-            status = client.status(spacecraft_id)
+            status = _status(client, spacecraft_id, deadline_s)
             pending = status["pending"]
             if least is None or pending < least:
                 least, deadline_s = pending, time.monotonic() + patience_s
@@ -30,6 +32,19 @@ def wait_for_angles(
                 break
             time.sleep(_POLL_S)
     return {name: status[name] for name in ("aligned", "pending", "newest_attitude", "calibration_id", "alignment_id")}
+
+
+def _status(client: "ServiceClient", spacecraft_id: str, deadline_s: float) -> "StatusReply":
+    """Return the state of the estimates; the first row of an installation may wait for the compiler, and it with it."""
+    from service.client.problem import ServiceUnavailableError
+
+    while True:
+        try:
+            return client.status(spacecraft_id)
+        except ServiceUnavailableError:
+            if time.monotonic() > deadline_s:
+                raise
+            time.sleep(_POLL_S)
 
 
 def angles_line(angles: dict[str, Any], spacecraft_id: str) -> str:

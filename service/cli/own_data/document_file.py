@@ -49,6 +49,8 @@ def decoded(path: Path, adapter: "TypeAdapter[M]", raw: bytes) -> M:
         return decode(adapter, raw)
     except RequestProblemError as error:
         faults = [f"{field.pointer or '/'}: {field.detail}" for field in error.fields] or [error.detail]
+        if any(field.pointer.endswith("/latitude_deg") and field.code == "value.range" for field in error.fields):
+            faults.append("latitude and longitude look exchanged: no latitude is beyond 90 deg")
         end("\n".join((f"{path} is refused:", *(f"  {fault}" for fault in faults))), cause=error)
 
 

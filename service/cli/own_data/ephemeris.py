@@ -49,13 +49,13 @@ def put(
     as_json: JsonOption = False,
 ) -> None:
     """Store an orbit of a TLE, OMM, OEM or JSON file."""
-    orbit, ephemeris = _read(file)
+    orbit, ephemeris = read_orbit(file)
     with connected(service, key_env) as client:
         known = client.spacecraft(spacecraft)
         understood = _understood(orbit, ephemeris, client.status(spacecraft)["now"])
         if not as_json:
             show(str(file), ((name, str(value)) for name, value in understood.items() if value is not None))
-        _check(file, orbit, ephemeris, known, is_relocating=relocating)
+        check_orbit(file, orbit, ephemeris, known, is_relocating=relocating)
         if dry_run:
             report({"understood": understood}, as_json=as_json, sentence="nothing was stored")
             return
@@ -64,7 +64,7 @@ def put(
     report({"understood": understood, "stored": stored}, as_json=as_json, sentence=sentence)
 
 
-def _read(file: Path) -> "tuple[OrbitFile, Ephemeris]":
+def read_orbit(file: Path) -> "tuple[OrbitFile, Ephemeris]":
     """Return a file's orbit, as it came and as the service will have it, or end."""
     from pydantic import TypeAdapter
 
@@ -115,7 +115,7 @@ def _understood(orbit: "OrbitFile", ephemeris: "Ephemeris", now: str | None) -> 
     return found
 
 
-def _check(
+def check_orbit(
     file: Path, orbit: "OrbitFile", ephemeris: "Ephemeris", known: dict[str, Any], *, is_relocating: bool
 ) -> None:
     """End when the orbit is that of another satellite."""

@@ -2,7 +2,7 @@
 
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -60,7 +60,18 @@ def with_layout(
         layout = _layout_of(client, order, stated, can_ask=can_ask)
     except ForeignTableError as error:
         raise ArchiveError(f"{order.path}: {error}") from error
+    return laid_out(order, layout)
+
+
+def laid_out(order: "ArchiveOrder", layout: TableLayout) -> "ArchiveOrder":
+    """Return an order whose file is read under a layout."""
     return replace(order, layout=json.dumps(layout.as_document()), open_file=partial(_open_foreign, layout=layout))
+
+
+def carrier_names(plan: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the ids of a plan's carriers by id and by name."""
+    known = {str(each["name"]): str(each["id"]) for each in plan if each.get("name")}
+    return known | {str(each["id"]): str(each["id"]) for each in plan}
 
 
 def is_own(path: Path, stated: StatedLayout) -> bool:
@@ -118,9 +129,7 @@ def _open_foreign(path: Path, layout: TableLayout) -> ForeignArchive:
 
 def _layout_of(client: "ServiceClient", order: "ArchiveOrder", stated: StatedLayout, *, can_ask: bool) -> TableLayout:
     """Return the layout of a file, asked for where it is not stated or proven; without a terminal, end."""
-    plan = client.carriers(order.spacecraft_id)["carriers"]
-    carriers = {str(each["name"]): str(each["id"]) for each in plan if each.get("name")}
-    carriers |= {str(each["id"]): str(each["id"]) for each in plan}
+    carriers = carrier_names(client.carriers(order.spacecraft_id)["carriers"])
     sample = sample_of(order.path)
     is_asked = False
     while (proposal := propose(sample, stated, carriers)).layout is None:

@@ -60,8 +60,8 @@ def put(
     if not as_json:
         show(str(file), ((name, str(value)) for name, value in flat(stated).items()))
     with connected(service, key_env) as client:
-        known = _known(client, document.id)
-        differences = {} if known is None else _differences(document, known)
+        known = known_spacecraft(client, document.id)
+        differences = {} if known is None else differences_of(document, known)
         for name, (here, there) in differences.items():
             typer.echo(f"{name}: the file has {here!r}, the service {there!r}", err=True)
         understood = {"understood": stated, "is_known": known is not None, "differences": list(differences)}
@@ -135,7 +135,7 @@ def _value(cell: str) -> Any:
         return cell
 
 
-def _known(client: "ServiceClient", spacecraft_id: str) -> dict[str, Any] | None:
+def known_spacecraft(client: "ServiceClient", spacecraft_id: str) -> dict[str, Any] | None:
     """Return the spacecraft that the service has under this id; None: none."""
     from service.client.problem import ProblemError
 
@@ -147,7 +147,7 @@ def _known(client: "ServiceClient", spacecraft_id: str) -> dict[str, Any] | None
         return None
 
 
-def _differences(document: "SpacecraftDocument", known: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+def differences_of(document: "SpacecraftDocument", known: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
     """Return the stated fields that the service has otherwise, with both values."""
     stated = flat(document.model_dump(mode="json", exclude_unset=True))
     # members of arrays have their defaults here, as the service has them

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from service.cli.station.tdm_archive import open_any_archive
+from service.cli.own_data.tdm_archive import open_any_archive
 from service.errors import InvalidInputError
 from service.frontend.backfill.columns import (
     ArchiveError,

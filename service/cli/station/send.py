@@ -90,7 +90,7 @@ def send(
     """Send an archive of carrier powers to the service; continues where it was interrupted."""
     # httpx and numpy cost more than the command line itself
     from service.cli.own_data.foreign_file import stated_pairs
-    from service.cli.station.tdm_archive import open_any_archive
+    from service.cli.own_data.tdm_archive import open_any_archive
     from service.formats.foreign.layout import StatedLayout
     from service.frontend.backfill.backfill import ArchiveOrder
     from service.frontend.backfill.columns import ArchiveError
@@ -125,6 +125,7 @@ def _run(
 ) -> dict[str, Any]:
     """Survey a file, and send it unless the survey was all that was asked for."""
     from service.cli.own_data.angles import wait_for_angles
+    from service.cli.own_data.archive_progress import send_with_progress
     from service.cli.own_data.foreign_file import impossibility, with_layout
     from service.frontend.backfill.backfill import check_archive
     from service.runtime.clock import system_now_us
@@ -141,32 +142,8 @@ def _run(
             return report | ({"impossible": reason} if reason else {})
         if reason:
             end(f"{order.path}: {reason}")
-    report = _send(client, order, is_quiet=is_quiet)
+    report = send_with_progress(client, order, is_quiet=is_quiet)
     return report | {"angles": wait_for_angles(client, order.spacecraft_id, order.patience_s, is_quiet=is_quiet)}
-
-
-def _send(client: "ServiceClient", order: "backfill.ArchiveOrder", *, is_quiet: bool) -> dict[str, Any]:
-    """Send behind a progress bar; away from a terminal it would be noise."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
-    from service.frontend.backfill.backfill import send_archive
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    bar = Progress(*columns, TextColumn("{task.fields[rate]}"), console=console)
-    bar.disable = is_quiet or not console.is_terminal
-    with bar:
-        task = bar.add_task(order.path.name, total=None, rate="")
-        begun_at = bar.get_time()
-        first: list[int] = []
-
-        def show(progress: "backfill.Progress") -> None:
-            first.append(progress.rows) if not first else None
-            rate = (progress.rows - first[0]) / max(bar.get_time() - begun_at, 1e-3)
-            bar.update(task, completed=progress.done, total=progress.total, rate=f"{rate:,.0f} rows/s")
-
-        return send_archive(client, order, show)
 
 
 def _is_terminal() -> bool:

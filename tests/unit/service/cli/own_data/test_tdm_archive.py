@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from service.cli.station.tdm_archive import open_any_archive
+from service.cli.own_data.tdm_archive import open_any_archive
 from service.frontend.backfill.columns import ArchiveError
 
 MESSAGE = """CCSDS_TDM_VERS = 2.0
