@@ -1,4 +1,4 @@
 """Commands of an operator: calibrate, align, replay, export; their connection and the user's profile.
 
-Public: connection, profile.
+Public: connection, operate, profile.
 """

@@ -1,4 +1,4 @@
 """Commands of a measuring station: acquire, send.
 
-Public: state_folder, tdm_archive.
+Public: state_folder.
 """

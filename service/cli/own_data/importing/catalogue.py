@@ -9,7 +9,7 @@ from service.cli.command_group import end
 from service.cli.own_data.carriers import read_plan
 from service.cli.own_data.document_file import refuse_findings
 from service.cli.own_data.ephemeris import check_orbit, read_orbit
-from service.cli.own_data.importing.manifest import Manifest
+from service.cli.own_data.importing.manifest import FolderManifest
 from service.cli.own_data.spacecraft import differences_of, flat, known_spacecraft, read_spacecraft
 
 if TYPE_CHECKING:
@@ -32,13 +32,13 @@ class FolderCatalogue(NamedTuple):
 
 
 class CatalogueComparison(NamedTuple):
-    """What is to be created, by its name, and what the service has otherwise, by the name of the field."""
+    """Creations by their names, and differences to the service by the names of their fields."""
 
     creations: dict[str, Callable[[], Any]]
     differences: Differences
 
 
-def read_catalogue(folder: Path, manifest: Manifest) -> FolderCatalogue:
+def read_catalogue(folder: Path, manifest: FolderManifest) -> FolderCatalogue:
     """Return the catalogue of a folder, or end where a file is at fault."""
     spacecraft = None if manifest.spacecraft.file is None else read_spacecraft(folder / manifest.spacecraft.file)
     spacecraft_id = manifest.spacecraft.id if spacecraft is None else spacecraft.id
@@ -52,19 +52,19 @@ def read_catalogue(folder: Path, manifest: Manifest) -> FolderCatalogue:
     return FolderCatalogue(spacecraft_id, spacecraft, plan, orbit)
 
 
-def compared(client: "ServiceClient", folder: Path, manifest: Manifest) -> tuple[str, CatalogueComparison]:
+def compared(client: "ServiceClient", folder: Path, manifest: FolderManifest) -> tuple[str, CatalogueComparison]:
     """Return the id of the spacecraft and how folder and service compare; end where the files contradict themselves."""
     own = read_catalogue(folder, manifest)
     known = known_spacecraft(client, own.spacecraft_id)
     if known is None and own.spacecraft is None:
         end(f"the service has no spacecraft {own.spacecraft_id}, and the folder no file of one")
-    craft = known if own.spacecraft is None else own.spacecraft.model_dump(mode="json", exclude_unset=True)
-    _check(folder, manifest, own, craft or {})
+    members = known if own.spacecraft is None else own.spacecraft.model_dump(mode="json", exclude_unset=True)
+    _check(folder, manifest, own, members or {})
     creations: dict[str, Callable[[], Any]] = {}
     differences: Differences = {}
     if own.spacecraft is not None:
         if known is None:
-            creations["spacecraft"] = lambda: client.create_spacecraft(craft or {})
+            creations["spacecraft"] = lambda: client.create_spacecraft(members or {})
         else:
             differences |= {f"spacecraft.{name}": pair for name, pair in differences_of(own.spacecraft, known).items()}
     if own.plan is not None:
@@ -84,15 +84,15 @@ def compared(client: "ServiceClient", folder: Path, manifest: Manifest) -> tuple
     return own.spacecraft_id, CatalogueComparison(creations, differences)
 
 
-def _check(folder: Path, manifest: Manifest, own: FolderCatalogue, craft: dict[str, Any]) -> None:
+def _check(folder: Path, manifest: FolderManifest, own: FolderCatalogue, members: dict[str, Any]) -> None:
     """End where carriers or orbit cannot be those of the spacecraft."""
     from service.pipeline.inputs.catalogue_checks import check_carriers
 
     if own.plan is not None:
-        findings = check_carriers(own.plan.to_records(), float(craft["longitude_deg"]))
+        findings = check_carriers(own.plan.to_records(), float(members["longitude_deg"]))
         refuse_findings(folder / str(manifest.carriers), findings.faults)
     if own.orbit is not None:
-        check_orbit(*own.orbit, craft, is_relocating=False)
+        check_orbit(*own.orbit, members, is_relocating=False)
 
 
 def _existing(

@@ -25,7 +25,7 @@ from service.cli.operation.connection import (
 from service.cli.own_data.document_file import EXIT_DIFFERENT, report, show
 
 if TYPE_CHECKING:
-    from service.cli.own_data.importing.manifest import Manifest
+    from service.cli.own_data.importing.manifest import FolderManifest
     from service.client.service_client import ServiceClient
 
 EXIT_STOPPED = 1
@@ -150,7 +150,13 @@ def _brief(value: Any) -> str:
 
 
 def _import(
-    client: "ServiceClient", folder: Path, manifest: "Manifest", patience_s: float, *, is_dry: bool, is_quiet: bool
+    client: "ServiceClient",
+    folder: Path,
+    manifest: "FolderManifest",
+    patience_s: float,
+    *,
+    is_dry: bool,
+    is_quiet: bool,
 ) -> dict[str, Any]:
     """Create what is missing and send the files; end where the service has something else."""
     from service.cli.own_data.importing.catalogue import compared
@@ -177,7 +183,7 @@ def _import(
 
 
 def _operate(
-    client: "ServiceClient", spacecraft_id: str, manifest: "Manifest", *, is_calibrated: bool, is_aligned: bool
+    client: "ServiceClient", spacecraft_id: str, manifest: "FolderManifest", *, is_calibrated: bool, is_aligned: bool
 ) -> dict[str, Any]:
     """Calibrate and align as far as that was asked for."""
     from service.cli.own_data.importing.steps import align, calibrate

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from service.cli.own_data.foreign_file import is_own
-from service.cli.own_data.importing.manifest import Guess, Manifest, PowersSection, ReferencesSection, validated
+from service.cli.own_data.importing.manifest import FolderManifest, Guess, PowersSection, ReferencesSection, validated
 from service.cli.own_data.importing.roles import carrier_columns, thin_sample
 from service.cli.own_data.tdm_archive import open_any_archive
 from service.formats.foreign.layout import OFFSET_DB, StatedLayout
@@ -31,7 +31,9 @@ def _stated_entry(kind: type[T], name: str, known: Sequence[T], statements: Stat
     return validated(Path(name), kind, former | dict(statements.get(name, {})))
 
 
-def powers_entry(path: Path, stated: Manifest, statements: Statements, carriers: Mapping[str, str]) -> dict[str, Any]:
+def powers_entry(
+    path: Path, stated: FolderManifest, statements: Statements, carriers: Mapping[str, str]
+) -> dict[str, Any]:
     """Return the entry of a file of powers."""
     known = _stated_entry(PowersSection, path.name, stated.powers, statements)
     if known.layout().is_empty and is_own(path, StatedLayout()):
@@ -94,7 +96,7 @@ def _likely(question: Question) -> Any:
     return None if question.option == "--map" else first
 
 
-def references_entry(path: Path, stated: Manifest, statements: Statements) -> dict[str, Any]:
+def references_entry(path: Path, stated: FolderManifest, statements: Statements) -> dict[str, Any]:
     """Return the entry of a file of readings."""
     known = _stated_entry(ReferencesSection, path.name, stated.references, statements)
     hinted = next((sensor for word, sensor in _SENSORS.items() if word in path.name.lower()), None)

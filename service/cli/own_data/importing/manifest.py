@@ -132,7 +132,7 @@ class WindowsSection(_Section):
     align: WindowSection | None = None
 
 
-class Manifest(_Section):
+class FolderManifest(_Section):
     """Files of a folder and their roles."""
 
     spacecraft: SpacecraftSection = SpacecraftSection()
@@ -179,7 +179,7 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc] # untyped
 _Loader.add_constructor(_TAG, _Loader.construct_guess)
 
 
-def read_manifest(folder: Path) -> Manifest:
+def read_manifest(folder: Path) -> FolderManifest:
     """Return the manifest of a folder, or end where it holds guesses or cannot be read."""
     path = folder / NAME
     document = _document(path)
@@ -188,13 +188,13 @@ def read_manifest(folder: Path) -> Manifest:
         lines = [f"{path} holds guesses; correct each value, remove its {_TAG}, and run the command again:"]
         lines += [f"  line {guess.line}: {name}: {guess.value or 'nothing'}" for name, guess in guesses]
         end("\n".join(lines))
-    return validated(path, Manifest, document)
+    return validated(path, FolderManifest, document)
 
 
-def read_stated(folder: Path) -> Manifest:
+def read_stated(folder: Path) -> FolderManifest:
     """Return what a manifest states, guesses left out; an empty one where there is no file."""
     path = folder / NAME
-    return validated(path, Manifest, _without_guesses(_document(path))) if path.exists() else Manifest()
+    return validated(path, FolderManifest, _without_guesses(_document(path))) if path.exists() else FolderManifest()
 
 
 def read_statement(text: str) -> Any:

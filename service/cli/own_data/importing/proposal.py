@@ -9,8 +9,8 @@ from service.cli.own_data.carriers import read_plan
 from service.cli.own_data.ephemeris import read_orbit
 from service.cli.own_data.foreign_file import carrier_names
 from service.cli.own_data.importing.entries import Statements, powers_entry, references_entry
-from service.cli.own_data.importing.manifest import Guess, Manifest, plain_value
-from service.cli.own_data.importing.roles import Content, Role, content_of, files_of
+from service.cli.own_data.importing.manifest import FolderManifest, Guess, plain_value
+from service.cli.own_data.importing.roles import Content, FileRole, content_of, files_of
 from service.cli.own_data.importing.windows import proposed_windows
 from service.cli.own_data.spacecraft import read_spacecraft
 from service.pipeline.inputs.catalogue_checks import contradiction_of
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 #: roles whose files have fields of their own
-_TABLES = (Role.POWERS, Role.REFERENCES)
+_TABLES = (FileRole.POWERS, FileRole.REFERENCES)
 
 
 class FolderProposal(NamedTuple):
@@ -31,11 +31,11 @@ class FolderProposal(NamedTuple):
     shortcomings: tuple[str, ...]
 
 
-def propose_folder(folder: Path, stated: Manifest, statements: Statements) -> FolderProposal:
+def propose_folder(folder: Path, stated: FolderManifest, statements: Statements) -> FolderProposal:
     """Return the manifest of a folder; what was stated before is kept."""
     files, left_out = files_of(folder)
     contents = {path: content_of(path, None) for path in files}
-    plan_file = _chosen(_named(contents, Role.CARRIERS), stated.carriers)
+    plan_file = _chosen(_named(contents, FileRole.CARRIERS), stated.carriers)
     carriers: dict[str, str] = {}
     if plan_file is not None:
         plan = read_plan(folder / plain_value(plan_file))
@@ -45,17 +45,23 @@ def propose_folder(folder: Path, stated: Manifest, statements: Statements) -> Fo
     if unknown:
         end(f"--state: no powers or readings in {', '.join(sorted(unknown))}")
     left_out |= {path.name: one.reason for path, one in contents.items() if one.role is None}
-    craft_file = _chosen(_named(contents, Role.SPACECRAFT), stated.spacecraft.file)
-    spacecraft = None if craft_file is None else read_spacecraft(folder / plain_value(craft_file))
-    orbits, others = _orbits(folder, _named(contents, Role.EPHEMERIS), spacecraft)
-    references = [references_entry(folder / name, stated, statements) for name in _named(contents, Role.REFERENCES)]
-    own = {"file": craft_file} if craft_file else {"id": stated.spacecraft.id or Guess(None, "no file of a spacecraft")}
+    spacecraft_file = _chosen(_named(contents, FileRole.SPACECRAFT), stated.spacecraft.file)
+    spacecraft = None if spacecraft_file is None else read_spacecraft(folder / plain_value(spacecraft_file))
+    orbits, others = _orbits(folder, _named(contents, FileRole.EPHEMERIS), spacecraft)
+    references = [references_entry(folder / name, stated, statements) for name in _named(contents, FileRole.REFERENCES)]
+    own = (
+        {"file": spacecraft_file}
+        if spacecraft_file
+        else {"id": stated.spacecraft.id or Guess(None, "no file of a spacecraft")}
+    )
     windows, shortcomings = proposed_windows(folder, references, stated)
     sections = {
         "spacecraft": own,
         "carriers": plan_file,
         "ephemeris": _chosen(orbits, stated.ephemeris),
-        "powers": [powers_entry(folder / name, stated, statements, carriers) for name in _named(contents, Role.POWERS)],
+        "powers": [
+            powers_entry(folder / name, stated, statements, carriers) for name in _named(contents, FileRole.POWERS)
+        ],
         "references": references,
         "windows": windows,
         "left_out": left_out | others,
@@ -63,7 +69,7 @@ def propose_folder(folder: Path, stated: Manifest, statements: Statements) -> Fo
     return FolderProposal({name: value for name, value in sections.items() if value}, shortcomings)
 
 
-def _named(contents: Mapping[Path, Content], role: Role) -> list[str]:
+def _named(contents: Mapping[Path, Content], role: FileRole) -> list[str]:
     """Return the names of the files of a role."""
     return [path.name for path, content in contents.items() if content.role is role]
 
@@ -92,7 +98,7 @@ def _orbits(
     return own, others
 
 
-def require_files(manifest: Manifest, folder: Path) -> None:
+def require_files(manifest: FolderManifest, folder: Path) -> None:
     """End where a manifest names a file that is not in its folder, or states no source of one."""
     single = [manifest.spacecraft.file, manifest.carriers, manifest.ephemeris]
     tables = (*manifest.powers, *manifest.references)

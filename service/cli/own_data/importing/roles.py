@@ -24,7 +24,7 @@ _ELEMENTS = re.compile(r"^1 [ 0-9A-Z]\d{4}.*\n2 [ 0-9A-Z]\d{4}", re.MULTILINE)
 _OWN_NOTES = (".send.json", ".refused.csv")
 
 
-class Role(StrEnum):
+class FileRole(StrEnum):
     """Role of a file."""
 
     SPACECRAFT = "spacecraft"
@@ -36,28 +36,28 @@ class Role(StrEnum):
 
 #: members of a JSON object that only one role has
 _MEMBERS = {
-    "inertia_kg_m2": Role.SPACECRAFT,
-    "receiving_site": Role.SPACECRAFT,
-    "carriers": Role.CARRIERS,
-    "references": Role.REFERENCES,
-    "tle": Role.EPHEMERIS,
-    "oem": Role.EPHEMERIS,
-    "ascending_nodes": Role.EPHEMERIS,
-    "MEAN_MOTION": Role.EPHEMERIS,
-    "downlink_hz": Role.CARRIERS,
+    "inertia_kg_m2": FileRole.SPACECRAFT,
+    "receiving_site": FileRole.SPACECRAFT,
+    "carriers": FileRole.CARRIERS,
+    "references": FileRole.REFERENCES,
+    "tle": FileRole.EPHEMERIS,
+    "oem": FileRole.EPHEMERIS,
+    "ascending_nodes": FileRole.EPHEMERIS,
+    "MEAN_MOTION": FileRole.EPHEMERIS,
+    "downlink_hz": FileRole.CARRIERS,
 }
 _STARTS = {
-    "CCSDS_OEM_VERS": Role.EPHEMERIS,
-    "CCSDS_OMM_VERS": Role.EPHEMERIS,
-    "CCSDS_AEM_VERS": Role.REFERENCES,
-    "CCSDS_TDM_VERS": Role.POWERS,
+    "CCSDS_OEM_VERS": FileRole.EPHEMERIS,
+    "CCSDS_OMM_VERS": FileRole.EPHEMERIS,
+    "CCSDS_AEM_VERS": FileRole.REFERENCES,
+    "CCSDS_TDM_VERS": FileRole.POWERS,
 }
 
 
 class Content(NamedTuple):
     """Role of a file, None with the reason why it has none."""
 
-    role: Role | None
+    role: FileRole | None
     reason: str = ""
 
 
@@ -89,13 +89,13 @@ def content_of(path: Path, carriers: Mapping[str, str] | None) -> Content:
             head = file.read(_HEAD_BYTES).removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace").lstrip()
         by_start = next((role for start, role in _STARTS.items() if head.startswith(start)), None)
         if by_start is not None or path.suffix.lower() == ".tdm":
-            return Content(by_start or Role.POWERS)
+            return Content(by_start or FileRole.POWERS)
         if path.suffix.lower() not in {".ndjson", ".jsonl"} and head.startswith(("{", "[")):
             return _of_json(path)
         if head.startswith("<"):
-            return Content(Role.EPHEMERIS) if "MEAN_MOTION" in head else Content(None, "XML, and no OMM")
+            return Content(FileRole.EPHEMERIS) if "MEAN_MOTION" in head else Content(None, "XML, and no OMM")
         if _ELEMENTS.search(head):
-            return Content(Role.EPHEMERIS)
+            return Content(FileRole.EPHEMERIS)
         catalogue = _of_first_line(head.partition("\n")[0].strip())
         return catalogue or (Content(None) if carriers is None else _of_table(path, carriers))
     except (ArchiveError, ForeignTableError, OSError) as error:
@@ -117,23 +117,23 @@ def _of_first_line(line: str) -> Content | None:
     """Return the role that the columns of a catalogue's file state, None for other tables."""
     names = {name.strip().strip('"') for name in re.split("[,;]", line)}
     if names == {"field", "value"}:
-        return Content(Role.SPACECRAFT)
+        return Content(FileRole.SPACECRAFT)
     if {"id", "downlink_hz"} <= names:
-        return Content(Role.CARRIERS)
-    return Content(Role.EPHEMERIS) if "MEAN_MOTION" in names else None
+        return Content(FileRole.CARRIERS)
+    return Content(FileRole.EPHEMERIS) if "MEAN_MOTION" in names else None
 
 
 def _of_table(path: Path, carriers: Mapping[str, str]) -> Content:
     """Return the role of a table with epochs."""
     if is_own(path, StatedLayout()):
-        return Content(Role.POWERS)
+        return Content(FileRole.POWERS)
     sample = thin_sample(path)
     asked = {question.option for question in propose_sensor(sample, StatedSensor()).questions}
     if "--map" not in asked:
-        return Content(None, "angles without epochs") if "--time-column" in asked else Content(Role.REFERENCES)
+        return Content(None, "angles without epochs") if "--time-column" in asked else Content(FileRole.REFERENCES)
     if not carrier_columns(sample, carriers):
         return Content(None, "no column is a carrier or an angle")
-    return Content(Role.POWERS) if has_epochs(sample) else Content(None, "a table without epochs")
+    return Content(FileRole.POWERS) if has_epochs(sample) else Content(None, "a table without epochs")
 
 
 def thin_sample(path: Path) -> Sample:

@@ -8,7 +8,7 @@ from service.cli.own_data.archive_progress import send_with_progress
 from service.cli.own_data.foreign_archive import sample_of
 from service.cli.own_data.foreign_file import carrier_names, impossibility, is_own, laid_out
 from service.cli.own_data.importing.entries import field_of
-from service.cli.own_data.importing.manifest import Manifest, PowersSection, ReferencesSection, WindowSection
+from service.cli.own_data.importing.manifest import FolderManifest, PowersSection, ReferencesSection, WindowSection
 from service.cli.own_data.importing.windows import readings_of
 from service.cli.own_data.readings import check_readings, send_readings, survey_of
 from service.cli.own_data.tdm_archive import open_any_archive
@@ -76,7 +76,7 @@ def _with_layout(client: "ServiceClient", order: ArchiveOrder, section: PowersSe
     return laid_out(order, proposal.layout)
 
 
-def calibrate(client: "ServiceClient", spacecraft_id: str, manifest: Manifest) -> dict[str, Any]:
+def calibrate(client: "ServiceClient", spacecraft_id: str, manifest: FolderManifest) -> dict[str, Any]:
     """Make a calibration of the manifest's windows the active one, unless it is, and return it."""
     from service.cli.operation.operate import wait_for_job
 
@@ -99,7 +99,7 @@ def _calibrations(client: "ServiceClient", spacecraft_id: str) -> list[dict[str,
     return found
 
 
-def align(client: "ServiceClient", spacecraft_id: str, manifest: Manifest) -> dict[str, Any]:
+def align(client: "ServiceClient", spacecraft_id: str, manifest: FolderManifest) -> dict[str, Any]:
     """Align in the window of the manifest, unless that is done, and return the alignment."""
     window = manifest.windows.align
     if window is None:
@@ -117,6 +117,6 @@ def _document(window: WindowSection) -> dict[str, str]:
     return {"start": format_epoch(window.start), "stop": format_epoch(window.stop)}
 
 
-def _sensor(manifest: Manifest) -> str:
+def _sensor(manifest: FolderManifest) -> str:
     """Return the sensor of calibration and alignment: that of the first file of readings."""
     return manifest.references[0].source if manifest.references else "star_tracker"

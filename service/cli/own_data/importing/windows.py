@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from service.cli.own_data.importing.entries import field_of
-from service.cli.own_data.importing.manifest import Guess, Manifest, ReferencesSection, plain_value
+from service.cli.own_data.importing.manifest import FolderManifest, Guess, ReferencesSection, plain_value
 from service.cli.own_data.readings import Reading, open_readings
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning.flown_turns import flown_windows
@@ -18,7 +18,7 @@ _BIN_US = 60_000_000
 
 
 def proposed_windows(
-    folder: Path, entries: list[dict[str, Any]], stated: Manifest
+    folder: Path, entries: list[dict[str, Any]], stated: FolderManifest
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return the windows that readings show; stated ones stay."""
     kept = {name: value for name, value in stated.windows.model_dump(mode="json").items() if value}
