@@ -6,7 +6,7 @@ from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.faults.weather import shower_db, wet_antenna_db
 from analyzer_sim.world.payload.effects import SOURCES, Effects, FaultFlag, draw
-from analyzer_sim.world.scenario.events import Eclipse, PlanChange, Relevel, SourceSwitch, Storm, SunOutage
+from analyzer_sim.world.scenario.events import Eclipse, PatternWave, PlanChange, Relevel, SourceSwitch, Storm, SunOutage
 
 #: a change of gain or pattern below this share of its size no longer counts as one
 _OVER_SHARE = 0.05
@@ -61,6 +61,13 @@ def eclipse(fault: Eclipse, effects: Effects, rng: np.random.Generator) -> None:
     effects.declare("eclipse", start_h, start_h + duration_h, comment="Earth's shadow")
 
 
+def pattern_wave(fault: PatternWave, effects: Effects, rng: np.random.Generator) -> None:
+    """Move the uplink patterns once a solar day."""
+    phase = rng.uniform(0.0, 2.0 * np.pi, 2)
+    wave = np.array(fault.size_deg) * np.cos(2.0 * np.pi * effects.hours[:, None] / 24.0 - phase)
+    np.add(effects.pattern_shift_deg, np.where(effects.hours[:, None] >= 0.0, wave, 0.0), out=effects.pattern_shift_deg)
+
+
 def cooling(hours: FloatArray, start_h: float, duration_h: float, tau_h: float) -> FloatArray:
     """Return how far (T,) the spacecraft has cooled: 0 in sunlight, towards 1 in shadow, back with the same time."""
     inside_h = np.clip(hours - start_h, 0.0, duration_h)
@@ -94,4 +101,4 @@ def switch_source(fault: SourceSwitch, effects: Effects, rng: np.random.Generato
 
 
 #: every effect of this module
-SPELLS = (storm, relevel, change_plan, eclipse, sun_outage, switch_source)
+SPELLS = (storm, relevel, change_plan, eclipse, pattern_wave, sun_outage, switch_source)

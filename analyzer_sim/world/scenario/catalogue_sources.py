@@ -1,7 +1,15 @@
 """Catalogue, fourth part: what measures and what is told: beacons, other sensors, two analyzers, new plans, silence."""
 
 from analyzer_sim.world.scenario.catalogue_plain import ALL16
-from analyzer_sim.world.scenario.events import ChainStep, DownlinkRain, Gap, PlanChange, SourceSwitch, SwitchOff
+from analyzer_sim.world.scenario.events import (
+    ChainStep,
+    DownlinkRain,
+    Gap,
+    PatternWave,
+    PlanChange,
+    SourceSwitch,
+    SwitchOff,
+)
 from analyzer_sim.world.scenario.story import KeepingErrors, Scenario
 from analyzer_sim.world.sensors import EARTH_SENSOR, RADIO_BEACON
 
@@ -53,5 +61,10 @@ SOURCES_OF_REALITY: tuple[Scenario, ...] = (
         "corrections_late",
         "As nominal; the ground is told of each correction half an hour after its end.",
         keeping=KeepingErrors(corrections_late_min=30.0),
+    ),
+    Scenario(
+        "antenna_wave",
+        "From the start of operation on the Sun moves the uplink patterns by 0.03 and 0.02 deg once a day.",
+        faults=(PatternWave("bent reflector"),),
     ),
 )

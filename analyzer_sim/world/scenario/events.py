@@ -276,6 +276,15 @@ class Eclipse:
 
 
 @dataclass(frozen=True, slots=True)
+class PatternWave:
+    """The Sun bends the receiving reflector: from the start of operation on the uplink patterns move once a day."""
+
+    name: str
+    #: amplitude of the shift to East and to North; phases are drawn
+    size_deg: tuple[float, float] = (0.03, 0.02)
+
+
+@dataclass(frozen=True, slots=True)
 class SunOutage:
     """The Sun stands behind the satellite: the noise at the receiving site rises."""
 
@@ -301,6 +310,7 @@ Fault = (
     | Relevel
     | PlanChange
     | Eclipse
+    | PatternWave
     | SunOutage
     | SourceSwitch
 )

@@ -10,6 +10,7 @@ from service.api.routes import (
     analyses,
     attitude,
     audit,
+    beams,
     calibrations,
     carrier_results,
     carrier_selection,
@@ -49,7 +50,17 @@ ROUTERS: tuple[APIRouter, ...] = (
     *(each.router for each in (spacecraft, carriers, ephemeris, sources, inputs, operations, calibrations, alignments)),
     *(
         each.router
-        for each in (harmonics, carrier_selection, status, measurements, samples, sampled_quantities, timeline, traces)
+        for each in (
+            harmonics,
+            carrier_selection,
+            beams,
+            status,
+            measurements,
+            samples,
+            sampled_quantities,
+            timeline,
+            traces,
+        )
     ),
     # torque_commands behind the names of torques, which its ids must not hide
     *(each.router for each in (attitude, carrier_results, torques, torque_commands, control, stream, export)),

@@ -1,1 +1,1 @@
-"""Command `soo plan`: selection of carriers and timetable of turns."""
+"""Commands `soo plan`, selection of carriers and timetable of turns, and `soo beams`, where the antennas point."""

@@ -44,7 +44,7 @@ _MISMATCH = (
     "corrections_lost",
     "corrections_doubled",
 )
-_SOURCES = ("beacons", "sensors", "prime_backup", "replan", "blackout", "few3", "corrections_late")
+_SOURCES = ("beacons", "sensors", "prime_backup", "replan", "blackout", "few3", "corrections_late", "antenna_wave")
 _WEATHER = ("weather_far", "weather_near", "weather_turns", "weather_alignment", "weather_wet_season")
 _MOTION = ("wheels", "wheels_hourly", "wheels_unmarked", "wheels_misaligned", "wheels_zero")
 #: the worlds by which "never confident and wrong" is judged
