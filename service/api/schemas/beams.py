@@ -7,7 +7,7 @@ from pydantic import BeforeValidator
 
 from service.api.schemas.base import Answer, EpochAnswer, Figure, WindowAnswer
 from service.core.estimation.beams.boresight_wave import BoresightFit, Wave
-from service.pipeline.carrier_model.beam_report import AntennaReport, Cause, Group, StationReport
+from service.pipeline.carrier_model.beam_report import AntennaReport, Group, StationReport, WaveCause
 from service.records.levels.attitude import FloatArray
 from service.runtime.jobs.beam_analysis import BeamAnalysis
 
@@ -72,7 +72,7 @@ class AntennaAnswer(Answer):
     """Band or transponder that the carriers share."""
     carriers: list[str]
     """Carriers that tell it."""
-    cause: Cause
+    cause: WaveCause
     """Cause of a daily change: `none` found; `antenna`: others do not show it; `antenna_or_sensor`: there is no other;
     `body_or_sensor`: the others show the same."""
     east: AxisAnswer

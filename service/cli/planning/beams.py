@@ -55,9 +55,9 @@ def beams(
 
 def _lines(document: dict[str, Any]) -> list[str]:
     """Return the report as lines."""
-    told, turned = len(document["epochs"]), sum(document["turned"])
+    hours, turned = len(document["epochs"]), sum(document["turned"])
     lines = [
-        f"calibration {document['calibration_id']}, sensors {', '.join(document['sensors'])}: {told} hours, "
+        f"calibration {document['calibration_id']}, sensors {', '.join(document['sensors'])}: {hours} hours, "
         f"{turned} of them left out because the body turned"
     ]
     for antenna in document["antennas"]:

@@ -47,15 +47,15 @@ def _draw_map(axes: Any, stations: list[dict[str, Any]]) -> None:
     names = sorted({each["transponder"] for each in stations})
     for number, name in enumerate(names):
         own = [each for each in stations if each["transponder"] == name]
-        place = np.array([[each["azimuth_deg"], each["elevation_deg"]] for each in own])
+        position = np.array([[each["azimuth_deg"], each["elevation_deg"]] for each in own])
         beams = _beams(own)
         colour = _COLOURS[number % len(_COLOURS)]
-        axes.scatter(*place.T, s=20.0, color=colour, label=name, zorder=3)
-        for each, at, slope in zip(own, place, beams.gradient_db_deg, strict=True):
+        axes.scatter(*position.T, s=20.0, color=colour, label=name, zorder=3)
+        for each, at, slope in zip(own, position, beams.gradient_db_deg, strict=True):
             axes.annotate("", at + _ARROW_DEG * slope, at, arrowprops={"arrowstyle": "->", "color": colour})
             axes.annotate(each["carrier"], at, xytext=(4, 4), textcoords="offset points", fontsize=7)
         if len(own) >= _MIN_STATIONS:
-            _draw_contours(axes, place, beams, colour)
+            _draw_contours(axes, position, beams, colour)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_xlabel(f"azimuth, deg East; arrows: where the level rises, {_ARROW_DEG:g} deg for 1 dB/deg")
     axes.set_ylabel("elevation, deg North")
@@ -63,11 +63,11 @@ def _draw_map(axes: Any, stations: list[dict[str, Any]]) -> None:
         axes.legend(loc="upper right", ncols=4, frameon=False)
 
 
-def _draw_contours(axes: Any, place: np.ndarray, beams: StationBeams, colour: str) -> None:
+def _draw_contours(axes: Any, position: np.ndarray, beams: StationBeams, colour: str) -> None:
     """Draw the surface of degree three between the stations, each dB below its greatest value there."""
-    low, high = place.min(axis=0) - _MARGIN_DEG, place.max(axis=0) + _MARGIN_DEG
+    low, high = position.min(axis=0) - _MARGIN_DEG, position.max(axis=0) + _MARGIN_DEG
     east, north = np.meshgrid(np.linspace(low[0], high[0], 80), np.linspace(low[1], high[1], 80))
-    gain_db = surface_db(np.stack([east, north], axis=-1), beam_surface(place, beams))
+    gain_db = surface_db(np.stack([east, north], axis=-1), beam_surface(position, beams))
     drawn = axes.contour(
         east, north, gain_db - gain_db.max(), levels=_CONTOURS_DB, colors=colour, linewidths=0.6, alpha=0.7
     )

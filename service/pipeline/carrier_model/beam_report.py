@@ -37,7 +37,7 @@ class Group(StrEnum):
     TRANSPONDER = "transponder"
 
 
-class Cause(StrEnum):
+class WaveCause(StrEnum):
     """Cause of a daily change that was found."""
 
     #: nothing was found, or the series is too short
@@ -71,7 +71,7 @@ class AntennaReport:
     series: BoresightSeries
     east: BoresightFit
     north: BoresightFit
-    cause: Cause
+    cause: WaveCause
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ def beam_report(
     error_db = daily_error_db(result, fit, quiet, hours.start_us)
     found = []
     for antenna in sorted(set(names)):
-        members = np.flatnonzero(_tells_beam(fit, model, beams) & (np.array(names) == antenna))
+        members = np.flatnonzero(_shows_beam(fit, model, beams) & (np.array(names) == antenna))
         if len(members) >= MIN_CARRIERS:
             series = boresight_series(rest_db[:, members], beams.gradient_db_deg[members], sigma_db[members])
             found.append(_antenna(antenna, tuple(ids[k] for k in members), series, hours, error_db[members]))
@@ -153,7 +153,7 @@ def _antenna_names(fit: GeometryFit, group: Group) -> list[str]:
     return [fit.transponders[k] for k in fit.transponder]
 
 
-def _tells_beam(fit: GeometryFit, model: GeometryModel, beams: StationBeams) -> BoolArray:
+def _shows_beam(fit: GeometryFit, model: GeometryModel, beams: StationBeams) -> BoolArray:
     """Return which carriers (N,) show the pattern of their uplink beam."""
     is_user = np.isfinite(np.array(fit.station_azimuth_deg)) & np.array(fit.is_used)
     is_free = np.array(fit.alc_group or (-1,) * len(is_user)) < 0
@@ -172,7 +172,7 @@ def _antenna(
         _less_sure(fit_boresight(middle_s, series.boresight_deg[:, k], series.sigma_deg[:, k]), float(open_deg[k]))
         for k in range(2)
     )
-    return AntennaReport(name, carrier_ids, series, east, north, Cause.NONE)
+    return AntennaReport(name, carrier_ids, series, east, north, WaveCause.NONE)
 
 
 def _less_sure(fit: BoresightFit, sigma_deg: float) -> BoresightFit:
@@ -185,12 +185,12 @@ def _with_causes(found: list[AntennaReport], hours: HourlyMeans) -> tuple[Antenn
     return tuple(replace(one, cause=_cause(one, [each for each in found if each is not one], hours)) for one in found)
 
 
-def _cause(one: AntennaReport, others: list[AntennaReport], hours: HourlyMeans) -> Cause:
+def _cause(one: AntennaReport, others: list[AntennaReport], hours: HourlyMeans) -> WaveCause:
     """Return what the daily change of an antenna proves."""
     if not (_is_found(one.east.daily) or _is_found(one.north.daily)):
-        return Cause.NONE
+        return WaveCause.NONE
     if not others:
-        return Cause.ANTENNA_OR_SENSOR
+        return WaveCause.ANTENNA_OR_SENSOR
     middle_s = (hours.start_us + HOUR_US // 2) / US_PER_S
     for other in others:
         for k, axis in enumerate(("east", "north")):
@@ -199,8 +199,8 @@ def _cause(one: AntennaReport, others: list[AntennaReport], hours: HourlyMeans) 
             own_deg, its_deg = getattr(one, axis).daily.sigma_deg, getattr(other, axis).daily.sigma_deg
             daily = fit_boresight(middle_s, difference, sigma).daily
             if _is_found(daily._replace(sigma_deg=float(np.hypot(own_deg, its_deg)))):
-                return Cause.ANTENNA
-    return Cause.BODY_OR_SENSOR
+                return WaveCause.ANTENNA
+    return WaveCause.BODY_OR_SENSOR
 
 
 def _is_found(wave: Wave) -> bool:
@@ -213,14 +213,14 @@ def _stations(
 ) -> tuple[StationReport, ...]:
     """Return the beams at the stations and how they changed since the campaign before."""
     change = _changes(result, fit, beams, before)
-    place = np.column_stack([fit.station_azimuth_deg, fit.station_elevation_deg])
-    is_known = np.isfinite(place).all(axis=1) & np.isfinite(beams.gradient_db_deg).all(axis=1)
+    position = np.column_stack([fit.station_azimuth_deg, fit.station_elevation_deg])
+    is_known = np.isfinite(position).all(axis=1) & np.isfinite(beams.gradient_db_deg).all(axis=1)
     return tuple(
         StationReport(
             result.carriers[k].id,
             fit.transponders[fit.transponder[k]],
-            float(place[k, 0]),
-            float(place[k, 1]),
+            float(position[k, 0]),
+            float(position[k, 1]),
             tuple(beams.gradient_db_deg[k].tolist()),
             tuple(beams.gradient_sigma[k].tolist()),
             tuple(beams.curvature_db_deg2[k].tolist()),
@@ -240,11 +240,11 @@ def _changes(
     other = before.geometry
     model = geometry_model(other, before.carriers)
     earlier = station_beams(model.calibration)
-    places = {carrier.id: k for k, carrier in enumerate(before.carriers)}
+    numbers = {carrier.id: k for k, carrier in enumerate(before.carriers)}
     # a carrier that the other campaign lacks is compared with any and left out below
-    at = np.array([places.get(carrier.id, 0) for carrier in result.carriers])
+    at = np.array([numbers.get(carrier.id, 0) for carrier in result.carriers])
     change = changes_in_sigmas(beams, StationBeams(*(values[at] for values in earlier)))
     then = np.column_stack([other.station_azimuth_deg, other.station_elevation_deg])[at]
     now = np.column_stack([fit.station_azimuth_deg, fit.station_elevation_deg])
-    is_same = np.array([carrier.id in places for carrier in result.carriers]) & np.isclose(then, now, atol=0.02).all(1)
+    is_same = np.array([carrier.id in numbers for carrier in result.carriers]) & np.isclose(then, now, atol=0.02).all(1)
     return np.where(is_same, change, np.nan)

@@ -14,6 +14,7 @@ from service.pipeline.carrier_model.beam_report import HOUR_US, BeamReport, Grou
 from service.ports import LIVE, Storage
 from service.records.calibration import Calibration, CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method
+from service.records.epoch import LATEST_EPOCH_US
 from service.records.levels.attitude import FloatArray
 
 #: most days that are read for one answer, and longest span
@@ -47,11 +48,11 @@ def analyse_beams(storage: Storage, spacecraft_id: str, window: Window, group: G
     ConflictError
         ``beams.no_calibration``: no calibration by geometry is active.
     InvalidInputError
-        ``beams.span``: the span is longer than can be judged.
+        ``range.too_long``: the span is longer than can be judged.
     """
     if window.stop_us - window.start_us > MAX_SPAN_DAYS * _DAY_US:
         detail = f"the span is longer than {MAX_SPAN_DAYS} days; ask for a shorter one"
-        raise InvalidInputError("beams.span", detail)
+        raise InvalidInputError("range.too_long", detail)
     now, before = _campaigns(storage, spacecraft_id)
     result = now.result
     if result is None or result.geometry is None:
@@ -92,14 +93,14 @@ def _campaigns(storage: Storage, spacecraft_id: str) -> tuple[Calibration, Calib
 
 
 def _since(storage: Storage, spacecraft_id: str, calibration: Calibration) -> int:
-    """Return from when on deviations were computed with a calibration."""
+    """Return from when on deviations were computed with a calibration, behind every epoch where none were."""
     alignments = storage.results.alignments(spacecraft_id)
     used = [
         one.epoch_us
         for one in alignments
         if one.calibration_by_method.get(Method.ROBUST.value, one.calibration_id) == calibration.id
     ]
-    return min(used, default=calibration.request.data_until_us)
+    return min(used, default=LATEST_EPOCH_US)
 
 
 def _of_day(
@@ -146,12 +147,14 @@ def _joined(days: list[HourlyMeans], carriers: int) -> HourlyMeans:
     start_us, deviation_db, rows, attitude_deg, range_deg = (
         np.concatenate([getattr(day, name) for day in days]) for name in HourlyMeans._fields
     )
-    told = np.isfinite(attitude_deg).all(axis=1) & np.isfinite(deviation_db).any(axis=1)
-    return HourlyMeans(start_us[told], deviation_db[told], rows[told], attitude_deg[told], range_deg[told])
+    known = np.isfinite(attitude_deg).all(axis=1) & np.isfinite(deviation_db).any(axis=1)
+    return HourlyMeans(start_us[known], deviation_db[known], rows[known], attitude_deg[known], range_deg[known])
 
 
 def _notes(window: Window, since_us: int, step: int, report: BeamReport, sensors: tuple[str, ...]) -> tuple[str, ...]:
     """Return notes on the validity of the figures."""
+    if since_us >= window.stop_us:
+        return ("no alignment before the end of the span uses this calibration: no boresight",)
     notes = []
     if since_us > window.start_us:
         notes.append("the series begins with the first alignment by this calibration; before it others were in force")

@@ -24,8 +24,10 @@ BoolArray = NDArray[np.bool_]
 MIN_CARRIERS = 5
 #: sigmas at which Tukey's weight becomes zero; 95 % efficient on normal noise
 _TUKEY_SIGMAS = 4.685
-_PASSES = 8
+_START_PASSES, _PASSES = 12, 8
 _MAD_TO_SIGMA = 1.4826
+#: dB, least scatter of the levels that single carriers change by
+_LEAST_OFFSET_DB = 0.01
 #: smallest eigenvalue of a normal matrix of unit diagonal that still determines the boresight
 _MIN_EIGENVALUE = 1e-4
 
@@ -92,29 +94,31 @@ def boresight_series(residual_db: FloatArray, gradient_db_deg: FloatArray, sigma
     design = np.column_stack([-gradient_db_deg, np.ones(len(gradient_db_deg))])
     value = np.where(is_seen, residual_db, 0.0)
     offset, weight, scale = np.zeros(len(design)), is_seen.astype(np.float64), 1.0
-    for _ in range(_PASSES):
+    # Huber's weights begin, for Tukey's find the minimum that is nearest
+    for weigh in (*(_huber,) * _START_PASSES, *(_tukey,) * _PASSES):
         theta, _, _ = _solved(design, value - offset, weight / np.square(sigma_db))
         rest = value - theta @ design.T
-        seen = np.maximum(weight.sum(axis=0), 1e-9)
         # of the offsets only what no boresight and no level explains
-        offset = _unexplained(design, (weight * rest).sum(axis=0) / seen, seen / np.square(sigma_db))
+        offset = _unexplained(design, _medians(rest, is_seen), is_seen.sum(axis=0) / np.square(sigma_db))
         sigmas = np.abs(rest - offset) / sigma_db
         scale = _scale(sigmas, is_seen)
-        weight = np.where(is_seen, _tukey(sigmas / scale), 0.0)
+        weight = np.where(is_seen, weigh(sigmas / scale), 0.0)
     information = weight / np.square(scale * sigma_db)
     theta, inverse, is_determined = _solved(design, value - offset, information)
     used = (weight > 0.5).sum(axis=1)
-    is_told = is_determined & (used >= MIN_CARRIERS)
+    is_known = is_determined & (used >= MIN_CARRIERS)
     rest = value - theta @ design.T - offset
     gain = _mean_gain(design, information.sum(axis=0))
-    told = int((weight.sum(axis=0) > 0.0).sum())
-    widening = math.sqrt(told / max(1, told - design.shape[1]))
+    # a level that stands out was found, and does not make the others less sure
+    ordinary_db = np.minimum(np.abs(offset), 3.0 * _MAD_TO_SIGMA * np.median(np.abs(offset)))
+    counted = int((weight.sum(axis=0) > 0.0).sum())
+    widening = math.sqrt(counted / max(1, counted - design.shape[1]))
     return BoresightSeries(
-        np.where(is_told[:, None], theta[:, :2], np.nan),
-        np.where(is_told[:, None], np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, :2]), np.nan),
-        np.where(is_told, theta[:, 2], np.nan),
+        np.where(is_known[:, None], theta[:, :2], np.nan),
+        np.where(is_known[:, None], np.sqrt(np.diagonal(inverse, axis1=1, axis2=2)[:, :2]), np.nan),
+        np.where(is_known, theta[:, 2], np.nan),
         used.astype(np.int64),
-        widening * np.linalg.norm(gain[:2] * offset, axis=1),
+        widening * np.linalg.norm(gain[:2] * ordinary_db, axis=1),
         float(np.sqrt((weight * np.square(rest)).sum() / max(weight.sum(), 1e-9))),
         gain[:2],
     )
@@ -133,8 +137,17 @@ def _solved(design: FloatArray, value: FloatArray, information: FloatArray) -> t
 
 
 def _unexplained(design: FloatArray, offset: FloatArray, information: FloatArray) -> FloatArray:
-    """Return offsets (N,) less what a constant boresight and level explain of them."""
-    return np.asarray(offset - design @ (_mean_gain(design, information) @ offset))
+    """Return offsets (N,) less what a constant boresight and level explain of them.
+
+    A level that changed is one carrier's: what most of them show is the boresight, and those that contradict stand out.
+    """
+    weight, rest = information, offset
+    for weigh in (*(_huber,) * _START_PASSES, *(_tukey,) * _PASSES):
+        rest = offset - design @ (_mean_gain(design, weight) @ offset)
+        size = np.abs(rest)
+        scale = max(_LEAST_OFFSET_DB, _MAD_TO_SIGMA * float(np.median(np.append(size[information > 0.0], 0.0))))
+        weight = information * weigh(size / scale)
+    return rest
 
 
 def _mean_gain(design: FloatArray, information: FloatArray) -> FloatArray:
@@ -144,9 +157,30 @@ def _mean_gain(design: FloatArray, information: FloatArray) -> FloatArray:
 
 
 def _scale(sigmas: FloatArray, is_seen: BoolArray) -> float:
-    """Return by what factor, at least a half, the residuals are larger than stated, by their median."""
+    """Return by what factor, at least a half, noise is larger than stated, by the median of the residuals."""
     seen = sigmas[is_seen]
-    return max(0.5, _MAD_TO_SIGMA * float(np.median(seen))) if len(seen) else 1.0
+    if not len(seen):
+        return 1.0
+    carriers = len(seen) / int(is_seen.any(axis=1).sum())
+    # three unknowns an hour make residuals smaller than noise
+    freedom = math.sqrt(carriers / max(carriers - 3.0, 1.0))
+    return max(0.5, _MAD_TO_SIGMA * float(np.median(seen)) * freedom)
+
+
+def _medians(rest: FloatArray, is_seen: BoolArray) -> FloatArray:
+    """Return the median (N,) over the hours of each carrier, 0 of one that was never seen."""
+    ordered = np.sort(np.where(is_seen, rest, np.inf), axis=0)
+    count = is_seen.sum(axis=0)
+    if not len(rest):
+        return np.zeros(rest.shape[1])
+    low, high = (np.take_along_axis(ordered, np.maximum(at, 0)[None], 0)[0] for at in ((count - 1) // 2, count // 2))
+    high = np.where(np.isfinite(high), high, low)
+    return np.where(count > 0, 0.5 * (low + high), 0.0)
+
+
+def _huber(sigmas: FloatArray) -> FloatArray:
+    """Return Huber's weights of residuals in sigmas."""
+    return np.asarray(1.0 / np.maximum(sigmas, 1.0))
 
 
 def _tukey(sigmas: FloatArray) -> FloatArray:

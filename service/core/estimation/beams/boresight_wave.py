@@ -89,12 +89,12 @@ def fit_boresight(epochs_s: FloatArray, value_deg: FloatArray, sigma_deg: FloatA
     >>> round(daily.amplitude_deg, 6), round(daily.peak_s)
     (0.03, 21600)
     """
-    is_told = np.isfinite(value_deg) & np.isfinite(sigma_deg) & (sigma_deg > 0.0)
-    at_s, value, weight = epochs_s[is_told], value_deg[is_told], 1.0 / sigma_deg[is_told]
+    is_known = np.isfinite(value_deg) & np.isfinite(sigma_deg) & (sigma_deg > 0.0)
+    at_s, value, weight = epochs_s[is_known], value_deg[is_known], 1.0 / sigma_deg[is_known]
     if len(at_s) < 5:
         return UNKNOWN_FIT
     span_s = float(at_s[-1] - at_s[0])
-    periods_s = _told_periods(at_s, span_s)
+    periods_s = _resolved_periods(at_s, span_s)
     design = _columns(at_s, periods_s)
     theta = np.asarray(np.linalg.lstsq(design * weight[:, None], value * weight, rcond=None)[0], dtype=np.float64)
     rest = value - design @ theta
@@ -114,7 +114,7 @@ def fit_boresight(epochs_s: FloatArray, value_deg: FloatArray, sigma_deg: FloatA
     )
 
 
-def _told_periods(at_s: FloatArray, span_s: float) -> list[float]:
+def _resolved_periods(at_s: FloatArray, span_s: float) -> list[float]:
     """Return the periods that the series is long enough for."""
     hours_of_day = len(np.unique((at_s % _DAY_S) // _HOUR_S))
     is_daily = span_s >= _MIN_DAILY_S and hours_of_day >= _MIN_HOURS_OF_DAY

@@ -72,12 +72,12 @@ def changes_in_sigmas(now: StationBeams, before: StationBeams) -> FloatArray:
     return np.where(is_known, np.sqrt(np.maximum(square, 0.0)), np.nan)
 
 
-def beam_surface(place_deg: FloatArray, beams: StationBeams) -> FloatArray:
+def beam_surface(position_deg: FloatArray, beams: StationBeams) -> FloatArray:
     """Return the surface of degree three that fits gradients and curvatures of the stations of one beam.
 
     Parameters
     ----------
-    place_deg : ndarray, shape (N, 2), deg
+    position_deg : ndarray, shape (N, 2), deg
         East and North of the stations in the antenna frame.
     beams : StationBeams
         Of the same stations.
@@ -87,7 +87,7 @@ def beam_surface(place_deg: FloatArray, beams: StationBeams) -> FloatArray:
     ndarray, shape (9,), dB/deg^k
         Coefficients for ``surface_db``.
     """
-    slope, bend = _derivatives(place_deg)
+    slope, bend = _derivatives(position_deg)
     rows = np.concatenate([slope.reshape(-1, len(_POWERS)), bend.reshape(-1, len(_POWERS))])
     value = np.concatenate([beams.gradient_db_deg.ravel(), beams.curvature_db_deg2.ravel()])
     sigma = np.concatenate([beams.gradient_sigma.ravel(), beams.curvature_sigma.ravel()])
@@ -98,7 +98,7 @@ def beam_surface(place_deg: FloatArray, beams: StationBeams) -> FloatArray:
     return np.asarray(np.linalg.lstsq(system, right, rcond=None)[0])
 
 
-def surface_db(place_deg: FloatArray, surface: FloatArray) -> FloatArray:
+def surface_db(position_deg: FloatArray, surface: FloatArray) -> FloatArray:
     """Return the gain (...) in dB of a surface at places (..., 2), relative to that at nadir.
 
     Examples
@@ -106,13 +106,13 @@ def surface_db(place_deg: FloatArray, surface: FloatArray) -> FloatArray:
     >>> surface_db(np.array([2.0, 1.0]), np.array([1.0, 0, 0, 0, 0, 0, 0, 0, 1.0]))
     np.float64(3.0)
     """
-    east, north = place_deg[..., 0], place_deg[..., 1]
+    east, north = position_deg[..., 0], position_deg[..., 1]
     return np.asarray(np.stack([east**i * north**j for i, j in _POWERS], axis=-1) @ surface)[()]
 
 
-def _derivatives(place_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _derivatives(position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return columns of gradients (N, 2, 9) and of curvatures (N, 3, 9) of the surface."""
-    east, north = place_deg[:, 0], place_deg[:, 1]
+    east, north = position_deg[:, 0], position_deg[:, 1]
 
     def term(i: int, j: int, along: int, across: int) -> FloatArray:
         factor = float(np.prod(range(i - along + 1, i + 1)) * np.prod(range(j - across + 1, j + 1)))
