@@ -66,7 +66,7 @@ mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; 
 	$(BIN)/python tests/mutation/mutants.py
 
 console-check: $(DEV_STAMP) ## look at the console in the system's chromium; pictures in build/console
-	$(BIN)/python -m pytest -p no:randomly -m "not nightly" tests/console
+	$(BIN)/python -m pytest -p no:randomly -m "not nightly" -n 2 --dist loadfile tests/console
 
 # without unraisableexception: the sockets that a client leaves to the collector are its own
 clients: $(STAMP) $(CLIENTS_STAMP) ## drive the simulated analyzer with third-party programs, print what each did
