@@ -1,4 +1,4 @@
 """Commands and dialogues that bring an operator's own data to the service.
 
-Public: angles, archive_progress, foreign_file, tdm_archive.
+Public: angles, archive_progress, ephemeris, foreign_archive, foreign_file, spacecraft, tdm_archive.
 """

@@ -28,12 +28,14 @@ _BEAM_HELP = "Assumed beam, [TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] deg; repeat it 
 
 def plan(
     spacecraft: Annotated[str | None, typer.Option(help="Id of a calibrated spacecraft of the service.")] = None,
-    spacecraft_file: Annotated[Path | None, typer.Option(help="Spacecraft (JSON) to plan without a service.")] = None,
+    spacecraft_file: Annotated[
+        Path | None, typer.Option(help="Spacecraft (JSON, CSV) to plan without a service.")
+    ] = None,
     carriers_file: Annotated[Path | None, typer.Option(help="Its carrier plan (CSV or JSON).")] = None,
     beam: Annotated[list[str] | None, typer.Option(help=_BEAM_HELP)] = None,
     contours: Annotated[Path | None, typer.Option(help=_CONTOURS_HELP)] = None,
-    quiet: Annotated[Path | None, typer.Option(help="Powers of three quiet days, a file as soo send reads it.")] = None,
-    ephemeris: Annotated[Path | None, typer.Option(help="Orbit of these days: TLE, OEM or JSON.")] = None,
+    quiet: Annotated[Path | None, typer.Option(help="Powers of three quiet days; foreign ones with soo.yaml.")] = None,
+    ephemeris: Annotated[Path | None, typer.Option(help="Orbit of these days: TLE, OMM, OEM or JSON.")] = None,
     noise: Annotated[Literal["links", "quiet"], typer.Option(help="Assumed noise.")] = "links",
     count: Annotated[int | None, typer.Option(help="Carriers wanted; default 16.", min=5, max=1000)] = None,
     rule: Annotated[Literal["optimal", "paper"], typer.Option(help="Rule of the choice.")] = "optimal",

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from service.cli.own_data.foreign_archive import ForeignArchive
+from service.cli.own_data.foreign_file import carrier_names
 from service.cli.own_data.tdm_archive import open_any_archive
 from service.errors import InvalidInputError
 from service.frontend.backfill.columns import (
@@ -18,14 +20,15 @@ from service.frontend.backfill.columns import (
     read_epoch,
     read_levels,
 )
-from service.frontend.backfill.reader import open_archive
+from service.frontend.backfill.reader import ArchiveFileReader, open_archive
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.series import MeasurementSeries
 
 if TYPE_CHECKING:
+    from service.cli.own_data.importing.manifest import WindowSection
     from service.pipeline.calibration.minute_rows import MinuteRows
     from service.pipeline.planning.beam_contours import ContourPoint
-    from service.records.catalogue import CarrierPlan, Ephemeris, Spacecraft
+    from service.records.catalogue import CarrierPlan
 
 #: share of unreadable rows beyond which a file is refused, longest gap that is no remark, s
 _MOST_UNREADABLE, _GAP_S = 0.01, 1800.0
@@ -52,13 +55,16 @@ def read_powers(path: Path, plan: "CarrierPlan") -> QuietPowers:
     rows: dict[int, list[float]] = {}
     faults, sources, count = [], Counter[str](), 0
     try:
-        with closing(open_any_archive(path)) as archive:
+        opened, quiet = _opened(path, plan)
+        with closing(opened) as archive:
             columns = match_columns(archive.header, plan.carrier_ids)
             for row in archive.rows():
                 try:
                     epoch_us, levels = _read_row(row.cells, columns)
                 except CellError as error:
                     faults.append(f"line {row.line}: {error}")
+                    continue
+                if quiet is not None and not quiet.start <= epoch_us < quiet.stop:
                     continue
                 rows.setdefault(epoch_us, levels)
                 sources[str(row.cells[columns.source]) if columns.source is not None else ""] += 1
@@ -101,37 +107,21 @@ def _gaps(series: MeasurementSeries) -> tuple[str, ...]:
     return (f"{len(long)} gaps beyond half an hour, {longest}",)
 
 
-def read_orbit(path: Path, spacecraft: "Spacecraft") -> "Ephemeris":
-    """Return the orbit of a file: two-line elements with or without a name, an OEM, or a document of the interface.
+def _opened(path: Path, plan: "CarrierPlan") -> tuple[ArchiveFileReader, "WindowSection | None"]:
+    """Return a file of powers and its quiet window; a foreign one is read as the manifest of its folder states."""
+    from service.cli.own_data.importing.entries import complete_layout
+    from service.cli.own_data.importing.manifest import NAME, read_manifest
 
-    Raises
-    ------
-    InvalidInputError
-        Those of the formats; ``plan.ephemeris``: it cannot be read, or is that of another satellite.
-    """
-    from pydantic import TypeAdapter
-
-    from service.api.protocol.bodies import decode
-    from service.api.schemas.ephemeris import EphemerisDocument
-    from service.formats.ephemeris.oem import read_oem
-    from service.formats.ephemeris.tle import read_tle
-    from service.pipeline.inputs.catalogue_checks import contradiction_of
-
-    try:
-        text = path.read_text("utf-8-sig").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError("plan.ephemeris", f"{path} cannot be read: {error}") from None
-    if text.startswith("{"):
-        ephemeris = decode(TypeAdapter(EphemerisDocument), text.encode()).to_record()
-    elif text.startswith("CCSDS_OEM_VERS"):
-        ephemeris = read_oem(text)
-    else:
-        lines = text.splitlines()
-        ephemeris = read_tle(lines[1:] if len(lines) == 3 else lines)
-    contradiction = contradiction_of(ephemeris, spacecraft.longitude_deg)
-    if contradiction is not None:
-        raise InvalidInputError("plan.ephemeris", f"{path}: {contradiction}; check the satellite")
-    return ephemeris
+    if not (path.parent / NAME).exists():
+        return open_any_archive(path), None
+    manifest = read_manifest(path.parent)
+    section = next((each for each in manifest.powers if each.file == path.name), None)
+    if section is None:
+        return open_any_archive(path), None
+    if section.layout().is_empty:
+        return open_any_archive(path), manifest.windows.quiet
+    carriers = carrier_names([{"id": each.id, "name": each.name} for each in plan.carriers])
+    return ForeignArchive(path, complete_layout(path, section, carriers)), manifest.windows.quiet
 
 
 def read_contours(path: Path) -> "list[ContourPoint]":

@@ -9,10 +9,12 @@ import numpy as np
 
 from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
 from service.api.schemas.inspection import CarrierHarmonicAnswer
-from service.cli.planning.quiet_files import read_orbit, read_powers
+from service.cli.own_data.ephemeris import read_orbit
+from service.cli.planning.quiet_files import read_powers
 from service.errors import InvalidInputError
 from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig, InterlockConfig
+from service.pipeline.inputs.catalogue_checks import contradiction_of
 from service.pipeline.planning.assumed_beams import AssumedPayload
 from service.pipeline.planning.candidates import Candidates, candidates_of
 from service.pipeline.planning.planning import Recommendation, Rule, recommend
@@ -59,7 +61,10 @@ def planned_by_quiet_days(
     powers = read_powers(quiet_path, plan)
     epochs_us = powers.rows.series.epochs_us
     span_us = int(epochs_us[0]), int(epochs_us[-1])
-    orbit = sidereal_orbit(*span_us) if orbit_path is None else read_orbit(orbit_path, spacecraft)
+    orbit = sidereal_orbit(*span_us) if orbit_path is None else read_orbit(orbit_path)[1]
+    contradiction = None if orbit_path is None else contradiction_of(orbit, spacecraft.longitude_deg)
+    if contradiction is not None:
+        raise InvalidInputError("plan.ephemeris", f"{orbit_path}: {contradiction}; check the satellite")
     if not (orbit.valid_start_us <= span_us[0] and span_us[1] <= orbit.valid_stop_us):
         reach = f"{format_epoch(orbit.valid_start_us)} to {format_epoch(orbit.valid_stop_us)}"
         detail = f"{orbit_path} reaches from {reach}, the quiet days begin at {format_epoch(span_us[0])}"

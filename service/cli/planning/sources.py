@@ -82,13 +82,13 @@ def planned_by_files(files: PlanFiles, beams: list[str], noise: str, request: Pl
     from service.api.problems.problems import RequestProblemError
     from service.api.protocol.bodies import decode
     from service.api.schemas.carriers import CARRIER_PLAN_ADAPTER
-    from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER
+    from service.cli.own_data.spacecraft import read_spacecraft
     from service.pipeline.planning.assumed_beams import NOISES, assume_payload
     from service.records.catalogue import CarrierPlan
 
     stated = dict(_beam(text) for text in beams)
     try:
-        spacecraft = decode(SPACECRAFT_ADAPTER, _read(files.spacecraft)).to_record()
+        spacecraft = read_spacecraft(files.spacecraft).to_record()
         carriers = decode(CARRIER_PLAN_ADAPTER, _carriers_json(_read(files.carriers))).to_records()
         stated |= _contour_beams(files.contours, carriers, spacecraft.longitude_deg)
         _require_known(stated, carriers)

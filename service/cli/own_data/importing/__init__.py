@@ -1,1 +1,4 @@
-"""Import of a folder: a manifest proposed from its files, compared with the service, and sent."""
+"""Import of a folder: a manifest proposed from its files, compared with the service, and sent.
+
+Public: entries, manifest.
+"""

@@ -6,13 +6,17 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from service.cli.command_group import end
+from service.cli.own_data.foreign_archive import sample_of
 from service.cli.own_data.foreign_file import is_own
 from service.cli.own_data.importing.manifest import FolderManifest, Guess, PowersSection, ReferencesSection, validated
 from service.cli.own_data.importing.roles import carrier_columns, thin_sample
 from service.cli.own_data.tdm_archive import open_any_archive
-from service.formats.foreign.layout import OFFSET_DB, StatedLayout
+from service.formats.foreign.fault import ForeignTableError
+from service.formats.foreign.layout import OFFSET_DB, StatedLayout, TableLayout
 from service.formats.foreign.proposal import Question, Sample, propose, with_time
 from service.formats.foreign.sensor import AXES, StatedSensor, propose_sensor
+from service.frontend.backfill.columns import ArchiveError
 
 _DEFAULT_SOURCE, _DEFAULT_ZONE = "sa-1", "UTC"
 #: word in the name of a file -> sensor
@@ -47,6 +51,18 @@ def powers_entry(
         elif value:
             entry[field.name] = _plain(value)
     return entry
+
+
+def complete_layout(path: Path, section: PowersSection, carriers: Mapping[str, str]) -> TableLayout:
+    """Return the layout of a file of powers under its entry, or end where that leaves something open."""
+    try:
+        proposal = propose(sample_of(path), section.layout(), carriers)
+    except (ForeignTableError, ArchiveError) as error:
+        end(f"{path}: {error}", cause=error)
+    if proposal.layout is None:
+        asked = "; ".join(f"{field_of(each)}: {each.text}" for each in proposal.questions)
+        end(f"{path}: the manifest must state {asked}")
+    return proposal.layout
 
 
 def _plain(value: Any) -> Any:

@@ -5,15 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 from service.cli.command_group import end
 from service.cli.own_data.archive_progress import send_with_progress
-from service.cli.own_data.foreign_archive import sample_of
 from service.cli.own_data.foreign_file import carrier_names, impossibility, is_own, laid_out
-from service.cli.own_data.importing.entries import field_of
+from service.cli.own_data.importing.entries import complete_layout
 from service.cli.own_data.importing.manifest import FolderManifest, PowersSection, ReferencesSection, WindowSection
 from service.cli.own_data.importing.windows import readings_of
 from service.cli.own_data.readings import check_readings, send_readings, survey_of
 from service.cli.own_data.tdm_archive import open_any_archive
-from service.formats.foreign.fault import ForeignTableError
-from service.formats.foreign.proposal import propose
 from service.frontend.backfill.backfill import ArchiveOrder, check_archive
 from service.frontend.backfill.columns import ArchiveError
 from service.records.epoch import format_epoch
@@ -52,7 +49,8 @@ def import_powers(
     order = ArchiveOrder(path, spacecraft["id"], section.source, patience_s=patience_s, open_file=open_any_archive)
     try:
         if not is_own(path, section.layout()):
-            order = _with_layout(client, order, section)
+            carriers = carrier_names(client.carriers(order.spacecraft_id)["carriers"])
+            order = laid_out(order, complete_layout(path, section, carriers))
             now_us = system_now_us()
             survey = check_archive(client, order, now_us)
             reason = impossibility(survey, None if spacecraft.get("simulated", False) else now_us)
@@ -61,19 +59,6 @@ def import_powers(
         return send_with_progress(client, order, is_quiet=is_quiet)
     except (ArchiveError, OSError) as error:
         end(str(error), cause=error)
-
-
-def _with_layout(client: "ServiceClient", order: ArchiveOrder, section: PowersSection) -> ArchiveOrder:
-    """Return an order under the layout of the manifest, or end where that leaves something open."""
-    carriers = carrier_names(client.carriers(order.spacecraft_id)["carriers"])
-    try:
-        proposal = propose(sample_of(order.path), section.layout(), carriers)
-    except ForeignTableError as error:
-        end(f"{order.path}: {error}", cause=error)
-    if proposal.layout is None:
-        asked = "; ".join(f"{field_of(each)}: {each.text}" for each in proposal.questions)
-        end(f"{order.path}: the manifest must state {asked}")
-    return laid_out(order, proposal.layout)
 
 
 def calibrate(client: "ServiceClient", spacecraft_id: str, manifest: FolderManifest) -> dict[str, Any]:

@@ -6,12 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
+from foreign_station import ZONE, write_station
 from plan_files import write_plan_files, write_powers
 from typer.testing import CliRunner
 
+from service.cli.own_data.carriers import read_plan
+from service.cli.own_data.importing.manifest import write_manifest
 from service.cli.planning.plan import plan
+from service.cli.planning.quiet_files import read_powers
+from service.records.catalogue import CarrierPlan
 from service.records.levels.series import MeasurementSeries
 from service.study.estimation.flight.world import World, export_world, read_world
 
@@ -129,7 +135,7 @@ OTHER_TLE = (
         (rewritten(lambda text: text.replace("gain_db", "gain"), "contours.csv"), "the columns must be transponder"),
         (rewritten(lambda _: OTHER_TLE, "orbit.json"), "tle|not geosynchronous|checksum"),
         (rewritten(lambda text: text.replace('tude_deg": [', 'tude_deg": [11.0, ', 1), "orbit.json"), "equally long"),
-        (rewritten(lambda _: "no orbit", "orbit.json"), "two-line elements are two lines"),
+        (rewritten(lambda _: "no orbit", "orbit.json"), "the file is no TLE, OMM, OEM or JSON"),
     ],
 )
 def test_mistakes_are_refused_in_a_sentence(
@@ -182,6 +188,17 @@ def test_gaps_repeated_rows_and_missing_carriers_are_said(options: list[str], tm
         assert words in notes
     reasons = {row["carrier"]: row["reasons"] for row in document["quiet"]["carriers"]}
     assert reasons["c03"] == ["the quiet days hold no level of it that a daily change can be fitted to"]
+
+
+def test_foreign_powers_are_read_as_their_manifest_states(tmp_path: Path) -> None:
+    known = write_station(tmp_path, minutes=60)
+    entry = {"file": "pegel.csv", "source": "sa-1", "time_format": "%d.%m.%Y %H:%M:%S", "tz": ZONE, "unit": "dBW"}
+    quiet = {"start": "2026-10-05T00:10:00Z", "stop": "2026-10-05T00:40:00Z"}
+    write_manifest(tmp_path, {"powers": [entry], "windows": {"quiet": quiet}})
+    plan = CarrierPlan(1, "", read_plan(tmp_path / "carriers.csv").to_records())
+    rows = read_powers(tmp_path / "pegel.csv", plan).rows.series
+    assert rows.epochs_us.tolist() == [round(row.epoch.timestamp() * 1e6) for row in known[10:40]]
+    np.testing.assert_allclose(rows.power_dbm, [row.levels_dbm for row in known[10:40]], atol=0.001)
 
 
 def test_options_that_nothing_would_read_are_refused(options: list[str]) -> None:
