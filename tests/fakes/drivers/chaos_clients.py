@@ -10,6 +10,7 @@ import csv
 import os
 import random
 import signal
+import subprocess
 import threading
 import time
 from collections import Counter
@@ -277,6 +278,19 @@ def kill_server(cluster: Any) -> None:
     deadline = time.monotonic() + 120
     while _parents().keys() & {postmaster, *children} and time.monotonic() < deadline:
         time.sleep(0.01)
+
+
+def start_server(cluster: Any) -> None:
+    """Start a PostgreSQL server; it may have to wait for what the killed one has left."""
+    for _ in range(20):
+        try:
+            cluster.start(fsync=True)
+        except subprocess.CalledProcessError:
+            time.sleep(0.5)
+        else:
+            return
+    message = "the server does not start again"
+    raise AssertionError(message)
 
 
 def _parents() -> dict[int, int]:

@@ -4,7 +4,6 @@ Nobody does anything after a kill but start again what was killed, as a service 
 """
 
 import random
-import subprocess
 import time
 
 import chaos_clients as chaos
@@ -17,19 +16,6 @@ pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 SEED = 21
 KILLS_OF_A_NIGHT = 50
-
-
-def start_server(cluster):
-    """Start the server; it may have to wait for what the killed one has left."""
-    for _ in range(20):
-        try:
-            cluster.start(fsync=True)
-        except subprocess.CalledProcessError:
-            time.sleep(0.5)
-        else:
-            return
-    message = "the server does not start again"
-    raise AssertionError(message)
 
 
 @pytest.fixture
@@ -74,7 +60,7 @@ def test_kills_lose_and_double_nothing(
             # before the server is there again: it is waited for
             service = start_service("--port", port, *options)
         if victim in ("server", "both"):
-            start_server(durable_postgresql_cluster)
+            chaos.start_server(durable_postgresql_cluster)
         service.await_announcement()
     time.sleep(0.5)
     counts = chaos.finish(clients)
