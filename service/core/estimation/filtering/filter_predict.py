@@ -16,13 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.kernels import array_kernels
+from service.core.estimation.filtering.kernels import state_kernels
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import (
     CarrierModel,
     FilterSettings,
     FloatArray,
     KnownMotion,
+    model_variance_db2,
 )
 from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
@@ -141,12 +142,12 @@ def move_state(
     common parts, sigma and correlation time (G + E,) of their own. Push (9,) and variance (11,) are what the step adds
     to the first states; the calibration's error was `held_variance_db2` (N,) before.
     """
-    mean, covariance, factor = array_kernels.fade(
+    mean, covariance, factor = state_kernels.fade(
         state.mean, state.covariance, rain_factor, seconds, common_tau_s, model.coloured_tau_s
     )
-    array_kernels.turn(mean, covariance, motion.transition, motion.noise, push, core_size(model))
-    variance = array_kernels.model_variance(model.coefficient_covariance, mean[ATTITUDE])
-    array_kernels.add_process_noise(
+    state_kernels.turn(mean, covariance, motion.transition, motion.noise, push, core_size(model))
+    variance = model_variance_db2(model.coefficient_covariance, mean[ATTITUDE])
+    state_kernels.add_process_noise(
         covariance,
         factor,
         core_variance,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.kernels import array_kernels
+from service.core.estimation.filtering.kernels import state_kernels
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray, pattern_change
 from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
@@ -111,7 +111,7 @@ def _innovate_at(
     at_deg: FloatArray,
 ) -> Innovation:
     """Return the innovations of some carriers, patterns linearised at an attitude (3,), deg."""
-    innovation_db, jacobian = array_kernels.linearise(
+    innovation_db, jacobian = state_kernels.linearise(
         state.mean,
         at_deg,
         model.gradient_db_deg,
@@ -122,8 +122,8 @@ def _innovate_at(
         len(model.common_sigma_db),
         hidden_count(model, len(state.mean)),
     )
-    cross = array_kernels.project(state.covariance, jacobian, carriers, len(model.rain_share))
-    predicted = array_kernels.spread(cross, jacobian, carriers, len(model.rain_share))
+    cross = state_kernels.project(state.covariance, jacobian, carriers, len(model.rain_share))
+    predicted = state_kernels.spread(cross, jacobian, carriers, len(model.rain_share))
     return Innovation(carriers, innovation_db, predicted, white_db2[carriers], jacobian, cross)
 
 
@@ -189,7 +189,7 @@ def update(
         all_white[carriers] = white
         final = _innovate_at(model, state, deviation_db, carriers, all_white, at_deg)
         mean, whitened, residual = _updated(state, final)
-    covariance = array_kernels.reduce(state.covariance, whitened)
+    covariance = state_kernels.reduce(state.covariance, whitened)
     after = _with_rain_above_zero(mean, covariance)
     effective = EffectiveUpdate(after, final, len(carriers), max(0.0, -float(mean[RAIN])))
     return Updated(after, shift, nis, len(carriers), effective)
@@ -198,7 +198,7 @@ def update(
 def _updated(state: Gaussian, innovation: Innovation) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean after the innovations, W and w."""
     _, nu, predicted, white, _, cross = innovation
-    return array_kernels.update_state(state.mean, nu, predicted, white, cross)
+    return state_kernels.update_state(state.mean, nu, predicted, white, cross)
 
 
 def _with_rain_above_zero(mean: FloatArray, covariance: FloatArray) -> Gaussian:

@@ -1,4 +1,4 @@
-"""Kernels of the attitude filter: compiled loops, and the same in arrays.
+"""Arithmetic of the attitude filter, as numpy runs it or compiled.
 
-Public: anchor_kernels, array_kernels, kernels, loop_kernels.
+Public: anchor_kernels, kernels, state_kernels.
 """

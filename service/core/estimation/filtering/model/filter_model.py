@@ -158,7 +158,7 @@ def model_variance_db2(coefficient_covariance: FloatArray, attitude_deg: FloatAr
     -----
     ``J C J'`` with J the levels' derivative by the nine coefficients: zero at nominal attitude.
     """
-    yaw, roll, pitch = attitude_deg.tolist()
+    yaw, roll, pitch = attitude_deg[0], attitude_deg[1], attitude_deg[2]
     slope = np.array(
         [
             yaw,
@@ -172,7 +172,8 @@ def model_variance_db2(coefficient_covariance: FloatArray, attitude_deg: FloatAr
             pitch * pitch / 2.0,
         ]
     )
-    return np.asarray((coefficient_covariance @ slope) @ slope)
+    variance: FloatArray = (coefficient_covariance.reshape(-1, 9) @ slope).reshape(-1, 9) @ slope
+    return variance
 
 
 def model_error_component(coloured_tau_s: FloatArray) -> IntArray:
@@ -180,4 +181,5 @@ def model_error_component(coloured_tau_s: FloatArray) -> IntArray:
 
     An error of the coefficients stays as long as an attitude does, so the component of about an hour is the nearest.
     """
-    return np.asarray(np.abs(np.log(coloured_tau_s / MODEL_ERROR_TAU_S)).argmin(axis=1))
+    component: IntArray = np.abs(np.log(coloured_tau_s / MODEL_ERROR_TAU_S)).argmin(axis=1)
+    return component

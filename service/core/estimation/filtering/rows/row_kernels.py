@@ -1,9 +1,8 @@
 """Stages of a row of the filter as numpy runs them, or compiled.
 
-``ARRAYS`` needs numpy alone; ``compiled_kernels()`` costs the import of numba. Both are one source but for products of
-large matrices, which `loop_kernels` writes as loops that numba takes in place of those of `array_kernels`. The law of
-this file: a set is chosen once, where the program is put together, and handed down; the sets agree to rounding, and
-each gives the same bits for the same row: no sum is reordered, nothing runs in parallel.
+``ARRAYS`` needs numpy alone; ``compiled_kernels()`` costs the import of numba. Both are one source. The law of this
+file: a set is chosen once, where the program is put together, and handed down; the sets agree to rounding, and each
+gives the same bits for the same row: no sum is reordered, nothing runs in parallel.
 """
 
 import hashlib
@@ -23,7 +22,7 @@ from service.core.estimation.filtering.causes import (
     common_change,
     rain_state,
 )
-from service.core.estimation.filtering.kernels import anchor_kernels, array_kernels, kernels, loop_kernels
+from service.core.estimation.filtering.kernels import anchor_kernels, kernels, state_kernels
 from service.core.estimation.filtering.model import filter_model, filter_state
 from service.core.estimation.filtering.rows import row_stages
 from service.core.estimation.filtering.watches import (
@@ -53,6 +52,7 @@ _SOURCES: tuple[ModuleType, ...] = (
     motion_watch,
     noise_watch,
     anchor_kernels,
+    state_kernels,
 )
 
 
@@ -84,7 +84,7 @@ def compiled_kernels(*, is_cached: bool = True) -> RowKernels:
     """
     # the import costs a quarter of a second: only a program that filters pays it
     from numba import config, njit
-    from numba.extending import overload, register_jitable
+    from numba.extending import register_jitable
 
     # less of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code
     for vector_code in ("LOOP_VECTORIZE", "SLP_VECTORIZE"):
@@ -94,24 +94,16 @@ def compiled_kernels(*, is_cached: bool = True) -> RowKernels:
         for part in vars(module).values():
             if isinstance(part, FunctionType) and part.__module__ == module.__name__:
                 register_jitable(part)
-    for name, loops in vars(loop_kernels).items():
-        if isinstance(loops, FunctionType) and loops.__module__ == loop_kernels.__name__:
-            overload(getattr(array_kernels, name), strict=False)(_always(loops))
     compiler, digest = njit(cache=is_cached, nogil=True, error_model="numpy"), _digest()
     mover, ordinary = (_Stage(compiler(_entry(stage, digest))) for stage in _STAGES)
     anchor = kernels.AnchorKernels(compiler(anchor_kernels.mix), compiler(anchor_kernels.levels))
     return RowKernels(mover, ordinary, anchor)
 
 
-def _always(loops: FunctionType) -> Callable[..., FunctionType]:
-    """Return the choice of numba among implementations: there is one."""
-    return lambda *_: loops
-
-
 def _digest() -> str:
     """Return a digest of the sources: numba itself asks only the file of a stage whether its machine code is old."""
     # the loader of a module has its source wherever it was installed
-    sources = (vars(module)["__loader__"].get_source(module.__name__) for module in (*_SOURCES, loop_kernels))
+    sources = (vars(module)["__loader__"].get_source(module.__name__) for module in _SOURCES)
     return hashlib.sha256("".join(map(str, sources)).encode()).hexdigest()
 
 

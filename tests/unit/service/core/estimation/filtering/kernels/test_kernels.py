@@ -1,6 +1,4 @@
-"""Claims about the stages of a row: the same arithmetic in numpy and compiled, with loops for large products."""
-
-from types import FunctionType
+"""Claims about the stages of a row: one source, the same arithmetic in numpy and compiled."""
 
 import filter_models
 import numpy as np
@@ -8,10 +6,11 @@ import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.kernels import array_kernels, loop_kernels
+from service.core.estimation.filtering.kernels import state_kernels
 from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     KnownMotion,
+    model_error_component,
     model_variance_db2,
     no_motion,
 )
@@ -21,20 +20,12 @@ from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_
 
 #: the first run after a change of the stages compiles them: a minute of an idle processor
 MINUTE_US = 60_000_000
-LOOPS = {name: each for name, each in vars(loop_kernels).items() if isinstance(each, FunctionType)}
 
 
 @pytest.fixture(scope="module")
 def compiled():
     """The compiled set."""
     return compiled_kernels()
-
-
-@pytest.fixture
-def _loops(monkeypatch):
-    """Let the loops do the arithmetic as Python runs them: slow, but every line of them is seen by the coverage."""
-    for name, loops in LOOPS.items():
-        monkeypatch.setattr(array_kernels, name, loops)
 
 
 def walk(model, kernels, rows, shares=None):
@@ -76,13 +67,6 @@ def test_both_sets_agree(compiled, components, common, shares):
     assert_alike(arrays, loops, 1e-9)  # 1e-12 of one row, and forty rows build upon one another
     assert_alike(arrays[:1], loops[:1], 1e-12)
     assert {each.is_ordinary for each in arrays} == {True, False}  # the jump is none of the ordinary rows
-
-
-@pytest.mark.usefixtures("_loops")
-def test_the_loops_are_python_too(compiled):
-    model = filter_models.carrier_model(carriers=6, components=2, common=1)
-    # the processor's own exponential and root may differ from the library's in the last place
-    assert_alike(walk(model, ARRAYS, 3), walk(model, compiled, 3), 1e-12)
 
 
 @pytest.mark.parametrize("name", ["arrays", "compiled"])
@@ -138,21 +122,50 @@ def test_a_precise_row_on_free_references_leaves_a_positive_covariance():
     assert_positive(_after_precise_rows())
 
 
-@pytest.mark.usefixtures("_loops")
-def test_so_do_the_loops():
-    assert_positive(_after_precise_rows())
-
-
-@pytest.mark.parametrize("kernels", [array_kernels, loop_kernels])
-def test_innovations_without_a_covariance_are_refused(kernels):
+def test_innovations_without_a_covariance_are_refused():
     with pytest.raises(np.linalg.LinAlgError):
-        kernels.update_state(
+        state_kernels.update_state(
             np.zeros(2), np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), np.zeros((2, 2))
         )
 
 
-def test_the_error_of_the_calibration_is_that_of_the_model():
-    model, attitude_deg = filter_models.carrier_model(), np.array([0.2, -0.1, 0.3])
-    expected = model_variance_db2(model.coefficient_covariance, attitude_deg)
-    variance = loop_kernels.model_variance(model.coefficient_covariance, attitude_deg)
+def test_a_row_is_whitened_by_the_factor_of_its_covariance():
+    rng = np.random.default_rng(3)
+    draw, cross, mean = rng.normal(size=(5, 5)), rng.normal(size=(5, 8)), rng.normal(size=8)
+    spread_db2, white_db2, innovation_db = draw @ draw.T, np.full(5, 0.1), rng.normal(size=5)
+    moved, whitened, residual = state_kernels.update_state(mean, innovation_db, spread_db2, white_db2, cross)
+    factor = np.linalg.cholesky(spread_db2 + 0.1 * np.eye(5))
+    np.testing.assert_allclose(factor @ whitened, cross, atol=1e-12)
+    np.testing.assert_allclose(factor @ residual, innovation_db, atol=1e-12)
+    np.testing.assert_allclose(moved, mean + residual @ whitened, atol=1e-12)
+
+
+def test_one_part_of_each_carrier_carries_the_error_of_the_calibration():
+    """What a step adds to the diagonal, number by number."""
+    model, rng = filter_models.carrier_model(components=3, common=1), np.random.default_rng(4)
+    carriers, states = model.carriers, 11 + 1 + 4 * model.carriers
+    factor, core, covariance = rng.uniform(0.5, 1.0, states), rng.uniform(size=11), np.zeros((states, states))
+    held, variance = rng.uniform(size=(2, carriers))
+    parts = (model.coloured_sigma_db, model.coloured_tau_s, model.reference_walk_db)
+    state_kernels.add_process_noise(covariance, factor, core, model.common_sigma_db, *parts, 1.5, 0.25, held, variance)
+    wanted = [*core, float(model.common_sigma_db[0]) ** 2 * (1.0 - factor[11] ** 2)]
+    carrying = model_error_component(model.coloured_tau_s)
+    for part in range(3):
+        for carrier in range(carriers):
+            lost = 1.0 - factor[12 + part * carriers + carrier] ** 2
+            added = 1.5 * model.coloured_sigma_db[carrier, part] ** 2 * lost
+            if part == carrying[carrier]:
+                now = variance[carrier]
+                added += max(now - (1.0 - lost) * held[carrier], lost * now)
+            wanted.append(added)
+    wanted += [1.5 * 0.25 * walk**2 for walk in model.reference_walk_db]
+    np.testing.assert_allclose(np.diagonal(covariance), wanted, rtol=1e-12)
+    assert np.count_nonzero(covariance) == np.count_nonzero(wanted)
+
+
+def test_the_error_of_the_calibration_is_that_of_its_coefficients():
+    model, (yaw, roll, pitch) = filter_models.carrier_model(), (0.2, -0.1, 0.3)
+    slope = [yaw, roll, pitch, yaw * yaw / 2, yaw * roll, yaw * pitch, roll * roll / 2, roll * pitch, pitch * pitch / 2]
+    variance = model_variance_db2(model.coefficient_covariance, np.array([yaw, roll, pitch]))
+    expected = [np.array(slope) @ each @ np.array(slope) for each in model.coefficient_covariance]
     np.testing.assert_allclose(variance, expected, rtol=1e-13)  # sums of 81 products

@@ -1,7 +1,8 @@
-"""Kernels of the filter step in numpy; `kernels` holds their shapes and how a set is chosen.
+"""Arithmetic of the filter's state: what a step does to mean and covariance, and how a row is taken in.
 
-The law of this file: plain arithmetic of arrays; what a number means is the callers' business. `fade` returns arrays of
-its own, which `turn` and `grow` then change in place; nothing else is written.
+The law of this file: plain arithmetic of arrays, in expressions that numba compiles as they stand; numpy runs the same
+source where nothing is compiled. What a number means is the callers' business. `fade` returns arrays of its own, which
+`turn` and `add_process_noise` then change in place; nothing else is written.
 """
 
 import numpy as np
@@ -10,7 +11,6 @@ from service.core.estimation.filtering.model.filter_model import (
     FloatArray,
     IntArray,
     model_error_component,
-    model_variance_db2,
 )
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, FIRST_COMMON, RAIN
 
@@ -29,11 +29,9 @@ def fade(
     """Return mean, covariance and factors (D,) after every state has decayed by its own correlation time."""
     core = np.ones(FIRST_COMMON)
     core[RAIN] = rain_factor
-    parts = [np.exp(-seconds / common_tau_s), np.exp(-seconds / coloured_tau_s).T.ravel()]
-    factor = np.concatenate([core, *parts, np.ones(len(coloured_tau_s))])
-    faded = np.multiply.outer(factor, factor)
-    faded *= covariance
-    return mean * factor, faded, factor
+    common, coloured = np.exp(-seconds / common_tau_s), np.exp(-seconds / coloured_tau_s).T.copy().ravel()
+    factor = np.concatenate((core, common, coloured, np.ones(len(coloured_tau_s))))
+    return mean * factor, factor.reshape(-1, 1) * factor * covariance, factor
 
 
 def turn(
@@ -48,21 +46,15 @@ def turn(
 
     T (9, 9 + E) takes the first nine states and the E hidden ones, which stand from `first_hidden` on and stay.
     """
-    positions: IntArray | slice = slice(_MOVING)
-    if transition.shape[1] > _MOVING:
-        hidden = first_hidden + np.arange(transition.shape[1] - _MOVING)
-        positions = np.concatenate([np.arange(_MOVING), hidden])
+    hidden = first_hidden + np.arange(transition.shape[1] - _MOVING)
+    positions = np.concatenate((np.arange(_MOVING), hidden))
     moved = transition @ covariance[positions]
     own = moved[:, positions] @ transition.T
     moved[:, :_MOVING] = 0.5 * (own + own.T) + drift_noise
     # one product serves both sides: symmetric to the last bit
-    covariance[:_MOVING], covariance[:, :_MOVING] = moved, moved.T
+    covariance[:_MOVING] = moved
+    covariance[:, :_MOVING] = moved.T
     mean[:_MOVING] = transition @ mean[positions] + push
-
-
-def model_variance(coefficient_covariance: FloatArray, attitude_deg: FloatArray) -> FloatArray:
-    """Return (N,) dB^2: what errors of the calibrated coefficients (N, 9, 9) add at an attitude (3,)."""
-    return model_variance_db2(coefficient_covariance, attitude_deg)
 
 
 def add_process_noise(
@@ -88,12 +80,14 @@ def add_process_noise(
     first = FIRST_COMMON + len(common_sigma_db)
     carriers, components = coloured_sigma_db.shape
     lost = 1.0 - factor[first:-carriers].reshape(components, carriers).T ** 2
-    coloured = scale2 * coloured_sigma_db**2 * lost
-    at = np.arange(carriers), model_error_component(coloured_tau_s)
-    coloured[at] += np.maximum(variance - (1.0 - lost[at]) * held_variance, lost[at] * variance)
+    now, held = variance.reshape(-1, 1), held_variance.reshape(-1, 1)
+    is_carrying = np.arange(components) == model_error_component(coloured_tau_s).reshape(-1, 1)
+    error = np.where(is_carrying, np.maximum(now - (1.0 - lost) * held, lost * now), 0.0)
+    coloured = scale2 * coloured_sigma_db**2 * lost + error
     common = common_sigma_db**2 * (1.0 - factor[FIRST_COMMON:first] ** 2)
     reference = scale2 * hours * reference_walk_db**2
-    covariance.ravel()[:: len(covariance) + 1] += np.concatenate([core_added, common, coloured.T.ravel(), reference])
+    added = np.concatenate((core_added, common, coloured.T.copy().ravel(), reference))
+    covariance.ravel()[:: len(covariance) + 1] += added
 
 
 def linearise(
@@ -109,10 +103,9 @@ def linearise(
 ) -> tuple[FloatArray, FloatArray]:
     """Return innovations (n,) in dB and Jacobian (n, C) of the core states, patterns linearised at `at_deg` (3,)."""
     core = FIRST_COMMON + common + hidden
-    bend = hessian_db_deg2[carriers] @ at_deg
-    gradient = gradient_db_deg[carriers] + bend
+    bend = (hessian_db_deg2[carriers].reshape(-1, 3) @ at_deg).reshape(-1, 3)
     jacobian = np.ones((len(carriers), core))
-    jacobian[:, ATTITUDE] = gradient
+    jacobian[:, ATTITUDE] = gradient_db_deg[carriers] + bend
     jacobian[:, ATTITUDE.stop : CHAIN] = 0.0
     jacobian[:, core - hidden :] = 0.0
     jacobian[:, RAIN] = -rain_share[carriers]
@@ -125,15 +118,17 @@ def project(covariance: FloatArray, jacobian: FloatArray, carriers: IntArray, co
     """Return ``H P`` (n, D); `count` is N."""
     core = jacobian.shape[1]
     own = covariance[core:].reshape(-1, count, len(covariance)).sum(axis=0)
-    return np.asarray(jacobian @ covariance[:core] + own[carriers])
+    projected: FloatArray = jacobian @ covariance[:core] + own[carriers]
+    return projected
 
 
 def spread(cross: FloatArray, jacobian: FloatArray, carriers: IntArray, count: int) -> FloatArray:
     """Return ``H P H'`` (n, n) of ``H P``, symmetric to the last bit."""
     core = jacobian.shape[1]
-    own = cross[:, core:].reshape(len(cross), -1, count).sum(axis=1)
-    product = cross[:, :core] @ jacobian.T + own[:, carriers]
-    return np.asarray(0.5 * (product + product.T))
+    own = np.ascontiguousarray(cross[:, core:]).reshape(len(cross), -1, count).sum(axis=1)
+    product = np.ascontiguousarray(cross[:, :core]) @ jacobian.T + own[:, carriers]
+    predicted: FloatArray = 0.5 * (product + product.T)
+    return predicted
 
 
 def update_state(
@@ -147,11 +142,16 @@ def update_state(
         The covariance of the innovations is not positive definite.
     """
     factor = np.linalg.cholesky(spread_db2 + np.diag(white_db2))
-    solved = np.linalg.solve(factor, np.column_stack([cross, innovation_db]))
-    whitened, residual = np.ascontiguousarray(solved[:, :-1]), solved[:, -1].copy()
+    whitened, residual = cross.copy(), innovation_db.copy()
+    for row in range(len(residual)):
+        before = factor[row, :row]
+        whitened[row] = (whitened[row] - before @ whitened[:row]) / factor[row, row]
+        residual[row] = (residual[row] - before @ residual[:row]) / factor[row, row]
     return mean + residual @ whitened, whitened, residual
 
 
 def reduce(covariance: FloatArray, whitened: FloatArray) -> FloatArray:
-    """Return ``P - W' W`` (D, D) for W of `absorb`, symmetric to the last bit."""
-    return np.asarray(covariance - whitened.T @ whitened)
+    """Return ``P - W' W`` (D, D) for W of `update_state`, symmetric to the last bit."""
+    product = whitened.T @ whitened
+    reduced: FloatArray = covariance - 0.5 * (product + product.T)
+    return reduced
