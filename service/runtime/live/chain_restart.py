@@ -25,7 +25,8 @@ _LOG = logging.getLogger("soo.restart")
 PERIOD_US = 3600 * US_PER_S
 #: an alignment may reach back so far before a checkpoint, us
 KNOWN_US = 7 * 86_400 * US_PER_S
-_ENTRIES_AT_ONCE = 256
+#: between two looks at whether the service stops: a third of a second of the processor at most
+_ENTRIES_AT_ONCE = 64
 
 
 def checkpoint_of(chain: Chain, config: ChainConfig, number: int, epoch_us: int) -> Checkpoint | None:
