@@ -88,7 +88,7 @@ def main() -> bool:
         days = options.rows / DAY_ROWS
         print(f"{options.rows} rows of {CARRIERS} carriers after an alignment, {days:.0f} days at a row a minute")
         with operated(database) as service:
-            service.timed("the service consumes what waits", lambda: _await_consumed(database))
+            service.timed("the service consumes what waits", lambda: await_consumed(database))
         _ask_doctor(database)
         for is_killed in (True, False):
             _restart(database, is_killed=is_killed)
@@ -170,7 +170,7 @@ def operated(database: Path) -> Iterator[Operated]:
             yield Operated(process, client, began_s)
 
 
-def _await_consumed(database: Path) -> None:
+def await_consumed(database: Path) -> None:
     """Wait until the service has computed every row."""
     with closing(SqlStorage(f"sqlite:///{database}")) as storage:
         while (head := storage.archive.head(SC)).consumed_number < head.newest_number:
@@ -205,15 +205,19 @@ def _fail_over(database: Path) -> None:
 
 def _estimate(service: Operated, database: Path) -> None:
     """Post a row and wait for its attitude."""
-    _await_estimate(service, _post_row(service, database))
+    await_estimate(service, post_row(service, next_minute(database)))
 
 
-def _post_row(service: Operated, database: Path) -> str:
-    """Post the next minute's row and return its epoch."""
+def next_minute(database: Path) -> int:
+    """Return the minute after the newest row."""
     with closing(SqlStorage(f"sqlite:///{database}")) as storage:
         newest_us = storage.archive.head(SC).newest_epoch_us
     assert newest_us is not None
-    minute = round((newest_us - at(0)) / MINUTE) + 1
+    return round((newest_us - at(0)) / MINUTE) + 1
+
+
+def post_row(service: Operated, minute: int) -> str:
+    """Post the row of a minute and return its epoch."""
     epoch = format_epoch(at(minute))
     power = PAYLOAD.power_dbm([at(minute)], angles_deg([minute]))[0].round(3)
     row = {"epoch": epoch, "power_dbm": power.tolist()}
@@ -221,10 +225,10 @@ def _post_row(service: Operated, database: Path) -> str:
     return epoch
 
 
-def _await_estimate(service: Operated, epoch: str) -> None:
+def await_estimate(service: Operated, epoch: str, pause_s: float = 0.01) -> None:
     """Wait until the attitude of an epoch is answered."""
     while service.get("attitude")["epoch"] != epoch:
-        time.sleep(0.01)
+        time.sleep(pause_s)
 
 
 def _ask(service: Operated) -> None:
