@@ -35,7 +35,7 @@ from service.core.rows.state_runs import History
 from service.core.rows.summaries import Summaries
 from service.ports import LIVE, Intervals, Outcome, SampledCarriers
 from service.records.calibration import Alignment, Window
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import AttitudeRow, IntArray
 from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import TorqueCommand
@@ -157,7 +157,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
     def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:
         """Summarise live attitude and commands of closed days, a transaction a day."""
         database, key = self._database, self._database.key(spacecraft_id)
-        for method in Method:
+        for method in LIVE_METHODS:
             read = partial(self.attitude_rows, spacecraft_id, LIVE, method)
             read_carriers = partial(self._carrier_rows, spacecraft_id, LIVE, method)
             yield from attitude_summaries.complete(database, key, method.value, read, before_us, read_carriers)
@@ -255,7 +255,7 @@ def _alignments_after(connection: Connection, key: int, epoch_us: int) -> tuple[
     is_later = (column.spacecraft_key == key, column.version == LIVE, column.epoch_us > epoch_us)
     rows = select(column.number, column.alignment_id).where(*is_later, column.alignment_id.is_not(None))
     found = [tuple(row) for row in connection.execute(rows)]
-    for method in Method:
+    for method in LIVE_METHODS:
         of = ResultSeries(key, attitude, LIVE, method.value)
         for numbers, alignments in numbers_where(connection, of, "alignment_id", epoch_us):
             stated = zip(numbers.tolist(), alignments, strict=True)

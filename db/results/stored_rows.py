@@ -16,7 +16,7 @@ from db.results.result_segments import is_of, is_row_of, newest_segments, opened
 from db.schema.tables import attitude, result_segment, torque
 from service.ports import LIVE
 from service.records.calibration import Window
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS
 from service.records.levels.attitude import BoolArray, IntArray
 
 #: rows in memory at once as records
@@ -138,7 +138,7 @@ def newest_sealed_us(connection: Connection, key: int) -> int:
             .order_by(result_segment.c.first_epoch_us.desc())
             .limit(1)
         )
-        for method in Method
+        for method in LIVE_METHODS
     ]
     return max((epoch_us for epoch_us in newest if epoch_us is not None), default=-(1 << 62))
 

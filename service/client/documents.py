@@ -127,7 +127,7 @@ class Attitude(TypedDict):
     #: Instant measured; null before the first row.
     epoch: str | None
     received_at: str | None
-    method: Literal["robust", "paper"]
+    method: Literal["robust", "paper", "robust_smoothed"]
     yaw_deg: float | None
     roll_deg: float | None
     pitch_deg: float | None
@@ -153,6 +153,8 @@ class Attitude(TypedDict):
     advice: list[str]
     #: Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known.
     protection_deg: Angles
+    #: Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods.
+    lag_s: float | None
     #: `live`, or the replay that made the row.
     version: str
     control: Verdict

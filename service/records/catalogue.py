@@ -15,6 +15,12 @@ class Method(StrEnum):
 
     ROBUST = "robust"
     PAPER = "paper"
+    #: rows of the robust method after the rows that came later: in versions of replays alone, never for control
+    ROBUST_SMOOTHED = "robust_smoothed"
+
+
+#: methods that run on every row, and of which one may drive control
+LIVE_METHODS = (Method.ROBUST, Method.PAPER)
 
 
 class ControlMode(StrEnum):

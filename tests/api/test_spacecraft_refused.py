@@ -93,6 +93,7 @@ BAD: list[tuple[str, dict[str, Any], str, str]] = [
         "/modes/0/axis",
     ),
     ("method", {"control": {"method": "best"}}, "value.choice", "/control/method"),
+    ("smoothed rows", {"control": {"method": "robust_smoothed"}}, "method.smoothed", "/control/method"),
     ("damping", {"control": {"damping": 0}}, "value.range", "/control/damping"),
     ("ground without fast loop", {"control": {"mode": "ground"}}, "control.no_fast_loop", "/control/mode"),
     (

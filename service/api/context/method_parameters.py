@@ -5,9 +5,9 @@ from typing import Annotated
 from fastapi import Depends, Query
 
 from service.api.context.dependencies import Context, SpacecraftId
-from service.errors import ConflictError
+from service.errors import ConflictError, InvalidInputError
 from service.ports import LIVE, Results
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS, Method
 from service.records.operations.job import JobState, ReplayVersion
 
 MethodParameter = Annotated[Method | None, Query(description="Default: the method that drives control")]
@@ -24,6 +24,21 @@ def wanted_version(spacecraft_id: SpacecraftId, context: Context, version: Versi
     """Return the version asked for; NotFoundError ``replay.unknown``, ConflictError ``replay.unfinished``."""
     check_version(context.storage.results, spacecraft_id, version)
     return version
+
+
+def stored_method(
+    method: Annotated[Method, Depends(wanted_method)], version: Annotated[str, Depends(wanted_version)]
+) -> Method:
+    """Return the method asked for, which the version has."""
+    check_method(method, version)
+    return method
+
+
+def check_method(method: Method, version: str) -> None:
+    """Raise InvalidInputError ``method.smoothed`` for smoothed rows of the live version, which has none."""
+    if version == LIVE and method not in LIVE_METHODS:
+        detail = f"{method} exists only in versions of replays with smooth=true; name one by version="
+        raise InvalidInputError("method.smoothed", detail)
 
 
 def check_version(results: Results, spacecraft_id: str, version: str) -> None:
@@ -45,3 +60,5 @@ def _check_done(found: ReplayVersion) -> None:
 
 WantedMethod = Annotated[Method, Depends(wanted_method)]
 WantedVersion = Annotated[str, Depends(wanted_version)]
+#: of a version
+StoredMethod = Annotated[Method, Depends(stored_method)]

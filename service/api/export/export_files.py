@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any, Literal, NamedTuple, cast
 
 from service.api.context.dependencies import ApiContext
-from service.api.context.method_parameters import check_version
+from service.api.context.method_parameters import check_method, check_version
 from service.api.export.export_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, record_page
 from service.api.export.read_ahead import read_ahead
 from service.errors import InvalidInputError, NotFoundError
@@ -167,6 +167,7 @@ class _Maker:
         spacecraft = self._context.storage.catalogue.spacecraft(self._sc)
         results, version = self._context.storage.results, self._version()
         method = self._order.method or spacecraft.control.method
+        check_method(method, version)
         parameters = (("method", method.value), ("version", version))
 
         def read(window: Window) -> Iterator[Chunk]:

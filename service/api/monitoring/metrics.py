@@ -27,7 +27,7 @@ from service.api.views.newest import newest_attitude
 from service.api.views.present import present_of
 from service.api.views.shipped import program_version
 from service.errors import StorageError
-from service.records.catalogue import Method, Spacecraft
+from service.records.catalogue import LIVE_METHODS, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
 from service.runtime.process_metrics import process_statistics
@@ -179,7 +179,7 @@ class Metrics:
 
     def _attitude(self, spacecraft: Spacecraft) -> Iterator[Sample]:
         """Yield the newest attitude of each method."""
-        for method in Method:
+        for method in LIVE_METHODS:
             row = newest_attitude(self._context, spacecraft.id, method)
             if row is not None:
                 yield from _angles(spacecraft.id, row)

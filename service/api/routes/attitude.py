@@ -5,7 +5,7 @@ from functools import partial
 from fastapi import APIRouter
 
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.context.method_parameters import WantedMethod, WantedVersion
+from service.api.context.method_parameters import StoredMethod, WantedMethod, WantedVersion, check_method
 from service.api.protocol.paging import Page, by_epoch
 from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer
 from service.api.schemas.control import VerdictAnswer
@@ -19,6 +19,7 @@ router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitud
 @router.get("")
 def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Context) -> NewestAttitudeAnswer:
     """Return the newest attitude; status NOT_RECEIVED before the first row, EXPIRED when the newest is too old."""
+    check_method(method, LIVE)
     spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
     row, _, verdict = present_of(context, spacecraft)
     if method is not spacecraft.control.method:
@@ -32,7 +33,7 @@ def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Con
 @router.get("/history")
 def list_attitude(
     spacecraft_id: SpacecraftId,
-    method: WantedMethod,
+    method: StoredMethod,
     version: WantedVersion,
     page: Page,
     context: Context,

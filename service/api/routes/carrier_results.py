@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 
 from service.api.context.dependencies import Context, Names, SpacecraftId
-from service.api.context.method_parameters import WantedMethod, WantedVersion
+from service.api.context.method_parameters import StoredMethod, WantedVersion
 from service.api.protocol.paging import Page, by_epoch
 from service.api.schemas.carrier_results import CarrierResultAnswer, CarrierResultPage
 from service.errors import NotFoundError
@@ -19,7 +19,7 @@ router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carriers/{carrier}/result
 def list_carrier_results(
     spacecraft_id: SpacecraftId,
     carrier: Annotated[str, Path(max_length=64, description="Carrier id")],
-    method: WantedMethod,
+    method: StoredMethod,
     version: WantedVersion,
     page: Page,
     context: Context,

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.paging import EVERYTHING, window_of
 from service.api.schemas.inspection import WindowHarmonicsAnswer
+from service.api.schemas.live_method import LiveMethod
 from service.records.catalogue import Method
 from service.runtime.jobs.archive_analysis import window_harmonics
 
@@ -20,7 +21,7 @@ def get_harmonics(
     start: Annotated[str, Query(max_length=64, description="RFC 3339, inclusive")],
     stop: Annotated[str, Query(max_length=64, description="RFC 3339, exclusive")],
     carrier: Annotated[str | None, Query(max_length=64, description="Default: all carriers of the newest plan")] = None,
-    method: Method = Method.PAPER,
+    method: LiveMethod = Method.PAPER,
 ) -> WindowHarmonicsAnswer:
     """Fit the daily change of a window; nothing is stored.
 

@@ -8,7 +8,7 @@ import numpy as np
 from fastapi import APIRouter, Query
 
 from service.api.context.dependencies import ApiContext, Context, Names, SpacecraftId
-from service.api.context.method_parameters import WantedVersion
+from service.api.context.method_parameters import WantedVersion, check_method
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import EVERYTHING, StartParameter, StopParameter, window_of
 from service.api.routes.samples import MAX_CELLS, CarrierParameter, CountParameter
@@ -26,7 +26,7 @@ from service.core.rows.summaries import Summaries
 from service.errors import FieldError
 from service.ports import ATTITUDE_FIGURES, LIVE, MeasuredFigure
 from service.records.calibration import Window
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.measurement import Measurement
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["archive"])
@@ -100,7 +100,9 @@ def sample_quantities(
     `expected_dbm` is computed from the rows (power less deviation) and of 20000 of them at most: for longer spans take
     the mean of `power_dbm` less that of `deviation_db`, which is its mean wherever both have the same `n`.
     """
-    methods = tuple(dict.fromkeys(method or Method))
+    methods = tuple(dict.fromkeys(method or LIVE_METHODS))
+    for each in methods:
+        check_method(each, version)
     window = _closed(context, spacecraft_id, version, (start, stop), methods)
     grid = _Grid(*whole_intervals(window.start_us, window.stop_us, count))
     asked = _Asked(context, names, spacecraft_id, version, tuple(dict.fromkeys(quantity)), methods, carrier, grid)

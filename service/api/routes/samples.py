@@ -6,7 +6,7 @@ import numpy as np
 from fastapi import APIRouter, Query
 
 from service.api.context.dependencies import ApiContext, Context, Names, SpacecraftId
-from service.api.context.method_parameters import WantedMethod, WantedVersion
+from service.api.context.method_parameters import StoredMethod, WantedVersion
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import EVERYTHING, StartParameter, StopParameter, window_of
 from service.api.schemas.archive import (
@@ -83,7 +83,7 @@ def sample_measurements(
 @router.get("/attitude/samples")
 def sample_attitude(
     spacecraft_id: SpacecraftId,
-    method: WantedMethod,
+    method: StoredMethod,
     version: WantedVersion,
     context: Context,
     start: StartParameter = None,

@@ -3,11 +3,13 @@
 from fastapi import APIRouter
 
 from service.api.context.dependencies import Context, SpacecraftId
+from service.api.context.method_parameters import check_method
 from service.api.protocol.paging import EVERYTHING, StartParameter, StopParameter, window_of
 from service.api.routes.sampled_quantities import MethodsParameter
 from service.api.schemas.timeline import TimelineAnswer
 from service.api.views.timeline import Timeline
-from service.records.catalogue import Method
+from service.ports import LIVE
+from service.records.catalogue import LIVE_METHODS
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["archive"])
 
@@ -21,5 +23,7 @@ def get_timeline(
     method: MethodsParameter = None,
 ) -> TimelineAnswer:
     """Return states of the live rows as intervals, with gaps, operations, corrections, commands, alarms and notes."""
-    methods = tuple(dict.fromkeys(method or Method))
+    methods = tuple(dict.fromkeys(method or LIVE_METHODS))
+    for each in methods:
+        check_method(each, LIVE)
     return Timeline(context, spacecraft_id, window_of(start, stop, EVERYTHING)).answer(methods)

@@ -2,6 +2,6 @@
 
 Public: about, alarms, alignments, analyses, archive, attitude, audit, base, beams, calibrations, carrier_results,
 carrier_selection, carriers, closed_loop, control, ephemeris, handover, inputs, inspection, jobs, keys, links,
-measurement_rows, measurements, notes, operations, replays, samples, session, spacecraft, status, timeline,
+live_method, measurement_rows, measurements, notes, operations, replays, samples, session, spacecraft, status, timeline,
 torque_commands, torques, traces.
 """

@@ -2,8 +2,12 @@
 
 from typing import Literal, Self
 
+from pydantic import model_validator
+from pydantic_core import PydanticCustomError
+
 from service.api.schemas.base import Answer, RowPage, record_of
 from service.api.schemas.calibrations import Identifier, WindowDocument
+from service.api.schemas.live_method import LiveMethod
 from service.api.schemas.record_answers import members_of
 from service.records.catalogue import Method
 from service.records.operations.job import Replay, ReplayVersion
@@ -13,7 +17,7 @@ from service.records.record_fields import record_fields
 class ReplayDocument(WindowDocument):
     """A stretch of the archive to run again."""
 
-    method: Method | None = None
+    method: LiveMethod | None = None
     """Null: every method."""
     calibration_id: Identifier | None = None
     """In place of those that the journal activates."""
@@ -23,6 +27,16 @@ class ReplayDocument(WindowDocument):
     """As it was, or as it would have been with late rows in their place."""
     commands: bool = True
     """False leaves out the torques."""
+    smooth: bool = False
+    """True adds rows of method `robust_smoothed`: the robust rows after those that came later. They drive nothing."""
+
+    @model_validator(mode="after")
+    def _smooth_what_is_robust(self) -> Self:
+        """Refuse to smooth where the robust method does not run."""
+        if self.smooth and self.method is Method.PAPER:
+            detail = "only the robust method has smoothed rows; leave method out, or name robust"
+            raise PydanticCustomError("method.smoothed", detail)
+        return self
 
     def to_replay(self) -> Replay:
         """Return the replay that this document asks for; number, job and time are given later."""

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, PlainSerializer, StringConstraints, 
 from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import CatalogueWarning, Document, Epoch, LatitudeDeg, LongitudeDeg, Text
+from service.api.schemas.live_method import LiveMethod
 from service.core.control.quaternion_law import loop_gains
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import gyro_design
@@ -168,7 +169,7 @@ class GyroOrbitantDocument(Document):
 class ControlDocument(Document):
     """Attitude control."""
 
-    method: Method = Method.ROBUST
+    method: LiveMethod = Method.ROBUST
     mode: ControlMode = ControlMode.GROUND
     release: Release = Release.TWO_STEP
     period_s: Annotated[float, Field(ge=60, le=1e6)] = 7200.0

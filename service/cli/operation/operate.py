@@ -100,6 +100,9 @@ def replay(
     alignment: Annotated[int | None, typer.Option(help="Start from this alignment.")] = None,
     order: Annotated[str, typer.Option(help="`journal` as it was, or `epoch` as it would have been.")] = "journal",
     commands: Annotated[bool, typer.Option(help="Compute torques too: they cost as much as the filter.")] = True,
+    smooth: Annotated[
+        bool, typer.Option("--smooth", help="Add rows of method robust_smoothed: after the rows that came later.")
+    ] = False,
     compare: Annotated[bool, typer.Option("--compare", help="Compare with the live rows; exit 1 on a change.")] = False,
     workers: Annotated[
         int | None, typer.Option(min=1, max=256, help="Compute beside the service, in so many processes.")
@@ -121,6 +124,7 @@ def replay(
         "alignment_id": alignment,
         "order": order,
         "commands": commands,
+        "smooth": smooth,
     }
     if workers is None and scheduler is None:
         with connected(service, key_env) as client:

@@ -33,6 +33,7 @@ INHIBITIONS: dict[str, str] = {
     "been asked for half an hour",
     "protection_level": "the error of roll or pitch could be greater than the alert limit",
     "operation": "a declared operation forbids control",
+    "smoothed": "the row is about the past: later rows are in it, and it never drives control",
     "internal_error": "the computation of this row failed; the service log says where",
 }
 

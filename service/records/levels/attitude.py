@@ -118,6 +118,9 @@ class AttitudeRow:
     protection_deg: Annotated[
         Axes, "Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known."
     ] = NO_ANGLES
+    lag_s: Annotated[
+        float, "Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods."
+    ] = math.nan
 
 
 def row_without_attitude(

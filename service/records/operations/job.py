@@ -48,6 +48,7 @@ class Replay:
     is_fixed_alignment: bool = False
     #: newest journal number that it reads; None = of a version that did not state it
     until_number: int | None = None
+    smooth: Annotated[bool, "True: with rows of method `robust_smoothed` beside those of the robust method."] = False
 
     @property
     def version(self) -> str:

@@ -20,7 +20,7 @@ from service.records.calibration import (
     CalibrationState,
     Window,
 )
-from service.records.catalogue import CarrierPlan, Method
+from service.records.catalogue import LIVE_METHODS, CarrierPlan, Method
 
 #: fewest carriers that a choice may be asked for: three angles, a common level and one that checks them
 MIN_COUNT = 5
@@ -137,7 +137,7 @@ def runnable_methods(storage: Storage, spacecraft_id: str) -> tuple[Method, ...]
         return ()
     named = alignments[0].calibration_by_method
     # alignments of versions that ran one method name none
-    return tuple(method for method in Method if method.value in named) or (Method.PAPER,)
+    return tuple(method for method in LIVE_METHODS if method.value in named) or (Method.PAPER,)
 
 
 def _wanted_carriers(plan: CarrierPlan, carrier: str | None) -> tuple[str, ...]:

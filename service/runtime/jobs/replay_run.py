@@ -14,8 +14,10 @@ from typing import NamedTuple
 from service.pipeline.chain import METHODS, Chain
 from service.pipeline.checkpoints.chain_state import ChainState, fingerprint
 from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.smoothed.smoothed_rows import SmoothedRows
 from service.ports import Outcome, Storage
 from service.records.calibration import Window
+from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.levels.measurement import Measurement
@@ -91,21 +93,27 @@ class ReplayRun:
         calibration = None if number is None else results.calibration(spacecraft_id, number)
         methods = METHODS if self._replay.method is None else (self._replay.method,)
         documents = DocumentCache(storage.catalogue, results, spacecraft_id)
-        self._chain = Chain(documents, config, calibration, methods, has_commands=self._replay.commands)
+        self._smoothed = SmoothedRows() if self._replay.smooth else None
+        recorder = None if self._smoothed is None else self._smoothed.recorder
+        commands = self._replay.commands
+        self._chain = Chain(documents, config, calibration, methods, has_commands=commands, recorder=recorder)
         until = self._replay.until_number
         self._newest_number = storage.archive.head(spacecraft_id).newest_number if until is None else until
 
     def run(self, report: Progress) -> None:
         """Compute and store the rows of the span; ConflictError ``replay.deleted`` if it is deleted meanwhile."""
-        kept = self._storage.results.replay_checkpoint(self._id, self._replay.version, fingerprint(self._config))
+        # no state holds the rows that a smoother goes back over: a run that was killed begins again
+        is_kept = self._smoothed is None
+        found = self._storage.results.replay_checkpoint(self._id, self._replay.version, fingerprint(self._config))
+        kept = found if is_kept else None
         is_by_epoch = self._replay.order == "epoch"
         passed = self._by_epoch(kept) if is_by_epoch else self._by_journal(kept, self._last_number())
         chosen: list[Outcome] = []
         kept_s = time.monotonic()
-        for each in passed:
+        for each in self._with_smoothed(passed):
             if each.outcome is not None and (within := _within(each.outcome, self._replay)) is not None:
                 chosen.append(within)
-            is_due = each.position is not None and time.monotonic() - kept_s >= _CHECKPOINT_S
+            is_due = is_kept and each.position is not None and time.monotonic() - kept_s >= _CHECKPOINT_S
             if is_due or len(chosen) >= _OUTCOMES_AT_ONCE:
                 self._save(chosen, each.position if is_due else None)
                 chosen = []
@@ -116,7 +124,7 @@ class ReplayRun:
     def spans(self, least_entries: int) -> tuple[ReplaySpan, ...]:
         """Divide the replay where its chain can begin: at alignments, and at checkpoints of the live run that fit.
 
-        One span where it cannot: in order of epoch, and with an alignment in place of the journal's.
+        One span where it cannot: in order of epoch, with an alignment in place of the journal's, with smoothed rows.
 
         Parameters
         ----------
@@ -124,7 +132,7 @@ class ReplayRun:
             Entries of the journal in a span, at least.
         """
         last = self._last_number()
-        is_divisible = self._replay.order == "journal" and not self._replay.is_fixed_alignment
+        is_divisible = self._replay.order == "journal" and not (self._replay.is_fixed_alignment or self._replay.smooth)
         begin, *possible = self._beginnings(last) if is_divisible else [0]
         cuts: list[int] = []
         for cut in possible:
@@ -141,7 +149,7 @@ class ReplayRun:
         passed = self._by_epoch(None) if self._replay.order == "epoch" else self._by_span(span)
         chosen: list[Outcome] = []
         former: list[Outcome] = []
-        for each in passed:
+        for each in self._with_smoothed(passed):
             within = None if each.outcome is None else _within(each.outcome, self._replay)
             if within is not None:
                 (former if within.rows[0].number <= (span.after or 0) else chosen).append(within)
@@ -150,6 +158,18 @@ class ReplayRun:
                 chosen = []
         self._save(chosen, None)
         return former
+
+    def _with_smoothed(self, passed: Iterator[_Passed]) -> Iterator[_Passed]:
+        """Pass what a run passes, and behind it the rows that it could smooth by then."""
+        for each in passed:
+            yield each
+            if self._smoothed is not None and each.outcome is not None:
+                made = self._smoothed.push(each.outcome.rows)
+                if made:
+                    yield _Passed(each.progress, Outcome(tuple(made), None), None)
+        if self._smoothed is not None:
+            for row in self._smoothed.rest():
+                yield _Passed(1.0, Outcome((row,), None), None)
 
     def _save(self, outcomes: list[Outcome], position: tuple[int, int] | None) -> None:
         checkpoint = None if position is None else checkpoint_of(self._chain, self._config, *position)
@@ -309,12 +329,17 @@ def run_span_in_process(
         storage.close()
 
 
+def _is_kept(replay: Replay, method: Method) -> bool:
+    """Return whether a replay keeps the rows of a method."""
+    return replay.method in (None, method) or method is Method.ROBUST_SMOOTHED
+
+
 def _within(outcome: Outcome, replay: Replay) -> Outcome | None:
     """Return the part of an outcome that a replay keeps."""
     kept = [
         k
         for k, row in enumerate(outcome.rows)
-        if replay.start_us <= row.epoch_us < replay.stop_us and replay.method in (None, row.method)
+        if replay.start_us <= row.epoch_us < replay.stop_us and _is_kept(replay, row.method)
     ]
     if not kept:
         return None

@@ -49,6 +49,7 @@ def draw_campaign(campaign: Campaign, folder: Path) -> list[Path]:
             if result.course is not None:
                 paths.append(folder / f"{scenario}.png")
                 _draw_errors(result.course, f"{scenario}, seed {result.unit.seed}", paths[-1])
+                paths += _draw_smoothed(result.course, f"{scenario}, seed {result.unit.seed}", folder, scenario)
         for scenario in first:
             paths += _draw_worst_storm(campaign, scenario, folder)
             answers = _with_levels(campaign, scenario)
@@ -84,6 +85,29 @@ def _draw_errors(course: Course, title: str, path: Path) -> None:
     figure.suptitle(title)
     figure.legend(*plots[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     figure.savefig(path, dpi=110)
+
+
+def _draw_smoothed(course: Course, title: str, folder: Path, scenario: str) -> list[Path]:
+    """Draw truth, filtered and smoothed angles, axis by axis; return the file."""
+    if course.smoothed_deg is None:
+        return []
+    path = folder / f"smoothed_{scenario}.png"
+    figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+    plots: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
+    lines = {
+        "filtered": (course.methods["robust"].estimate_deg, "#1f77b4", 0.7),
+        "smoothed": (course.smoothed_deg, "#d62728", 1.2),
+        "truth": (course.truth_deg, "#000000", 0.9),
+    }
+    for k, (axis, plot) in enumerate(zip(AXES, plots, strict=True)):
+        for label, (angles_deg, color, width) in lines.items():
+            plot.plot(course.hours, angles_deg[:, k], color=color, linewidth=width, label=label)
+        plot.set_ylabel(f"{axis}, deg")
+    plots[-1].set_xlabel("hours of operation")
+    figure.suptitle(title)
+    figure.legend(*plots[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    figure.savefig(path, dpi=110)
+    return [path]
 
 
 def _draw_worst_storm(campaign: Campaign, scenario: str, folder: Path) -> list[Path]:

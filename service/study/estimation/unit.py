@@ -65,6 +65,8 @@ class Course(NamedTuple):
     is_night: BoolArray
     methods: dict[str, Drawn]
     rain: Rain | None = None
+    #: (T, 3) deg, robust rows smoothed by all later ones, NaN = no row
+    smoothed_deg: Float32Array | None = None
 
 
 @dataclass(frozen=True)
@@ -151,4 +153,16 @@ def _course(world: World, driven: Driven) -> Course:
         None
         if driven.hypothesis is None
         else Rain(world.truth.station_loss_db[rows].astype(np.float32), driven.hypothesis),
+        _smoothed_deg(world.ground.epochs_us[rows], driven),
     )
+
+
+def _smoothed_deg(epochs_us: IntArray, driven: Driven) -> Float32Array | None:
+    """Return the smoothed angles at each row (T, 3)."""
+    series = driven.smoothed.get("smoothed")
+    if series is None:
+        return None
+    angles = np.full((len(epochs_us), 3), np.nan, dtype=np.float32)
+    _, own, theirs = np.intersect1d(epochs_us, series.epochs_us, return_indices=True)
+    angles[own] = series.estimate_deg[theirs]
+    return angles

@@ -35,6 +35,41 @@ async def test_replay_of_a_method_is_started_and_told(bench, make, method):
     assert {row["version"] for row in history["rows"]} <= {started["version"]}
 
 
+async def test_only_the_robust_method_has_smoothed_rows(bench, make):
+    span = {"start": "2026-11-21T00:00:00Z", "stop": "2026-11-22T00:00:00Z"}
+    for body, words in (
+        ({"smooth": True, "method": "paper"}, "only the robust method has smoothed rows"),
+        ({"smooth": True, "method": "robust_smoothed"}, "run on no measurement and drive no control"),
+        ({"smooth": "often"}, "smooth"),
+    ):
+        answer = await bench.client.post(f"{bench.url}/replays", json=span | body)
+        assert (answer.status_code, answer.headers["content-type"]) == (422, "application/problem+json")
+        assert words in answer.text
+
+
+async def test_a_replay_says_whether_it_smooths(bench, make):
+    bench.calibrate([make.carrier_calibration(k, Axes(0.1 * k * k, 1.0, 0.5 * k)) for k in range(6)])
+    bench.align(bench.append([make.now_us - 60 * make.s])[0].epoch_us)
+    span = {"start": format_epoch(make.now_us - 600 * make.s), "stop": format_epoch(make.now_us)}
+    for smooth in (True, False):
+        answer = await bench.client.post(f"{bench.url}/replays", json={**span, "smooth": smooth})
+        assert answer.status_code == 202, answer.text
+        assert (await bench.get(f"/replays/{answer.json()['id']}"))["smooth"] is smooth
+
+
+async def test_live_rows_are_never_smoothed_ones(bench, make):
+    bench.append([make.now_us - 60 * make.s])
+    for path in ("attitude", "attitude/history", "attitude/samples", "archive/attitude:export", "timeline", "samples"):
+        answer = await bench.client.get(
+            f"{bench.url}/{path}", params={"method": "robust_smoothed", "quantity": "roll_deg", "format": "csv"}
+        )
+        assert answer.status_code == 422, (path, answer.text)
+        assert answer.json()["code"] == "method.smoothed", path
+    version = bench.replay()
+    history = await bench.get("/attitude/history", version=version, method="robust_smoothed")
+    assert (history["method"], history["rows"]) == ("robust_smoothed", [])
+
+
 async def test_versions_are_listed_with_their_sizes_page_by_page(bench, make):
     versions = [bench.replay() for _ in range(3)]
     (row,) = bench.append([make.now_us - 60 * make.s])

@@ -13,7 +13,7 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep
 from service.core.estimation.filtering.filter_update import EffectiveUpdate
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_state import (
     CHAIN,
     RAIN,
@@ -59,10 +59,17 @@ class EffectiveRow(NamedTuple):
     #: (D,) state after the row, and the rows (9, D) of its covariance that belong to attitude, drift and rate
     mean: FloatArray
     covariance: FloatArray
+    #: exchange of roll and yaw, by which attitude and drift make a rate, 1/h
+    coupling_per_h: float
 
 
 def effective_row(
-    model: CarrierModel, before: FilterState, found: FilterStep, step: LinearStep, origin: IntArray | None
+    model: CarrierModel,
+    settings: FilterSettings,
+    before: FilterState,
+    found: FilterStep,
+    step: LinearStep,
+    origin: IntArray | None,
 ) -> EffectiveRow:
     """Return a row of the filter from the state before, the result and the step of time."""
     after, effective = found.state, found.effective
@@ -77,6 +84,7 @@ def effective_row(
         restarted_states(after.gaussian.covariance),
         after.gaussian.mean,
         after.gaussian.covariance[:_MOVING].copy(),
+        settings.coupling_per_h,
     )
 
 

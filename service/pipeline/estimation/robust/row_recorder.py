@@ -57,7 +57,7 @@ class RowRecorder:
         if self._capture is None or self._capture.newest is None:
             return
         origin = self._origin(model, before)
-        self._rows.append(effective_row(model.filter, before, found, self._capture.newest, origin))
+        self._rows.append(effective_row(model.filter, model.settings, before, found, self._capture.newest, origin))
         self._model = model
 
     def _origin(self, model: RobustModel, before: FilterState) -> IntArray | None:

@@ -28,6 +28,8 @@ class SmoothedRow(NamedTuple):
     state: SmoothedState
     #: time from the row to the newest one that it knows, microseconds
     lag_us: int
+    #: exchange of roll and yaw, 1/h
+    coupling_per_h: float
 
 
 class SpanSmoother:
@@ -72,7 +74,7 @@ def angles_of(rows: Sequence[EffectiveRow], count: int) -> list[SmoothedRow]:
     newest_us = rows[-1].epoch_us if rows else 0
     states = list(islice(smoothed_rows(rows), len(rows) - count, None))[::-1]
     return [
-        SmoothedRow(row.epoch_us, state, newest_us - row.epoch_us)
+        SmoothedRow(row.epoch_us, state, newest_us - row.epoch_us, row.coupling_per_h)
         for row, state in zip(rows[:count], states, strict=True)
     ]
 

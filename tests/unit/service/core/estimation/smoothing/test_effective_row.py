@@ -38,7 +38,7 @@ def taken(model, changes_db, seed=1):
         plain = step(model, SETTINGS, before, epoch_us, level_db, no_motion())
         np.testing.assert_array_equal(found.state.gaussian.covariance, plain.state.gaussian.covariance)
         np.testing.assert_array_equal(found.state.gaussian.mean, plain.state.gaussian.mean)
-        rows.append(effective_row(model, before, found, capture.newest, np.arange(len(before.gaussian.mean))))
+        rows.append(effective_row(model, SETTINGS, before, found, capture.newest, np.arange(len(before.gaussian.mean))))
         states.append(found.state)
     return states[1:], rows
 

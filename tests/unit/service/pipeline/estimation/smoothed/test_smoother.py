@@ -42,7 +42,9 @@ def rows():
             model, FilterSettings(), state, state.epoch_us + ROW_US, level_db, no_motion(), kernels=capture.kernels
         )
         state = result.state
-        found.append(effective_row(model, before, result, capture.newest, np.arange(len(state.gaussian.mean))))
+        found.append(
+            effective_row(model, FilterSettings(), before, result, capture.newest, np.arange(len(state.gaussian.mean)))
+        )
     return found
 
 
