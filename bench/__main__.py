@@ -14,7 +14,7 @@ from bench import (
     bench_stream,
     bench_summaries,
 )
-from bench.load import bench_memory, beside_replay, fleet
+from bench.load import bench_memory, fleet, live_during_replay
 
 
 def main() -> int:
@@ -32,7 +32,7 @@ def main() -> int:
         bench_summaries,
         bench_memory,
         fleet,
-        beside_replay,
+        live_during_replay,
     )
     is_met = [each.main() for each in measured]
     return 0 if all(is_met) else 1

@@ -1,6 +1,6 @@
 """Time from the post of a live row to its estimate, beside a replay and without one.
 
-Run ``python -m bench.load.beside_replay``. One service on a file estimates rows that are posted one by one, alone and
+Run ``python -m bench.load.live_during_replay``. One service on a file estimates rows posted one by one, alone and
 while it replays all that it holds (``--rows``, a row a minute) in its worker process; both in turn. The judgement is
 the ratio of the times that nine rows in ten stay below. Client, service and replay want three processors: with two the
 ratio says what priorities leave to live rows.
@@ -47,15 +47,15 @@ def pair(service: Operated, database: Path, live: int) -> float:
     while (job := service.client.get(f"/api/v1/jobs/{started['job']}").json())["progress"] == 0.0:
         assert job["state"] in ("queued", "running"), job
         time.sleep(0.05)
-    beside_s = p90_s(service, minute + live, live)
+    during_s = p90_s(service, minute + live, live)
     state = service.client.get(f"/api/v1/jobs/{started['job']}").json()["state"]
     assert state == "running", f"the replay is {state}: ask for more --rows"
     answer = service.client.delete(f"/api/v1/spacecraft/{SC}/replays/{started['id']}")
     assert answer.is_success, answer.text
     print(
-        f"  90 % of {live} rows below {1e3 * alone_s:.0f} ms alone, {1e3 * beside_s:.0f} ms beside a replay", flush=True
+        f"  90 % of {live} rows below {1e3 * alone_s:.0f} ms alone, {1e3 * during_s:.0f} ms beside a replay", flush=True
     )
-    return beside_s / alone_s
+    return during_s / alone_s
 
 
 def p90_s(service: Operated, first: int, count: int) -> float:
