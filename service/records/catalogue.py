@@ -109,6 +109,22 @@ class FedForwardTorque:
 
 
 @dataclass(frozen=True, slots=True)
+class WheelMomentum:
+    """Telemetry of the momentum of the wheels as a measurement of attitude."""
+
+    #: noise of a record along an axis, N m s
+    sigma_n_m_s: float = 0.01
+    #: one standard deviation of the scale, relative, and of the axes, deg
+    scale_error: float = 0.005
+    misalignment_deg: float = 0.05
+    #: whether the filter uses it
+    used: bool = True
+    #: torque from outside that gathers in the wheels and moves nothing else; None = that of fed_forward_torque, whose
+    #: error also moves the body
+    torque: FedForwardTorque | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Onboard:
     """On-board control of the spacecraft: fast loop, forecast mode, roll-yaw coupling and known torques."""
 
@@ -123,6 +139,8 @@ class Onboard:
     residual_torque_n_m: float | None = 0.0
     #: torque profile fed forward on board; None = none, or unknown
     fed_forward_torque: FedForwardTorque | None = None
+    #: None = the filter does not use the momentum of the wheels
+    momentum: WheelMomentum | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from analyzer_sim.world.payload.effects import Operation
 from analyzer_sim.world.payload.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
 from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
 from analyzer_sim.world.spacecraft.spacecraft import Correction
+from analyzer_sim.world.spacecraft.stored_momentum import stated_profile
 from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord
 from analyzer_sim.world.world import LONGITUDE_DEG, World
 
@@ -92,10 +93,30 @@ def spacecraft_body(world: World) -> Line:
             "forecast_mode": True,
             "roll_yaw_coupling": keeping.is_coupling_announced,
             "residual_torque_n_m": residual_n_m,
+            **_momentum(world),
         },
         # torques do not reach a story that is only replayed, so none may count as applied
         "control": {"method": "robust", "mode": "ground", "release": "two_step"},
     }
+
+
+def _momentum(world: World) -> Line:
+    """Return what the catalogue says of the wheels: their errors and the torque that gathers in them."""
+    figures = world.scenario.wheels
+    if figures is None:
+        return {}
+    profile = stated_profile(figures, world.seed)
+    parts = zip(("constant_n_m", "cosine_n_m", "sine_n_m"), profile, strict=True)
+    torque = {
+        "epoch": rfc3339(world.scenario.start_us),
+        "period_s": 86_400.0,
+        **{name: dict(zip(("roll", "pitch", "yaw"), part.tolist(), strict=True)) for name, part in parts},
+        "relative_error": figures.profile_error,
+        "axis_relative_error": figures.axis_profile_error,
+    }
+    errors = {"sigma_n_m_s": figures.noise_n_m_s, "scale_error": figures.scale_error}
+    # three times as wrong as stated where the story says so
+    return {"momentum": {**errors, "misalignment_deg": 0.05, "used": True, "torque": torque}}
 
 
 def carrier_body(world: World, carrier: Carrier) -> Line:

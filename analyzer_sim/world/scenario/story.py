@@ -134,6 +134,9 @@ class WheelTelemetry:
     scale_error: float = 0.005
     #: torque from outside about each axis: sizes of its constant part and of its daily wave, N m
     torque_n_m: float = 1e-5
+    #: one sigma of what the stated profile of this torque has wrong: one share of all axes, a smaller one of each
+    profile_error: float = 0.05
+    axis_profile_error: float = 0.01
     #: wave of half a day, of which nobody knows, as a share of the daily one
     half_day_share: float = 0.01
     #: first-order torque of which nobody knows, N m, and its correlation time

@@ -43,6 +43,13 @@ def true_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
     return TorqueProfile(constant, figures.torque_n_m * np.cos(phase), figures.torque_n_m * np.sin(phase))
 
 
+def stated_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
+    """Return the torque that the ground believes to act."""
+    rng = stream(seed, "wheel torque stated")
+    share = 1.0 + figures.profile_error * rng.normal() + figures.axis_profile_error * rng.normal(size=3)
+    return TorqueProfile(*(part / share for part in true_profile(figures, seed)))
+
+
 def unloadings_us(scenario: Scenario) -> EpochArray:
     """Return the epochs of the unloadings."""
     first_us = scenario.start_us + UNLOADING_H * US_PER_H

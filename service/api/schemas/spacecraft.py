@@ -1,7 +1,7 @@
 """Documents of the spacecraft catalogue, with the checks that physics allows."""
 
 from dataclasses import asdict
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, StringConstraints, TypeAdapter, model_validator
@@ -140,6 +140,22 @@ class FedForwardDocument(Document):
     """One standard deviation of the share that each axis has wrong by itself."""
 
 
+class WheelMomentumDocument(Document):
+    """Telemetry of the momentum of the wheels as a measurement of attitude."""
+
+    sigma_n_m_s: Annotated[float, Field(gt=0, le=10)] = 0.01
+    """Noise of a record along an axis."""
+    scale_error: Annotated[float, Field(ge=0, le=0.2)] = 0.005
+    """One standard deviation of the scale, relative."""
+    misalignment_deg: Annotated[float, Field(ge=0, le=5)] = 0.05
+    """One standard deviation of the axes."""
+    used: bool = True
+    """Whether the filter uses it."""
+    torque: FedForwardDocument | None = None
+    """Torque from outside that gathers in the wheels and moves nothing else, with the error of its profile; null: that
+    of `fed_forward_torque`, whose error also moves the body."""
+
+
 class OnboardDocument(Document):
     """On-board control of the spacecraft: fast loop, forecast mode, roll-yaw coupling and known torques."""
 
@@ -153,6 +169,19 @@ class OnboardDocument(Document):
     `null`: unknown, the filter begins with the prior `SOO_ROBUST__UNKNOWN_TORQUE_N_M`; yaw is known worse for it."""
     fed_forward_torque: FedForwardDocument | None = None
     """Torque profile fed forward on board, whose error the filter estimates; null = unknown."""
+    momentum: WheelMomentumDocument | None = None
+    """Momentum of the wheels as a measurement of yaw; null: the filter does not use it."""
+
+    @model_validator(mode="after")
+    def _check_torque(self) -> Self:
+        """Refuse two statements about one torque."""
+        is_alone = self.residual_torque_n_m == 0.0 and self.fed_forward_torque is None
+        if self.momentum is not None and self.momentum.torque is not None and not is_alone:
+            raise PydanticCustomError(
+                "onboard.momentum_torque",
+                "momentum.torque needs residual_torque_n_m 0 and no fed_forward_torque: state the torque once",
+            )
+        return self
 
 
 class GyroOrbitantDocument(Document):
@@ -183,6 +212,13 @@ class ControlDocument(Document):
     gyro_orbitant: GyroOrbitantDocument | None = None
 
 
+def _torques(values: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the torque profiles that a spacecraft states."""
+    onboard = values["onboard"]
+    stated = onboard["fed_forward_torque"], (onboard["momentum"] or {}).get("torque")
+    return [torque for torque in stated if torque is not None]
+
+
 class SpacecraftDocument(Document):
     """A spacecraft."""
 
@@ -206,14 +242,14 @@ class SpacecraftDocument(Document):
     def of(cls, spacecraft: Spacecraft) -> Self:
         """Return the document of a record."""
         values = asdict(spacecraft)
-        if (torque := values["onboard"]["fed_forward_torque"]) is not None:
+        for torque in _torques(values):
             torque["epoch"] = format_epoch(torque.pop("epoch_us"))
         return cls.model_validate(values, strict=False)
 
     def to_record(self) -> Spacecraft:
         """Return the record that this document states."""
         values = self.model_dump()
-        if (torque := values["onboard"]["fed_forward_torque"]) is not None:
+        for torque in _torques(values):
             torque["epoch_us"] = torque.pop("epoch")
         return _RECORDS.validate_python(values)
 

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FedForward
+from service.core.estimation.filtering.model.filter_model import FedForward, MomentumModel
 from service.pipeline.inputs.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
-from service.records.catalogue import AxisTorques, Spacecraft
+from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import FloatArray
 
@@ -45,8 +45,25 @@ def is_torque_unknown(spacecraft: Spacecraft | None) -> bool:
 def fed_forward(spacecraft: Spacecraft | None) -> FedForward | None:
     """Return the profile that the loop on board takes away, its phase counted from the beginning of 1970."""
     reported = None if spacecraft is None else spacecraft.onboard.fed_forward_torque
-    if spacecraft is None or reported is None:
+    return None if spacecraft is None or reported is None else _profile(reported, spacecraft)
+
+
+def momentum_model(spacecraft: Spacecraft | None) -> MomentumModel | None:
+    """Return how the momentum of the wheels is read; None where the catalogue does not use it."""
+    stated = None if spacecraft is None else spacecraft.onboard.momentum
+    if spacecraft is None or stated is None or not stated.used:
         return None
+    return MomentumModel(
+        stated.sigma_n_m_s,
+        stated.scale_error,
+        stated.misalignment_deg,
+        angle_inertia_kg_m2(spacecraft),
+        None if stated.torque is None else _profile(stated.torque, spacecraft),
+    )
+
+
+def _profile(reported: FedForwardTorque, spacecraft: Spacecraft) -> FedForward:
+    """Return a profile as accelerations."""
     period_us = round(reported.period_s * US_PER_S)
     phase = 2.0 * math.pi * (reported.epoch_us % period_us) / period_us
     constant, cosine, sine = (

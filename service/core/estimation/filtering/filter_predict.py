@@ -35,7 +35,14 @@ from service.core.estimation.filtering.model.filter_state import (
     hidden_count,
     reference_states,
 )
-from service.core.estimation.filtering.model.hidden_motion import add_scale_noise, hidden_noise, hidden_transition
+from service.core.estimation.filtering.model.hidden_motion import (
+    MOMENTUM,
+    add_scale_noise,
+    hidden_noise,
+    hidden_transition,
+)
+from service.core.estimation.filtering.model.torque_prior import TORQUES, has_torque
+from service.core.estimation.filtering.model.wheel_momentum import moved_momentum
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 #: below this product of rate and time the quotients of exponentials lose digits
@@ -208,6 +215,11 @@ def predict(
     rain_factor = 1.0 if weather.is_raining else math.exp(-seconds / settings.rain_dry_tau_s)
     hidden = hidden_count(model, len(state.mean))
     transition, common_sigma, common_tau_s = motion.transition, model.common_sigma_db, model.common_tau_s
+    if settings.momentum is not None:
+        first = core_size(model, hidden) - MOMENTUM
+        state = moved_momentum(
+            state, first, from_us, step_us, settings, settings.momentum, has_torque=has_torque(settings)
+        )
     if hidden:
         # beside the common parts: they fade and grow as those do
         transition = np.hstack([transition, hidden_transition(hidden, from_us, step_us, settings, known)])
@@ -227,7 +239,7 @@ def predict(
         weather.slow_scale,
         weather.model_variance_db2,
     )
-    if hidden > len(known.unreported):
+    if hidden - len(known.unreported) >= TORQUES:
         add_scale_noise(moved.covariance, core_size(model) + len(known.unreported), settings, hours)
     if weather.declared is not None:
         size = len(moved.mean)

@@ -10,13 +10,21 @@ from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings
 from service.core.estimation.filtering.model.filter_state import Gaussian, core_size
 from service.core.estimation.filtering.model.hidden_motion import (
+    MOMENTUM,
     SHARE_SIGMA,
     dropped,
     inserted,
     torque_states,
     with_wider_torque,
 )
-from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_covariance, torque_prior_deg_h2
+from service.core.estimation.filtering.model.torque_prior import (
+    TORQUES,
+    has_torque,
+    is_pushed,
+    torque_covariance,
+    torque_prior_deg_h2,
+)
+from service.core.estimation.filtering.model.wheel_momentum import momentum_covariance
 from service.core.estimation.filtering.watches.command_watch import executed_commands
 
 
@@ -41,7 +49,9 @@ def without_shares(model: CarrierModel, state: FilterState, shares: int) -> Filt
 
 def with_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings) -> Gaussian:
     """Return the state at an alignment, which has no hidden states, with those of the torque that is stated, if any."""
-    return inserted(gaussian, core_size(model), torque_covariance(settings)) if is_pushed(settings) else gaussian
+    if settings.momentum is not None:
+        gaussian = inserted(gaussian, core_size(model), momentum_covariance(settings.momentum))
+    return inserted(gaussian, core_size(model), torque_covariance(settings)) if has_torque(settings) else gaussian
 
 
 def with_stated_torque(
@@ -53,6 +63,8 @@ def with_stated_torque(
     What was learned under another profile is learned again: its shares and its wave are not those of the new one.
     """
     gaussian, positions = state.gaussian, torque_states(model, state.gaussian, shares)
+    if before.momentum != after.momentum:
+        return _with_stated_momentum(model, state, shares, before, after)
     if positions is not None and (before.fed_forward != after.fed_forward or not is_pushed(after)):
         gaussian, positions = dropped(gaussian, positions), None
     if positions is not None:
@@ -60,5 +72,20 @@ def with_stated_torque(
         gaussian = with_wider_torque(gaussian, positions, np.maximum(0.0, grown))
     elif is_pushed(after):
         gaussian = inserted(gaussian, core_size(model, shares), torque_covariance(after))
+    command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
+    return state._replace(gaussian=gaussian, command=command)
+
+
+def _with_stated_momentum(
+    model: CarrierModel, state: FilterState, shares: int, before: FilterSettings, after: FilterSettings
+) -> FilterState:
+    """Return the state after the catalogue states other telemetry of the wheels: it and torques begin again."""
+    first = core_size(model, shares)
+    known = (TORQUES if has_torque(before) else 0) + (MOMENTUM if before.momentum is not None else 0)
+    gaussian = dropped(state.gaussian, slice(first, first + known))
+    if after.momentum is not None:
+        gaussian = inserted(gaussian, first, momentum_covariance(after.momentum))
+    if has_torque(after):
+        gaussian = inserted(gaussian, first, torque_covariance(after))
     command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
     return state._replace(gaussian=gaussian, command=command)

@@ -22,6 +22,9 @@ ADVICE: dict[str, str] = {
     "state_torque": "a torque of which the catalogue knows nothing turns the spacecraft, and yaw is known worse for "
     "it; state its size in onboard.residual_torque_n_m, and in onboard.fed_forward_torque the profile that the loop on "
     "board feeds forward",
+    "momentum_refused": "the momentum of the wheels in telemetry contradicts the powers and is not used until the next "
+    "alignment; check sign, order, unit and source of the telemetry, and onboard.momentum",
+    "momentum_jump": "the momentum of the wheels jumped and telemetry did not say thrusters_active; report unloadings",
 }
 #: fewest rows of a flagged carrier from which its kind of fault is told
 _INFORMATIVE_ROWS = QUIET_ROWS // 2
@@ -54,7 +57,7 @@ def filtered_row(
     has_inhibiting_operation: bool,
     validity_limit_deg: float,
     yaw_validity_limit_deg: float,
-    is_torque_to_be_stated: bool = False,
+    given: dict[str, bool],
 ) -> AttitudeRow:
     """Return the archive's row of one step of the filter."""
     announced = fixed.announced
@@ -68,7 +71,7 @@ def filtered_row(
     # whatever the filter holds against control stands, in the usual order where it has one
     in_order = (*INHIBITIONS, *announced.integrity.reasons) if standing else ()
     inhibitions = tuple(dict.fromkeys(one for one in in_order if one in standing))
-    advice = {"realign": announced.integrity.is_realignment_advised, "state_torque": is_torque_to_be_stated}
+    advice = {"realign": announced.integrity.is_realignment_advised, **given}
     is_raining = announced.state.rain.is_raining
     common = announced.state.gaussian.mean[common_states(model.filter)]
     return AttitudeRow(

@@ -5,7 +5,7 @@ state alone. Without an ephemeris that reaches the row, or with fewer than four 
 on with an honest sigma, and control waits.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from service.core.estimation.filtering.model.filter_state import (
     RATE,
     initial_gaussian,
 )
+from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch, momentum_advice
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
@@ -54,6 +55,8 @@ class RobustState:
     released: tuple[tuple[int, CommandedMotion], ...] = ()
     #: source of the newest row, None before the first
     source: str | None = None
+    #: judgement of the records of wheel momentum
+    momentum: MomentumWatch = field(default_factory=fresh_watch)
 
 
 class RobustStep(NamedTuple):
@@ -99,6 +102,8 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
     if _torque_of(old.settings) != _torque_of(new.settings):
         pushed = with_stated_torque(old.filter, state.filter, len(state.released), old.settings, new.settings)
         state = replace(state, filter=pushed)
+    if old.settings.momentum != new.settings.momentum:
+        state = replace(state, momentum=fresh_watch())
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
         return state
     position_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
@@ -123,7 +128,7 @@ def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
 
 
 def _torque_of(settings: FilterSettings) -> tuple[object, ...]:
-    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward
+    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, settings.momentum
 
 
 def step_robust(
@@ -164,9 +169,12 @@ def step_robust(
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         validity_limit_deg=config.interlock.validity_limit_deg,
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
-        is_torque_to_be_stated=model.is_torque_unknown and is_torque_shown(found.state, model, len(released)),
+        given={
+            "state_torque": model.is_torque_unknown and is_torque_shown(found.state, model, len(released)),
+            **momentum_advice(state.momentum, measurement.epoch_us),
+        },
     )
-    after = RobustState(found.state, commanded, readings, released, measurement.source)
+    after = RobustState(found.state, commanded, readings, released, measurement.source, state.momentum)
     return RobustStep(row, expected_dbm, deviation_db, residual_db, after, found.is_ordinary)
 
 

@@ -15,7 +15,13 @@ from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, carr
 from service.pipeline.carrier_model.expected_level import ExpectedLevel, daily_error_db
 from service.pipeline.carrier_model.level_control import centred_model, centred_response, member_groups
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
-from service.pipeline.inputs.catalogue_torque import constant_share, fed_forward, is_torque_unknown, residual_deg_h2
+from service.pipeline.inputs.catalogue_torque import (
+    constant_share,
+    fed_forward,
+    is_torque_unknown,
+    momentum_model,
+    residual_deg_h2,
+)
 from service.pipeline.inputs.declared_operations import CarrierIndices
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
@@ -64,6 +70,8 @@ class RobustModel:
     groups: tuple[IntArray, ...]
     #: about yaw, roll and pitch; None while no spacecraft is known
     inertia_kg_m2: tuple[float, float, float] | None
+    #: (W, 3) spin axes of the wheels, x roll, y pitch, z yaw; None while no spacecraft is known
+    wheel_axes: FloatArray | None
     is_yaw_controllable: bool
     #: whether the catalogue does not state the size of the torque that is not fed forward
     is_torque_unknown: bool
@@ -116,8 +124,7 @@ def robust_model(
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
-            centred_model(carrier_model(arrays, fit, result.carriers, config.robust), groups),
-            grown_db,
+            centred_model(carrier_model(arrays, fit, result.carriers, config.robust), groups), grown_db
         ),
         settings=settings,
         limits=_limits(config.interlock, config.robust, settings, spacecraft),
@@ -134,6 +141,7 @@ def robust_model(
         groups=groups,
         is_yaw_controllable=calibration.is_yaw_controllable,
         inertia_kg_m2=None if spacecraft is None else angle_inertia_kg_m2(spacecraft),
+        wheel_axes=None if spacecraft is None else np.array(spacecraft.wheels.axes),
         is_torque_unknown=is_torque_unknown(spacecraft),
         calibration_id=calibration.id,
         alignment_id=alignment.id,
@@ -243,6 +251,7 @@ def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> Fil
         torque_deg_h2=residual_deg_h2(spacecraft, config.unknown_torque_n_m),
         torque_constant_share=constant_share(spacecraft),
         fed_forward=fed_forward(spacecraft),
+        momentum=momentum_model(spacecraft),
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, torque_states
-from service.core.estimation.filtering.model.torque_prior import wave_period_us
+from service.core.estimation.filtering.model.torque_prior import is_pushed, wave_period_us
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.inputs.known_motion import DEG_H2_N_M
 from service.records.epoch import US_PER_S
@@ -25,7 +25,7 @@ def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Di
     """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
     gaussian, epoch_us = state.gaussian, state.epoch_us
     positions = torque_states(model.filter, gaussian, shares)
-    if positions is None or model.inertia_kg_m2 is None:
+    if positions is None or model.inertia_kg_m2 is None or not is_pushed(model.settings):
         return None
     period_us = wave_period_us(model.settings)
     phase = 2.0 * math.pi * (epoch_us % period_us) / period_us

@@ -64,6 +64,9 @@ class RowRecorder:
         """Return where each number of the state before a row stood after the row before, None = nowhere."""
         if not self._rows or self._model is None:
             return None
+        if model.settings.momentum is not None:
+            # records of the wheels act between rows, which a smoother does not take back
+            return None
         former, mean = self._rows[-1].mean, before.gaussian.mean
         if former is mean:
             return np.arange(len(mean))

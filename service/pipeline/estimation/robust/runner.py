@@ -17,9 +17,9 @@ from service.pipeline.estimation.robust.method import (
     carried_state,
     carrier_levels,
     initial_state,
-    step_robust,
 )
 from service.pipeline.estimation.robust.model import RobustModel, robust_model
+from service.pipeline.estimation.robust.momentum_records import step_with_record
 from service.pipeline.estimation.robust.residual_torque import known_disturbance
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.saved_state import SavedRobust, newest_row, saved_robust
@@ -161,7 +161,7 @@ class RobustRunner:
             raise ValueError(message)
         is_unfit = (self._columns.flags(measurement, plan) & _UNFIT) != 0
         consume = partial(
-            step_robust,
+            step_with_record,
             model=self._model,
             knowledge=knowledge,
             measurement=measurement,

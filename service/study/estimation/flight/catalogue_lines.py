@@ -9,10 +9,12 @@ from typing import Any
 
 from service.formats.ephemeris.orbit import ephemeris_from_nodes
 from service.records.catalogue import (
+    AxisTorques,
     Carrier,
     ControlMode,
     ControlSettings,
     Ephemeris,
+    FedForwardTorque,
     Method,
     Onboard,
     Release,
@@ -20,6 +22,7 @@ from service.records.catalogue import (
     Spacecraft,
     Station,
     Track,
+    WheelMomentum,
 )
 from service.records.epoch import parse_epoch
 from service.records.inputs import Operation, TelemetryRecord
@@ -46,8 +49,29 @@ def read_spacecraft(body: Body) -> Spacecraft:
         torque_limit_n_m=float(body["torque_limit_n_m"]),
         cospar_id=body["cospar_id"],
         simulated=body["simulated"],
-        onboard=Onboard(**body["onboard"]),
+        onboard=_onboard(body["onboard"]),
         control=ControlSettings(Method(control["method"]), ControlMode(control["mode"]), Release(control["release"])),
+    )
+
+
+def _onboard(body: Body) -> Onboard:
+    """Return what the catalogue states of the spacecraft on board."""
+    stated = body.get("momentum")
+    if stated is None:
+        return Onboard(**body)
+    return Onboard(**{**body, "momentum": WheelMomentum(**{**stated, "torque": read_torque(stated["torque"])})})
+
+
+def read_torque(body: Body) -> FedForwardTorque:
+    """Return the profile of a torque."""
+    return FedForwardTorque(
+        epoch_us=parse_epoch(body["epoch"]),
+        period_s=body["period_s"],
+        constant_n_m=AxisTorques(**body["constant_n_m"]),
+        cosine_n_m=AxisTorques(**body["cosine_n_m"]),
+        sine_n_m=AxisTorques(**body["sine_n_m"]),
+        relative_error=body["relative_error"],
+        axis_relative_error=body["axis_relative_error"],
     )
 
 

@@ -72,6 +72,21 @@ class FedForward(NamedTuple):
     period_us: int
 
 
+class MomentumModel(NamedTuple):
+    """Telemetry of the wheels' momentum and what it follows from."""
+
+    #: noise of a record, N m s; error of the scale, relative; misalignment of the axes, deg
+    sigma_n_m_s: float
+    scale_error: float
+    misalignment_deg: float
+    #: about yaw, roll, pitch
+    inertia_kg_m2: tuple[float, float, float]
+    #: torque from outside that gathers in the wheels and moves nothing else; None = the one fed forward
+    profile: FedForward | None = None
+    #: N m s/sqrt(s), walk of the momentum by torques of which nobody knows
+    walk_n_m_s_sqrt_s: float = 2e-5
+
+
 class FilterSettings(NamedTuple):
     """Noise and dynamics of spacecraft and receiving chain; triples in the order yaw, roll, pitch; rates in deg/h."""
 
@@ -101,6 +116,8 @@ class FilterSettings(NamedTuple):
     torque_constant_share: float = 0.2
     #: what the loop on board feeds forward; None = no profile is known
     fed_forward: FedForward | None = None
+    #: telemetry of the wheels; None = it is not used
+    momentum: MomentumModel | None = None
 
 
 class KnownMotion(NamedTuple):

@@ -28,12 +28,16 @@ from service.core.estimation.filtering.model.filter_model import (
 from service.core.estimation.filtering.model.filter_state import RATE, Gaussian, common_states, hidden_count
 from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
+    has_torque,
+    is_pushed,
     scale_covariance,
     torque_prior_deg_h2,
     torque_size_deg_h2,
     wave_period_us,
 )
 
+#: states of the momentum of the wheels, behind the torques
+MOMENTUM = 7
 #: one standard deviation of the share of a command that nobody has reported
 SHARE_SIGMA = 1.0
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -108,12 +112,16 @@ def hidden_transition(
         The state has other shares than there are commands.
     """
     shares = len(known.unreported)
-    if hidden - shares not in (0, TORQUES):
+    torques = TORQUES * has_torque(settings)
+    if hidden - shares != torques + MOMENTUM * (settings.momentum is not None) and (
+        settings.momentum is not None or hidden - shares not in (0, TORQUES)
+    ):
         message = f"{shares} commands are unreported, which does not fit {hidden} hidden states"
         raise ValueError(message)
     matrix = np.zeros((9, hidden))
     matrix[0:3, :shares], matrix[6:9, :shares] = known.unreported[:, 0].T, known.unreported[:, 1].T
-    if hidden == shares:
+    # a torque that gathers in the wheels moves nothing
+    if hidden - shares < TORQUES or not (is_pushed(settings) or settings.momentum is None):
         return matrix
     period_us = wave_period_us(settings)
     response = response_over(step_us, settings.coupling_per_h, period_us)
@@ -131,9 +139,12 @@ def hidden_transition(
 
 def hidden_noise(hidden: int, shares: int, settings: FilterSettings) -> tuple[FloatArray, FloatArray]:
     """Return sigma (E,) and correlation time (E,), s, of the noise that keeps the hidden states alive."""
-    torques = hidden - shares
-    sigma = np.concatenate([np.zeros(shares), torque_prior_deg_h2(settings)[:torques]])
-    return sigma, np.concatenate([np.full(shares, np.inf), np.full(torques, 3600.0 * settings.torque_tau_h)])
+    torques = TORQUES if hidden - shares >= TORQUES else 0
+    still = hidden - shares - torques
+    sigma = np.concatenate([np.zeros(shares), torque_prior_deg_h2(settings)[:torques], np.zeros(still)])
+    tau_s = np.full(hidden, np.inf)
+    tau_s[shares : shares + torques] = 3600.0 * settings.torque_tau_h
+    return sigma, tau_s
 
 
 def add_scale_noise(covariance: FloatArray, first: int, settings: FilterSettings, hours: float) -> None:
@@ -147,7 +158,7 @@ def torque_states(model: CarrierModel, state: Gaussian, shares: int) -> slice | 
     """Return the places of the torque states, None where there are none."""
     hidden = hidden_count(model, len(state.mean))
     first = common_states(model).stop + shares
-    return slice(first, first + TORQUES) if hidden > shares else None
+    return slice(first, first + TORQUES) if hidden - shares >= TORQUES else None
 
 
 def inserted(state: Gaussian, position: int, new_covariance: FloatArray) -> Gaussian:
@@ -179,8 +190,9 @@ def with_wider_torque(gaussian: Gaussian, positions: slice, variance: FloatArray
 
 def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings, axes: BoolArray) -> Gaussian:
     """Return the state whose torque about some axes (3,) may for a while have been some times what was stated."""
-    # shares stand before the torques
-    positions = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - TORQUES))
+    # shares stand before the torques, momentum behind them
+    own = TORQUES + MOMENTUM * (settings.momentum is not None)
+    positions = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - own))
     if positions is None:
         return gaussian
     covariance, size = gaussian.covariance.copy(), torque_size_deg_h2(settings)

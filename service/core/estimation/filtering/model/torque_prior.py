@@ -23,8 +23,9 @@ DAY_US = 86_400_000_000
 
 
 def wave_period_us(settings: FilterSettings) -> int:
-    """Return the time in which the torque goes round: that of the profile fed forward, without one a solar day."""
-    return DAY_US if settings.fed_forward is None else settings.fed_forward.period_us
+    """Return the time in which the torque goes round: that of the profile known, without one a solar day."""
+    known = settings.fed_forward or (None if settings.momentum is None else settings.momentum.profile)
+    return DAY_US if known is None else known.period_us
 
 
 def torque_prior_deg_h2(settings: FilterSettings) -> FloatArray:
@@ -49,7 +50,9 @@ def scale_covariance(reported: FedForward) -> FloatArray:
 def torque_covariance(settings: FilterSettings) -> FloatArray:
     """Return the covariance (9, 9) of the torque before anything was learned of it, (deg/h^2)^2."""
     covariance = np.diag(torque_prior_deg_h2(settings) ** 2)
-    return covariance if settings.fed_forward is None else covariance + scale_covariance(settings.fed_forward)
+    for known in (settings.fed_forward, None if settings.momentum is None else settings.momentum.profile):
+        covariance = covariance if known is None else covariance + scale_covariance(known)
+    return covariance
 
 
 def torque_size_deg_h2(settings: FilterSettings) -> FloatArray:
@@ -67,3 +70,8 @@ def torque_size_deg_h2(settings: FilterSettings) -> FloatArray:
 def is_pushed(settings: FilterSettings) -> bool:
     """Return whether a torque acts that is not fed forward."""
     return float(torque_size_deg_h2(settings).max()) > 0.0
+
+
+def has_torque(settings: FilterSettings) -> bool:
+    """Return whether torques are among the states: one that is not fed forward, or one that gathers in the wheels."""
+    return is_pushed(settings) or (settings.momentum is not None and settings.momentum.profile is not None)

@@ -1,0 +1,168 @@
+"""Wheel momentum among the hidden states: momentum of the spacecraft, and what telemetry of it has wrong.
+
+    Hx' = w Hz + Tx,  Hz' = -w Hx + Tz,  Hy' = Ty         w = orbital rate, whether roll and yaw exchange or not
+    hx = (1 + sx) (Hx + Hy (yaw + bx) - Hz pitch) - Jx wx
+    hz = (1 + sz) (Hz - Hy (roll + bz) + Hx pitch) - Jz wz,   hy = Hy + Hz roll - Hx yaw - Jy wy
+
+H N m s along x roll, y pitch, z yaw of the orbital frame; b deg, s relative. T is the profile from the catalogue and
+the torque states, which stand before these. With a momentum along pitch H is a gyroscope that remembers yaw. The law of
+this file: momentum moves nothing else; a record of telemetry has one weight.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, MomentumModel
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, Gaussian
+from service.core.estimation.filtering.model.torque_prior import TORQUES, wave_period_us
+
+#: exchange of roll and yaw momentum in the orbital frame, 1/h
+_ORBITAL_RATE_PER_H = 0.2625162
+#: torque that gives 1 kg m^2 an acceleration of 1 deg/h^2, N m
+_DEG_H2_N_M = math.radians(1.0) / 3600.0**2
+#: longest span over which a torque counts as constant, h
+_PANEL_H = 1.0 / 6.0
+#: positions of roll, pitch, yaw among yaw, roll, pitch
+_BODY = np.array([1, 2, 0])
+#: one sigma of a momentum of which nothing is known, N m s
+FREE_N_M_S = 1.0
+
+
+class ReportedMomentum(NamedTuple):
+    """Record of telemetry compared with the state."""
+
+    #: (3,) and (3, 3) N m s, of roll, pitch, yaw
+    innovation: FloatArray
+    covariance: FloatArray
+    #: (3, D) H P
+    cross: FloatArray
+
+
+def momentum_covariance(model: MomentumModel) -> FloatArray:
+    """Return the covariance (7, 7) before the first record."""
+    sigma = [FREE_N_M_S] * 3 + [model.misalignment_deg] * 2 + [model.scale_error] * 2
+    return np.diag(np.square(sigma))
+
+
+def momentum_transition(
+    from_us: int, step_us: int, settings: FilterSettings, wheels: MomentumModel
+) -> tuple[FloatArray, FloatArray]:
+    """Return the effect (3, 9) of the torque states on H over a step, and the turn (3, 3) of H."""
+    hours, period_us = step_us / 3.6e9, wave_period_us(settings)
+    panels = max(1, math.ceil(hours / _PANEL_H))
+    span_h, effect = hours / panels, np.zeros((3, TORQUES))
+    inertia = np.array(wheels.inertia_kg_m2)
+    unit = np.zeros((3, 3))
+    unit[np.arange(3), _BODY] = inertia[_BODY] * _DEG_H2_N_M * 3600.0
+    for panel in range(panels):
+        elapsed_h = (panel + 0.5) * span_h
+        phase = 2.0 * math.pi * ((from_us + round(elapsed_h * 3.6e9)) % period_us) / period_us
+        pushed = _turn(hours - elapsed_h) @ unit * span_h
+        effect += np.hstack([pushed, math.cos(phase) * pushed, math.sin(phase) * pushed])
+    return effect, _turn(hours)
+
+
+def moved_momentum(
+    gaussian: Gaussian,
+    first: int,
+    from_us: int,
+    step_us: int,
+    settings: FilterSettings,
+    wheels: MomentumModel,
+    *,
+    has_torque: bool,
+) -> Gaussian:
+    """Return the state whose momentum, from a place on, has moved on; the torque states stand right before it."""
+    effect, turn = momentum_transition(from_us, step_us, settings, wheels)
+    start = first - TORQUES if has_torque else first
+    positions = slice(start, first + 3)
+    step = np.hstack([effect, turn]) if has_torque else turn
+    mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
+    own = slice(first, first + 3)
+    moved = step @ covariance[positions]
+    block = moved[:, positions] @ step.T
+    moved[:, own] = 0.5 * (block + block.T) + wheels.walk_n_m_s_sqrt_s**2 * step_us / 1e6 * np.eye(3)
+    covariance[own], covariance[:, own] = moved, moved.T
+    known = wheels.profile or settings.fed_forward
+    push = 0.0 if known is None else effect @ np.concatenate(known[:3])
+    mean[own] = step @ mean[positions] + push
+    return Gaussian(mean, covariance)
+
+
+def compared(
+    gaussian: Gaussian,
+    first: int,
+    reported: FloatArray,
+    after_h: float,
+    settings: FilterSettings,
+    wheels: MomentumModel,
+) -> ReportedMomentum:
+    """Return a record (3,), N m s, against the state; `after_h` <= 0 is its age."""
+    expected, jacobian = _expected(gaussian.mean, first, after_h, settings, wheels)
+    cross = jacobian @ gaussian.covariance
+    noise = wheels.sigma_n_m_s**2 * np.eye(3)
+    return ReportedMomentum(reported - expected, cross @ jacobian.T + noise, cross)
+
+
+def updated_by(gaussian: Gaussian, found: ReportedMomentum, added: float) -> Gaussian:
+    """Return the state after a record whose noise variance is greater by `added`, (N m s)^2."""
+    factor = np.linalg.cholesky(found.covariance + added * np.eye(3))
+    solved = np.linalg.solve(factor, np.column_stack([found.cross, found.innovation]))
+    whitened, residual = solved[:, :-1], solved[:, -1]
+    return Gaussian(gaussian.mean + residual @ whitened, gaussian.covariance - whitened.T @ whitened)
+
+
+def with_free_momentum(gaussian: Gaussian, first: int, reported: FloatArray | None = None) -> Gaussian:
+    """Return the state whose H may have changed by 1 N m s; it begins at a record (3,) where one is given."""
+    mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
+    at = np.arange(first, first + 3)
+    if reported is not None:
+        mean[at] = reported
+        covariance[at, :] = covariance[:, at] = 0.0
+    covariance[at, at] += FREE_N_M_S**2
+    return Gaussian(mean, covariance)
+
+
+def _turn(hours: float) -> FloatArray:
+    """Return the turn (3, 3) of H over some hours."""
+    angle = _ORBITAL_RATE_PER_H * hours
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
+
+
+def _expected(
+    mean: FloatArray, first: int, after_h: float, settings: FilterSettings, wheels: MomentumModel
+) -> tuple[FloatArray, FloatArray]:
+    """Return the expected record (3,) and its Jacobian (3, D)."""
+    coupling, degree = settings.coupling_per_h, math.radians(1.0)
+    # angles at the record: attitude and rates of the state carried back
+    back = np.zeros((3, len(mean)))
+    back[:, ATTITUDE] = np.eye(3) + after_h * np.array([[0.0, -coupling, 0.0], [coupling, 0.0, 0.0], [0.0] * 3])
+    back[:, DRIFT] = back[:, RATE] = after_h * np.eye(3)
+    yaw, roll, pitch = (degree * (back @ mean)).tolist()
+    turn = _turn(after_h)
+    own = slice(first, first + 3)
+    x, y, z = (turn @ mean[own]).tolist()
+    bx, bz = (degree * mean[first + 3 : first + 5]).tolist()
+    sx, sz = mean[first + 5 : first + 7].tolist()
+    # the wheels hold what the whole body does not turn with the orbit by itself
+    whole = y - wheels.inertia_kg_m2[2] * _ORBITAL_RATE_PER_H / 3600.0
+    seen = np.array([x + whole * (yaw + bx) - z * pitch, y + z * roll - x * yaw, z - whole * (roll + bz) + x * pitch])
+    scale = np.array([1.0 + sx, 1.0, 1.0 + sz])
+    jacobian = np.zeros((3, len(mean)))
+    by_angle = degree * np.array([[whole, 0.0, -z], [-x, z, 0.0], [0.0, -whole, x]])
+    by_momentum = np.array([[1.0, yaw + bx, -pitch], [-yaw, 1.0, roll], [pitch, -(roll + bz), 1.0]])
+    jacobian += scale[:, None] * (by_angle @ back)
+    jacobian[:, own] += scale[:, None] * (by_momentum @ turn)
+    jacobian[0, first + 3], jacobian[2, first + 4] = scale[0] * degree * whole, -scale[2] * degree * whole
+    jacobian[0, first + 5], jacobian[2, first + 6] = seen[0], seen[2]
+    # what the body itself turns with, beside the constant part along pitch that H holds
+    inertia = np.array(wheels.inertia_kg_m2)[_BODY] * degree / 3600.0
+    rest = coupling - _ORBITAL_RATE_PER_H
+    spin = np.zeros((3, len(mean)))
+    spin[np.arange(3), DRIFT.start + _BODY] = spin[np.arange(3), RATE.start + _BODY] = 1.0
+    spin[0, ATTITUDE.start], spin[2, ATTITUDE.start + 1] = rest, -rest
+    jacobian -= inertia[:, None] * spin
+    return scale * seen - inertia * (spin @ mean), jacobian

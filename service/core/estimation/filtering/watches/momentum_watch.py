@@ -1,0 +1,113 @@
+"""Telemetry of the wheels judged record by record, and watched over six hours.
+
+A record beyond four sigma is left out, one beyond two counts less. Two beyond five in a row are a jump, which thrusters
+make: the momentum is freed. Where records keep disagreeing the telemetry is refused until the next alignment, and yaw
+is known as if it had told nothing for long. The law of this file: records in, a verdict and the next watch out.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, MomentumModel
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
+from service.core.estimation.filtering.model.wheel_momentum import compared, updated_by, with_free_momentum
+
+#: sigmas from which a record counts less, is left out, and is a jump when it comes twice
+TRUSTED, GATE, JUMP = 2.0, 4.0, 5.0
+#: records are watched with this memory, h
+_MEMORY_H = 6.0
+#: mean square of the innovations, a degree of freedom, and jumps within the memory from which telemetry is refused
+_REFUSED_MEAN, _REFUSED_JUMPS = 2.5, 2.5
+#: fewest records of which a mean is judged
+_LEAST_RECORDS = 5.0
+#: what telemetry that was refused may have done to the angles, deg, order yaw, roll, pitch
+_MISLED_DEG = (0.2, 0.02, 0.02)
+#: a jump is reported for this long, us
+_REPORTED_US = 3_600_000_000
+_NEVER_US = -(1 << 62)
+
+
+class MomentumWatch(NamedTuple):
+    """State of the judgement; sums forget."""
+
+    #: epoch of the newest record judged, and the record (3,)
+    newest_us: int
+    newest: FloatArray
+    #: records left out in a row
+    skipped: int
+    #: weights, sum of mean squares of innovations and jumps of the last hours
+    records: float
+    squares: float
+    jumps: float
+    jumped_us: int
+    is_refused: bool
+
+
+def fresh_watch() -> MomentumWatch:
+    """Return the watch before the first record."""
+    return MomentumWatch(_NEVER_US, np.zeros(3), 0, 0.0, 0.0, 0.0, _NEVER_US, False)
+
+
+def has_jumped(watch: MomentumWatch, epoch_us: int) -> bool:
+    """Return whether a jump that nobody declared is reported at an epoch."""
+    return epoch_us - watch.jumped_us < _REPORTED_US
+
+
+def momentum_advice(watch: MomentumWatch, epoch_us: int) -> dict[str, bool]:
+    """Return which advice about the telemetry of the wheels is given at an epoch."""
+    return {"momentum_refused": watch.is_refused, "momentum_jump": has_jumped(watch, epoch_us)}
+
+
+def push_record(
+    watch: MomentumWatch,
+    gaussian: Gaussian,
+    first: int,
+    record_us: int,
+    reported: FloatArray,
+    epoch_us: int,
+    settings: FilterSettings,
+    wheels: MomentumModel,
+    *,
+    is_unloading: bool,
+) -> tuple[MomentumWatch, Gaussian]:
+    """Return watch and state after a record (3,) of an epoch; the state is that of another, not earlier one.
+
+    Records that are not newer than the newest, or repeat it to the last digit, tell nothing.
+    """
+    if watch.is_refused or record_us <= watch.newest_us or np.array_equal(reported, watch.newest):
+        return watch, gaussian
+    is_first = watch.newest_us == _NEVER_US
+    keep = 0.0 if is_first else math.exp(-(record_us - watch.newest_us) / (_MEMORY_H * 3.6e9))
+    watch = watch._replace(
+        newest_us=record_us,
+        newest=reported,
+        records=keep * watch.records,
+        squares=keep * watch.squares,
+        jumps=keep * watch.jumps,
+    )
+    if is_first or is_unloading:
+        gaussian = with_free_momentum(gaussian, first, reported if is_first else None)
+    found = compared(gaussian, first, reported, (record_us - epoch_us) / 3.6e9, settings, wheels)
+    excess = float(np.abs(found.innovation / np.sqrt(found.covariance.diagonal())).max())
+    if excess > GATE:
+        if excess <= JUMP or not watch.skipped:
+            return _judged(watch._replace(skipped=watch.skipped + 1), gaussian, excess**2)
+        watch = watch._replace(jumps=watch.jumps + 1.0, jumped_us=record_us)
+        gaussian = with_free_momentum(gaussian, first)
+        found, excess = compared(gaussian, first, reported, (record_us - epoch_us) / 3.6e9, settings, wheels), 0.0
+    mean_square = float(found.innovation @ np.linalg.solve(found.covariance, found.innovation)) / 3.0
+    added = wheels.sigma_n_m_s**2 * (max(excess / TRUSTED, 1.0) ** 2 - 1.0)
+    return _judged(watch._replace(skipped=0), updated_by(gaussian, found, added), mean_square)
+
+
+def _judged(watch: MomentumWatch, gaussian: Gaussian, mean_square: float) -> tuple[MomentumWatch, Gaussian]:
+    """Return watch and state after a record of some mean square; the telemetry is refused where they stay too large."""
+    watch = watch._replace(records=watch.records + 1.0, squares=watch.squares + min(mean_square, GATE**2))
+    is_bad = watch.records >= _LEAST_RECORDS and watch.squares > _REFUSED_MEAN * watch.records
+    if not (is_bad or watch.jumps > _REFUSED_JUMPS):
+        return watch, gaussian
+    covariance = gaussian.covariance.copy()
+    covariance[ATTITUDE, ATTITUDE] += np.diag(np.square(_MISLED_DEG))
+    return watch._replace(is_refused=True), Gaussian(gaussian.mean, covariance)

@@ -1,0 +1,47 @@
+"""Records of wheel momentum on their way to the filter: the newest one is taken with the row that is not older."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from service.core.estimation.filtering.model.filter_state import core_size, hidden_count
+from service.core.estimation.filtering.model.hidden_motion import MOMENTUM
+from service.core.estimation.filtering.watches.momentum_watch import push_record
+from service.pipeline.estimation.robust.method import RobustState, RobustStep, step_robust
+from service.pipeline.estimation.robust.model import RobustModel
+from service.pipeline.inputs.knowledge import Knowledge
+
+#: a record older than the newest row by more than this tells nothing, s
+_LATE_S = 900.0
+
+
+def step_with_record(
+    state: RobustState, *, model: RobustModel, knowledge: Knowledge, is_late: bool, **inputs: Any
+) -> RobustStep:
+    """Take the newest record of the wheels, if it is due, then a row, as `step_robust` does."""
+    taken = state if is_late else with_record(state, model, knowledge)
+    return step_robust(taken, model=model, knowledge=knowledge, is_late=is_late, **inputs)
+
+
+def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) -> RobustState:
+    """Return the state after the newest record of the wheels that is not newer than its row."""
+    wheels, epoch_us, record = model.settings.momentum, state.filter.epoch_us, knowledge.telemetry
+    reported = knowledge.momentum_n_m_s(epoch_us, _LATE_S)
+    if wheels is None or record is None or reported is None or model.wheel_axes is None:
+        return state
+    if len(reported) != len(model.wheel_axes):
+        return state
+    gaussian = state.filter.gaussian
+    watch, gaussian = push_record(
+        state.momentum,
+        gaussian,
+        core_size(model.filter, hidden_count(model.filter, len(gaussian.mean))) - MOMENTUM,
+        record.epoch_us,
+        np.array(reported) @ model.wheel_axes,
+        epoch_us,
+        model.settings,
+        wheels,
+        is_unloading=bool(record.thrusters_active),
+    )
+    return replace(state, filter=state.filter._replace(gaussian=gaussian), momentum=watch)
