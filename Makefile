@@ -8,9 +8,10 @@ CLIENTS_VENV := .venv-clients
 CLIENTS_STAMP := $(CLIENTS_VENV)/.installed
 DOCS_VENV := .venv-docs
 DOCS_STAMP := $(DOCS_VENV)/.installed
+DIST := build/dist
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help install install-dev run demo-check test test-all mutants console-check clients lint types imports locks check coverage bench nightly docs map hooks schema lock clean
+.PHONY: help install install-dev run demo-check test test-all mutants console-check clients lint types imports locks check dist coverage bench nightly docs map hooks schema lock clean
 
 help: ## show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -86,6 +87,11 @@ locks: ## lock files name no address
 	! grep -n '://' requirements*.lock
 
 check: lint types imports locks test-all clients docs ## all that must hold before a change lands
+
+# the wheel is built from the sdist, apart from the checkout: what was built before cannot get into it
+dist: $(DEV_STAMP) ## build wheel and sdist into build/dist, with the lock of what they need
+	$(BIN)/uv build --quiet --offline --no-build-isolation --python $(BIN)/python --out-dir $(DIST)
+	cp requirements.lock $(DIST)
 
 coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
 	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered

@@ -3,7 +3,11 @@
 The line is the first of the command's docstring or of its group's help; ``tests/docs/test_command_line.py`` holds it.
 """
 
-from service.cli.command_group import CommandSource, late_app
+from typing import Annotated
+
+import typer
+
+from service.cli.command_group import CommandSource, begin_command, late_app
 
 _COMMANDS = {
     "demo": CommandSource(
@@ -85,9 +89,31 @@ _COMMANDS = {
     "references": CommandSource("own_data.references", "Readings of an attitude sensor."),
 }
 
+
+def _print_version(wanted: bool) -> None:
+    """Print the version of the program and end."""
+    if wanted:
+        # reading the metadata of the installation costs time that commands need not pay
+        from importlib.metadata import version
+
+        typer.echo(version("soo"))
+        raise typer.Exit
+
+
+def _begin(
+    ctx: typer.Context,
+    *,
+    _version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    begin_command(ctx)
+
+
 app = late_app(
     _COMMANDS,
     former={"upkeep": "maintenance"},
+    begin=_begin,
     name="soo",
     help="Attitude of a geostationary satellite from the powers of the carriers it retransmits.",
 )

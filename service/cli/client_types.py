@@ -1,12 +1,10 @@
 """Types of the client's answers, written from the OpenAPI document: ``service/client/documents.py``."""
 
 from collections.abc import Mapping
+from textwrap import wrap
 from typing import Any
 
-_HEAD = '''"""Answers of the service as types; written from the OpenAPI document by ``make schema``, not by hand.
-
-Answers stay plain dictionaries; a field that a newer service adds is there though it has no name here.
-"""
+_HEAD = '''"""Answers of the service as types, by ``make schema``; a newer service may add fields."""
 
 from typing import Any, Literal, TypedDict
 
@@ -48,7 +46,7 @@ def _class(name: str, schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> 
     properties = schema["properties"]
     for field in dict.fromkeys((*schema["required"], *properties)):
         content = properties[field]
-        lines += (f"    #: {line}" for line in content.get("description", "").splitlines())
+        lines += (f"    #: {line}" for line in wrap(content.get("description", ""), _LINE - len("    #: ")))
         line = f"    {field}: {_type(content, schemas)}"
         lines += [line] if len(line) <= _LINE else [line.replace("[", "[\n        ").removesuffix("]"), "    ]"]
     return "\n".join(lines) + "\n"

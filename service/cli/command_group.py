@@ -1,7 +1,7 @@
 """Groups of commands that import a command only when it is run: the start of one must not pay for the others."""
 
 import gc
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from typing import Any, NamedTuple, NoReturn
 
@@ -48,7 +48,7 @@ def new_app(**options: Any) -> typer.Typer:
     return typer.Typer(pretty_exceptions_show_locals=False, add_completion=False, rich_markup_mode=None, **options)
 
 
-def _begin(ctx: typer.Context) -> None:
+def begin_command(ctx: typer.Context) -> None:
     """Switch on the collector that ``main`` switched off; what was loaded until now is no garbage and is left out."""
     if not gc.isenabled():
         gc.freeze()
@@ -57,7 +57,10 @@ def _begin(ctx: typer.Context) -> None:
 
 
 def late_app(
-    sources: Mapping[str, CommandSource], former: Mapping[str, str] | None = None, **options: Any
+    sources: Mapping[str, CommandSource],
+    former: Mapping[str, str] | None = None,
+    begin: Callable[..., None] = begin_command,
+    **options: Any,
 ) -> typer.Typer:
     """Return a group of commands, each imported when it is run; its help is written from the table alone.
 
@@ -67,6 +70,8 @@ def late_app(
         Commands by name.
     former : Mapping or None
         Names of today by the names of former versions.
+    begin : Callable
+        Called before a command of the group; its parameters are the options of the group itself.
     """
 
     class LateGroup(TyperGroup):
@@ -84,7 +89,7 @@ def late_app(
 
     app = new_app(**options)
     # Typer makes a group of what has a callback
-    app.callback(cls=LateGroup, no_args_is_help=True)(_begin)
+    app.callback(cls=LateGroup, no_args_is_help=True)(begin)
     return app
 
 

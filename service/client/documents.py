@@ -1,7 +1,4 @@
-"""Answers of the service as types; written from the OpenAPI document by ``make schema``, not by hand.
-
-Answers stay plain dictionaries; a field that a newer service adds is there though it has no name here.
-"""
+"""Answers of the service as types, by ``make schema``; a newer service may add fields."""
 
 from typing import Any, Literal, TypedDict
 
@@ -11,37 +8,54 @@ Json = dict[str, Any]
 class Angles(TypedDict):
     """One value an axis; absent = null."""
 
+    #: Yaw; positive yaw moves stations in the east to the north in the satellite's view.
     yaw: float | None
+    #: Roll; positive roll moves stations south in the satellite's view.
     roll: float | None
+    #: Pitch; positive pitch moves stations west in the satellite's view.
     pitch: float | None
 
 
 class AllowedAxes(TypedDict):
     """Permission of control for each axis."""
 
+    #: Yaw; positive yaw moves stations in the east to the north in the satellite's view.
     yaw: bool
+    #: Roll; positive roll moves stations south in the satellite's view.
     roll: bool
+    #: Pitch; positive pitch moves stations west in the satellite's view.
     pitch: bool
 
 
 class Refused(TypedDict):
     """A row that was refused, or flagged."""
 
+    #: Place in the list that was sent, counted from 0.
     index: int
+    #: Number that the source gave the row; null where it numbers none.
     seq: int | None
+    #: Stable word for programs.
     code: str
+    #: Sentence for people: what happened, to which thing, what to do next; it may change.
     detail: str
 
 
 class Receipt(TypedDict):
     """Receipt of committed rows; received = accepted + duplicates + len(refused), late is a part of accepted."""
 
+    #: Entries that were sent.
     received: int
+    #: Entries that are stored now.
     accepted: int
+    #: Entries that were known already and left as they are.
     duplicates: int
+    #: Accepted rows that are older than rows already consumed.
     late: int
+    #: Accepted rows are on the disk.
     durable: bool
+    #: Highest sequence number of the source that is stored; null before the first.
     last_seq: int | None
+    #: Entries that were not stored, each with its reason.
     refused: list[Refused]
     #: Rows stored with a remark: `time.leap_second` (another epoch than sent), `seq.jump` (no gap is counted).
     flagged: list[Refused]
@@ -52,15 +66,20 @@ class CatalogueWarningReply(TypedDict):
 
     #: JSON pointer into the document.
     pointer: str
+    #: Stable word for programs.
     code: str
+    #: Sentence for people: what happened, to which thing, what to do next; it may change.
     detail: str
 
 
 class PlanPut(TypedDict):
     """A stored plan."""
 
+    #: Carrier plan that gives the order of the carriers.
     plan_id: int
+    #: SHA-256 of the content.
     sha256: str
+    #: The carriers, in the order of the plan.
     carriers: int
     #: Stations that have the satellite below 5 deg elevation.
     warnings: list[CatalogueWarningReply]
@@ -71,9 +90,13 @@ class MeasurementReply(TypedDict):
 
     #: Middle of the dwell.
     epoch: str
+    #: When the service received it.
     received_at: str
+    #: Source of the rows, as its sender named it.
     source: str
+    #: Number that the source gave the row; null where it numbers none.
     seq: int | None
+    #: Carrier plan that gives the order of the carriers.
     plan_id: int
     #: Came late or out of order.
     late: bool
@@ -85,16 +108,20 @@ class MeasurementReply(TypedDict):
     flags: dict[str, int] | None
     #: Names of the flags of those carriers that have any.
     flag_names: dict[str, list[str]] | None
-    #: By carrier id, as the front end stated it; null = it stated none.
+    #: By carrier id, as the front end stated it; null = it stated none; dB.
     measured_sigma_db: dict[str, float | None] | None
+    #: Carrier to noise density of each carrier, in the order of the plan; null where it was not measured; dB Hz.
     c_n0_db_hz: dict[str, float | None] | None
+    #: Measured bandwidth of each carrier, in the order of the plan; null where it was not measured; Hz.
     occupied_bandwidth_hz: dict[str, float | None] | None
+    #: Centre of the received power minus the nominal downlink frequency, of each carrier; positive is higher; Hz.
     centroid_offset_hz: dict[str, float | None] | None
 
 
 class ExclusionReply(TypedDict):
     """A carrier left out of the fix, and why."""
 
+    #: Id of the carrier in its plan.
     carrier: str
     #: uplink_fade, step, absent, frozen, interference, group or manual.
     reason: str
@@ -103,10 +130,13 @@ class ExclusionReply(TypedDict):
 class ControlReasonReply(TypedDict):
     """A reason why no torque may go, or why yaw is withheld."""
 
+    #: Stable word for programs.
     code: str
+    #: Text for people.
     text: str
     #: Since when it has stood without a break; null: not known.
     since: str | None
+    #: What the operator does next.
     next_step: str
 
 
@@ -126,48 +156,69 @@ class Attitude(TypedDict):
 
     #: Instant measured; null before the first row.
     epoch: str | None
+    #: When the service received it.
     received_at: str | None
+    #: Method: `robust` or `paper`.
     method: Literal["robust", "paper", "robust_smoothed"]
+    #: Yaw; positive moves eastern stations north in the satellite's view; deg.
     yaw_deg: float | None
+    #: Roll; positive moves stations south in the satellite's view; deg.
     roll_deg: float | None
+    #: Pitch; positive moves stations west in the satellite's view; deg.
     pitch_deg: float | None
-    #: Null where the method knows no rate.
+    #: Null where the method knows no rate; deg/s.
     rates_deg_s: Angles | None
-    #: One standard deviation.
+    #: One standard deviation; deg.
     sigma_deg: Angles
+    #: Status of the estimate, of the words that the reference of data levels lists.
     status: Literal["ACQUIRED", "NOT_RECEIVED", "INVALID", "EXPIRED"]
     #: Whether this estimate may be used for control: no inhibition stands; yaw alone may be withheld. It is stored and
     #: does not change; whether a torque may go now is told by `control.allowed` of the newest answer.
     control_allowed: bool
+    #: The same by axis.
     control_allowed_axes: AllowedAxes
+    #: Reasons against control, in the order in which to act on them.
     inhibitions: list[str]
+    #: Number of carriers that the row uses.
     carriers_used: int
+    #: Carriers that the row leaves out, with the reason of each.
     excluded: list[ExclusionReply]
+    #: Rain over the receiving site, or what acts like it, weakens all carriers.
     downlink_fade: bool
+    #: Estimated loss common to all carriers; positive is weaker; dB.
     downlink_fade_db: float | None
+    #: Level that all carriers share, against the alignment; negative is weaker, as in rain over the receiving site; dB.
     common_db: float | None
+    #: Root mean square of what the model leaves; dB.
     residual_rms_db: float | None
+    #: Calibration that was used; null before the first.
     calibration_id: int | None
+    #: Alignment that the row was computed with; null before the first.
     alignment_id: int | None
     #: What the operator is advised while control goes on: `realign`.
     advice: list[str]
-    #: Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known.
+    #: Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known; deg.
     protection_deg: Angles
     #: Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods.
     lag_s: float | None
     #: `live`, or the replay that made the row.
     version: str
+    #: State of control with its reasons.
     control: Verdict
 
 
 class JobReply(TypedDict):
     """One piece of long work."""
 
+    #: Identifier, as paths and other fields name it.
     id: str
+    #: Kind, of the words that the reference of data levels lists.
     kind: str
+    #: State, of the words that the reference of states lists.
     state: Literal["queued", "running", "done", "failed"]
     #: 0..1
     progress: float
+    #: When it was made.
     created_at: str
     #: Why it failed, and what to do.
     error: str | None
@@ -178,11 +229,13 @@ class JobReply(TypedDict):
 class StatusReply(TypedDict):
     """Status of a spacecraft: newest rows, pending rows, documents in force."""
 
+    #: Epoch of the newest measurement; null before the first.
     newest_measurement: str | None
     #: Of the method that drives control.
     newest_attitude: str | None
     #: Rows after the alignment's epoch without a result of every method that can run; 0 when not aligned.
     pending: int
+    #: An alignment is in force.
     aligned: bool
     #: Whether `advice` has `realign`.
     realignment_advised: bool
@@ -190,11 +243,15 @@ class StatusReply(TypedDict):
     advice: list[Json]
     #: Whether the roll or pitch angles of both methods have differed for a quarter of an hour.
     methods_disagree: bool
+    #: Time of the spacecraft; null before the first row under the clock of the data.
     clock: Literal["system", "data"]
     #: Present of the spacecraft; null before its first row under the data clock.
     now: str | None
+    #: The links, by id.
     links: list[Json]
+    #: State of control with its reasons.
     control: Verdict
+    #: State of the interlock with its reasons.
     interlock: Json
     #: Method that drives control.
     method: str
@@ -207,17 +264,24 @@ class StatusReply(TypedDict):
 class PulseReply(TypedDict):
     """One element of a schedule."""
 
+    #: Begin, UTC; included.
     start: str
+    #: Duration; s.
     duration_s: float
+    #: Torque about yaw; positive turns toward positive yaw; N m.
     yaw_n_m: float
+    #: Torque about roll; positive turns toward positive roll; N m.
     roll_n_m: float
+    #: Torque about pitch; positive turns toward positive pitch; N m.
     pitch_n_m: float
 
 
 class Check(TypedDict):
     """One check of a command."""
 
+    #: Name of the check.
     name: str
+    #: The check is passed.
     ok: bool
     #: What is wrong; empty where nothing is.
     detail: str
@@ -228,40 +292,61 @@ class CommandReply(TypedDict):
 
     #: Its counter, which stands in paths and in the uplink product.
     id: int
+    #: State, of the words that the reference of states lists.
     state: Literal[
         "PREPARED", "CONFIRMED", "RELEASED", "SENT", "EXECUTED", "FAILED", "EXPIRED", "CANCELLED", "REJECTED"
     ]
     #: What a second person confirms: SHA-256 of counter, estimate, start and pulses to the last bit.
     digest: str
+    #: Number of the command, counted upward for each spacecraft.
     counter: int
     #: It cannot be confirmed from then on.
     expires_at: str
+    #: `control` or `sign_check`.
     purpose: Literal["control", "sign_check"]
+    #: Why; empty where there is nothing to say.
     reason: str
+    #: The command is prepared and checked, and never sent.
     dry_run: bool
+    #: The spacecraft is simulated.
     simulated: bool
     #: Released by standing authorisation.
     automatic: bool
     #: It waits for a second person, an approver.
     needs_approver: bool
+    #: Epoch of the attitude row from which it was computed.
     attitude_epoch: str
+    #: Begin, UTC; included.
     start: str
+    #: End, UTC; excluded.
     stop: str
+    #: Pulses of the command.
     schedule: list[PulseReply]
+    #: Angular impulse of the command about each axis; positive as the angle; N m s.
     impulse_n_m_s: Angles
-    #: Sum of the sizes of the pulses: what the envelope counts.
+    #: Sum of the sizes of the pulses: what the envelope counts; N m s.
     gross_impulse_n_m_s: Angles
+    #: What the command is predicted to do.
     predicted: Json
     #: As they were when it was prepared; all are made again when it is confirmed.
     checks: list[Check]
+    #: Effect of the pulses on the flexible modes; null where there are none.
     schedule_check: Json | None
+    #: Name of the operator's key.
     prepared_by: str
+    #: When it was prepared.
     prepared_at: str
+    #: Name of the approver's key; null before the confirmation.
     confirmed_by: str | None
+    #: What the person wrote about it.
     comment: str
+    #: When it was released; null before that.
     released_at: str | None
+    #: When it was reported as sent to the spacecraft; null before that.
     sent_at: str | None
+    #: When the newest report came; null before the first.
     reported_at: str | None
+    #: Name of the key that reported it; null before a report.
     reported_by: str | None
     #: What of the schedule was carried out, by report.
     executed: list[PulseReply]
@@ -270,9 +355,11 @@ class CommandReply(TypedDict):
 class Control(TypedDict):
     """State of the control interlock of a spacecraft."""
 
+    #: State of control with its reasons.
     control: Verdict
     #: That of `control`.
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    #: Since when it holds.
     since: str | None
     #: Codes of the reasons of `control`.
     reasons: list[str]
@@ -280,24 +367,33 @@ class Control(TypedDict):
     trips: list[str]
     #: All that the verdict is made of; those that are not met are its reasons.
     conditions: list[Json]
+    #: Minutes without a reason against control so far, and how many are needed.
     good_minutes: Json
+    #: Control was armed by a person; torques may go when the interlock allows it.
     armed: bool
     #: Computed commands are zeroed: from a trip until ten good minutes after its reset.
     withheld: bool
+    #: Release of torques: `two_step` by two persons, or `automatic`.
     release: Literal["two_step", "automatic"]
+    #: Who computes torques: `ground` or `onboard`.
     mode: Literal["ground", "onboard", "off"]
     #: That of the standing authorisation, else that of the settings.
     envelope: Json
+    #: Name of the key that authorised release automatic; null without one.
     authorised_by: list[str]
+    #: End of that authorisation; null without one.
     authorised_until: str | None
     #: Who waits for a second person to engage.
     requested_by: str | None
+    #: End of the time for which release automatic is requested; null without a request.
     requested_until: str | None
+    #: Axes whose sign a check has proved.
     proven_axes: list[Literal["yaw", "roll", "pitch"]]
     #: Wait for a confirmation.
     open_commands: list[int]
     #: Wait for a report.
     unreported_commands: list[int]
-    #: Sum of the sizes of what was sent within the hour.
+    #: Sum of the sizes of what was sent within the hour; N m s.
     sent_impulse_n_m_s: Angles
+    #: Newest check of the sign of an axis; null before the first.
     sign_check: Json | None

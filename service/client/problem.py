@@ -16,6 +16,9 @@ import httpx
 #: answers that ask for patience rather than for another request
 TRY_LATER = frozenset({408, 425, 429, 500, 502, 503, 504})
 
+#: faulty fields in the text of an error; ``errors`` has all that the service sent
+_MOST_LISTED = 12
+
 
 class ClientError(Exception):
     """Root of all errors of the client."""
@@ -47,7 +50,7 @@ class ProblemError(ClientError):
         errors: tuple[dict[str, Any], ...] = (),
     ) -> None:
         where = f" (request {request_id})" if request_id else ""
-        super().__init__(f"{status} {code}: {detail}{where}")
+        super().__init__(f"{status} {code}: {detail}{where}{_listed(errors, detail)}")
         self.status = status
         self.code = code
         self.detail = detail
@@ -82,6 +85,15 @@ def error_of(response: httpx.Response) -> ClientError:
         str(request_id) if request_id else None,
         tuple(error for error in errors if isinstance(error, dict)) if isinstance(errors, list) else (),
     )
+
+
+def _listed(errors: tuple[dict[str, Any], ...], detail: str) -> str:
+    """Return the faulty fields, a line each; the first ones, and nothing that the detail says already."""
+    lines = [f"\n  {each.get('pointer') or '/'}: {each.get('detail', '')}" for each in errors]
+    if len(lines) == 1 and str(errors[0].get("detail")) in detail and str(errors[0].get("pointer")) in detail:
+        return ""
+    more = len(lines) - _MOST_LISTED
+    return "".join(lines[:_MOST_LISTED]) + (f"\n  and {more} more" if more > 0 else "")
 
 
 def _problem(response: httpx.Response) -> dict[str, Any]:

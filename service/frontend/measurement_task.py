@@ -10,6 +10,8 @@ from typing import Annotated, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from service.records.field_faults import faults_text
+
 #: format of the task file that this release reads
 TASK_FORMAT: Final = 1
 
@@ -167,8 +169,7 @@ def parse_task(content: bytes) -> tuple[MeasurementTask, str]:
     try:
         task = MeasurementTask.model_validate_json(content)
     except ValidationError as error:
-        faults = "; ".join(f"{'.'.join(map(str, fault['loc'])) or 'task'}: {fault['msg']}" for fault in error.errors())
-        raise TaskError(faults) from error
+        raise TaskError(faults_text(error.errors(), "task")) from error
     return task, hashlib.sha256(content).hexdigest()
 
 

@@ -1,5 +1,5 @@
 """Data levels L0-L5, catalogue and calibration: frozen slotted dataclasses.
 
-Public: calibration, catalogue, csv_guard, epoch, geometry, inputs, journal, noise, record_fields, setting,
-units.
+Public: calibration, catalogue, csv_guard, epoch, field_faults, geometry, inputs, journal, noise, record_fields,
+setting, units.
 """

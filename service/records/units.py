@@ -2,11 +2,19 @@
 
 #: units by the end of a name, those that end like another one first
 _UNITS = {
+    "_db_per_deg2": "dB/deg2",
+    "_db_per_deg": "dB/deg",
     "_db_per_day": "dB/day",
     "_db_sqrt_h": "dB/sqrt(h)",
     "_db_hz": "dB Hz",
     "_n_m_s": "N m s",
     "_n_m": "N m",
+    "_kg_m2": "kg m2",
+    "_rad_s2": "rad/s2",
+    "_rad_s": "rad/s",
+    "_rad": "rad",
+    "_rpm": "rpm",
+    "_mm_h": "mm/h",
     "_per_s": "1/s",
     "_deg_h": "deg/h",
     "_deg_s": "deg/s",
@@ -19,6 +27,7 @@ _UNITS = {
     "_mb": "MB",
     "_h": "h",
     "_s": "s",
+    "_m": "m",
 }
 
 

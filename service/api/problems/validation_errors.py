@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.errors import FieldError
+from service.records.field_faults import fault_sentence
 
 #: an answer names at most so many faults; the rest would only make it long
 MAX_FAULTS = 50
@@ -27,11 +28,6 @@ _CODE_OF = {
     "less_than": "value.range",
     "less_than_equal": "value.range",
     "int_parsing_size": "value.range",
-}
-_DETAIL_OF = {
-    "field.unknown": "unknown field; check its spelling or leave it out",
-    "field.missing": "this field is required",
-    "value.not_finite": "NaN, Infinity and numbers beyond the range of float64 are not accepted; absent is null",
 }
 
 
@@ -66,4 +62,4 @@ def _fault(error: Mapping[str, Any], prefix: str) -> FieldError:
     """Return one field error."""
     kind = str(error["type"])
     code = kind if "." in kind else _CODE_OF.get(kind, "value.type")
-    return FieldError(prefix + pointer_of(error["loc"]), code, _DETAIL_OF.get(code, str(error["msg"])))
+    return FieldError(prefix + pointer_of(error["loc"]), code, fault_sentence(error))

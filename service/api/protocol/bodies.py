@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.access.audit_context import digest_body
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.problems.validation_errors import faults_of
+from service.records.field_faults import fault_sentence
 
 M = TypeVar("M", bound=BaseModel)
 #: values of one body: a full batch of 10 000 rows has 32 carriers with three figures each; a value takes 80 bytes
@@ -46,10 +47,10 @@ def decode(adapter: TypeAdapter[M], raw: bytes, prefix: str = "") -> M:
     try:
         return adapter.validate_json(raw)
     except ValidationError as error:
-        faults = error.errors(include_url=False, include_context=False, include_input=False)
+        faults = error.errors(include_url=False, include_input=False)
     if faults[0]["type"] == "json_invalid":
         raise RequestProblemError(
-            HTTPStatus.BAD_REQUEST, "json.malformed", f"the body is not JSON: {faults[0]['msg'][:200]}"
+            HTTPStatus.BAD_REQUEST, "json.malformed", f"the body {fault_sentence(faults[0])[:200]}"
         )
     raise invalid_request(faults_of(faults, prefix))
 

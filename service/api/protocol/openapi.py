@@ -7,6 +7,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from service.api.problems.problems import PROBLEM_MEDIA_TYPE, ProblemSchema
+from service.api.protocol.field_meanings import describe_properties
 
 API_VERSION = "1.0"
 _REF = "#/components/schemas/"
@@ -44,6 +45,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
     }
     problem = {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": _REF + "ProblemSchema"}}}
     document["components"]["responses"] = {"Problem": {"description": "Problem", "content": problem}}
+    describe_properties(schemas)
     document["components"]["schemas"] = dict(sorted(schemas.items()))
     return document
 

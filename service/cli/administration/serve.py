@@ -81,13 +81,12 @@ def _settings(given: dict[str, str | int | bool | None]) -> "Settings":
     from pydantic_settings import SettingsError
 
     from service.composition.settings import Settings
+    from service.records.field_faults import faults_text
 
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type] # pydantic validates
     except ValidationError as error:
-        # the values themselves are left out: one of them is the key
-        faults = error.errors(include_url=False, include_input=False, include_context=False)
-        end("; ".join(f"setting {'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in faults))
+        end(f"settings: {faults_text(error.errors(include_url=False, include_input=False))}")
     except (SettingsError, OSError, UnicodeDecodeError) as error:
         end(f"settings cannot be read: {error}")
 

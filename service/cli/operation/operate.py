@@ -154,12 +154,13 @@ def _replayed_in_parts(
     from service.api.schemas.replays import ReplayDocument
     from service.cli.operation.parallel_replay import replay_in_parts
     from service.composition.settings import Settings
+    from service.records.field_faults import faults_text
     from service.study.executors import WorkerChoice
 
     try:
         wanted = ReplayDocument.model_validate_json(json.dumps(body)).to_replay()
     except ValidationError as error:
-        end("; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors()), cause=error)
+        end(faults_text(error.errors()), cause=error)
     settings = Settings.model_validate({} if database is None else {"database_url": database})
     with _shown("replay") as show:
         replay = replay_in_parts(settings, spacecraft, wanted, WorkerChoice(workers or 2, scheduler), show)

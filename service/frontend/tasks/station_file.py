@@ -9,6 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from service.frontend.measurement_task import TaskError
+from service.records.field_faults import faults_text
 
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
 
@@ -74,7 +75,6 @@ def load_station(path: Path) -> tuple[StationEntry, ...]:
     try:
         station = TypeAdapter(StationFile).validate_json(content)
     except ValidationError as error:
-        faults = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
-        message = f"station {path}: {faults}"
+        message = f"station {path}: {faults_text(error.errors(), 'station')}"
         raise TaskError(message) from error
     return tuple(entry.model_copy(update={"task": path.parent / entry.task}) for entry in station.analyzers)
