@@ -5,8 +5,10 @@ for bit.
 """
 
 import logging
+import struct
 import time
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -27,6 +29,11 @@ PERIOD_US = 3600 * US_PER_S
 KNOWN_US = 7 * 86_400 * US_PER_S
 #: between two looks at whether the service stops: a third of a second of the processor at most
 _ENTRIES_AT_ONCE = 64
+#: what zip, deflate, JSON and numpy say of damaged bytes
+_UNREADABLE = (
+    *(ArithmeticError, AttributeError, EOFError, LookupError, OSError, RuntimeError, TypeError, ValueError),
+    *(struct.error, zipfile.BadZipFile, zlib.error),
+)
 
 
 def checkpoint_of(chain: Chain, config: ChainConfig, number: int, epoch_us: int) -> Checkpoint | None:
@@ -159,7 +166,7 @@ def state_of(spacecraft_id: str, found: Checkpoint) -> ChainState | None:
     """Return the state of a checkpoint; None where it cannot be read."""
     try:
         return unpack_state(found.content)
-    except (ArithmeticError, LookupError, OSError, TypeError, ValueError, zipfile.BadZipFile) as fault:
+    except _UNREADABLE as fault:
         _LOG.warning("checkpoint %d of %s cannot be read: %s", found.number, spacecraft_id, fault)
         return None
 

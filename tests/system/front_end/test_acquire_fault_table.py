@@ -29,7 +29,8 @@ from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.settings import AcquisitionSettings
 from service.records.levels.quality_flag import QualityFlag, flag_names
 
-pytestmark = pytest.mark.system
+# the VISA library leaves the socket of a session that it could not open to the collector
+pytestmark = [pytest.mark.system, pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")]
 
 SEED = 11
 PERIOD_S = 0.8
