@@ -26,7 +26,7 @@ from db.encoding.segments import DAY_US
 from db.storage import SqlStorage
 from service.ports import LIVE, Outcome
 from service.records.calibration import Window
-from service.records.catalogue import Carrier, Method, Site, Spacecraft
+from service.records.catalogue import LIVE_METHODS, Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Status
 from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import Pulse, TorqueCommand
@@ -224,7 +224,7 @@ def measure_results(url: str, options: argparse.Namespace, *, has_carriers: bool
 def outcome_of(row: Measurement, random: np.random.Generator, *, has_carriers: bool) -> Outcome:
     """Return results with all bits in use, as a calm day gives them."""
     rows = []
-    for method in Method:
+    for method in LIVE_METHODS:
         angles, sigma, rates = (Axes(*random.normal(0.0, 0.05, 3).tolist()) for _ in range(3))
         figures, protection = random.normal(0.0, 0.1, 2).tolist(), Axes(*random.normal(0.0, 0.1, 3).tolist())
         rows.append(

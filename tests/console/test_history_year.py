@@ -18,7 +18,7 @@ from db.schema.tables import attitude_summary
 from db.storage import SqlStorage
 from service.core.rows.state_runs import RowState, StateRun, Stretch
 from service.ports import ATTITUDE_FIGURES
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch
 from service.records.levels.measurement import MeasurementBatch
 
@@ -66,7 +66,7 @@ def seed_year(url: str) -> None:
     key = storage._database.key("yamal-202")
     with storage._database.engines.write.begin() as connection:
         for start_us in range(FIRST_US, FIRST_US + DAYS * DAY_US, DAY_US):
-            for method in Method:
+            for method in LIVE_METHODS:
                 epochs_us = start_us + MINUTE_US * np.arange(DAY_US // MINUTE_US)
                 values = random.normal(0.02, 0.01, (len(epochs_us), len(ATTITUDE_FIGURES)))
                 blobs = pack_day(epochs_us, values, 3)._asdict()

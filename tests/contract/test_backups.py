@@ -16,7 +16,7 @@ from db.schema.schema_version import known_versions
 from db.schema.tables import metadata
 from db.storage import SqlStorage
 from service.ports import Outcome
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import Operation
 from service.records.operations.audit import AuditEvent
 from service.records.storage.backup import BackupError
@@ -38,7 +38,7 @@ def filled(setting, make):
     setting.calibrate()
     setting.align(5)
     rows = [row for row in setting.rows() if row.feeds_estimator]
-    made = [make.attitude_row(row, method, common_db=0.1 + 0.2) for row in rows for method in Method]
+    made = [make.attitude_row(row, method, common_db=0.1 + 0.2) for row in rows for method in LIVE_METHODS]
     setting.consume([Outcome(tuple(made), make.torque_command(rows[0]))])
     audit_event = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
     setting.storage.audit.append(AuditEvent(at_us=1, outcome="done", request_id="r", **audit_event))

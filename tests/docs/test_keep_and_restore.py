@@ -17,7 +17,7 @@ from db.storage import SqlStorage
 from service.client.service_client import ServiceClient
 from service.ports import Outcome
 from service.records.calibration import Window
-from service.records.catalogue import Carrier, Method, Site, Spacecraft
+from service.records.catalogue import LIVE_METHODS, Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import AttitudeRow, Axes, Status
 from service.records.levels.measurement import Measurement, MeasurementBatch
 
@@ -90,7 +90,7 @@ def test_sizes_are_those_of_the_page(tmp_path: Path) -> None:
     def consume(storage: SqlStorage) -> None:
         head = storage.archive.head("craft")
         rows = storage.archive.measurements("craft", Window(0, 1 << 60), count, None)
-        outcomes = [Outcome(tuple(result(row, method, random) for method in Method), None) for row in rows[:2000]]
+        outcomes = [Outcome(tuple(result(row, method, random) for method in LIVE_METHODS), None) for row in rows[:2000]]
         storage.results.save_outcomes("craft", "live", outcomes, head.newest_number, head.newest_epoch_us)
 
     for change in (store, consume, lambda storage: list(storage.archive.seal("craft", 1 << 60, 1 << 60))):

@@ -233,6 +233,7 @@ async def test_replay_needs_an_alignment(bench, make):
         "alignment_id": 1,
         "order": "epoch",
         "commands": True,
+        "smooth": False,
         "created_at": format_epoch(make.now_us),
         "state": "done",
         "progress": 1.0,

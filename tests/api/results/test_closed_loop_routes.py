@@ -90,7 +90,7 @@ async def test_gains_that_saturate_are_told(bench):
         ({"duration_s": 59_000.0, "steps": 16}, "analysis.not_physical", "500000 steps"),
         ({"tones": {"damping_ratio": 0.0}}, "value.range", "greater than 0"),
         ({"wheels": {"momentum_limit_n_m_s": 0.0}}, "value.range", "greater than 0"),
-        ({"law": {"gains": {"yaw_stiffness_n_m": -1.0}}}, "value.range", "greater than or equal to 0"),
+        ({"law": {"gains": {"yaw_stiffness_n_m": -1.0}}}, "value.range", "must be 0.0 or greater"),
         ({"points": 5001}, "value.range", "5000"),
         ({"gravity": False}, "field.unknown", "unknown field"),
     ],

@@ -10,7 +10,7 @@ import pytest
 from service.api.export import export_chunks as archive_chunks
 from service.api.export import export_files as archive_files
 from service.ports import Outcome
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import NO_ANGLES, Axes
 
@@ -101,7 +101,7 @@ async def test_version_of_a_replay(bench, make):
 
 async def test_files_of_other_spans_methods_and_formats_have_other_names(bench, make):
     rows = bench.append([make.now_us, make.now_us + 86_400 * make.s])
-    bench.consume([Outcome(tuple(make.row(row, method=each) for each in Method), None) for row in rows])
+    bench.consume([Outcome(tuple(make.row(row, method=each) for each in LIVE_METHODS), None) for row in rows])
     parts = []
     for choice in ({"format": "csv", "method": "robust"}, {"format": "aem", "method": "paper"}):
         for span in ({}, {"start": format_epoch(make.now_us), "stop": format_epoch(make.now_us + 90_000 * make.s)}):

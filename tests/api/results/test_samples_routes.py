@@ -5,7 +5,7 @@ import pytest
 
 from service.core.rows.row_gaps import STRETCH_ROWS
 from service.ports import Outcome
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch, parse_epoch
 from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.carrier_results import CarrierResults
@@ -155,7 +155,7 @@ async def test_quantities_are_those_of_the_rows(bench, make, seed):
             carriers = CarrierResults(row.plan_id, *levels_db, *np.zeros((2, 6), dtype=np.int64))
             rows = tuple(
                 make.row(row, method=method, attitude_deg=Axes(*rng.normal(0, 1, 3)), residual_rms_db=rng.random())
-                for method in Method
+                for method in LIVE_METHODS
             )
             held.append((row, rows, carriers))
         new = held[-len(some_us) :]

@@ -15,7 +15,7 @@ from db.maintenance.restore import restore_backup
 from db.schema.row_checksum import CHECKSUM_BYTES, checksum_of
 from db.schema.tables import attitude, checksum_backlog, measurement, metadata
 from service.ports import LIVE, Outcome
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.measurement import CarrierDetails
 from service.records.levels.trace import Ring, Trace, TraceSettings
@@ -69,7 +69,7 @@ def filled(setting, make):
     made = tuple(
         make.attitude_row(row, method, common_db=np.float64(0.1) + 0.2, residual_rms_db=0, downlink_fade_db=-0.0)
         for row in rows
-        for method in Method
+        for method in LIVE_METHODS
     )
     setting.consume([Outcome(made, make.torque_command(rows[0], command_period_s=60))])
     trace = Trace(10, "wide", TraceSettings(1e9, 1e3, float("nan"), 1e3, 2), np.array([-60.0, -59.5]))

@@ -15,7 +15,7 @@ from db.schema.tables import attitude_summary, carrier_summary, power_summary
 from service.core.rows.sample_bins import SampleBins
 from service.ports import ATTITUDE_FIGURES, LIVE, Outcome
 from service.records.calibration import Window
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.measurement import CarrierDetails
@@ -249,7 +249,7 @@ def test_a_damaged_summary_is_passed_over(summed, caplog, table, column):
     change(summed, update(table).where(is_it).values({column: bytes(blob)}))
     for count in (1, 50, 72):
         check_powers(summed, Window(0, 3 * DAY_US), count)
-        for method in Method:
+        for method in LIVE_METHODS:
             check_attitude(summed, Window(0, 3 * DAY_US), count, method)
     assert f"{table.name} " in caplog.text
 
@@ -340,5 +340,5 @@ def test_the_first_count_of_a_process_begins_where_the_last_one_ended(summed, ma
     assert results.pending(summed.id, methods) == 0
     assert looked == [head.newest_number]
     results._pending = type(results._pending)()
-    results.pending(summed.id, tuple(Method))
+    results.pending(summed.id, LIVE_METHODS)
     assert looked[1] == 0, "of other methods nothing is known"

@@ -15,7 +15,7 @@ from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports import Outcome
 from service.records.calibration import Window
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS, Method
 from service.records.inputs import Correction
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails
@@ -62,7 +62,7 @@ def pages(archive, name, window, limit, source=None) -> Iterator[str]:
         after = page[-1].epoch_us, page[-1].number
 
 
-def answers(setting, windows, methods=tuple(Method)) -> dict[str, str]:
+def answers(setting, windows, methods=LIVE_METHODS) -> dict[str, str]:
     """Return what every method of the ports says, as text."""
     archive, results, name = setting.storage.archive, setting.storage.results, setting.id
     newest = archive.head(name).newest_number

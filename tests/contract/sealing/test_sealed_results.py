@@ -17,7 +17,7 @@ from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports import LIVE, Outcome
 from service.records.calibration import Window
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import Axes
 from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import Pulse
@@ -55,7 +55,7 @@ def answers(setting, windows, alignment):
     results, name = type(setting.storage.results)(setting.storage._database), setting.id
     last = setting.storage.archive.head(name).result_sequence
     found = {
-        "pending": [results.pending(name, chosen) for chosen in ([Method.PAPER], list(Method))],
+        "pending": [results.pending(name, chosen) for chosen in ([Method.PAPER], list(LIVE_METHODS))],
         "after the alignment": results.rows_after(name, alignment),
         "sequences": [results.results_after(name, after, 9) for after in range(0, last + 1, 7)],
         "carriers of sequences": [
@@ -65,7 +65,7 @@ def answers(setting, windows, alignment):
         ],
     }
     for version in (LIVE, REPLAYED):
-        found[f"newest {version}"] = [results.newest_attitude(name, version, method) for method in Method]
+        found[f"newest {version}"] = [results.newest_attitude(name, version, method) for method in LIVE_METHODS]
         found[f"newest command {version}"] = results.newest_command(name, version)
         for window in windows:
 
@@ -73,7 +73,7 @@ def answers(setting, windows, alignment):
                 return results.commands(name, version, window, limit, after)
 
             found[f"commands {version} {window}"] = [list(pages(commands, limit)) for limit in (4, 999)]
-            for method in Method:
+            for method in LIVE_METHODS:
 
                 def rows(limit, after, version=version, window=window, method=method):
                     return results.attitude_rows(name, version, method, window, limit, after)
@@ -118,7 +118,7 @@ def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypa
     for step in range(12):
         epochs_us = [dice.randrange(8 * DAYS) * STEP_US + dice.choice([0, 0, 1]) for _ in range(dice.randint(1, 9))]
         source, thrown = dice.choice(["sa-1", "sa-2"]), dice.random()
-        methods = dice.choice([[Method.ROBUST], list(Method)])
+        methods = dice.choice([[Method.ROBUST], list(LIVE_METHODS)])
         version = LIVE if step < 6 or dice.random() < 0.7 else REPLAYED
         for setting in settings:
             setting.append(epochs_us, source=source)
@@ -149,7 +149,7 @@ def lived(setting, make, days=3, version=LIVE):
     for day in range(days):
         setting.append([day * DAY_US + second for second in (5, 6, 7)])
     rows = [row for row in setting.rows() if row.epoch_us < days * DAY_US]
-    both = [tuple(make.attitude_row(row, method) for method in Method) for row in rows]
+    both = [tuple(make.attitude_row(row, method) for method in LIVE_METHODS) for row in rows]
     setting.consume([Outcome(each, make.torque_command(row)) for each, row in zip(both, rows, strict=True)], version)
     return setting
 
@@ -331,7 +331,7 @@ def test_figures_of_a_day_take_a_third_of_its_rows(setting, make):
         return Axes(*dice.normal(size=3).tolist())
 
     for row in rows:
-        both = tuple(make.attitude_row(row, method, attitude_deg=angles()) for method in Method)
+        both = tuple(make.attitude_row(row, method, attitude_deg=angles()) for method in LIVE_METHODS)
         setting.consume([Outcome(both, make.torque_command(row, torque_n_m=angles()))])
     seal(setting)
     with setting.storage._database.read() as connection:

@@ -26,7 +26,7 @@ from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports import LIVE
 from service.records.calibration import Window
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS
 from service.records.operations.job import Job, JobState, Replay
 from service.records.storage.checkpoint import Checkpoint
 from service.runtime.clock import system_now_us
@@ -62,7 +62,7 @@ def everything(storage, version):
     """Return all results of both versions, as text."""
     results, found = storage.results, []
     for each in (LIVE, version):
-        for method in Method:
+        for method in LIVE_METHODS:
             found += map(repr, results.attitude_rows("bench", each, method, EVER, 10 * ROWS, None))
         found += map(repr, results.commands("bench", each, EVER, 10 * ROWS, None))
     return found

@@ -50,7 +50,8 @@ def test_a_short_study_prints_figures_bounds_and_marks(compiled_environment, tmp
     assert figures["robust"]["rms_deg.roll"] < min(figures[name]["rms_deg.roll"] for name in ("zero", "coupling"))
     assert {bound["mark"] for bound in document["bounds"]} <= {mark.value for mark in Mark}
     assert {bound["scenario"] for bound in document["bounds"]} == {"white"}
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["overview.png", "stanford_white.png", "white.png"]
+    drawn = ["overview.png", "smoothed_white.png", "stanford_white.png", "white.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == drawn
 
 
 def test_an_unknown_scenario_is_refused_in_the_words_of_the_simulator(compiled_environment):

@@ -53,6 +53,7 @@ _NEXT_STEPS = {
     "Check the excluded carriers of GET .../attitude.": (
         "no_fix invalid redundancy sigma_roll sigma_pitch protection_level integrity_unmonitored"
     ),
+    "Look at live rows: a smoothed row is about the past and never drives control.": "smoothed",
     "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": "sigma_yaw",
     "Check the inhibitions of GET .../attitude.": "estimator",
     "Wait for the end of the rain; without rain check the receiving chain.": "fade downlink_fade",

@@ -164,7 +164,7 @@ def test_when_the_driving_method_fails_the_command_is_zero(flight, monkeypatch):
     def broken(*_args, **_options):
         raise ArithmeticError
 
-    monkeypatch.setattr("service.pipeline.estimation.robust.runner.step_robust", broken)
+    monkeypatch.setattr("service.pipeline.estimation.robust.runner.step_with_record", broken)
     command = flight.chain.step(flight.row(20)).command
     assert command.inhibitions == ("internal_error",)
     assert command.schedule == ()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_flight import Flight, FlightPayload
 
-from service.records.catalogue import Method
+from service.records.catalogue import LIVE_METHODS
 from service.records.levels.carrier_results import CARRIER_HYPOTHESES, CARRIER_STATES
 
 PAYLOAD = FlightPayload.make()
@@ -26,7 +26,7 @@ def test_results_of_a_row_are_the_states_after_it(flight):
         power_dbm[2] = np.nan
         power_dbm[4] -= 3.0 * (minute > 20)
         outcome = flight.chain.step(replace(measured, power_dbm=power_dbm))
-        assert len(outcome.rows) == len(outcome.carriers) == len(Method)
+        assert len(outcome.rows) == len(outcome.carriers) == len(LIVE_METHODS)
         found = outcome.carriers[0]
         _, states = flight.chain.carrier_states()
         assert found.plan_id == measured.plan_id
@@ -39,7 +39,7 @@ def test_results_of_a_row_are_the_states_after_it(flight):
             left_out = np.flatnonzero(each.state == CARRIER_STATES.index("excluded"))
             assert {PAYLOAD.ids[k] for k in left_out} <= {exclusion.carrier for exclusion in row.excluded}
             seen.update((row.method, int(k)) for k in left_out)
-    assert {(method, 4) for method in Method} <= seen
+    assert {(method, 4) for method in LIVE_METHODS} <= seen
 
 
 def test_a_late_row_and_a_method_that_fails_have_none(flight, monkeypatch):

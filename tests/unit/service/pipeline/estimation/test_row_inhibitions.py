@@ -37,7 +37,7 @@ CAUSES = [
 #: rows without angles, written by the archive's synthesis and by the chain, and what the robust method's filter says
 ELSEWHERE = {"no_calibration", "not_aligned", "internal_error"}
 ELSEWHERE |= {"chain_step", "innovations", "unannounced_motion", "no_ephemeris"}
-ELSEWHERE |= {"integrity_unmonitored", "protection_level"}
+ELSEWHERE |= {"integrity_unmonitored", "protection_level", "smoothed"}
 
 
 @pytest.mark.parametrize(("reason", "of_fix", "context"), CAUSES)
