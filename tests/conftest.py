@@ -15,8 +15,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 # two workers on two cores: a second thread of each matrix product takes the other worker's core and gives nothing
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# all processes of all runs share what numba and Python compile: a start takes half the time
-os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".cache" / "numba"))
+# all processes of all runs share what numba (beside the sources, by the installation) and Python compile
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 

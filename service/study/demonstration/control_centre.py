@@ -16,6 +16,8 @@ from service.study.demonstration.spacecraft_line import SpacecraftLine, Spacecra
 
 #: bounds hangs: the first row may wait for the compiler on a busy machine
 _COMMAND_TIMEOUT_S = 600.0
+#: a row that waited for the compiler must not slow those after it
+_LONGEST_WAIT_S = 0.25
 #: a command of which nothing was heard so long after its end is lost
 _OVERDUE_S = 300
 #: time between two looks, of the time that a command usually takes, and the least of it, s
@@ -126,7 +128,7 @@ class ControlCentre:
     def _await_command(self, spacecraft_id: str, epoch: str) -> Json:
         """Return the command of a row as soon as it is there; looking earlier would cost the service time."""
         began = time.monotonic()
-        wait_s = 0.7 * self._usual_s
+        wait_s = min(0.7 * self._usual_s, _LONGEST_WAIT_S)
         while time.monotonic() < began + _COMMAND_TIMEOUT_S:
             time.sleep(wait_s)
             command = self.client.torques(spacecraft_id)
