@@ -247,4 +247,4 @@ def test_rounds_of_all_views_leave_nothing_behind(new_page, ground, open_view, f
     figures[f"nodes gained, detached trees, to round {last}"] = [nodes_gained, len(detached)]
     assert gained <= FACTOR * HEAP_BYTES
     assert nodes_gained < NODES
-    assert detached == []
+    assert detached == [], detached

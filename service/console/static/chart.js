@@ -52,6 +52,7 @@ export function stack({ label, panels: count, height, onRange, onSelect = onRang
   let shape = "";
   let range = [0, 1];
   let limits = [];
+  let isClosed = false;
 
   const width = () => Math.max(node.clientWidth, LEFT_PX + RIGHT_PX + 50);
   const resized = new ResizeObserver(() => plots.forEach((plot) => plot.setSize({ width: width(), height: plot.height })));
@@ -110,6 +111,8 @@ export function stack({ label, panels: count, height, onRange, onSelect = onRang
      * @param {number[]} epochs s since 1970, ascending. @param {Panel[]} panels As many as there are hosts. @param {[number, number]} span
      */
     draw(epochs, panels, span) {
+      // a view stands on the page until the next one is loaded: what is drawn into it now would never be destroyed
+      if (isClosed) return;
       range = span;
       limits = panels.map((panel) => panel.limits);
       const data = panels.map((panel) => [epochs, ...panel.bands.flatMap(({ high, low }) => [high, low]), ...panel.lines.map(({ values }) => values)]);
@@ -127,6 +130,7 @@ export function stack({ label, panels: count, height, onRange, onSelect = onRang
       for (const plot of plots) plot.setScale("x", { min: span[0], max: span[1] });
     },
     close() {
+      isClosed = true;
       resized.disconnect();
       recoloured.disconnect();
       plots.forEach((plot) => plot.destroy());

@@ -10,6 +10,11 @@ from playwright.sync_api import expect
 from release_ground import ReleaseGround, record, seed_archive
 from service_process import KEY, PLAIN, ServiceProcess, serving_on
 
+#: keeps the frames that the page asks for in `window.held` where that is a list
+HOLD_FRAMES = """
+const frame = requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (draw) => (window.held ? window.held.push(draw) : frame(draw));
+"""
 HOSTILE = "<img src=x onerror=alert(1)>\u202e" + "x" * 1000
 
 
@@ -109,6 +114,26 @@ def test_exports_of_the_span_are_offered_in_every_format(page, ground, open_view
         assert content
         if "method=robust" in link.get_attribute("href") and "format=csv" in link.get_attribute("href"):
             assert len(content.splitlines()) - 1 == rows
+
+
+def test_a_view_that_is_left_draws_no_more(new_page, ground, open_view):
+    page = new_page()
+    page.add_init_script(HOLD_FRAMES)
+    ready(open_view(page, "history", "?span=3600"))
+    open_view(page, "now")
+    page.evaluate("window.held = []")
+    page.evaluate("location.hash = '#/history?span=3600'")
+    expect(page.locator(".history[aria-busy=false]")).to_be_attached()
+    loading = []
+    page.route("**/views/links.js", lambda route: loading.append(route))
+    with page.expect_request("**/views/links.js"):
+        page.evaluate("location.hash = '#/links'")
+    # the view that was left still stands on the page, and a frame of it is due
+    assert page.evaluate("window.held.splice(0).map((draw) => draw(performance.now())).length") > 0
+    assert page.locator(".history .uplot").count() == 0
+    page.evaluate("window.held = null")
+    loading.pop().continue_()
+    expect(page.get_by_role("heading", name="Links", level=1)).to_be_visible()
 
 
 def test_without_uplot_there_are_tables_and_a_reason(new_page, ground, open_view):
