@@ -44,6 +44,17 @@ def text_of_float32(values: NDArray[np.floating]) -> list[str]:
     return ["" if text == "nan" else text for text in texts]
 
 
+def text_of_level(value: float) -> str:
+    """Return the text of a number that `shortest_float32` gave, as files of measurements have it.
+
+    Examples
+    --------
+    >>> text_of_level(-42.0), text_of_level(-42.1)
+    ('-42', '-42.1')
+    """
+    return text_of_float(value).removesuffix(".0")
+
+
 def text_of_float(value: float) -> str:
     """Return the shortest text that reads back to a float64; NaN becomes an empty text.
 

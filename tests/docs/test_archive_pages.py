@@ -12,6 +12,7 @@ HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
 #: what each block prints, in the order of the page
 EXPORTED = [
     ("console", '"rows": 3'),
+    ("console", '"file": "joined.csv"'),
     ("bash", "epoch,method,yaw_deg"),
     ("bash", '"rows":3'),
     ("python", "3 rows, -42.1 dBm in the mean"),

@@ -14,9 +14,11 @@ from typing import Any, Literal, NamedTuple, cast
 from service.api.context.dependencies import ApiContext
 from service.api.context.method_parameters import check_method, check_version
 from service.api.export.export_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, record_page
+from service.api.export.joined_rows import JoinedSource, joined_rows
 from service.api.export.read_ahead import read_ahead
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.aem import AemWriter, AttitudeMessage
+from service.formats.tabular.joined_table import joined_table
 from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
 from service.formats.tabular.row_text import ready_kernels
 from service.formats.tabular.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, EventRow, plain_value
@@ -47,9 +49,15 @@ OFFERED: dict[str, tuple[FileFormat, ...]] = {
     "torques": _TABLES,
     "references": _TABLES,
     "events": _TABLES,
+    "joined": _TABLES,
 }
 #: parameters beside the span that a series has
-_PARAMETERS = {"measurements": {"plan_id"}, "attitude": {"method", "version"}, "torques": {"version"}}
+_PARAMETERS = {
+    "measurements": {"plan_id"},
+    "attitude": {"method", "version"},
+    "torques": {"version"},
+    "joined": {"plan_id", "method", "version"},
+}
 #: kinds of the journal that are events; references, telemetry and applied commands are series of their own
 EVENT_KINDS = (
     "operation",
@@ -141,10 +149,7 @@ class _Maker:
     def measurements(self) -> ArchiveFile:
         """Return the file of measurements; its columns are the carriers of the plans named and of those that occur."""
         archive = self._context.storage.archive
-        plan_ids = tuple(dict.fromkeys((*self._order.plan_ids, *archive.plan_ids(self._sc, self._window))))
-        plans = [self._names(self._sc, plan_id) for plan_id in plan_ids]
-        columns = MeasurementColumns(plans, lambda plan_id: self._names(self._sc, plan_id))
-        parameters = tuple(("plan_id", str(plan_id)) for plan_id in plan_ids)
+        columns, parameters, plan_ids = self._columns()
         if self._format == "tdm":
             rows = self._measurement_rows
             return ArchiveFile("measurements", (), rows, self._tdm)
@@ -165,9 +170,7 @@ class _Maker:
     def attitude(self) -> ArchiveFile:
         """Return the file of attitude rows of one method and version."""
         spacecraft = self._context.storage.catalogue.spacecraft(self._sc)
-        results, version = self._context.storage.results, self._version()
-        method = self._order.method or spacecraft.control.method
-        check_method(method, version)
+        results, (method, version) = self._context.storage.results, self._estimates()
         parameters = (("method", method.value), ("version", version))
 
         def read(window: Window) -> Iterator[Chunk]:
@@ -204,6 +207,19 @@ class _Maker:
             )
 
         return ArchiveFile(f"torques_{version}", (("version", version),), read, self._table(TORQUES))
+
+    def joined(self) -> ArchiveFile:
+        """Return the file of measurements with what one method made of each."""
+        columns, plans, plan_ids = self._columns()
+        method, version = self._estimates()
+        source = JoinedSource(self._context.storage, self._sc, plan_ids, method, version)
+        parameters = (*plans, ("method", method.value), ("version", version))
+
+        def read(window: Window) -> Iterator[Chunk]:
+            return joined_rows(source, window, len(columns.carriers))
+
+        label = f"joined_{method.value}_{version}"
+        return ArchiveFile(label, parameters, read, self._table(joined_table(columns)))
 
     def references(self) -> ArchiveFile:
         """Return the file of attitude references."""
@@ -265,6 +281,21 @@ class _Maker:
         file_format = cast("TableFormat", self._format)
         return lambda chunks, _: table_bytes(table, file_format, _records(chunks))
 
+    def _columns(self) -> tuple[MeasurementColumns, tuple[tuple[str, str], ...], tuple[int, ...]]:
+        """Return the columns of powers of the plans named and of those that occur, and those plans."""
+        found = self._context.storage.archive.plan_ids(self._sc, self._window)
+        plan_ids = tuple(dict.fromkeys((*self._order.plan_ids, *found)))
+        plans = [self._names(self._sc, plan_id) for plan_id in plan_ids]
+        columns = MeasurementColumns(plans, lambda plan_id: self._names(self._sc, plan_id))
+        return columns, tuple(("plan_id", str(plan_id)) for plan_id in plan_ids), plan_ids
+
+    def _estimates(self) -> tuple[Method, str]:
+        """Return method and version of the rows that are asked for."""
+        version = self._version()
+        method = self._order.method or self._context.storage.catalogue.spacecraft(self._sc).control.method
+        check_method(method, version)
+        return method, version
+
     def _version(self) -> str:
         version = self._order.version or LIVE
         check_version(self._context.storage.results, self._sc, version)
@@ -286,6 +317,7 @@ _MAKERS: dict[str, Callable[[_Maker], ArchiveFile]] = {
     "torques": _Maker.torques,
     "references": _Maker.references,
     "events": _Maker.events,
+    "joined": _Maker.joined,
 }
 
 

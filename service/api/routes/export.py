@@ -32,11 +32,16 @@ class _Wanted:
     def __init__(
         self,
         format: Annotated[FileFormat, Query(description="aem of attitude, tdm of measurements")] = "csv",  # noqa: A002 the contract's name
-        method: Annotated[Method | None, Query(description="Of attitude; default: the one that drives control")] = None,
-        version: Annotated[str | None, Query(max_length=64, description="Of attitude and torques")] = None,
+        method: Annotated[
+            Method | None, Query(description="Of attitude and joined; default: the one that drives control")
+        ] = None,
+        version: Annotated[str | None, Query(max_length=64, description="Of attitude, torques and joined")] = None,
         plan_id: Annotated[
             list[PlanNumber] | None,
-            Query(max_length=1000, description="Of measurements: columns of these plans come first, in any case"),
+            Query(
+                max_length=1000,
+                description="Of measurements and joined: columns of these plans come first, in any case",
+            ),
         ] = None,
     ) -> None:
         self.format = format

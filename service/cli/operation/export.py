@@ -33,7 +33,12 @@ EXIT_STOPPED = 1
 def export(
     *,
     spacecraft: SpacecraftOption,
-    series: Annotated[str, typer.Option(help="measurements, attitude, torques, references or events.")],
+    series: Annotated[
+        str,
+        typer.Option(
+            help="measurements, attitude, torques, references, events, or joined: the first three in one table."
+        ),
+    ],
     start: Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")],
     stop: Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")],
     output: Annotated[
@@ -43,7 +48,7 @@ def export(
     format_: Annotated[
         str, typer.Option("--format", help="csv, ndjson, parquet; aem of attitude, tdm of measurements.")
     ] = "csv",
-    method: Annotated[str | None, typer.Option(help="Estimation method of attitude rows.")] = None,
+    method: Annotated[str | None, typer.Option(help="Estimation method of attitude and joined.")] = None,
     version: Annotated[str | None, typer.Option(help="Version: live or that of a replay.")] = None,
     patience: Annotated[float, typer.Option(min=0.0, help="Seconds to wait for a service that is away.")] = 600.0,
     service: ServiceUrl = DEFAULT_SERVICE,

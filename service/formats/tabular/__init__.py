@@ -1,4 +1,4 @@
 """Rows as CSV, NDJSON and Parquet.
 
-Public: measurement_file, row_text, series_tables, table_file.
+Public: joined_table, measurement_file, row_text, series_tables, table_file.
 """

@@ -46,14 +46,14 @@ class MeasurementColumns:
 
     def values(self, block: MeasurementBlock) -> Float32Array:
         """Return the levels of a block by column, shape (T, columns); NaN = absent."""
-        positions = self._positions_of(block.plan_id)
+        positions = self.positions_of(block.plan_id)
         if positions is None:
             return block.power_dbm
         values = np.full((len(block.epochs_us), len(self.carriers)), np.nan, dtype=np.float32)
         values[:, positions] = block.power_dbm
         return values
 
-    def _positions_of(self, plan_id: int) -> IntArray | None:
+    def positions_of(self, plan_id: int) -> IntArray | None:
         """Return the column of each level of a plan; None where the plan is the columns themselves."""
         if plan_id not in self._positions:
             carriers = tuple(self._carriers_of(plan_id))

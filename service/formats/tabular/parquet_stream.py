@@ -5,6 +5,8 @@ from typing import Any
 
 #: rows of a group; a reader holds one at a time, and so does the writer: 4 MB with 16 carriers
 GROUP_ROWS = 65_536
+#: cells of a group of record batches: a table of more than 40 columns has groups of fewer rows
+GROUP_CELLS = 40 * GROUP_ROWS
 #: batches that are made one: two sources that take turns come row by row, and a batch costs a kilobyte a column
 MERGED_BATCHES = 512
 
@@ -27,6 +29,7 @@ class ParquetStream:
 
         self._pa: Any = pa
         self._schema = schema
+        self._group_rows = min(GROUP_ROWS, GROUP_CELLS // len(schema))
         self._sink = io.BytesIO()
         # bytes of floats side by side: neighbours of a column agree in the high ones
         split = [field.name for field in schema if pa.types.is_floating(field.type)]
@@ -43,7 +46,7 @@ class ParquetStream:
         self._held_rows += batch.num_rows
         if len(self._fresh) >= MERGED_BATCHES:
             self._merge()
-        if self._held_rows >= GROUP_ROWS:
+        if self._held_rows >= self._group_rows:
             self._flush()
         return self.taken()
 
@@ -75,9 +78,9 @@ class ParquetStream:
         """Write whole groups; how rows came in batches leaves no trace, so the same rows make the same bytes."""
         table = self._pa.Table.from_batches([*self._held, *self._fresh], schema=self._schema)
         self._fresh, start = [], 0
-        while table.num_rows - start >= GROUP_ROWS or (is_last and start < table.num_rows):
-            group = table.slice(start, GROUP_ROWS).unify_dictionaries().combine_chunks()
-            self._writer.write_table(group, row_group_size=GROUP_ROWS)
-            start += GROUP_ROWS
+        while table.num_rows - start >= self._group_rows or (is_last and start < table.num_rows):
+            group = table.slice(start, self._group_rows).unify_dictionaries().combine_chunks()
+            self._writer.write_table(group, row_group_size=self._group_rows)
+            start += self._group_rows
         self._held = table.slice(start).to_batches() if start < table.num_rows else []
         self._held_rows = max(table.num_rows - start, 0)

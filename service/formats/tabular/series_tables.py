@@ -124,6 +124,12 @@ ATTITUDE: SeriesTable[AttitudeRow] = _table(
         *("calibration_id", "alignment_id", "advice"),
     ),
 )
+#: beside the measurement that the row was computed from
+JOINED_ATTITUDE: SeriesTable[AttitudeRow] = _table(
+    AttitudeRow,
+    first=("method", "attitude_deg", "sigma_deg", "protection_deg", "control_allowed", "inhibitions"),
+    without=("epoch_us", "received_at_us", "number", "rates_deg_s"),
+)
 REFERENCES: SeriesTable[AttitudeReference] = _table(AttitudeReference, first=("epoch_us",))
 TORQUES: SeriesTable[TorqueCommand] = _table(TorqueCommand, without=("number",), axes=_BODY)
 EVENTS: SeriesTable[EventRow] = _table(EventRow)

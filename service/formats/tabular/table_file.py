@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 from service.formats.csv_field import csv_field
-from service.formats.numbers import text_of_float
+from service.formats.numbers import text_of_float, text_of_level
 from service.formats.tabular.parquet_stream import ParquetStream
 from service.records.csv_guard import guarded
 from service.records.epoch import format_epoch
 
-#: epoch: microseconds; figure: float64; truth: bool; count: int; document: anything that JSON can hold
-Kind = Literal["epoch", "text", "figure", "truth", "count", "document"]
+#: epoch: microseconds; figure: float64; level: float32 by its fewest digits; truth: bool; count: int;
+#: document: anything that JSON can hold
+Kind = Literal["epoch", "text", "figure", "level", "truth", "count", "document"]
 TableFormat = Literal["csv", "ndjson", "parquet"]
 R = TypeVar("R")
 
@@ -53,7 +54,7 @@ def table_bytes(table: SeriesTable[R], file_format: TableFormat, pages: Iterable
 
 def _csv(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
     texts = [guarded if column.kind == "text" else _TEXT_OF[column.kind] for column in table.columns]
-    yield _csv_line([column.name for column in table.columns]).encode()
+    yield _csv_line([guarded(column.name) for column in table.columns]).encode()
     for page in pages:
         lines = [
             _csv_line(["" if value is None else text(value) for text, value in zip(texts, values, strict=True)])
@@ -79,6 +80,7 @@ def _parquet(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[by
     types: dict[Kind, Any] = {
         "epoch": pa.timestamp("us", tz="UTC"),
         "figure": pa.float64(),
+        "level": pa.float32(),
         "truth": pa.bool_(),
         "count": pa.int64(),
         "text": pa.string(),
@@ -131,6 +133,7 @@ def _same(value: Any) -> Any:
 _TEXT_OF: dict[Kind, Callable[[Any], str]] = {
     "epoch": format_epoch,
     "figure": text_of_float,
+    "level": text_of_level,
     "truth": _truth,
     "count": str,
     "text": str,
@@ -139,6 +142,7 @@ _TEXT_OF: dict[Kind, Callable[[Any], str]] = {
 _JSON_OF: dict[Kind, Callable[[Any], Any]] = {
     "epoch": format_epoch,
     "figure": _finite,
+    "level": _same,
     "truth": _same,
     "count": _same,
     "text": _same,

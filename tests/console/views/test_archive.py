@@ -16,7 +16,7 @@ from service.records.operations.access_key import Role
 SC, EMPTY = "yamal-202", "yamal-empty"
 CRAFTS = (record(SC), record(EMPTY))
 HOSTILE = "<img src=x onerror=alert(1)> \u202egnorw " + "long " * 80
-FILES = sum(len(formats) for formats in OFFERED.values()) + len(OFFERED["attitude"])
+FILES = sum(len(formats) for formats in OFFERED.values()) + len(OFFERED["attitude"]) + len(OFFERED["joined"])
 
 
 @pytest.fixture(scope="module")

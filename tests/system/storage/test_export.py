@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,14 @@ import pytest
 from pyarrow import parquet
 
 from db.storage import SqlStorage
-from service.records.catalogue import Carrier, Site, Spacecraft
-from service.records.levels.measurement import MeasurementBatch
+from service.api.export.export_files import OFFERED
+from service.api.protocol.paging import EVERYTHING
+from service.ports import LIVE, Outcome
+from service.records.catalogue import Carrier, Method, Site, Spacecraft
+from service.records.levels.attitude import Axes, row_without_attitude
+from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.command import TorqueCommand
+from service.records.levels.measurement import Measurement, MeasurementBatch
 
 pytestmark = pytest.mark.system
 
@@ -28,7 +35,7 @@ DAY_ROWS = 8640
 INERTIA = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
 
 
-def fill(database: Path, rows: int, carriers: int) -> np.ndarray:
+def fill(database: Path, rows: int, carriers: int, *, with_results: bool = False) -> np.ndarray:
     """Store rows of random levels, ten seconds apart; return the levels."""
     storage = SqlStorage(f"sqlite:///{database}")
     storage.migrate()
@@ -51,8 +58,52 @@ def fill(database: Path, rows: int, carriers: int) -> np.ndarray:
             np.zeros(len(part), dtype=bool),
         )
         assert storage.archive.append_measurements(batch).result(120).accepted == len(part)
+    if with_results:
+        consume(storage)
     storage.close()
     return levels
+
+
+def consume(storage: SqlStorage) -> None:
+    """Store an attitude row, carrier results and a command of every measurement."""
+    after = None
+    while page := storage.archive.measurements("sim-1", EVERYTHING, 2000, after):
+        after = (page[-1].epoch_us, page[-1].number)
+        outcomes = []
+        for row in page:
+            attitude = row_without_attitude(
+                row.epoch_us, row.received_at_us, row.number, Method.ROBUST, ("not_aligned",)
+            )
+            attitude = replace(attitude, attitude_deg=Axes(0.1, 0.2, row.power_dbm[0]))
+            count = len(row.power_dbm)
+            decibels = 0.004 * np.round(row.power_dbm)
+            nothing = np.zeros(count, dtype=np.int64)
+            carriers = CarrierResults(row.plan_id, decibels, decibels, nothing, nothing)
+            outcomes.append(Outcome((attitude,), command_of(row), carriers=(carriers,)))
+        storage.results.save_outcomes("sim-1", LIVE, outcomes, page[-1].number, page[-1].epoch_us)
+
+
+def command_of(row: Measurement) -> TorqueCommand:
+    """Return a command that follows from a measurement."""
+    zero = Axes(0.0, 0.0, 0.0)
+    return TorqueCommand(
+        epoch_us=row.received_at_us,
+        number=row.number,
+        attitude_epoch_us=row.epoch_us,
+        mode="ground",
+        torque_n_m=Axes(0.0, -0.002, row.power_dbm[0]),
+        wheels_n_m=(0.0,) * 3,
+        saturated=False,
+        command_period_s=10.0,
+        valid_until_us=row.epoch_us + STEP_US,
+        schedule=(),
+        impulse_n_m_s=zero,
+        predicted_angle_change_deg=zero,
+        predicted_rate_change_deg_s=zero,
+        predicted_wheel_momentum_n_m_s=(0.0,) * 3,
+        control_allowed=True,
+        inhibitions=(),
+    )
 
 
 def resident_mb(process: int) -> float:
@@ -66,30 +117,32 @@ def resident_mb(process: int) -> float:
 def test_memory_of_an_export_does_not_grow_with_its_span(start_service: Any, tmp_path: Path) -> None:
     database = tmp_path / "soo.db"
     # more rows than a segment of TDM holds
-    fill(database, 3 * DAY_ROWS, 16)
+    fill(database, 3 * DAY_ROWS, 16, with_results=True)
     service = start_service(database=database)
     grown = {}
     with service.client() as client:
-        for file_format in ("csv", "ndjson", "parquet", "tdm"):
+        files = [("measurements", each) for each in OFFERED["measurements"]]
+        files += [("joined", each) for each in OFFERED["joined"]]
+        for series, file_format in files:
             short = {"format": file_format, "stop": "2026-11-02T00:00:00Z"}
-            client.get(f"{BASE}/measurements:export", params=short, timeout=120).raise_for_status()
-        for file_format in ("csv", "ndjson", "parquet", "tdm"):
+            client.get(f"{BASE}/{series}:export", params=short, timeout=120).raise_for_status()
+        for series, file_format in files:
             before, size = resident_mb(service.process.pid), 0
-            asked = {"params": {"format": file_format}, "headers": {"Accept-Encoding": "identity"}, "timeout": 60}
-            with client.stream("GET", f"{BASE}/measurements:export", **asked) as answer:
+            asked = {"params": {"format": file_format}, "headers": {"Accept-Encoding": "identity"}, "timeout": 120}
+            with client.stream("GET", f"{BASE}/{series}:export", **asked) as answer:
                 for chunk in answer.iter_raw():
                     size += len(chunk)
             assert answer.status_code == 200
-            grown[file_format] = resident_mb(service.process.pid) - before
-            print(f"{file_format}: {size / 1e6:.1f} MB sent, resident memory +{grown[file_format]:.1f} MB")
+            grown[series, file_format] = resident_mb(service.process.pid) - before
+            print(f"{series} {file_format}: {size / 1e6:.1f} MB, resident memory +{grown[series, file_format]:.1f} MB")
     # asked: 64 MB for any span
     assert max(grown.values()) <= 64.0, grown
 
 
-def command(url: str, output: Path, *options: str) -> list[str]:
+def command(url: str, output: Path, *options: str, series: str = "measurements") -> list[str]:
     """Return the command that exports ten days."""
     span = ["--start", "2026-11-01T00:00:00Z", "--stop", "2026-11-11T00:00:00Z"]
-    head = [sys.executable, "-m", "service", "export", "--spacecraft", "sim-1", "--series", "measurements", *span]
+    head = [sys.executable, "-m", "service", "export", "--spacecraft", "sim-1", "--series", series, *span]
     return [*head, "--service", url, "--output", str(output), "--json", *options]
 
 
@@ -103,10 +156,9 @@ def test_an_interrupted_export_goes_on_and_every_format_is_the_archive(
     with service.client() as client:
         environment = compiled_environment | {"SOO_KEY": client.headers["Authorization"].partition(" ")[2]}
 
-        def run(output: Path, *options: str) -> dict[str, Any]:
-            done = subprocess.run(
-                command(service.url, output, *options), env=environment, capture_output=True, text=True, timeout=120
-            )
+        def run(output: Path, *options: str, series: str = "measurements") -> dict[str, Any]:
+            words = command(service.url, output, *options, series=series)
+            done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120)
             assert done.returncode == 0, done.stderr
             return dict(json.loads(done.stdout))
 
@@ -137,6 +189,12 @@ def test_an_interrupted_export_goes_on_and_every_format_is_the_archive(
         table = parquet.read_table(table_path)
         columns = [table.column(f"c{k:02d}_dbm").to_numpy() for k in range(2)]
         assert np.array_equal(np.stack(columns, axis=1), levels)
+
+        both = tmp_path / "joined.csv"
+        assert run(both, series="joined")["rows"] == len(levels)
+        assert both.read_bytes() == client.get(f"{BASE}/joined:export", timeout=120).content
+        heads = [line.split(b",")[:4] for line in both.read_bytes().splitlines()]
+        assert heads == [line.split(b",") for line in streamed.splitlines()]
 
         folder = tmp_path / "by-day"
         kept = run(folder, "--format", "ndjson", "--by-day")

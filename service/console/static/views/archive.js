@@ -13,10 +13,10 @@ export const name = "archive";
 
 const TABLES = ["csv", "ndjson", "parquet"];
 /** Series, and the formats that each is written in. */
-const FORMATS = { measurements: [...TABLES, "tdm"], attitude: [...TABLES, "aem"], torques: TABLES, references: TABLES, events: TABLES };
+const FORMATS = { measurements: [...TABLES, "tdm"], attitude: [...TABLES, "aem"], torques: TABLES, references: TABLES, events: TABLES, joined: TABLES };
 const METHODS = ["robust", "paper"];
-/** Series that replays write too. */
-const OF_REPLAYS = ["attitude", "torques"];
+/** Series of one method, and those that replays write too. */
+const OF_METHOD = ["attitude", "joined"], OF_REPLAYS = [...OF_METHOD, "torques"];
 const DAY_MS = 86_400_000;
 /** Span of an address without one. */
 const DAYS = 7;
@@ -51,13 +51,13 @@ export function show({ store, spacecraft, session, parameters, rewrite }) {
   /** Offer what the chosen series has. */
   function offer(format, series = inputs.series.value) {
     fill(inputs.format, optionsOf(FORMATS[series], "", format));
-    inputs.method.disabled = series !== "attitude";
+    inputs.method.disabled = !OF_METHOD.includes(series);
     inputs.version.disabled = !OF_REPLAYS.includes(series);
   }
   const span = () => ({ start: iso(instantMs(inputs.first)), stop: iso(instantMs(inputs.last) + DAY_MS) });
   const versionOf = (series) => (OF_REPLAYS.includes(series) && inputs.version.value.trim()) || null;
   /** Parameters of the files of a series, those that it does not have left out. */
-  const fileOf = (series, format, method) => ({ format, method: series === "attitude" ? method : null, version: versionOf(series), ...span() });
+  const fileOf = (series, format, method) => ({ format, method: OF_METHOD.includes(series) ? method : null, version: versionOf(series), ...span() });
   const wanted = () => fileOf(inputs.series.value, inputs.format.value, inputs.method.value);
 
   function choose([start, stop]) {
@@ -128,7 +128,7 @@ export function show({ store, spacecraft, session, parameters, rewrite }) {
   }
 
   function wholeOf(series) {
-    return (series === "attitude" ? METHODS : [null]).map((method) => {
+    return (OF_METHOD.includes(series) ? METHODS : [null]).map((method) => {
       const title = [words(`views.archive.series.${series}`), method && `, ${words(`views.archive.method.${method}`)}`, versionOf(series) && [", ", foreign(versionOf(series))]];
       const links = FORMATS[series].map((format) => [element("a", { href: address(`${base}/archive/${series}:export`, fileOf(series, format, method)), download: "" }, format), " "]);
       return row(title, links);
