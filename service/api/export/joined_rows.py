@@ -21,7 +21,7 @@ PAGE_POWERS = 16 * PAGE_ROWS
 
 
 class JoinedSource(NamedTuple):
-    """Where joined rows come from."""
+    """Archive, plans, method and version of joined rows."""
 
     storage: Storage
     spacecraft_id: str
