@@ -83,7 +83,7 @@ def translated_faults() -> Iterator[None]:
 def storage_error(fault: SQLAlchemyError) -> StorageError:
     """Return the error that a caller sees for a fault of the database."""
     said = str(fault.orig) if isinstance(fault, DBAPIError) else str(fault)
-    detail = f"The database did not carry out the request: {said.strip()}. Nothing was acknowledged; try again later."
+    detail = f"The database did not carry out the request: {said.strip()}. Nothing was acknowledged."
     return StorageError("storage.unavailable", detail)
 
 

@@ -95,7 +95,7 @@ class Writer:
         task = _Task(work, reported, key)
         with self._lock:
             if self._is_closed:
-                raise StorageError("storage.closed", "The archive is closing; send it again after the restart.")
+                raise StorageError("storage.closed", "The archive is closing.")
             self._queue.put(task)
         return task.future
 

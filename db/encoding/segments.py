@@ -294,7 +294,7 @@ def corrupt(connection: Connection, head: SegmentHead, reason: str) -> StorageEr
     owner, day = connection.scalar(select(spacecraft.c.id).where(is_it)), format_epoch(head.day * DAY_US)[:10]
     detail = (
         f"The sealed rows of {owner!r} of {day} (segment {head.segment_id}) cannot be read: {reason}. Other days are "
-        "not touched; `soo doctor` lists what is damaged, a backup holds the day."
+        "not touched."
     )
     return StorageError("storage.corrupt", detail)
 

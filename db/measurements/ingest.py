@@ -151,9 +151,7 @@ def _check_number(connection: Connection, sender: Sender) -> None:
     """Refuse a source that is one too many of its key."""
     made = select(func.count()).select_from(source).where(source.c.created_by == sender.key_id)
     if connection.execute(made).scalar_one() >= sender.max_sources:
-        detail = (
-            f"This key has made {sender.max_sources} sources and may make no more; send under the name of one of them."
-        )
+        detail = f"This key has made {sender.max_sources} sources and may make no more."
         raise InvalidInputError("source.too_many", detail)
 
 

@@ -134,7 +134,7 @@ def _withdraw_plan(connection: Connection, key: int, spacecraft_id: str, plan_id
     for table in (measurement, measurement_segment, calibration):
         found = select(table.c.plan_id).where(table.c.spacecraft_key == key, table.c.plan_id == plan_id)
         if connection.execute(found.limit(1)).first() is not None:
-            detail = f"Rows or calibrations use plan {plan_id}, so it stays; PUT another plan for later rows."
+            detail = f"Rows or calibrations use plan {plan_id}, so it stays."
             raise ConflictError("plan.in_use", detail)
     is_it = (carrier_plan.c.spacecraft_key == key, carrier_plan.c.plan_id == plan_id)
     connection.execute(update(carrier_plan).where(*is_it).values(sha256=_WITHDRAWN))

@@ -27,7 +27,7 @@ class SqlKeys(Repository):
             for row in connection.execute(select(access_key)):
                 key = _stored_of(row).key
                 if name_key(key.name) == wanted and key.is_valid(stored.key.created_at_us):
-                    detail = f"The valid key {key.id} has the name {key.name!r}; revoke it, or choose another name."
+                    detail = f"The valid key {key.id} has the name {key.name!r}."
                     raise ConflictError("key.exists", detail)
             return _insert(connection, stored)
 
@@ -45,7 +45,7 @@ class SqlKeys(Repository):
             is_it = (access_key.c.key_id == key_id, access_key.c.revoked_at_us.is_(None))
             row = connection.execute(select(access_key).where(*is_it).with_for_update()).first()
             if row is None:
-                raise NotFoundError("key.unknown", f"No key {key_id!r} is in force; GET /api/v1/keys lists them.")
+                raise NotFoundError("key.unknown", f"No key {key_id!r} is in force.")
             connection.execute(update(access_key).where(*is_it).values(revoked_at_us=at_us))
             return replace(_stored_of(row).key, revoked_at_us=at_us)
 

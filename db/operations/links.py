@@ -72,7 +72,7 @@ def _store(connection: Connection, report: LinkReport, at_us: int) -> LinkState:
     stored = _locked(connection, report.id)
     if stored is None:
         if (connection.scalar(select(func.count()).select_from(link_table)) or 0) >= MAX_LINKS:
-            detail = f"{MAX_LINKS} links are known already; an operator can remove those that are gone for good."
+            detail = f"{MAX_LINKS} links are known already."
             raise ConflictError("link.too_many", detail)
         fresh = LinkState(report, at_us, None, enabled=True, resets=0)
         connection.execute(link_table.insert().values(link_id=report.id, **_values(fresh)))
@@ -116,4 +116,4 @@ def _state_of(row: Row[Any]) -> LinkState:
 
 
 def _no_link(link_id: str) -> NotFoundError:
-    return NotFoundError("link.unknown", f"No link {link_id!r} has reported; GET /api/v1/links lists those that have.")
+    return NotFoundError("link.unknown", f"No link {link_id!r} has reported.")

@@ -65,10 +65,10 @@ class SqlTraces(Repository):
         query = _chosen(select(*_HEAD, trace_table.c.powers), self._database.key(spacecraft_id), source, sweep)
         rows = self._database.fetch(query.where(trace_table.c.epoch_us == epoch_us).limit(2))
         if not rows:
-            detail = f"No trace of {format_epoch(epoch_us)} is kept; GET .../traces lists those that are."
+            detail = f"No trace of {format_epoch(epoch_us)} is kept."
             raise NotFoundError("trace.unknown", detail)
         if len(rows) > 1:
-            detail = "Several traces have this epoch; name the source and the sweep."
+            detail = "Several traces have this epoch."
             raise ConflictError("trace.ambiguous", detail)
         return KeptTrace(_head_of(rows[0]), unpacked(rows[0].powers))
 

@@ -157,7 +157,7 @@ def _finish(
     lock_head(connection, key)
     draft = _calibration(connection, key, calibration_id)
     if draft.state is not CalibrationState.DRAFT or draft.result is not None:
-        raise ConflictError("calibration.finished", f"Calibration {calibration_id} is finished; start a new one.")
+        raise ConflictError("calibration.finished", f"Calibration {calibration_id} is finished.")
     state = CalibrationState.FAILED if result is None else CalibrationState.DRAFT
     document = None if result is None else encode(result)
     _change_calibration(connection, key, calibration_id, {"state": state.value, "result": document, "error": error})
@@ -171,9 +171,7 @@ def _delete(connection: Connection, key: int, calibration_id: int) -> None:
         detail = f"Calibration {calibration_id} is {found.state} or was active; drafts and failed ones can be deleted."
         raise ConflictError("calibration.not_draft", detail)
     if found.state is CalibrationState.DRAFT and found.result is None:
-        raise ConflictError(
-            "calibration.unfinished", f"Calibration {calibration_id} is being computed; wait for its job."
-        )
+        raise ConflictError("calibration.unfinished", f"Calibration {calibration_id} is being computed.")
     _change_calibration(connection, key, calibration_id, {"state": _DELETED})
 
 

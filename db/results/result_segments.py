@@ -163,7 +163,6 @@ def _corrupt(connection: Connection, head: Any, reason: str) -> StorageError:
     day = format_epoch(day_of(head.first_epoch_us) * DAY_US)[:10]
     detail = (
         f"The sealed {head.series} rows of {owner!r} of {day} (version {head.version}, result segment "
-        f"{head.segment_id}) cannot be read: {reason}. Other days are not touched; `soo doctor` lists what is damaged, "
-        "a backup holds the day."
+        f"{head.segment_id}) cannot be read: {reason}. Other days are not touched."
     )
     return StorageError("storage.corrupt", detail)

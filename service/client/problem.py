@@ -39,6 +39,8 @@ class ProblemError(ClientError):
         Names the request in the service's log.
     errors : tuple of dict
         The faulty fields: pointer, code, detail.
+    next_step : str
+        What to do next, as the service says it; empty from an older service.
     """
 
     def __init__(
@@ -48,14 +50,17 @@ class ProblemError(ClientError):
         detail: str,
         request_id: str | None = None,
         errors: tuple[dict[str, Any], ...] = (),
+        next_step: str = "",
     ) -> None:
         where = f" (request {request_id})" if request_id else ""
-        super().__init__(f"{status} {code}: {detail}{where}{_listed(errors, detail)}")
+        advice = f"\nNext: {next_step}" if next_step else ""
+        super().__init__(f"{status} {code}: {detail}{where}{_listed(errors, detail)}{advice}")
         self.status = status
         self.code = code
         self.detail = detail
         self.request_id = request_id
         self.errors = errors
+        self.next_step = next_step
 
 
 class ServiceUnavailableError(ClientError):
@@ -72,10 +77,11 @@ def error_of(response: httpx.Response) -> ClientError:
     problem = _problem(response)
     code = str(problem.get("code") or f"http.{response.status_code}")
     detail = str(problem.get("detail") or problem.get("title") or response.reason_phrase)
+    next_step = str(problem.get("next_step") or "")
     if response.status_code in TRY_LATER:
-        return ServiceUnavailableError(
-            f"{response.status_code} {code}: {detail}", response.status_code, _wait(response)
-        )
+        # one line: it also stands in logs and in the reports of links
+        text = f"{response.status_code} {code}: {detail}" + (f" Next: {next_step}" if next_step else "")
+        return ServiceUnavailableError(text, response.status_code, _wait(response))
     request_id = problem.get("request_id") or response.headers.get("x-request-id")
     errors = problem.get("errors")
     return ProblemError(
@@ -84,16 +90,18 @@ def error_of(response: httpx.Response) -> ClientError:
         detail,
         str(request_id) if request_id else None,
         tuple(error for error in errors if isinstance(error, dict)) if isinstance(errors, list) else (),
+        next_step,
     )
 
 
 def _listed(errors: tuple[dict[str, Any], ...], detail: str) -> str:
     """Return the faulty fields, a line each; the first ones, and nothing that the detail says already."""
     lines = [f"\n  {each.get('pointer') or '/'}: {each.get('detail', '')}" for each in errors]
-    if len(lines) == 1 and str(errors[0].get("detail")) in detail and str(errors[0].get("pointer")) in detail:
-        return ""
+    if len(lines) == 1 and str(errors[0].get("detail")) in detail:
+        pointer = str(errors[0].get("pointer") or "/")
+        return "" if pointer in detail else f"\n  {pointer}"
     more = len(lines) - _MOST_LISTED
-    return "".join(lines[:_MOST_LISTED]) + (f"\n  and {more} more" if more > 0 else "")
+    return "".join(lines[:_MOST_LISTED]) + (f"\n  (and {more} more)" if more > 0 else "")
 
 
 def _problem(response: httpx.Response) -> dict[str, Any]:

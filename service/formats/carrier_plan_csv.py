@@ -91,7 +91,7 @@ def _lines(raw: bytes) -> list[list[str]]:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise _malformed("", "the file is not UTF-8; save it as CSV UTF-8") from None
+        raise _malformed("", "the file is not UTF-8") from None
     header = text.partition("\n")[0]
     delimiter = ";" if header.count(";") > header.count(",") else ","
     try:
@@ -99,7 +99,7 @@ def _lines(raw: bytes) -> list[list[str]]:
     except csv.Error as error:
         raise _malformed("", f"the file is not CSV: {error}") from None
     if any(len(cell) > _MAX_CELL for line in lines for cell in line):
-        raise _malformed("", f"a cell is longer than {_MAX_CELL} characters; check the quotes")
+        raise _malformed("", f"a cell is longer than {_MAX_CELL} characters: a quote may be missing")
     return lines
 
 

@@ -9,7 +9,7 @@ from typing import Any
 _SENTENCE_OF = {
     "missing": "this field is required",
     "extra_forbidden": "unknown field; check its spelling or leave it out",
-    "finite_number": "NaN, Infinity and numbers beyond the range of float64 are not accepted; absent is null",
+    "finite_number": "NaN, Infinity and numbers beyond the range of float64 are not accepted",
     "too_long": "must have at most {max_length} entries",
     "too_short": "must have at least {min_length} entries",
     "string_too_long": "must have at most {max_length} characters",

@@ -107,7 +107,8 @@ async def test_bad_batches_are_refused_whole(soo, spacecraft, carriers, body, st
     problem = answer.json()
     assert (answer.status_code, problem["code"]) == (status, code), problem
     assert answer.headers["content-type"] == "application/problem+json"
-    assert set(problem) == {"type", "title", "status", "detail", "code", "request_id", "errors"}
+    assert set(problem) == {"type", "title", "status", "detail", "code", "next_step", "request_id", "errors"}
+    assert problem["next_step"].endswith(".")
     assert problem["request_id"] == answer.headers["x-request-id"]
     if pointer is not None:
         assert problem["errors"][0]["pointer"] == pointer

@@ -6,6 +6,9 @@ from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
 
+import pytest
+
+from service.api.problems.next_steps import NEXT_STEPS
 from service.errors import (
     BusyError,
     ConflictError,
@@ -105,3 +108,17 @@ def test_statuses_are_those_of_the_errors_raised() -> None:
     assert len(found) > 40, "the search for raised errors finds too few"
     wrong = [(name, code, status) for name, code, status in found if status not in page[code].split(",")]
     assert wrong == []
+
+
+def test_every_problem_and_row_has_the_next_step_of_the_table() -> None:
+    # codes of measurement tasks, links and files are said by the front end, whose pages say what to do
+    without = {code for code, status in documented().items() if status in {"error", "warning"}} - set(NEXT_STEPS)
+    assert set(documented()) - without == set(NEXT_STEPS)
+    rows = re.findall(r"^\| `([a-z_]+\.[a-z_]+)` \| \S+ \| .+ \| (.+) \|$", PAGE.read_text(), re.MULTILINE)
+    assert dict(rows) == NEXT_STEPS
+
+
+@pytest.mark.parametrize("code", NEXT_STEPS)
+def test_a_next_step_is_one_short_sentence(code: str) -> None:
+    assert re.fullmatch(r"[A-Z`].{5,110}\.", NEXT_STEPS[code])
+    assert "|" not in NEXT_STEPS[code], "it stands in a table"

@@ -69,7 +69,7 @@ async def _holder(request: Request) -> Principal:
     principal = await known_or_counted(request)
     if principal is None:
         _LOG.warning("request %s %s refused: no valid key", request_id_of(request), without_secrets(request.url.path))
-        raise refusal_of_key("send a valid key as Authorization: Bearer <key>")
+        raise refusal_of_key("the key is missing, unknown, expired or revoked")
     return principal
 
 
@@ -90,7 +90,7 @@ def _count(request: Request, principal: Principal) -> None:
 def refuse_above(allowance: Allowance | None) -> None:
     """Raise problem 429 unless a request is within its rate."""
     if allowance is not None and not allowance.is_allowed:
-        detail = f"too many requests; continue after {allowance.reset_s} s, at a lower rate"
+        detail = f"too many requests; the next one is accepted after {allowance.reset_s} s"
         headers = {"Retry-After": str(allowance.reset_s)}
         raise RequestProblemError(HTTPStatus.TOO_MANY_REQUESTS, "rate.limited", detail, headers=headers)
 
@@ -121,7 +121,7 @@ class Requires:
                 principal.name,
                 self.permission,
             )
-            detail = f"a key of role {principal.role} may not {self.permission}; ask an administrator for another key"
+            detail = f"a key of role {principal.role} may not {self.permission}"
             raise RequestProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)
         if self.permission in _AUDITED and request.method not in SAFE_METHODS:
             note_of(request.scope).audit_event = audit_event_of(

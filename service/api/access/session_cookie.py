@@ -48,10 +48,7 @@ def require_same_origin(request: Request) -> None:
     if request.method in SAFE_METHODS:
         return
     if request.headers.get("origin", "") != _origin_of(request):
-        detail = (
-            "a session may change something only from a page of this service: send Origin as its address, "
-            "or the key as Authorization: Bearer"
-        )
+        detail = "a session may change something only from a page of this service, whose address Origin states"
         raise RequestProblemError(HTTPStatus.FORBIDDEN, "session.origin", detail)
 
 

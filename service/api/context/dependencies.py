@@ -154,7 +154,7 @@ SpacecraftIdText = Annotated[
 def checked_spacecraft_id(spacecraft_id: str) -> str:
     """Return the spacecraft's id of a path; an id that cannot exist is as unknown as one that does not."""
     if _SPACECRAFT_ID.match(spacecraft_id) is None:
-        detail = f"no spacecraft {spacecraft_id[:64]!r}; GET /api/v1/spacecraft lists them"
+        detail = f"no spacecraft {spacecraft_id[:64]!r}"
         raise NotFoundError("spacecraft.unknown", detail)
     return spacecraft_id
 

@@ -37,7 +37,7 @@ def stored_method(
 def check_method(method: Method, version: str) -> None:
     """Raise InvalidInputError ``method.smoothed`` for smoothed rows of the live version, which has none."""
     if version == LIVE and method not in LIVE_METHODS:
-        detail = f"{method} exists only in versions of replays with smooth=true; name one by version="
+        detail = f"{method} exists only in versions of replays with smooth=true"
         raise InvalidInputError("method.smoothed", detail)
 
 
@@ -52,7 +52,7 @@ def _check_done(found: ReplayVersion) -> None:
     if found.state is JobState.DONE:
         return
     version = found.replay.version
-    detail = f"{version} is {found.state} ({found.progress:.0%}); wait for its job {found.replay.job_id}"
+    detail = f"{version} is {found.state} ({found.progress:.0%}); its job is {found.replay.job_id}"
     if found.state is JobState.FAILED:
         detail = f"{version} failed and has no complete rows; delete it and start another one. {found.error or ''}"
     raise ConflictError("replay.unfinished", detail.rstrip())

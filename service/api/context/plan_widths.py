@@ -33,9 +33,7 @@ class PlanWidths:
             return known
         plan = await run_in_threadpool(self._catalogue.plan, spacecraft_id, plan_id)
         if plan.is_withdrawn:
-            raise NotFoundError(
-                "plan.unknown", f"Plan {plan_id} of {spacecraft_id!r} was withdrawn; send under another."
-            )
+            raise NotFoundError("plan.unknown", f"Plan {plan_id} of {spacecraft_id!r} was withdrawn.")
         self._widths[key] = len(plan.carriers)
         if len(self._widths) > self._capacity:
             self._widths.popitem(last=False)

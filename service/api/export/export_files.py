@@ -132,7 +132,7 @@ def _check_offered(order: FileOrder) -> None:
     given = {"method": order.method, "version": order.version, "plan_id": order.plan_ids or None}
     foreign = {name for name, value in given.items() if value is not None} - _PARAMETERS.get(order.series, set())
     if foreign:
-        detail = f"the series {order.series} has no {' and no '.join(sorted(foreign))}; leave it out"
+        detail = f"the series {order.series} has no {' and no '.join(sorted(foreign))}"
         raise InvalidInputError("export.parameter", detail)
 
 

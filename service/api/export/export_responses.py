@@ -115,7 +115,7 @@ def _wanted_part(request: Request, tag: str, size: int) -> tuple[int, int] | Non
         raise RequestProblemError(
             HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
             "range.unsatisfiable",
-            f"the file has {size} bytes; ask for a range within them, or for the whole",
+            f"the file has {size} bytes",
             headers={"Content-Range": f"bytes */{size}"},
         ) from None
 

@@ -61,7 +61,7 @@ class BodyLimit:
     def _refusal(self, length: str, encoding: str) -> RequestProblemError | None:
         """Return why a request is refused by its headers alone."""
         if encoding not in {"identity", "gzip", "x-gzip", ""}:
-            detail = "Content-Encoding may be gzip or identity; send the body packed by gzip or plain"
+            detail = "Content-Encoding may be gzip or identity"
             status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
             return RequestProblemError(status, "encoding.unsupported", detail, headers={"Accept-Encoding": "gzip"})
         if length.isascii() and length.isdigit() and int(length[:20]) > self._max_body_bytes:
@@ -119,7 +119,7 @@ class _Unpacker:
             if self._left < 0:
                 raise too_large(self._max_body_bytes)
             if self._allowed < 0:
-                detail = f"the body unpacks to more than {MAX_RATIO} times its size; send it plain"
+                detail = f"the body unpacks to more than {MAX_RATIO} times its size"
                 raise RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.gzip_ratio", detail)
             # what was read may hold more than a step
             packed, is_pending = rest, len(chunk) == _STEP_BYTES and not self._member.eof
@@ -137,7 +137,7 @@ class _Unpacker:
 
 def too_large(max_body_bytes: int) -> RequestProblemError:
     """Return the problem of a body above the limit."""
-    detail = f"the body exceeds the limit of {max_body_bytes} bytes (after unpacking); send it in smaller batches"
+    detail = f"the body exceeds the limit of {max_body_bytes} bytes (after unpacking)"
     return RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_large", detail)
 
 

@@ -111,7 +111,7 @@ class BoundedProtocol(HttpToolsProtocol):
         if self._head_bytes > MAX_HEAD_BYTES:
             self._refuse(_head_too_large())
             return
-        detail = "the request is not valid HTTP/1.1 (RFC 9112); check the client and the proxy"
+        detail = "the request is not valid HTTP/1.1 (RFC 9112)"
         self._refuse(RequestProblemError(HTTPStatus.BAD_REQUEST, "http.malformed", detail))
 
     def _count(self, size: int) -> None:
@@ -136,7 +136,7 @@ class BoundedProtocol(HttpToolsProtocol):
         if self.transport.is_closing():
             return
         part = "head of a request" if self._is_head_open else "request"
-        reason = f"the {part} was incomplete after {timeout_s:g} s; send it faster or in parts"
+        reason = f"the {part} was incomplete after {timeout_s:g} s"
         self.connections_open.refuse("slow", self._address, reason)
         # while a head is open the cycle, if any, is that of the request before
         is_answered = not self._is_head_open and self.cycle.response_started
@@ -157,5 +157,5 @@ class BoundedProtocol(HttpToolsProtocol):
 
 def _head_too_large() -> RequestProblemError:
     """Return the problem of a head above the limit."""
-    detail = f"request line and headers exceed {MAX_HEAD_BYTES} bytes; send less of them, or use a body"
+    detail = f"request line and headers exceed {MAX_HEAD_BYTES} bytes"
     return RequestProblemError(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "head.too_large", detail)

@@ -74,7 +74,7 @@ def _schema(state: StorageState) -> Part:
     """Return whether the database has the schema of this program."""
     if state.schema == state.wanted_schema:
         return Part("migration", None, f"schema {state.schema}")
-    detail = f"the schema is {state.schema or 'none'}, this program needs {state.wanted_schema}; restart it to migrate"
+    detail = f"the schema is {state.schema or 'none'}, this program needs {state.wanted_schema}"
     return Part("migration", "migration.pending", detail)
 
 
@@ -94,7 +94,7 @@ def _disk(state: StorageState, context: ApiContext) -> Iterator[Part]:
 def _consumers(context: ApiContext) -> Iterator[Part]:
     """Yield whether the estimator runs and how far it lies behind."""
     if not context.is_following():
-        yield Part("consumers", "consumers.stopped", "the estimator does not run; restart the service")
+        yield Part("consumers", "consumers.stopped", "the estimator does not run")
         return
     archive, limit = context.storage.archive, context.monitoring.ready_lag
     heads = {spacecraft.id: archive.head(spacecraft.id) for spacecraft in context.storage.catalogue.all_spacecraft()}

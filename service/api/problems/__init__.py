@@ -1,4 +1,4 @@
 """Problems (RFC 9457): codes, validation errors, handlers.
 
-Public: handlers, problems, validation_errors.
+Public: handlers, next_steps, problems, validation_errors.
 """

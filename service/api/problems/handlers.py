@@ -17,10 +17,10 @@ from service.api.problems.validation_errors import faults_of
 from service.errors import SooError
 
 _HTTP_CODES = {
-    HTTPStatus.NOT_FOUND: ("path.unknown", "there is no such path; /openapi.json lists all paths"),
+    HTTPStatus.NOT_FOUND: ("path.unknown", "there is no such path"),
     HTTPStatus.METHOD_NOT_ALLOWED: (
         "method.not_allowed",
-        "this path does not support this method; see the Allow header",
+        "this path does not support this method",
     ),
 }
 

@@ -12,6 +12,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.requests import HTTPConnection
 
+from service.api.problems.next_steps import NEXT_STEPS
 from service.errors import (
     BusyError,
     ConflictError,
@@ -59,6 +60,7 @@ class ProblemSchema(BaseModel):
     status: int
     detail: str
     code: str
+    next_step: str = Field(description="What to do next; the same for every problem of this code.")
     request_id: str
     errors: list[FaultSchema]
 
@@ -73,7 +75,7 @@ class RequestProblemError(Exception):
     code : str
         Stable machine-readable code.
     detail : str
-        What happened and what to do next.
+        What happened, to which thing; `NEXT_STEPS` has what to do next.
     fields : sequence of FieldError
         The faulty fields.
     headers : mapping, optional
@@ -100,7 +102,7 @@ def invalid_request(fields: Sequence[FieldError]) -> RequestProblemError:
     """Return the 422 that names faulty fields."""
     if len(fields) == 1:
         return RequestProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, fields[0].code, fields[0].detail, fields)
-    detail = f"{len(fields)} fields of the request are invalid; see errors"
+    detail = f"{len(fields)} fields of the request are invalid"
     return RequestProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "request.invalid", detail, fields)
 
 
@@ -124,6 +126,7 @@ def render(connection: HTTPConnection, error: RequestProblemError) -> JSONRespon
         "status": int(error.status),
         "detail": without_secrets(error.detail),
         "code": error.code,
+        "next_step": NEXT_STEPS.get(error.code, ""),
         "request_id": request_id_of(connection),
         "errors": [{"pointer": f.pointer, "code": f.code, "detail": without_secrets(f.detail)} for f in error.fields],
     }

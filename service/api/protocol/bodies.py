@@ -42,7 +42,7 @@ def decode(adapter: TypeAdapter[M], raw: bytes, prefix: str = "") -> M:
         400 for text that is no JSON, 413 for more values than are decoded, 422 for JSON that does not fit the model.
     """
     if len(raw) > MOST_VALUES and sum(raw.count(mark) for mark in (b",", b"[", b"{")) > MOST_VALUES:
-        detail = f"the body holds more than {MOST_VALUES} values; send it in smaller batches"
+        detail = f"the body holds more than {MOST_VALUES} values"
         raise RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_many_values", detail)
     try:
         return adapter.validate_json(raw)
@@ -67,7 +67,7 @@ def is_json(media: str) -> bool:
 
 def unsupported_media(accepted: str) -> RequestProblemError:
     """Return the 415 that names what is accepted."""
-    detail = f"send the body as {accepted} and say so in Content-Type"
+    detail = f"this path accepts a body as {accepted}"
     return RequestProblemError(
         HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "media_type.unsupported", detail, headers={"Accept": accepted}
     )

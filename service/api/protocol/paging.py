@@ -107,9 +107,9 @@ def decode_cursor(text: str, mark: int = 0) -> Position:
         version, start_us, number, its_mark = 0, 0, 0, 0
     detail = None
     if version != _CURSOR_VERSION or encode_cursor((start_us, number), its_mark) != text:
-        detail = "this cursor is not from this service; use next of the previous page, or leave it out"
+        detail = "this cursor is not from this service; use next of the previous page"
     elif its_mark != mark:
-        detail = "this cursor belongs to another query; keep path and parameters, or leave it out"
+        detail = "this cursor belongs to another query"
     if detail is not None:
         raise invalid_request([FieldError("/query/cursor", "cursor.invalid", detail)])
     return start_us, number
@@ -133,7 +133,7 @@ def window_of(start: str | None, stop: str | None, default: Window) -> Window:
     start_us = default.start_us if start is None else _parameter_epoch("start", start)
     stop_us = default.stop_us if stop is None else _parameter_epoch("stop", stop)
     if start_us >= stop_us:
-        detail = "start must lie before stop; start is inclusive, stop exclusive"
+        detail = "start must lie before stop"
         raise invalid_request([FieldError("/query/start", "range.invalid", detail)])
     return Window(start_us, stop_us)
 

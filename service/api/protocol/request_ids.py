@@ -63,7 +63,7 @@ class RequestIds:
             _LOG.exception("request %s %s %s failed", request_id, scope["method"], without_secrets(scope["path"]))
             if is_answered:
                 raise
-            detail = f"the service failed; its log tells why under request id {request_id}"
+            detail = f"the service failed; its log has the reason under request id {request_id}"
             problem = RequestProblemError(HTTPStatus.INTERNAL_SERVER_ERROR, "service.failed", detail)
             await render(HTTPConnection(scope), problem)(scope, receive, send_with_id)
         finally:

@@ -45,7 +45,7 @@ def get_closed_loop(job_id: Annotated[str, Path(max_length=64)], context: Contex
             HTTPStatus.CONFLICT, "analysis.failed", f"the flight failed: {job.error or ''}"[:1000]
         )
     if job.state is not JobState.DONE:
-        detail = f"the flight is {job.state.value}; ask again when its job is done"
+        detail = f"the flight is {job.state.value}"
         raise RequestProblemError(HTTPStatus.CONFLICT, "analysis.unfinished", detail)
-    detail = f"the newest {MOST_RESULTS} results are kept until the service ends; send the same request again"
+    detail = f"the newest {MOST_RESULTS} results are kept until the service ends"
     raise RequestProblemError(HTTPStatus.GONE, "analysis.gone", detail)

@@ -32,7 +32,7 @@ def put_ephemeris(
     if body.relocating:
         note_choice(request.scope, "relocating=true")
     elif contradiction is not None:
-        detail = f"{contradiction}; check the satellite, or send relocating: true when it moves on purpose"
+        detail = contradiction
         raise invalid_request([FieldError(_pointer(body), "ephemeris.contradicts_catalogue", detail)])
     stored = context.storage.catalogue.put_ephemeris(spacecraft_id, ephemeris)
     context.on_accepted(spacecraft_id)

@@ -39,7 +39,7 @@ def create_key(
     """Make a key; only this answer contains its secret."""
     now_us = context.clock.system_us()
     if body.expires_at is not None and body.expires_at <= now_us:
-        detail = "the key would have expired already; name a later instant, or null for none"
+        detail = "the key would have expired already"
         raise invalid_request([FieldError("/expires_at", "key.expires_past", detail)])
     key_id, text = new_key()
     key = AccessKey(
@@ -74,6 +74,6 @@ def revoke_key(key_id: Annotated[str, Path(description="Id of a key")], context:
     """Revoke a key: at once in this process, within seconds in every other."""
     if _ID.fullmatch(key_id) is None:
         # not told back: somebody may have put a whole key here
-        raise NotFoundError("key.unknown", "no key has such an id; GET /api/v1/keys lists them")
+        raise NotFoundError("key.unknown", "no key has such an id")
     context.storage.keys.revoke(key_id, context.clock.system_us())
     ring.forget()

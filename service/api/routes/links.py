@@ -44,7 +44,7 @@ def list_links(context: Context, spacecraft_id: SpacecraftParameter = None) -> L
 async def _link_id(link_id: Annotated[str, Path(description="Id of a link")]) -> str:
     """Return the id of a path; one that cannot exist never reaches the database."""
     if _NAME.fullmatch(link_id) is None:
-        raise NotFoundError("link.unknown", f"no link {link_id[:64]!r}; GET /api/v1/links lists them")
+        raise NotFoundError("link.unknown", f"no link {link_id[:64]!r}")
     return link_id
 
 

@@ -81,7 +81,7 @@ def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
     """Refuse a batch of more rows than the limit."""
     limit = context.limits.max_rows_per_batch
     if size > limit:
-        detail = f"the batch has {size} rows, the limit is {limit}; send it in smaller batches"
+        detail = f"the batch has {size} rows, the limit is {limit}"
         raise RequestProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
 
 

@@ -157,9 +157,7 @@ def _check_size(asked: _Asked) -> None:
     others = len(asked.quantities) - len(of_carriers)
     series = sum(of_carriers) * len(carriers) + others * len(asked.methods)
     if asked.grid.intervals * series > MAX_CELLS:
-        detail = (
-            f"{asked.grid.intervals} intervals of {series} series are more than {MAX_CELLS}; ask for fewer of either"
-        )
+        detail = f"{asked.grid.intervals} intervals of {series} series are more than {MAX_CELLS}"
         raise invalid_request([FieldError("/query/count", "samples.count", detail)])
 
 
@@ -228,10 +226,7 @@ def _measured_pages(asked: _Asked) -> Iterator[list[Measurement]]:
     while rows := archive.measurements(asked.spacecraft_id, asked.window, min(_PAGE_ROWS, left + 1), after):
         left -= len(rows)
         if left < 0:
-            detail = (
-                f"expected_dbm is computed from the rows, and the range holds more than {_EXPECTED_ROWS}; ask for a "
-                "shorter one, or for power_dbm and deviation_db: their means differ by the mean expected level"
-            )
+            detail = f"expected_dbm is computed from the rows, and the range holds more than {_EXPECTED_ROWS}"
             raise invalid_request([FieldError("/query/quantity", "samples.rows", detail)])
         yield rows
         after = rows[-1].epoch_us, rows[-1].number

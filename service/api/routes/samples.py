@@ -151,5 +151,5 @@ def _measured_span(
 def _check_size(count: int, columns: int) -> None:
     """Refuse an answer that would be too large."""
     if count * columns > MAX_CELLS:
-        detail = f"{count} intervals of {columns} carriers are more than {MAX_CELLS}; ask for fewer of either"
+        detail = f"{count} intervals of {columns} carriers are more than {MAX_CELLS}"
         raise invalid_request([FieldError("/query/count", "samples.count", detail)])

@@ -23,14 +23,11 @@ async def open_browser_session(
 ) -> SessionAnswer:
     """Open a session: the answer sets a cookie that carries the key for twelve hours, or until the key expires."""
     if not (request.url.scheme == "https" or context.limits.plain_sessions or _is_loopback(request)):
-        detail = (
-            "a key would cross the network unprotected: serve HTTPS, connect from this machine, or allow it by "
-            "SOO_PLAIN_SESSIONS"
-        )
+        detail = "a key would cross the network unprotected"
         raise RequestProblemError(HTTPStatus.FORBIDDEN, "session.plain_http", detail)
     principal = await holder_of(request, body.key)
     if principal is None:
-        raise refusal_of_key("this key is not known, expired or revoked; send another")
+        raise refusal_of_key("this key is not known, expired or revoked")
     ends_at_us = open_session(request, response, principal, body.key, context.clock.system_us())
     response.headers["Cache-Control"] = "no-store"
     return SessionAnswer.of(principal, ends_at_us)

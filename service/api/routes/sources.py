@@ -27,7 +27,7 @@ def select_source(
 ) -> SourceAnswer:
     """Make a source the prime one; its rows feed the estimator from now on."""
     if _NAME.fullmatch(source) is None:  # a name that cannot exist never reaches the database
-        raise NotFoundError("source.unknown", f"no source {source[:64]!r}; GET .../sources lists them")
+        raise NotFoundError("source.unknown", f"no source {source[:64]!r}")
     state = context.storage.archive.select_source(spacecraft_id, source)
     context.on_accepted(spacecraft_id)
     return SourceAnswer.of(state)

@@ -64,7 +64,7 @@ def change_spacecraft(
     stored = SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
     changed = patched(SPACECRAFT_ADAPTER, stored.model_dump(mode="json"), body)
     if changed.id != spacecraft_id:
-        detail = "the id of a spacecraft cannot change; add another spacecraft"
+        detail = "the id of a spacecraft cannot change"
         raise invalid_request([FieldError("/id", "spacecraft.id_fixed", detail)])
     if changed.simulated != stored.simulated and context.storage.archive.sources(stored.id):
         detail = f"{spacecraft_id!r} has measurements, so it stays {'simulated' if stored.simulated else 'a real one'}"
@@ -107,10 +107,7 @@ def _site_warnings(document: SpacecraftDocument) -> list[CatalogueWarning]:
 def _check_release(document: SpacecraftDocument, stored: SpacecraftDocument | None) -> None:
     """Refuse that one operator lets torques go to a real spacecraft without a person."""
     if document.is_released_unattended and not (stored is not None and stored.is_released_unattended):
-        detail = (
-            "release automatic of a real spacecraft needs two approvers: each sends control:arm with "
-            '"release": "automatic"'
-        )
+        detail = "release automatic of a real spacecraft needs two approvers"
         raise ConflictError("control.needs_two_approvers", detail)
 
 

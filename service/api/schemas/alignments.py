@@ -65,14 +65,14 @@ class AlignmentDocument(Document):
         if missing or foreign:
             raise PydanticCustomError(
                 "alignment.shape",
-                "give start and stop with source or sources, or epoch, yaw_deg, roll_deg, pitch_deg and sigma_deg "
-                "with source manual; missing: {missing}; not of this form: {foreign}",
+                "an alignment has start and stop with source or sources, or epoch, yaw_deg, roll_deg, pitch_deg and "
+                "sigma_deg with source manual; missing: {missing}; not of this form: {foreign}",
                 {"missing": _listed(missing), "foreign": _listed(foreign)},
             )
         if self.source is not None and self.sources is not None:
-            raise PydanticCustomError("sources.ambiguous", "give source for all angles or sources for each, not both")
+            raise PydanticCustomError("sources.ambiguous", "source for all angles and sources for each are both given")
         if self.start is not None and self.stop is not None and self.start >= self.stop:
-            raise PydanticCustomError("range.invalid", "start must lie before stop; start is inclusive, stop exclusive")
+            raise PydanticCustomError("range.invalid", "start must lie before stop")
         return self
 
     def to_request(self, created_by: str) -> AlignmentRequest:

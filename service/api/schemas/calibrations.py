@@ -37,7 +37,7 @@ class WindowDocument(Document):
     def _check_order(self) -> Self:
         """Refuse an interval without content."""
         if self.start >= self.stop:
-            raise PydanticCustomError("range.invalid", "start must lie before stop; start is inclusive, stop exclusive")
+            raise PydanticCustomError("range.invalid", "start must lie before stop")
         return self
 
     def to_record(self) -> Window:
@@ -63,7 +63,7 @@ class SensorChoice(Document):
     def _check_choice(self) -> Self:
         """Refuse both at once."""
         if self.source is not None and self.sources is not None:
-            raise PydanticCustomError("sources.ambiguous", "give source for all angles or sources for each, not both")
+            raise PydanticCustomError("sources.ambiguous", "source for all angles and sources for each are both given")
         return self
 
     @property

@@ -55,7 +55,7 @@ class EphemerisDocument(Document):
         """Refuse anything but one form."""
         stated = [form for form in _FORMS if getattr(self, form) is not None]
         if len(stated) != 1:
-            raise PydanticCustomError("ephemeris.form", "give exactly one of ascending_nodes, tle and oem")
+            raise PydanticCustomError("ephemeris.form", "not exactly one of ascending_nodes, tle and oem is given")
         if self.ascending_nodes is None and (self.nodal_period_s is not None or self.track is not None):
             raise PydanticCustomError("ephemeris.form", "nodal_period_s and track belong to ascending_nodes only")
         return self

@@ -82,7 +82,7 @@ class LinkReportsDocument(Document):
     def _check_ids(self) -> Self:
         """Refuse two reports of one link."""
         if len({each.id for each in self.links}) < len(self.links):
-            raise PydanticCustomError("link.duplicate", "two reports of one link; send the newest only")
+            raise PydanticCustomError("link.duplicate", "two reports of one link")
         return self
 
 

@@ -11,7 +11,7 @@ from service.records.catalogue import LIVE_METHODS, Method
 def _live(method: Method) -> Method:
     """Refuse a method that does not run on every row."""
     if method not in LIVE_METHODS:
-        detail = "smoothed rows run on no measurement and drive no control; name robust or paper"
+        detail = "smoothed rows run on no measurement and drive no control"
         raise PydanticCustomError("method.smoothed", detail)
     return method
 

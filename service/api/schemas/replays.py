@@ -34,7 +34,7 @@ class ReplayDocument(WindowDocument):
     def _smooth_what_is_robust(self) -> Self:
         """Refuse to smooth where the robust method does not run."""
         if self.smooth and self.method is Method.PAPER:
-            detail = "only the robust method has smoothed rows; leave method out, or name robust"
+            detail = "only the robust method has smoothed rows"
             raise PydanticCustomError("method.smoothed", detail)
         return self
 

@@ -41,9 +41,7 @@ def _check_inertia(inertia_kg_m2: Matrix3) -> Matrix3:
     if moments[0] <= _RELATIVE_TOLERANCE * scale:
         raise PydanticCustomError("inertia.not_positive", "the principal moments of inertia must be positive")
     if moments[2] > (moments[0] + moments[1]) * (1 + _RELATIVE_TOLERANCE):
-        message = (
-            "no principal moment of inertia can exceed the sum of the other two; give tensor elements, not products"
-        )
+        message = "no principal moment of inertia can exceed the sum of the other two"
         raise PydanticCustomError("inertia.triangle", message)
     return inertia_kg_m2
 
@@ -179,7 +177,7 @@ class OnboardDocument(Document):
         if self.momentum is not None and self.momentum.torque is not None and not is_alone:
             raise PydanticCustomError(
                 "onboard.momentum_torque",
-                "momentum.torque needs residual_torque_n_m 0 and no fed_forward_torque: state the torque once",
+                "momentum.torque needs residual_torque_n_m 0 and no fed_forward_torque",
             )
         return self
 

@@ -57,10 +57,10 @@ def cursor_of(spacecraft_id: str, text: str | None) -> Cursor | None:
         return None
     match = _EVENT_ID.fullmatch(text)
     if match is None:
-        detail = "this is no event id of a stream; send the last id received, or leave the header out"
+        detail = "this is no event id of a stream"
         raise invalid_request([FieldError(_POINTER, "cursor.invalid", detail)])
     if match.group(1) != spacecraft_id:
-        detail = f"this id is of the stream of {match.group(1)}; send the last id of this one, or leave the header out"
+        detail = f"this id is of the stream of {match.group(1)}"
         raise invalid_request([FieldError(_POINTER, "cursor.spacecraft", detail)])
     return Cursor(*map(int, match.groups()[1:]))
 

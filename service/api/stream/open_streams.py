@@ -43,7 +43,7 @@ class OpenStreams:
     def acquire(self) -> None:
         """Count a stream that is about to open, or raise the 503 that refuses one too many."""
         if self.count >= self._limit:
-            detail = f"{self.count} streams are open, the service gives {self._limit}; close one, or try again later"
+            detail = f"{self.count} streams are open, the service gives {self._limit}"
             headers = {"Retry-After": str(RETRY_AFTER_S)}
             raise RequestProblemError(HTTPStatus.SERVICE_UNAVAILABLE, "stream.too_many", detail, headers=headers)
         self._positions += 1

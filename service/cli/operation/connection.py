@@ -114,4 +114,6 @@ def connected(service: str, key_env: str, **options: Any) -> Iterator["ServiceCl
             yield client
     except ClientError as error:
         unknown = getattr(error, "code", "") in {"path.unknown", "method.not_allowed"}
-        end(f"{error}\nthe service does not know this request: {OLDER}" if unknown else str(error), 1, error)
+        # of an older service the next step is another one than that of a wrong path
+        said = str(error).partition("\nNext: ")[0]
+        end(f"{said}\nthe service does not know this request: {OLDER}" if unknown else str(error), 1, error)

@@ -51,13 +51,24 @@ def decoded(path: Path, adapter: "TypeAdapter[M]", raw: bytes) -> M:
         faults = [f"{field.pointer or '/'}: {field.detail}" for field in error.fields] or [error.detail]
         if any(field.pointer.endswith("/latitude_deg") and field.code == "value.range" for field in error.fields):
             faults.append("latitude and longitude look exchanged: no latitude is beyond 90 deg")
-        end("\n".join((f"{path} is refused:", *(f"  {fault}" for fault in faults))), cause=error)
+        end(
+            "\n".join((f"{path} is refused:", *(f"  {fault}" for fault in faults), *_next_steps(error.code))),
+            cause=error,
+        )
 
 
 def refuse_findings(path: Path, faults: Sequence["FieldError"]) -> None:
     """End with what contradicts physics or the catalogue, if anything does."""
     if faults:
-        end("\n".join((f"{path} is refused:", *(f"  {fault.pointer}: {fault.detail}" for fault in faults))))
+        lines = (f"  {fault.pointer}: {fault.detail}" for fault in faults)
+        end("\n".join((f"{path} is refused:", *lines, *_next_steps(*(fault.code for fault in faults)))))
+
+
+def _next_steps(*codes: str) -> list[str]:
+    """Return what to do next, a line for each code."""
+    from service.api.problems.next_steps import NEXT_STEPS
+
+    return [f"Next: {NEXT_STEPS[code]}" for code in dict.fromkeys(codes)]
 
 
 def show(title: str, rows: Iterable[tuple[str, ...]], *, columns: Sequence[str] = ("", "")) -> None:

@@ -156,7 +156,7 @@ def _joined(segments: list[_Segment]) -> tuple[IntArray, FloatArray]:
                 states.append(state)
     steps_us = np.diff(np.array(epochs_us, dtype=np.int64))
     if not len(steps_us) or int(steps_us.max()) > MAX_STEP_S * US_PER_S:
-        detail = f"states must follow one another within {MAX_STEP_S} s; write the message with a smaller step"
+        detail = f"states must follow one another within {MAX_STEP_S} s"
         raise InvalidInputError("oem.gap", detail)
     return np.array(epochs_us, dtype=np.int64), np.array(states, dtype=np.float64)
 

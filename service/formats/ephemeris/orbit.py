@@ -92,7 +92,7 @@ def ephemeris_from_positions(form: str, epochs_us: IntArray, position_km: FloatA
     longitude_deg = np.unwrap(np.degrees(np.arctan2(position_km[1], position_km[0])), period=360.0)
     nodes_us = find_nodes(epochs_us, position_km[2])
     if len(nodes_us) < 2 or float(np.ptp(latitude_deg)) < _MIN_LATITUDE_SPAN_DEG:
-        detail = "the span holds fewer than two clear northward crossings of the equator; give ascending_nodes instead"
+        detail = "the span holds fewer than two clear northward crossings of the equator"
         raise InvalidInputError("ephemeris.no_nodes", detail)
     period_s = (nodes_us[-1] - nodes_us[0]) / (len(nodes_us) - 1) / US_PER_S
     check_period(period_s)

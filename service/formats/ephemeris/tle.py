@@ -71,7 +71,7 @@ def _checked(lines: Sequence[str]) -> tuple[str, str]:
     """Return the two lines when form, checksums and catalogue numbers are right."""
     stripped = [line.rstrip() for line in lines]
     if len(stripped) != len(_LINES):
-        raise InvalidInputError("tle.malformed", "two-line elements are two lines; leave the name out")
+        raise InvalidInputError("tle.malformed", "two-line elements are two lines")
     for number, (line, form) in enumerate(zip(stripped, _LINES, strict=True), start=1):
         if len(line) != _LENGTH or form.fullmatch(line) is None:
             raise InvalidInputError("tle.malformed", f"line {number} has not the {_LENGTH} columns of the format")

@@ -122,12 +122,12 @@ def faults_of(conditions: Mapping[str, AlarmCondition], stated: AlarmLimits) -> 
         for name in statements:
             pointer = f"/sets/{chosen}/{name}"
             if name not in conditions:
-                detail = f"there is no condition {name[:64]!r}; docs/reference/alarms.md lists them"
+                detail = f"there is no condition {name[:64]!r}"
                 faults.append(FieldError(pointer, "alarm_limits.condition", detail))
             elif not _is_ordered(
                 conditions[name].kind, _changed(conditions[name].limits, name, stated, _up_to(chosen))
             ):
-                detail = "a higher severity must not be reached before a lower one; omitted limits keep their defaults"
+                detail = "a higher severity must not be reached before a lower one"
                 faults.append(FieldError(pointer, "alarm_limits.order", detail))
     return tuple(faults)
 

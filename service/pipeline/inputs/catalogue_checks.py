@@ -78,7 +78,7 @@ def check_positions(positions: Sequence[Position], satellite_longitude_deg: floa
         seen = f"the satellite at {satellite_longitude_deg:g} deg East stands at {elevation:.1f} deg elevation"
         if elevation < HORIZON_DEG:
             where = f" from latitude {position.latitude_deg:g}, longitude {position.longitude_deg:g} deg"
-            hint = "; latitude and longitude look exchanged" if is_exchange_likely else "; check place and satellite"
+            hint = "; latitude and longitude look exchanged" if is_exchange_likely else ""
             faults.append(FieldError(position.pointer, "station.below_horizon", seen + where + hint))
         elif elevation < LOW_DEG:
             warnings.append(FieldError(position.pointer, "station.low", f"{seen}: its levels scatter"))
@@ -108,7 +108,7 @@ def _frequency_faults(carriers: Sequence[Carrier]) -> Iterator[FieldError]:
             if not low <= frequency_hz <= high:
                 code = "carrier.frequency" if band is None else "carrier.band"
                 whose = "satellites use" if band is None else f"band {band} is"
-                detail = f"{name} is {frequency_hz / GHZ:g} GHz, {whose} {low / GHZ:g} to {high / GHZ:g} GHz; state Hz"
+                detail = f"{name} is {frequency_hz / GHZ:g} GHz, {whose} {low / GHZ:g} to {high / GHZ:g} GHz"
                 yield FieldError(f"/carriers/{k}/{name}", code, detail)
 
 

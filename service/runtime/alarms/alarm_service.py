@@ -185,7 +185,7 @@ class AlarmService:
             self._report(persisted.store(()))
             present = persisted.engine.open_alarms.get(stored.key)
             if present is None or present.id != alarm_id:
-                raise ConflictError("alarm.closed", f"alarm {alarm_id} is closed; nothing is left to do about it")
+                raise ConflictError("alarm.closed", f"alarm {alarm_id} is closed")
             change = carry_out(persisted.engine, stored.key, Handling(by, self._now_us(stored.spacecraft_id), comment))
             try:
                 saved = persisted.store((change,))

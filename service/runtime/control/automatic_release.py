@@ -39,7 +39,7 @@ class AutomaticRelease:
                 self._requests[spacecraft_id] = by, now_us
                 return None
             if first == by:
-                raise ForbiddenError("interlock.second_person", "another approver has to ask for release automatic too")
+                raise ForbiddenError("interlock.second_person", "release automatic needs two approvers")
             del self._requests[spacecraft_id]
             spacecraft = self.catalogue.spacecraft(spacecraft_id)
             control = replace(spacecraft.control, release=Release.AUTOMATIC)

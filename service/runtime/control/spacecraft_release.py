@@ -93,7 +93,7 @@ class SpacecraftRelease:
                         continue
                     self.publisher.publish(self.spacecraft_id, step.effects, event.at)
                     return step
-            detail = f"another process changes the release of {self.spacecraft_id} too; try again"
+            detail = f"another process changes the release of {self.spacecraft_id} too"
             raise StorageError("release.busy", detail)
 
     def _judged(self, event: Event) -> Step:

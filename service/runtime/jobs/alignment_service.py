@@ -81,7 +81,7 @@ class Aligner:
         self._storage.catalogue.spacecraft(spacecraft_id)
         active = self._storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
         if not active:
-            detail = f"no calibration of {spacecraft_id} is active; calibrate and activate one first"
+            detail = f"no calibration of {spacecraft_id} is active"
             raise ConflictError("alignment.no_calibration", detail)
         return {calibration.request.method: calibration for calibration in active}
 
@@ -92,29 +92,29 @@ class Aligner:
             window = Window(epoch_us - int(self._config.manual_window_s * US_PER_S), epoch_us + 1)
             return StatedAngles(epoch_us, attitude_deg, sigma_deg), window
         if request.window is None or request.source_of_axis is None:
-            raise InvalidInputError("alignment.shape", "give a window with its sources, or an epoch with its angles")
+            raise InvalidInputError("alignment.shape", "neither a window with its sources nor an epoch with its angles")
         references = self._storage.archive.reference_series(spacecraft_id, request.window)
         stated, missing = smooth_angles(references, request.source_of_axis)
         if stated is None:
             wanted = ", ".join(sorted(set(request.source_of_axis)))
             detail = (
                 f"no {' and '.join(missing)} of {wanted} between {format_epoch(request.window.start_us)} and "
-                f"{format_epoch(request.window.stop_us)}; send attitude references or name another source"
+                f"{format_epoch(request.window.stop_us)}"
             )
             raise InvalidInputError("alignment.no_reference", detail)
         return stated, request.window
 
     def _too_few(self, carriers: int, window: Window, ephemeris: Ephemeris) -> str:
-        """Return the text that says how many carriers have powers that can be used, and what to do."""
+        """Return the text that says how many carriers have powers that can be used, and of a short ephemeris."""
         text = (
             f"{carriers} carriers have {self._config.min_rows} rows or more between "
-            f"{format_epoch(window.start_us)} and {format_epoch(window.stop_us)}; 4 are needed: "
+            f"{format_epoch(window.start_us)} and {format_epoch(window.stop_us)}; 4 are needed"
         )
         if ephemeris.valid_start_us <= window.start_us and window.stop_us <= ephemeris.valid_stop_us + 1:
-            return f"{text}choose a window in which measurements arrived"
+            return text
         return (
-            f"{text}the ephemeris reaches from {format_epoch(ephemeris.valid_start_us)} to "
-            f"{format_epoch(ephemeris.valid_stop_us)}, send one that covers the window"
+            f"{text}, and the ephemeris reaches from {format_epoch(ephemeris.valid_start_us)} to "
+            f"{format_epoch(ephemeris.valid_stop_us)}"
         )
 
     def _refuse_contradiction(self, powers: AlignedPowers, stated: StatedAngles, request: AlignmentRequest) -> None:
@@ -126,6 +126,6 @@ class Aligner:
         detail = (
             f"the powers contradict the angles at {format_epoch(stated.epoch_us)} (chi-square "
             f"{consistency.chi_square:.1f}, p {consistency.probability:.1e}): they tell of yaw {yaw:+.2f}, roll "
-            f"{roll:+.2f}, pitch {pitch:+.2f} deg beside them; check the sensor, or give override_reason"
+            f"{roll:+.2f}, pitch {pitch:+.2f} deg beside them"
         )
         raise ConflictError("alignment.inconsistent", detail)

@@ -110,11 +110,11 @@ def wanted_count(candidates: Candidates, count: int | None, origin: str) -> int:
     """
     total, usable = len(candidates.carrier_ids), int(candidates.is_usable.sum())
     if count is not None and count > total:
-        raise InvalidInputError("selection.count", f"{origin} has {total} carriers; request no more")
+        raise InvalidInputError("selection.count", f"{origin} has {total} carriers")
     if usable < MIN_USABLE:
         detail = (
             f"only {usable} carriers of {origin} can be used, {MIN_USABLE} are needed for three angles and the common "
-            "level; add users"
+            "level"
         )
         raise ConflictError("selection.too_few", detail)
     return min(DEFAULT_COUNT, total) if count is None else count
@@ -157,7 +157,7 @@ def _judging(storage: Storage, spacecraft_id: str) -> tuple[Calibration, Calibra
     for calibration in by_geometry + storage.results.calibrations(spacecraft_id):
         if calibration.result is not None:
             return calibration, calibration.result
-    detail = f"no calibration of {spacecraft_id} has figures to choose carriers by; calibrate it first"
+    detail = f"no calibration of {spacecraft_id} has figures to choose carriers by"
     raise ConflictError("selection.no_calibration", detail)
 
 

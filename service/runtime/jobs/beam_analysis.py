@@ -51,7 +51,7 @@ def analyse_beams(storage: Storage, spacecraft_id: str, window: Window, group: G
         ``range.too_long``: the span is longer than can be judged.
     """
     if window.stop_us - window.start_us > MAX_SPAN_DAYS * _DAY_US:
-        detail = f"the span is longer than {MAX_SPAN_DAYS} days; ask for a shorter one"
+        detail = f"the span is longer than {MAX_SPAN_DAYS} days"
         raise InvalidInputError("range.too_long", detail)
     now, before = _campaigns(storage, spacecraft_id)
     result = now.result
@@ -71,9 +71,7 @@ def analyse_beams(storage: Storage, spacecraft_id: str, window: Window, group: G
 
 
 def _no_calibration(spacecraft_id: str) -> ConflictError:
-    detail = (
-        f"no calibration by geometry of {spacecraft_id} is active; calibrate with method geometry, then activate it"
-    )
+    detail = f"no calibration by geometry of {spacecraft_id} is active"
     return ConflictError("beams.no_calibration", detail)
 
 

@@ -74,7 +74,7 @@ class Calibrator:
         ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
         with self._lock:
             if self._waiting >= self._max_waiting:
-                raise BusyError("analysis.busy", f"{self._waiting} calibrations wait or run already; try again later")
+                raise BusyError("analysis.busy", f"{self._waiting} calibrations wait or run already")
             self._waiting += 1
         try:
             draft = self._storage.results.add_calibration(
@@ -101,7 +101,7 @@ class Calibrator:
             return calibration
         if calibration.result is None:
             detail = f"calibration {calibration_id} has no result ({calibration.state.value}); " + (
-                calibration.error or "wait for its job to end"
+                calibration.error or "its job has not ended"
             )
             raise ConflictError("calibration.unfinished", detail)
         return self._storage.results.activate_calibration(spacecraft_id, calibration_id)

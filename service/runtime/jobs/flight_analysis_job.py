@@ -65,7 +65,7 @@ class FlightAnalyses:
         check_closed_loop(request, self._most_steps)
         with self._lock:
             if self._waiting >= MOST_WAITING:
-                raise BusyError("analysis.busy", f"{MOST_WAITING} analyses wait or fly already; try again later")
+                raise BusyError("analysis.busy", f"{MOST_WAITING} analyses wait or fly already")
             self._waiting += 1
         try:
             job = self._jobs.add(KIND)

@@ -100,7 +100,7 @@ class Replayer:
             return self._storage.results.alignment(spacecraft_id, wanted.alignment_id)
         newest_first = self._storage.results.alignments(spacecraft_id)
         if not newest_first:
-            detail = f"{spacecraft_id} was never aligned, so there is nothing to replay from; align it first"
+            detail = f"{spacecraft_id} was never aligned, so there is nothing to replay from"
             raise ConflictError("replay.not_aligned", detail)
         earlier = [alignment for alignment in newest_first if alignment.epoch_us <= wanted.start_us]
         held = (

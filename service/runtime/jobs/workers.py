@@ -33,7 +33,7 @@ _ATTEMPTS = 4
 #: by so much the system's scheduler prefers the service
 _NICENESS = 10
 _STOPPING = "the service is stopping; start it again"
-_DIED = "its worker process ended unexpectedly; check the system log for lack of memory, then start it again"
+_DIED = "its worker process ended unexpectedly; start it again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +93,7 @@ class Workers:
     def check_room(self) -> None:
         """Raise the BusyError that `analyse` would raise now."""
         if self._analyses >= self._config.processes + self._config.max_waiting:
-            detail = f"{self._analyses} analyses are computed or wait already; try again later"
+            detail = f"{self._analyses} analyses are computed or wait already"
             raise BusyError("analysis.busy", detail)
 
     def run(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Found:
@@ -176,7 +176,7 @@ class _Worker:
             self._kill()
             raise UnavailableError("analysis.ended", _STOPPING if self._is_ended else _DIED) from None
         self._kill()
-        detail = f"it was ended after {timeout_s:g} s of computing; ask for less: fewer pulses, points or days"
+        detail = f"it was ended after {timeout_s:g} s of computing"
         raise InvalidInputError("analysis.too_long", detail)
 
     def end(self) -> None:

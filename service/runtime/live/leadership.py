@@ -125,7 +125,7 @@ def elsewhere(leases: Leases, spacecraft_id: str) -> StorageError:
     """Return the error for an order that only the leading process can execute."""
     process = leases.leaders().get(spacecraft_id, "another process, or none yet")
     led = spacecraft_id or "what belongs to no spacecraft"
-    detail = f"{led} is led by {process}: send the request there, or retry when this process has taken over."
+    detail = f"{led} is led by {process}."
     return StorageError("lease.elsewhere", detail)
 
 

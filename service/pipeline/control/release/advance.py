@@ -130,7 +130,7 @@ def _fired(
     reasons = ", ".join(interlock.reasons)
     if not rows_of(interlock.state, trigger):
         if interlock.state is State.TRIPPED:
-            return refused(state, "interlock.tripped", f"control tripped ({reasons}): reset first")
+            return refused(state, "interlock.tripped", f"control tripped ({reasons})")
         return refused(state, "interlock.state", f"{trigger.value}: not in state {interlock.state.name}")
     fired = fire(interlock, trigger, at, settings, asked)
     if fired is None:
@@ -141,7 +141,7 @@ def _fired(
 def _engage_problem(interlock: Interlock, event: events.Engage, settings: ReleaseSettings) -> tuple[str, str] | None:
     """Return code and detail of what is wrong with the terms of an authorisation."""
     if not {"roll", "pitch"} <= set(interlock.proven_axes):
-        return "interlock.sign_unproven", "the signs of roll and pitch must be proven by a sign check first"
+        return "interlock.sign_unproven", "the signs of roll and pitch are not proven"
     left_us = event.until_us - event.at.now_us
     if not 0 < left_us <= microseconds(settings.longest_authorisation_s):
         hours = settings.longest_authorisation_s / 3600.0

@@ -29,7 +29,7 @@ def prepare(state: ReleaseState, event: events.Prepare, settings: ReleaseSetting
     """Return the state with a prepared command."""
     waiting = [command.counter for command in state.commands if command.state in OPEN]
     if waiting:
-        return refused(state, "command.open", f"command {waiting[0]} waits for its confirmation: confirm or cancel it")
+        return refused(state, "command.open", f"command {waiting[0]} waits for its confirmation")
     refusal = first_failure(release_checks(state, event.command, event.at, settings))
     if refusal is not None:
         return Step(state, (), refusal)
@@ -56,8 +56,8 @@ def automatic(state: ReleaseState, event: events.Automatic, settings: ReleaseSet
     interlock, wanted = state.interlock, event.command
     if interlock.state in (State.ARMED, State.RECOVERY) or interlock.authorisation is None:
         if interlock.state is State.TRIPPED:
-            return refused(state, "interlock.tripped", "control tripped: find the cause, reset, arm")
-        detail = "there is no standing authorisation: prepare and confirm the command"
+            return refused(state, "interlock.tripped", "control tripped")
+        detail = "there is no standing authorisation"
         return refused(state, "interlock.not_engaged", detail)
     if wanted.attitude_epoch_us <= state.released_epoch_us:
         return refused(state, "command.duplicate", "a command from this estimate, or a newer one, has been released")
@@ -184,13 +184,13 @@ def _illegal(state: ReleaseState, command: Command) -> Step:
 def _confirm_refusal(command: Command, event: events.Confirm) -> Refusal | None:
     """Return why a confirmation cannot hold for this command."""
     if command.state is CommandState.EXPIRED:
-        return Refusal("command.expired", f"command {command.counter} was not confirmed in time: prepare it again")
+        return Refusal("command.expired", f"command {command.counter} was not confirmed in time")
     if next_state(command.state, CommandTransition.CONFIRM) is None:
         return Refusal("command.state", f"command {command.counter} is {command.state}: it cannot be confirmed")
     if event.digest != command.digest:
-        return Refusal("command.digest", "the digest is not that of the prepared command: read it again")
+        return Refusal("command.digest", "the digest is not that of the prepared command")
     if event.by == command.prepared_by or not event.is_approver:
-        return Refusal("command.second_person", "another person, an approver, must confirm")
+        return Refusal("command.second_person", "the second person must be another one, and an approver")
     return None
 
 

@@ -37,9 +37,9 @@ def release_checks(
     newest_us, period_s = (0, 0.0) if interlock.row is None else (interlock.row.epoch_us, interlock.row.period_s)
     stale_us = settings.stale_us(period_s, settings.prepared_s if waiting_s is None else waiting_s)
     waiting = [each.counter for each in state.commands if each.state in UNREPORTED]
-    unreported = f"what became of command {', '.join(map(str, waiting))} is not reported: report it first"
-    stale = "computed from an estimate that is not the newest any more: prepare it again"
-    withheld = "the yaw torque is withheld: leave it out"
+    unreported = f"what became of command {', '.join(map(str, waiting))} is not reported"
+    stale = "computed from an estimate that is not the newest any more"
+    withheld = "the yaw torque is withheld"
     return (
         _interlock_check(interlock),
         _check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
@@ -60,7 +60,7 @@ def _tail_checks(state: ReleaseState, command: Command) -> tuple[CommandCheck, .
         for each in state.commands
         if not each.is_sign_check and max((pulse.stop_us for pulse in each.executed), default=0) > command.start_us
     ]
-    detail = f"command {', '.join(map(str, flying))} is still flown when it would begin: wait for its end"
+    detail = f"command {', '.join(map(str, flying))} is still flown when it would begin"
     return (_check("earlier commands", not flying, "sign_check.flying", detail),)
 
 
@@ -109,7 +109,7 @@ def _interlock_check(interlock: Interlock) -> CommandCheck:
     reasons, is_ok, code = ", ".join(interlock.reasons), False, "interlock.inhibited"
     detail = f"control is inhibited: {reasons}"
     if interlock.state is State.TRIPPED:
-        code, detail = "interlock.tripped", f"control tripped ({reasons}): find the cause, reset, arm"
+        code, detail = "interlock.tripped", f"control tripped ({reasons})"
     elif interlock.state is State.INHIBITED and not interlock.inhibiting and not interlock.is_armed:
         code, detail = "interlock.not_armed", "control is not armed"
     else:

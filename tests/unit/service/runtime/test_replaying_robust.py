@@ -175,8 +175,6 @@ def test_a_calibration_by_geometry_after_the_alignment_waits_for_the_next_one(tm
 def test_a_window_that_the_track_does_not_reach_is_refused_with_the_reason(opened_archive, new_station):
     station = new_station(opened_archive)
     station.storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris(start_us=at(600)))
-    with pytest.raises(
-        InvalidInputError, match=r"the ephemeris reaches from .* send one that covers the window"
-    ) as caught:
+    with pytest.raises(InvalidInputError, match=r"the ephemeris reaches from") as caught:
         station.align(-30, 0)
     assert caught.value.code == "alignment.no_powers"

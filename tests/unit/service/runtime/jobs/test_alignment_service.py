@@ -71,7 +71,6 @@ def test_powers_that_contradict_are_refused_with_what_they_tell_unless_overridde
         ground.aligner.align(ground.id, by_hand(ground.at(0), (0.0, 0.5, -0.5)))
     assert caught.value.code == "alignment.inconsistent"
     assert "roll -0." in caught.value.detail
-    assert "give override_reason" in caught.value.detail
     assert ground.storage.results.alignments(ground.id) == ()
     forced = ground.aligner.align(ground.id, by_hand(ground.at(0), (0.0, 0.5, -0.5), "sensor was re-mounted"))
     assert forced.override_reason == "sensor was re-mounted"
@@ -108,7 +107,7 @@ def test_without_an_active_calibration(ground):
             "fresh", "Fresh", 90.0, ground.payload.spacecraft().receiving_site, ground.synthetic.INERTIA, 0.05
         )
     )
-    with pytest.raises(ConflictError, match="calibrate and activate one first"):
+    with pytest.raises(ConflictError, match="no calibration of fresh is active"):
         ground.aligner.align("fresh", by_hand(ground.at(0)))
     with pytest.raises(NotFoundError):
         ground.aligner.align("nobody", by_hand(ground.at(0)))

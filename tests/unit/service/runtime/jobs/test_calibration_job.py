@@ -86,7 +86,7 @@ def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
 
 def test_a_draft_cannot_be_activated(ground):
     draft = ground.storage.results.add_calibration(ground.id, ground.payload.request, 1, 1, 0, "engineer")
-    with pytest.raises(ConflictError, match="wait for its job to end"):
+    with pytest.raises(ConflictError, match="its job has not ended"):
         ground.calibrator.activate(ground.id, draft.id)
 
 
