@@ -274,13 +274,12 @@ def leaders_of(connection: Connection) -> dict[str, str]:
 def require_own_session(first: Connection, second: Connection) -> None:
     """Raise ValueError unless two connections have a session each, and keep it.
 
-    A pooler in transaction mode gives the session of an idle connection to the next transaction.
+    A pooler in transaction mode gives the next transaction the session that was used last, or another each time.
     """
-    before = first.scalar(_PROCESS)
+    before, again = first.scalar(_PROCESS), first.scalar(_PROCESS)
     second.execute(text("BEGIN"))
     try:
-        other = second.scalar(_PROCESS)
-        if other == before or first.scalar(_PROCESS) != before:
+        if again != before or second.scalar(_PROCESS) == before or first.scalar(_PROCESS) != before:
             raise ValueError(_NO_SESSION)
     finally:
         second.execute(text("ROLLBACK"))

@@ -128,6 +128,12 @@ def test_a_piece_that_ends_every_worker_is_reported(pool):
         pool.submit(os._exit, 1).result(540)
 
 
+def test_a_piece_that_needs_more_memory_than_a_worker_has_is_reported(pool):
+    """Each worker that takes it is ended by its own watch, at 0.95 of 1 GB."""
+    with pytest.raises(ClusterError, match="for lack of memory"):
+        pool.submit(eval, "[bytearray(1 << 30).replace(b'a', b'b'), __import__('time').sleep(60)]").result(540)
+
+
 def test_errors_of_the_work_are_those_of_the_work(pool):
     with pytest.raises(ZeroDivisionError):
         pool.submit(divmod, 1, 0).result(120)
