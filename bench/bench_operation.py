@@ -1,5 +1,7 @@
 """Transcript of years of operation over real processes: catch-up, kill, restart, replays, chart of a year, doctor.
 
+At its end everything is replayed with another calibration, and compared with what was computed live.
+
 Run ``python -m bench.bench_operation --rows 1000000``: that many rows, one a minute, after one alignment, which the
 service consumes by itself (``--folder`` keeps the archive, and goes on with one that lies there). Times are those of
 the clock and of the processor. Figures only: ratios of what grows with the rows stand in ``tests/growth`` and in
@@ -96,6 +98,9 @@ def main() -> bool:
         with operated(database) as service:
             _ask(service)
             _replay(service)
+        other = add_calibration(folder)
+        with operated(database) as service:
+            _compare(service, other, folder / "differences.png")
         _ask_doctor(database)
     return True
 
@@ -254,6 +259,35 @@ def _replay(service: Operated) -> None:
         if first > 0:
             body = {"start": format_epoch(at(first)), "stop": format_epoch(at(end))}
             service.timed(f"replay of {name}, {end - first} rows", partial(_replayed, service, body))
+
+
+def add_calibration(folder: Path) -> int:
+    """Add a calibration that does not become active, of sensitivities by five percent too large; return its number."""
+    other = replace(PAYLOAD, gradient=1.05 * PAYLOAD.gradient).calibration()
+    with closing(Station(folder)) as station:
+        results = station.storage.results
+        draft = results.add_calibration(SC, other.request, 1, 1, 0, "bench")
+        results.finish_calibration(SC, draft.id, other.result, None)
+    return draft.id
+
+
+def _compare(service: Operated, calibration_id: int, figure: Path) -> None:
+    """Print what a replay of everything with a calibration takes, and what its comparison with the live rows says."""
+    stop = format_epoch(parse_epoch(service.get("attitude")["epoch"]) + S)
+    chosen = ["--calibration", str(calibration_id), "--method", "robust", "--no-commands"]
+    with_other = [*chosen, "--start", format_epoch(at(1)), "--stop", stop]
+    service.timed("replay of everything with another calibration", lambda: _told(service, "replay", *with_other))
+    version = service.get("replays")["rows"][-1]["version"]
+    drawn = ["live", version, "--figure", str(figure)]
+    service.timed("comparison with the live rows", lambda: _told(service, "compare", *drawn))
+
+
+def _told(service: Operated, *words: str) -> None:
+    """Run a command of the terminal and print what it says."""
+    command = [sys.executable, "-m", "service", *words, "--spacecraft", SC, "--service", service.process.url]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "SOO_KEY": _KEY})
+    print("    " + (ran.stdout + ran.stderr).strip().replace("\n", "\n    "), flush=True)
+    assert ran.returncode == 0, ran.returncode
 
 
 def _replayed(service: Operated, body: Any) -> None:
