@@ -58,6 +58,9 @@ def test_an_operation_that_inhibits_is_the_reason_and_its_comment_is_text(page, 
     expect(page.locator("main img")).to_have_count(0)
     assert fits(page)
     screenshot(page, "now-operation")
+    # every reason, each with its next step, stands behind the sentence
+    page.get_by_role("heading", level=1).get_by_role("link").click()
+    expect(page.locator(".conditions [data-met=false]").first).to_contain_text("declared operation")
     ended = ground.client.patch(f"{ground.base}/operations/{made['id']}", json={"stop": ground.epoch(60.0)})
     assert ended.is_success, ended.text
 

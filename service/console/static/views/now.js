@@ -143,7 +143,7 @@ function drawVerdict(node, { status, control, link, offsetMs }, row) {
   const key = `${level} ${text}`;
   if (node.dataset.shown === key) return;
   node.dataset.shown = key;
-  fill(node, symbol(level), element("span", {}, text));
+  fill(node, symbol(level), element("a", { href: "#/control" }, text));
 }
 
 /** Return the age of what a row stands on; while the stream is cut it grows by the clock of the workstation. */
@@ -197,7 +197,7 @@ function drawWheels(each, spacecraft, torque, telemetry, conditions) {
     const limit = spacecraft.wheels?.momentum_limit_n_m_s;
     const entries = change.map((value, index) => [
       words("views.now.wheel", { number: index + 1 }),
-      held ? words("views.now.heldAndChange", { held: number(held[index], 2), change: number(1000 * value, 3) }) : words("views.now.wheelChange", { change: number(1000 * value, 3) }),
+      held ? words("views.now.heldAndChange", { held: number(held[index], 2), change: number(value, 4) }) : words("views.now.wheelChange", { change: number(value, 4) }),
     ]);
     if (share && Number.isFinite(share.value)) entries.push([words("views.now.fullest"), words("views.now.share", { share: number(share.value, 0), limit: number(share.limit, 0) })]);
     else entries.push([words("views.now.wheelLimit"), `${number(limit, 1)} ${words("app.unit.n_m_s")}`]);
