@@ -276,13 +276,15 @@ def _compare(service: Operated, calibration_id: int, figure: Path) -> None:
     stop = format_epoch(parse_epoch(service.get("attitude")["epoch"]) + S)
     chosen = ["--calibration", str(calibration_id), "--method", "robust", "--no-commands"]
     with_other = [*chosen, "--start", format_epoch(at(1)), "--stop", stop]
-    service.timed("replay of everything with another calibration", lambda: _told(service, "replay", *with_other))
+    service.timed(
+        "replay of everything with another calibration", lambda: _printed_answer(service, "replay", *with_other)
+    )
     version = service.get("replays")["rows"][-1]["version"]
     drawn = ["live", version, "--figure", str(figure)]
-    service.timed("comparison with the live rows", lambda: _told(service, "compare", *drawn))
+    service.timed("comparison with the live rows", lambda: _printed_answer(service, "compare", *drawn))
 
 
-def _told(service: Operated, *words: str) -> None:
+def _printed_answer(service: Operated, *words: str) -> None:
     """Run a command of the terminal and print what it says."""
     command = [sys.executable, "-m", "service", *words, "--spacecraft", SC, "--service", service.process.url]
     ran = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "SOO_KEY": _KEY})
