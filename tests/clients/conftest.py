@@ -15,6 +15,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = os.environ.get("SOO_ANALYZER", str(ROOT / ".venv" / "bin" / "soo-analyzer"))
+PYTHON = os.environ.get("SOO_PYTHON", str(ROOT / ".venv" / "bin" / "python"))
 STORY = ("--scenario", "nominal", "--seed", "1", "--operation-days", "0.02")
 
 #: resolution bandwidth of the usual sweep: 36 MHz in 2 s, 2401 points
@@ -41,6 +43,16 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "client(name, transport=, dialect=, work=): one row of the table of clients")
     # what other people's programs warn of is theirs: deprecations, sockets they leave to the collector
     config.addinivalue_line("filterwarnings", "default")
+
+
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
+    """Have the service write its messages; return their folder, and the archive that they were made of."""
+    folder = tmp_path_factory.mktemp("messages")
+    command = [PYTHON, "-m", "tests.clients.write_messages", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return SimpleNamespace(folder=folder, archive=json.loads((folder / "archive.json").read_text()))
 
 
 @dataclass(frozen=True)

@@ -4,38 +4,15 @@ Files are made by the service's own Python (``write_messages.py``); nothing of t
 rotations are computed here once more.
 """
 
-import json
-import os
-import subprocess
 from collections import defaultdict
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 from ccsds_ndm import Aem, Tdm
 
-ROOT = Path(__file__).resolve().parents[2]
-PYTHON = os.environ.get("SOO_PYTHON", str(ROOT / ".venv" / "bin" / "python"))
 GOLDEN = (0.056482, 0.209807, -0.912091, 0.347679)
 OVERRANGE = 4
-
-
-class Written(NamedTuple):
-    """Files, and what they were made of."""
-
-    folder: Path
-    archive: dict[str, Any]
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
-    """Have the service write its messages."""
-    folder = tmp_path_factory.mktemp("messages")
-    command = [PYTHON, "-m", "tests.clients.write_messages", str(folder)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    return Written(folder, json.loads((folder / "archive.json").read_text()))
 
 
 def microseconds(epoch: str) -> int:
@@ -64,7 +41,7 @@ def matrix_of(q1: float, q2: float, q3: float, qc: float) -> Any:
     )
 
 
-def test_attitude(written: Written) -> None:
+def test_attitude(written: Any) -> None:
     message = Aem.from_file(str(written.folder / "attitude.aem"))
     message.validate()
     wanted = {row["epoch_us"]: row["attitude_deg"] for row in written.archive["attitude"]}
@@ -91,7 +68,7 @@ def test_attitude(written: Written) -> None:
         assert np.abs(matrix_of(*quaternion) - body_from_nadir).max() < 1e-11
 
 
-def test_golden_quaternion(written: Written) -> None:
+def test_golden_quaternion(written: Any) -> None:
     (segment,) = Aem.from_file(str(written.folder / "golden.aem")).segments
     (quaternion,) = np.asarray(segment.data.attitude_states_numpy)
     assert quaternion == pytest.approx(GOLDEN, abs=1e-6)
@@ -99,7 +76,7 @@ def test_golden_quaternion(written: Written) -> None:
     assert np.abs(matrix_of(*quaternion) - zxz).max() < 3e-6
 
 
-def test_a_day_of_seconds(written: Written) -> None:
+def test_a_day_of_seconds(written: Any) -> None:
     (segment,) = Aem.from_file(str(written.folder / "day.aem")).segments
     assert len(segment.data.attitude_states_epochs) == 86_400
     seconds = written.archive["seconds_of_a_day"]
@@ -108,7 +85,7 @@ def test_a_day_of_seconds(written: Written) -> None:
     assert seconds < 2.0
 
 
-def test_powers(written: Written) -> None:
+def test_powers(written: Any) -> None:
     message = Tdm.from_file(str(written.folder / "powers.tdm"))
     message.validate()
     powers: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
