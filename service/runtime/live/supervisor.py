@@ -46,6 +46,8 @@ _POLL_S = 0.5
 _PAUSE_S = 0.005
 #: rows that stream in are consumed so long before what came of them is stored, in one go
 _STEP_S = 0.02
+#: a question about the newest row waits so long for a step under way, s
+_LOOK_S = 0.5
 #: a journal may have grown by anything
 _UNKNOWN = math.inf
 
@@ -152,12 +154,15 @@ class Supervisor:
         return self._storage.archive.head(spacecraft_id).consumed_number > 0
 
     def carrier_states(self, spacecraft_id: str) -> tuple[Measurement, tuple[CarrierState, ...]] | None:
-        """Return the newest consumed row and the state of its carriers; None before the first."""
+        """Return the newest consumed row and the state of its carriers; None before the first, and in a long step."""
         follower = self._followers.get(spacecraft_id)
-        if follower is None:
+        # the first row after an installation compiles the filter: nobody waits for it
+        if follower is None or not follower.lock.acquire(timeout=_LOOK_S):
             return None
-        with follower.lock:
+        try:
             return follower.chain.carrier_states()
+        finally:
+            follower.lock.release()
 
     def rows_by_kind(self, spacecraft_id: str) -> dict[bool, int]:
         """Return how many rows the robust method has taken since the start, by whether they were ordinary."""
@@ -167,10 +172,7 @@ class Supervisor:
     def is_disagreeing(self, spacecraft_id: str) -> bool:
         """Return whether the methods have told different roll or pitch angles for long."""
         follower = self._followers.get(spacecraft_id)
-        if follower is None:
-            return False
-        with follower.lock:
-            return follower.chain.is_disagreeing
+        return follower is not None and follower.chain.is_disagreeing
 
     def _run(self) -> None:
         """Follow journals until stopped."""

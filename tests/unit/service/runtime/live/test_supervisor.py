@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from unittest.mock import patch
 
@@ -299,6 +300,16 @@ def test_states_of_carriers_are_those_of_the_newest_row(ground):
     assert measurement.epoch_us == ground.at(20)
     assert [state.carrier for state in states] == list(ground.payload.ids)
     assert {state.state for state in states} == {"used"}
+
+
+def test_a_question_about_the_newest_row_does_not_wait_for_a_long_step(ground):
+    with ground.supervised() as supervisor:
+        ground.append(range(1, 3))
+        ground.settle(supervisor)
+        with ThreadPoolExecutor(1) as asking, supervisor._followers[ground.id].lock:
+            assert asking.submit(supervisor.carrier_states, ground.id).result(60) is None
+            assert asking.submit(supervisor.is_disagreeing, ground.id).result(60) is False
+        assert supervisor.carrier_states(ground.id) is not None
 
 
 def test_released_in_two_steps_nothing_counts_as_applied(ground):
