@@ -47,7 +47,7 @@ _PAUSE_S = 0.005
 #: rows that stream in are consumed so long before what came of them is stored, in one go
 _STEP_S = 0.02
 #: a question about the newest row waits so long for a step under way, s
-_LOOK_S = 0.5
+_ANSWER_S = 0.5
 #: a journal may have grown by anything
 _UNKNOWN = math.inf
 
@@ -157,7 +157,7 @@ class Supervisor:
         """Return the newest consumed row and the state of its carriers; None before the first, and in a long step."""
         follower = self._followers.get(spacecraft_id)
         # the first row after an installation compiles the filter: nobody waits for it
-        if follower is None or not follower.lock.acquire(timeout=_LOOK_S):
+        if follower is None or not follower.lock.acquire(timeout=_ANSWER_S):
             return None
         try:
             return follower.chain.carrier_states()
