@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -133,7 +134,7 @@ def _hand_over(terminal: Terminal) -> None:
     assert max(map(len, screen.splitlines())) <= 80
 
 
-def test_what_is_wrong_is_said_with_the_exit_code(terminal: Terminal, tmp_path: Path) -> None:
+def test_what_is_wrong_is_said_with_the_exit_code(terminal: Terminal, client: httpx.Client, tmp_path: Path) -> None:
     several = terminal.run("status", SOO_SPACECRAFT="")
     assert (several.returncode, "express-80, yamal-202" in several.stderr) == (2, True)
     wrong = terminal.run("status", key="wrong")
@@ -141,6 +142,14 @@ def test_what_is_wrong_is_said_with_the_exit_code(terminal: Terminal, tmp_path: 
     absent = terminal.run("control", "stop", SOO_URL="http://127.0.0.1:9")
     assert absent.returncode == 1
     assert "has not confirmed the stop of yamal-202. Control may go on" in absent.stderr
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        # it accepts the request and never answers
+        address = f"http://127.0.0.1:{silent.getsockname()[1]}"
+        unanswered = terminal.run("control", "stop", SOO_URL=address)
+    assert (unanswered.returncode, "Control may go on" in unanswered.stderr) == (1, True)
+    viewer = ReleaseGround(client, "yamal-202").key("Vera", "viewer")
+    forbidden = terminal.run("control", "stop", key=viewer)
+    assert (forbidden.returncode, "key.forbidden" in forbidden.stderr) == (1, True)
     assert terminal.run("watch", SOO_URL="http://127.0.0.1:9").returncode == 1
     assert terminal.run("ack", "999").returncode == 1
     assert terminal.run("handover", "--output", str(tmp_path / "none" / "page.md")).returncode == 2

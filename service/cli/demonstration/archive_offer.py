@@ -8,6 +8,8 @@ from pathlib import Path
 import typer
 from rich.console import Console
 
+from service.cli.demonstration.invitation import program
+
 _QUESTION = "Keep the archive? Name a new folder, or press Enter to remove it"
 
 
@@ -31,8 +33,9 @@ def offer_archive(console: Console, directory: Path, keep: Path | None, *, is_as
     if keep is None:
         console.print("the archive is removed; soo demo --keep FOLDER keeps it")
         return
-    console.print(f"database, logs and figure are in {keep}; to look at them again:", soft_wrap=True, highlight=False)
-    command = f"soo serve --clock data --database sqlite:///{keep / 'soo.db'}"
+    kept = "database, logs and figure" if any(keep.glob("*.png")) else "database and logs"
+    console.print(f"{kept} are in {keep}; to look at the archive again:", soft_wrap=True, highlight=False)
+    command = f"{program()} serve --clock data --database sqlite:///{keep / 'soo.db'}"
     console.print(command, soft_wrap=True, highlight=False)
 
 

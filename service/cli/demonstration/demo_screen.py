@@ -10,6 +10,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from service.cli.demonstration.invitation import commands_to_try
 from service.cli.demonstration.operation_screen import PHASE_NAMES, operation_screen
 from service.cli.demonstration.persons import Person
 from service.records.epoch import parse_epoch
@@ -47,6 +48,8 @@ class Presenter:
         #: holds the key of the demonstration's own service, made for this run
         self.key_file: Path | None = None
         self._greeting: list[str] = []
+        #: who releases torques
+        self._persons: tuple[Person, ...] = ()
         #: the same spacecraft without control, flown meanwhile
         self.alone: Future[FlightAlone] | None = None
         #: newest moment that was shown
@@ -59,6 +62,7 @@ class Presenter:
 
     def announce_persons(self, persons: tuple[Person, Person]) -> None:
         """Note who releases torques, and the files of their keys."""
+        self._persons = persons
         for person, task in zip(persons, ("prepares", "confirms"), strict=True):
             self._greeting.append(f"{person.name}, {person.role}, {task} torques with the key in {person.key_file}")
 
@@ -95,7 +99,10 @@ class Presenter:
     def open(self) -> None:
         """Start the progress bar; away from a terminal it would be noise."""
         columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-        self._progress = Progress(*columns, console=self._console, disable=not self._console.is_terminal)
+        # a bar that stayed above the operation would name a phase that is over
+        self._progress = Progress(
+            *columns, console=self._console, disable=not self._console.is_terminal, transient=self._with_table
+        )
         self._task = self._progress.add_task(_phase_text("start"), total=1.0)
         self._progress.start()
 
@@ -126,24 +133,18 @@ class Presenter:
     def _operation(self, scene: Scene) -> Group:
         """Return the screen of the operation."""
         alone = self.alone.result() if self.alone is not None and self.alone.done() else None
-        return operation_screen(scene, alone, self.key_file)
+        keys = {} if self.key_file is None else {"key": self.key_file}
+        keys |= {each.name: each.key_file for each in self._persons}
+        return operation_screen(scene, alone, keys)
 
     def _invite(self, scene: Scene) -> None:
         """Print three commands to try, each in one line of any length, so that it can be copied whole."""
         self._console.print(f"aligned after {time.monotonic() - self._began_at:.0f} s; Ctrl-C ends it")
         if self.key_file is None:
             return
-        base = f"{scene.client.service_url}/api/v1/spacecraft/{scene.story.spacecraft_id}"
-        header = f'-H "Authorization: Bearer $(cat {self.key_file})"'
-        is_flown = scene.story.centre is not None
         self._console.print("Now try, in another terminal:")
-        for purpose, command in (
-            ("where it points", f"curl {header} {base}/attitude"),
-            ("let it rain over the receiving site", "soo demo inject rain")
-            if is_flown
-            else ("whether torques may go, and why", f"curl {header} {base}/control"),
-            ("stop every torque", f"curl {header} -X POST {base}/control:stop"),
-        ):
+        url, is_flown = scene.client.service_url, scene.story.centre is not None
+        for purpose, command in commands_to_try(url, self.key_file, self._persons, is_flown=is_flown):
             self._console.print(f"# {purpose}", highlight=False)
             self._console.print(command, soft_wrap=True, highlight=False)
 

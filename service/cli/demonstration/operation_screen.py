@@ -1,5 +1,6 @@
 """One screen of the operation: where, how sure, within bounds since when, torque, and the same without control."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from rich import box
@@ -7,7 +8,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from service.client.documents import Attitude, Json, Verdict
+from service.cli.shift.words import sentence
+from service.client.documents import Attitude, Json
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
 from service.study.demonstration.closed_judgement import TRUTH_BOUNDS_DEG, FlightAlone, within_bounds_since_us
 from service.study.demonstration.demonstration import Scene
@@ -20,11 +22,13 @@ PHASE_NAMES = {
     "turns": "2 Calibration turns",
     "calibration": "2 Calibration",
     "alignment": "3 Alignment",
+    # waits for the compiler where nothing has compiled the filter before
+    "first_row": "4 Operation, first row",
     "operation": "4 Operation",
 }
 
 
-def operation_screen(scene: Scene, alone: FlightAlone | None, key_file: Path | None) -> Group:
+def operation_screen(scene: Scene, alone: FlightAlone | None, keys: Mapping[str, Path]) -> Group:
     """Return the screen of one moment.
 
     Parameters
@@ -33,49 +37,50 @@ def operation_screen(scene: Scene, alone: FlightAlone | None, key_file: Path | N
         Moment.
     alone : FlightAlone or None
         The same spacecraft without control; None while it has not been flown.
-    key_file : Path or None
-        File of the key to sign in with; None for a service of somebody else.
+    keys : Mapping
+        Files of the keys to sign in with, by name; empty for a service of somebody else.
     """
     spacecraft_id = scene.story.spacecraft_id
     attitude = scene.client.attitude(spacecraft_id)
     hours = _hours(scene, attitude)
     title = f"{spacecraft_id}  {attitude['epoch']}  {PHASE_NAMES['operation']}, {hours:.1f} h"
-    lines = [Text(title, style="bold"), Text(verdict_line(attitude["control"])), *_bounds_lines(scene, alone)]
+    lines = [_verdict(scene, attitude), Text(title), *_bounds_lines(scene, alone, hours)]
     table = _table(scene, attitude, None if alone is None else alone.angles_deg(hours))
     excluded = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
     foot = [
         Text(f"carriers used {attitude['carriers_used']}, excluded: {excluded}"),
         Text(f"console {scene.client.service_url}/console/", style="bold"),
     ]
-    key = [] if key_file is None else [Text(f"key     {key_file}", overflow="fold")]
-    return Group(*lines, table, *foot, *key)
+    files = [Text(f"{name:7s} {file}", overflow="fold") for name, file in keys.items()]
+    return Group(*lines, table, *foot, *files)
 
 
-def verdict_line(control: Verdict) -> str:
-    """Return which axes may be controlled; reasons beside an allowed control concern yaw."""
-    reasons = "; ".join(reason["text"] for reason in control["reasons"])
-    if not control["allowed"]:
-        return f"No torque may go ({control['state']}): {reasons}"
-    return f"Roll and pitch are controlled, yaw is withheld: {reasons}" if reasons else "All axes are controlled"
+def _verdict(scene: Scene, attitude: Attitude) -> Text:
+    """Return the sentence of the console's view Now, of `soo status` and of `soo watch`."""
+    client, spacecraft_id = scene.client, scene.story.spacecraft_id
+    status = Json(client.status(spacecraft_id))
+    said = sentence(status, Json(attitude), Json(client.control(spacecraft_id)))
+    return Text(said, style="bold green" if status["control"]["allowed"] else "bold red")
 
 
-def _bounds_lines(scene: Scene, alone: FlightAlone | None) -> list[Text]:
+def _bounds_lines(scene: Scene, alone: FlightAlone | None, hours: float) -> list[Text]:
     """Return since when the true attitude is within its bounds, and how long it stays there without control."""
     if scene.story.centre is None:
         return [Text("Nobody keeps the spacecraft: it follows its slews")]
     since_us = within_bounds_since_us(scene.story)
-    newest_us = max(scene.story.truth_deg)
     if since_us is None:
         kept = Text("The true attitude is out of its bounds", style="red")
     else:
-        hours = (newest_us - since_us) / US_PER_S / 3600.0
-        kept = Text(f"The true attitude is within its bounds since {format_epoch(since_us)[:16]}Z, {hours:.1f} h")
+        kept_h = (max(scene.story.truth_deg) - since_us) / US_PER_S / 3600.0
+        kept = Text(f"The true attitude is within its bounds since {format_epoch(since_us)[:16]}Z, {kept_h:.1f} h")
     if alone is None:
         return [kept, Text("Without control: being flown")]
     statistics = alone.statistics()
     left_h = statistics["hours_within_bounds"]
     without = f"stays for {statistics['hours']:.1f} h" if left_h is None else f"leaves them after {left_h:.1f} h"
-    return [kept, Text(f"Without control it {without}")]
+    # its angles are dashes from then on
+    flown = f"; it was flown for {alone.hours[-1]:.1f} h" if hours > alone.hours[-1] else ""
+    return [kept, Text(f"Without control it {without}{flown}")]
 
 
 def _table(scene: Scene, attitude: Attitude, alone_deg: tuple[float, ...] | None) -> Table:

@@ -26,7 +26,10 @@ OLDER = "it is older than this command; update the service, or use the soo of it
 def _service_address(ctx: typer.Context, value: str) -> str:
     """Return the address that an option or the environment states, else that of the profile."""
     source = ctx.get_parameter_source("service")
-    return value if source is None or source.name != "DEFAULT" else _profile().service or value
+    address = value if source is None or source.name != "DEFAULT" else _profile().service or value
+    if not address.startswith(("http://", "https://")):
+        end(f"{address!r} is no address of a service: state http://HOST:PORT or https://HOST:PORT")
+    return address
 
 
 def _chosen_spacecraft(ctx: typer.Context, value: str) -> str:
@@ -113,7 +116,14 @@ def connected(service: str, key_env: str, **options: Any) -> Iterator["ServiceCl
         with ServiceClient(service, key, **options) as client:
             yield client
     except ClientError as error:
-        unknown = getattr(error, "code", "") in {"path.unknown", "method.not_allowed"}
-        # of an older service the next step is another one than that of a wrong path
-        said = str(error).partition("\nNext: ")[0]
-        end(f"{said}\nthe service does not know this request: {OLDER}" if unknown else str(error), 1, error)
+        end(_refusal(error, getattr(error, "code", ""), key_env), 1, error)
+
+
+def _refusal(error: Exception, code: str, key_env: str) -> str:
+    """Return the words of a refusal; the service knows neither that it is older nor where this machine has its key."""
+    said = str(error).partition("\nNext: ")[0]
+    if code in {"path.unknown", "method.not_allowed"}:
+        return f"{said}\nthe service does not know this request: {OLDER}"
+    if code == "key.invalid":
+        return f"{said}\nNext: correct the key of {key_env}, of the file of {key_env}_FILE, or of {profile_path()}"
+    return str(error)

@@ -1,4 +1,4 @@
 """Commands of a shift: read the state, answer alarms, order control, release torques, hand over, watch.
 
-Public: reading.
+Public: reading, words.
 """

@@ -63,7 +63,8 @@ def drawn(samples: Json) -> bytes:
             lowest.plot(epochs, _column(samples, f"{axis}_protection_deg", "max"), linewidth=1.0, label=axis)
         lowest.set_ylabel("protection level, deg")
         lowest.set_xlabel("UTC")
-        lowest.legend(loc="upper right", ncols=3, frameon=False)
+        # above its panel: inside, it covers a curve
+        lowest.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=100)
     return picture.getvalue()
@@ -82,7 +83,7 @@ def happened(timeline: Json) -> list[str]:
     for each in timeline["states"]:
         if each["kind"] == "exclusion":
             said = f"{clean(each['carrier'])}: {meaning('exclusions', each['name'])}"
-            events.append((each["start"], f"{said}, until {utc(each['stop'])}, {each['rows']} rows"))
+            events.append((each["start"], f"{said}, until {utc(each['stop'])}, rows: {each['rows']}"))
     events += [(each["at"], f"Calibration {each['calibration_id']} activated") for each in timeline["calibrations"]]
     return [f"{utc(at)} {said}" for at, said in sorted(events)] or [words("views.shift.none")]
 

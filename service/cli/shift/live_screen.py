@@ -1,10 +1,10 @@
 """Screen of ``soo watch``: verdict first, then angles with limits, protection of a day, carriers, alarms, links."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from service.cli.shift.tables import alarm_line, axes_table, excluded_line, limit_of, link_line
+from service.cli.shift.tables import alarm_line, axes_table, excluded_line, limit_of, link_line, worst_first
 from service.cli.shift.words import AXES, clean, meaning, number, sentence, utc, words
 from service.client.documents import Json
 from service.records.epoch import DAY_US, parse_epoch
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 _BLOCKS, _ASCII = "▁▂▃▄▅▆▇█", "_.-:=+*#"
-#: lines that stand beside alarms and links, and the least of each list that is shown
-_OTHER_LINES, _LEAST_LINES = 18, 3
+#: lines below the state: titles of alarms and links, and the last line; lines that the carriers may take
+_FRAME_LINES, _CARRIER_LINES = 3, 3
 #: columns of the strip, with the words beside it in 80 columns
 _STRIP_COLUMNS = 44
 
@@ -39,31 +39,42 @@ def render(state: LiveState, console: "Console", cut: str = "") -> "RenderableTy
     # rich costs as much as the rest of a start
     from rich.console import Group
 
-    lists = max(2 * _LEAST_LINES, console.height - _OTHER_LINES) // 2
     blocks = _BLOCKS if console.encoding.startswith("utf") else _ASCII
-    return Group(*_parts(state, cut, lists, blocks))
+    above = list(_above(state, cut, blocks, console.width))
+    room = max(0, console.height - _FRAME_LINES - _height(console, above))
+    alarms, links = list(map(alarm_line, worst_first(state.alarms))), list(map(link_line, state.status["links"]))
+    # a list that needs less than its half leaves the rest to the other one
+    needs = [_height(console, _entries(each, "")) for each in (alarms, links)]
+    for_links = min(needs[1], max(room // 2, room - needs[0]))
+    return Group(
+        *above,
+        *_list(words("views.shift.alarms"), alarms, "yellow", console, room - for_links),
+        *_list(words("views.now.links"), links, "", console, for_links),
+        _line("q ends", "dim"),
+    )
 
 
-def _parts(state: LiveState, cut: str, lists: int, blocks: str) -> "Iterator[RenderableType]":
-    """Yield the lines of the screen."""
+def _above(state: LiveState, cut: str, blocks: str, width: int) -> "Iterator[RenderableType]":
+    """Yield the lines above the lists."""
     status, row, conditions = state.status, state.row, state.control["conditions"]
     verdict = status["control"]
     if cut:
-        yield _line(cut, "bold reverse")
+        yield _line(cut, "bold reverse", is_cut=False)
         yield _line("below is what was last read; what holds now is not known", "bold")
     style = "bold" if cut else "bold green" if verdict["allowed"] else "bold red"
     yield _line(sentence(status, row, state.control), style, is_cut=False)
     simulated = f" {words('app.simulated')}" if state.spacecraft["simulated"] else ""
     title = f"{clean(state.spacecraft['id'])}{simulated}, {utc(status['now'])} UTC"
-    yield _line(f"{title}; {words('views.control.title')}: {meaning('states', verdict['state'])}")
+    yield _line(title)
+    yield _line(f"{words('views.control.title')}: {meaning('states', verdict['state'])}")
     yield axes_table(row, state.other, conditions)
     yield _line(_strip(state, limit_of(conditions, "protection_level"), blocks))
     yield _line(f"{words('views.now.torque')}: {_torque(state.torque)}")
     used = words("views.now.used", used=row["carriers_used"], all=row["carriers_used"] + len(row["excluded"]))
-    yield _line(f"{words('views.now.carriers')}: {used}; left out: {excluded_line(row)}")
-    yield from _list(words("views.shift.alarms"), list(map(alarm_line, state.alarms)), lists, "yellow")
-    yield from _list(words("views.now.links"), list(map(link_line, status["links"])), lists, "")
-    yield _line("q ends", "dim")
+    carriers = f"{words('views.now.carriers')}: {used}; left out: {excluded_line(row)}"
+    # lines break between words, each before its end
+    most = _CARRIER_LINES * width * 4 // 5
+    yield _line(carriers if len(carriers) <= most else f"{carriers[:most]}…", is_cut=False)
 
 
 def _line(text: str, style: str = "", *, is_cut: bool = True) -> "Text":
@@ -73,12 +84,27 @@ def _line(text: str, style: str = "", *, is_cut: bool = True) -> "Text":
     return Text(text, style, no_wrap=is_cut, overflow="ellipsis" if is_cut else None)
 
 
-def _list(title: str, lines: list[str], most: int, style: str) -> "Iterator[Text]":
-    """Yield a list under its title; entries that have no room are counted."""
+def _entries(lines: list[str], style: str, *, is_cut: bool = False) -> "list[RenderableType]":
+    """Return the lines of a list, each going on below or cut at the edge of the terminal."""
+    from rich.padding import Padding
+
+    return [Padding(_line(each, style, is_cut=is_cut), (0, 0, 0, 2)) for each in lines]
+
+
+def _height(console: "Console", parts: "Iterable[RenderableType]") -> int:
+    """Return how many lines of the terminal something takes."""
+    return sum(len(console.render_lines(part, pad=False)) for part in parts)
+
+
+def _list(title: str, lines: list[str], style: str, console: "Console", room: int) -> "Iterator[RenderableType]":
+    """Yield a list under its title: every line whole where there is room, else its begin, and the rest counted."""
     yield _line(f"{title}: {len(lines) or words('views.now.none')}", "bold")
-    shown = lines if len(lines) <= most else lines[: most - 1]
-    yield from (_line(f"  {each}", style) for each in shown)
-    if len(shown) < len(lines):
+    if _height(console, _entries(lines, style)) <= room:
+        yield from _entries(lines, style)
+        return
+    shown = lines if len(lines) <= room else lines[: max(0, room - 1)]
+    yield from _entries(shown, style, is_cut=True)
+    if len(shown) < len(lines) and room:
         yield _line(f"  {words('views.now.more', count=len(lines) - len(shown))}", style)
 
 

@@ -17,7 +17,16 @@ from service.cli.operation.connection import (
     SpacecraftOption,
     connected,
 )
-from service.cli.shift.tables import alarm_line, axes_table, columns, excluded_line, link_line, reasons_table, show
+from service.cli.shift.tables import (
+    alarm_line,
+    axes_table,
+    columns,
+    excluded_line,
+    link_line,
+    reasons_table,
+    show,
+    worst_first,
+)
 from service.cli.shift.words import clean, meaning, number, sentence, utc, words
 from service.client.documents import Json
 
@@ -49,7 +58,7 @@ def status(
         if verdict["reasons"]:
             yield reasons_table(verdict["reasons"])
         newest, now = utc(found["newest_attitude"]), utc(found["now"])
-        yield f"newest row {newest}, now {now} UTC; {found['pending']} rows pending"
+        yield f"newest row {newest}, now {now} UTC; rows pending: {found['pending']}"
         if found["methods_disagree"]:
             yield f"{meaning('alarms', 'methods_disagree')}: {meaning('alarms', 'methods_disagree', 'next')}"
         for each in found["advice"]:
@@ -130,7 +139,7 @@ def alarms(
 ) -> None:
     """List open alarms with their ids and next steps."""
     with connected(service, key_env) as client:
-        rows = list(client.pages(f"/spacecraft/{spacecraft}/alarms"))
+        rows = worst_first(client.pages(f"/spacecraft/{spacecraft}/alarms"))
     show(
         {"rows": rows},
         lambda: map(alarm_line, rows) if rows else [f"{spacecraft}: {words('app.alarms.none')}"],

@@ -12,6 +12,7 @@ from service.cli.command_group import end
 from service.cli.operation.connection import OLDER
 from service.cli.shift.words import AXES, axes, clean, meaning, number, utc, words
 from service.client.documents import Json
+from service.records.operations.alarm import Severity
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -99,13 +100,21 @@ def reasons_table(reasons: list[Json]) -> "Table":
     return table
 
 
+def worst_first(alarms: Iterable[Json]) -> list[Json]:
+    """Return alarms in the order of the console: the worst first, of one severity the newest."""
+    ranks = {each.word: each.value for each in Severity}
+    return sorted(alarms, key=lambda each: (ranks.get(each["severity"], 0), each["raised_at"]), reverse=True)
+
+
 def alarm_line(alarm: Json) -> str:
     """Return an alarm with its id, value and state, its next step last."""
-    value = f"{number(alarm['present_value'], 2)} {clean(alarm['unit'])}".strip()
+    present = alarm["present_value"]
+    value = () if present is None else (number(present, 2), clean(alarm["unit"]))
+    thing = " ".join(filter(None, (clean(alarm["thing"]), *value)))
     name = f"{alarm['id']} {meaning('severities', alarm['severity'])}: {meaning('alarms', alarm['condition'])}"
     state = f"{words('views.alarms.state.' + alarm['state'])}, raised {utc(alarm['raised_at'])}"
     next_step = meaning("alarms", alarm["condition"], "next", alarm["next_step"])
-    return f"{name} {clean(alarm['thing'])} {value}, {state}; {next_step}"
+    return f"{name} {thing}, {state}; {next_step}"
 
 
 def link_line(link: Json) -> str:

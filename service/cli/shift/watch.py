@@ -29,13 +29,15 @@ from service.cli.shift.live_screen import LiveState, render
 from service.cli.shift.tables import screen
 from service.cli.shift.words import clean, utc, words
 from service.client.documents import Json
-from service.records.epoch import DAY_US, format_epoch, parse_epoch
+from service.records.epoch import DAY_US, US_PER_S, format_epoch, parse_epoch
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
 
-#: the screen is drawn so often; documents are read again at most so often; samples of the day so often, s
-_DRAW_S, _READ_S, _SAMPLES_S = 0.5, 1.0, 60.0
+#: the screen is drawn so often; documents are read again at most so often, s
+_DRAW_S, _READ_S = 0.5, 1.0
+#: samples of the day are read again when the spacecraft's clock, fast where it is simulated, has moved so far
+_SAMPLES_US = 300 * US_PER_S
 #: an answer that takes longer counts as none; a stream that was cut is opened again after this, s
 _TIMEOUT_S, _AGAIN_S = 3.0, 2.0
 _STRIP_SAMPLES = 96
@@ -57,8 +59,9 @@ class LiveReader:
     def __init__(self, client: "ServiceClient", streaming: "ServiceClient", spacecraft: str) -> None:
         self._client, self._streaming, self._spacecraft = client, streaming, spacecraft
         self._is_changed, self._ended = threading.Event(), threading.Event()
-        self._read_at_s = self._samples_at_s = float("-inf")
+        self._read_at_s = float("-inf")
         self._samples: Json | None = None
+        self._samples_us = 0
         #: since when nothing comes, and why; empty while the stream is open
         self.cut = ""
         self.state = self._read()
@@ -95,8 +98,8 @@ class LiveReader:
         # there is none before the first row
         with suppress(ProblemError):
             torque = client.torques(name)
-        if time.monotonic() - self._samples_at_s >= _SAMPLES_S and status["now"] is not None:
-            self._samples, self._samples_at_s = self._read_samples(status), time.monotonic()
+        if status["now"] is not None and parse_epoch(status["now"]) >= self._samples_us + _SAMPLES_US:
+            self._samples, self._samples_us = self._read_samples(status), parse_epoch(status["now"])
         state = LiveState(
             spacecraft=client.spacecraft(name),
             status=status,

@@ -25,6 +25,7 @@ from service.pipeline.control.release.interlock_conditions import (
     greater_angle_deg,
 )
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
+from service.records.catalogue import Release
 from service.records.levels.attitude import AttitudeRow
 
 _CONSEQUENCES = {
@@ -118,7 +119,9 @@ def _values_of(view: ControlView | None, row: AttitudeRow | None, limits: Interl
 def _unjudged(view: ControlView | None, verdict: ControlVerdict) -> set[str]:
     """Return the codes that nothing is known to judge by, or that another reason comes before."""
     codes = {reason.code for reason in verdict.reasons}
-    unjudged: set[str] = set()
+    # a computed command passes no check of the interlock: its row judges yaw
+    is_automatic = view is not None and view.release is Release.AUTOMATIC
+    unjudged = {code for code, each in CONDITIONS.items() if is_automatic and each.consequence is Consequence.YAW}
     if view is None:
         unjudged.update(CONDITIONS, ("not_armed", "good_minutes"))
     elif not verdict.is_allowed:

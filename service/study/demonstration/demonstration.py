@@ -186,7 +186,7 @@ def _sweep_chunk(story: Story, client: ServiceClient, show: Show, link: GroundLi
         _await_rows(story, client, show)
         if "calibration" not in story.catalogue:
             _calibrate(story, client, show)
-        _align(story, client)
+        _align(story, client, show)
     if is_operation and story.centre is not None and story.centre.is_shown():
         # the truth of a row follows it, and so does the display
         show(Scene("operation", format_epoch(story.granted_us), story, client))
@@ -310,11 +310,13 @@ def _calibrate(story: Story, client: ServiceClient, show: Show) -> None:
     story.catalogue["calibration"] = client.calibration(spacecraft_id, started["id"])
 
 
-def _align(story: Story, client: ServiceClient) -> None:
+def _align(story: Story, client: ServiceClient, show: Show) -> None:
     """Align over the phase that is meant for it."""
+    show(Scene("alignment", format_epoch(story.granted_us), story, client))
     start, stop = story.phases["alignment"]
     request = {"start": start, "stop": stop, **_sensor_choice(story)}
     story.catalogue["alignment"] = client.align(story.spacecraft_id, request)
+    show(Scene("first_row", format_epoch(story.granted_us), story, client))
 
 
 def _sensor_choice(story: Story) -> dict[str, Any]:

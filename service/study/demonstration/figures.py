@@ -32,8 +32,8 @@ def draw_control(tracked: TrackedAngles, alone: FlightAlone, path: Path) -> None
         hours = _hours(tracked)
         plot.plot(alone.hours, alone.flown_deg[:, k], color="#d62728", linewidth=1.0, label="truth, left alone")
         _draw_driving(plot, tracked, hours, k)
-        for side in (-1.0, 1.0):
-            plot.axhline(side * USUAL_BOUNDS_DEG[AXES[k]], color="#111111", linewidth=0.8, linestyle="--")
+        for side, label in ((-1.0, None), (1.0, "95 of 100 runs")):
+            plot.axhline(side * USUAL_BOUNDS_DEG[AXES[k]], color="#111111", linewidth=0.8, linestyle="--", label=label)
 
     _draw(path, draw_axis)
 
@@ -48,7 +48,7 @@ def _draw(path: Path, draw_axis: Callable[[Axes, int], None]) -> None:
             plot.set_ylabel(f"{name}, deg")
             plot.set_ylim(-_REACH_DEG, _REACH_DEG)
         # above the plots: an excursion may reach any corner of them
-        figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+        figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False)
         plots[-1].set_xlabel("hours of operation")
         figure.savefig(path, dpi=120)
 

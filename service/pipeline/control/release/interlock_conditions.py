@@ -137,6 +137,8 @@ class InterlockRow:
     is_innovation_in_band: bool = True
     #: why the estimator forbids control
     inhibitions: tuple[str, ...] = ()
+    #: whether the estimator lets yaw be controlled
+    is_yaw_allowed: bool = False
     #: set by the interlock
     is_after_gap: bool = False
 
@@ -156,6 +158,7 @@ def interlock_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: b
         is_fading=row.downlink_fade,
         is_innovation_in_band=is_innovation_in_band,
         inhibitions=(*row.inhibitions, *not_acquired),
+        is_yaw_allowed=row.control_allowed_axes[0],
     )
 
 

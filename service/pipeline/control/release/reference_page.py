@@ -52,7 +52,8 @@ def reference_page() -> str:
         *(_conditions_of(consequence) for consequence in Consequence),
         "What is not known counts as bad; only a momentum that no telemetry tells is passed over. A trip takes arming\n"
         "and authorisation away: after the reset come ten good minutes, and an operator arms again. In release\n"
-        "`automatic` nobody arms: torques are withheld from the trip until these ten good minutes are over.",
+        "`automatic` nobody arms: torques are withheld from the trip until these ten good minutes are over.\n"
+        "There the row alone says whether yaw is controlled; conditions of yaw are named while it is not.",
         *_in_the_interface(),
         "## States of a command",
         "```mermaid\n" + command_diagram() + "\n```",

@@ -9,6 +9,7 @@ from rich.console import Console
 
 from service.cli.demonstration import archive_offer
 from service.cli.demonstration.archive_offer import offer_archive
+from service.cli.demonstration.invitation import program
 
 
 @pytest.fixture
@@ -54,7 +55,8 @@ def test_a_named_folder_gets_a_copy_with_the_modes_of_its_keys(directory, answer
     text = offered(directory)
     assert (folder / "soo.db").read_text() == "rows"
     assert (folder / "operator.key").stat().st_mode & 0o777 == 0o600
-    assert f"soo serve --clock data --database sqlite:///{folder / 'soo.db'}" in text
+    assert f"{program()} serve --clock data --database sqlite:///{folder / 'soo.db'}" in text
+    assert "database and logs are in" in text
 
 
 def test_a_folder_that_exists_is_not_written_to(directory, answered, tmp_path):
@@ -81,4 +83,7 @@ def test_without_a_person_it_says_how_to_keep_it(directory, answered, options):
 
 def test_a_folder_that_was_to_be_kept_is_named(directory, answered):
     answered()
-    assert str(directory / "soo.db") in offered(directory, directory)
+    (directory / "demonstration.png").touch()
+    text = offered(directory, directory)
+    assert str(directory / "soo.db") in text
+    assert "database, logs and figure are in" in text

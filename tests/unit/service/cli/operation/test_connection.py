@@ -5,7 +5,9 @@ from typing import Any
 import httpx
 import pytest
 import typer
+from typer.testing import CliRunner
 
+from service.cli.app import app
 from service.cli.operation.connection import connected
 
 
@@ -70,3 +72,18 @@ def said_of(
         client.status("yamal-202")
     assert ended.value.exit_code == 1
     return capsys.readouterr().err
+
+
+def test_a_key_that_the_service_does_not_know_is_said_to_come_from_somewhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = said_of(401, {"code": "key.invalid", "detail": "There is none.", "next_step": "Send."}, monkeypatch, capsys)
+    start = "401 key.invalid: There is none.\nNext: correct the key of SOO_KEY, of the file of SOO_KEY_FILE, or of /"
+    assert said.startswith(start)
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:8000", "ftp://127.0.0.1", "service"])
+def test_an_address_of_no_service_is_a_wrong_option(address: str) -> None:
+    done = CliRunner().invoke(app, ["status"], env={"SOO_URL": address, "SOO_KEY": "a-key"})
+    assert done.exit_code == 2
+    assert f"{address!r} is no address of a service: state http://HOST:PORT" in done.stderr

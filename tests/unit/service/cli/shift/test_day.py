@@ -52,7 +52,7 @@ def test_what_happened_is_in_order_of_time() -> None:
     }
     assert happened(timeline) == [
         "2027-01-15 08:00:00 eclipse, 2027-01-15 08:00:00 – 2027-01-15 10:30:00: ",
-        "2027-01-15 09:00:00 c03: stands at another level, until 2027-01-15 10:30:00, 90 rows",
+        "2027-01-15 09:00:00 c03: stands at another level, until 2027-01-15 10:30:00, rows: 90",
         "2027-01-15 10:30:00 Command 1, executed: roll�[2J; Anna",
     ]
     assert happened({name: [] for name in timeline}) == ["none"]

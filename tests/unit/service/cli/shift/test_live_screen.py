@@ -37,6 +37,49 @@ def test_the_verdict_is_the_first_line_and_a_cut_stands_before_it(documents: Any
     assert "what holds now is not known" in shown[1]
 
 
+def test_next_steps_and_states_are_whole_where_there_is_room(documents: Any) -> None:
+    documents.alarms = [documents.alarms[0] | {"id": number} for number in range(2)]
+    shown = lines(LiveReader(documents, documents, "yamal-202"), height=30)
+    assert not [line for line in shown if "…" in line]
+    text = " ".join(" ".join(shown).split())
+    assert text.count("check with another sensor; look at control and the newest torque") == 2
+    assert "Control: inhibited: no torque may go" in text
+
+
+def test_the_worst_and_newest_alarms_are_shown_where_not_all_have_room(documents: Any) -> None:
+    mild = [documents.alarms[0] | {"id": number, "severity": "watch"} for number in range(40)]
+    severe = documents.alarms[0] | {"id": 98, "severity": "severe"}
+    newest = documents.alarms[0] | {"id": 99, "severity": "watch", "raised_at": "2027-01-15T10:31:00.000000Z"}
+    documents.alarms = [*mild, severe, newest]
+    shown = lines(LiveReader(documents, documents, "yamal-202"))
+    first = shown.index(next(line for line in shown if line.startswith("Alarms: 42"))) + 1
+    assert [line.split()[:2] for line in shown[first : first + 2]] == [["98", "severe:"], ["99", "watch:"]]
+
+
+def test_many_carriers_that_are_left_out_leave_room_for_alarms_and_links(documents: Any) -> None:
+    documents.rows["robust"]["excluded"] = [{"carrier": f"c{k:02d}", "reason": "absent"} for k in range(16)]
+    shown = lines(LiveReader(documents, documents, "yamal-202"), cut="cut since 10:30:00: " + "no answer " * 12)
+    assert len(shown) <= 24
+    assert "Links: 1" in [line.strip() for line in shown]
+    assert shown[-1].strip() == "q ends"
+
+
+def test_the_strip_follows_the_clock_of_the_spacecraft(documents: Any) -> None:
+    reader = LiveReader(documents, documents, "yamal-202")
+    known, asked = documents.status(""), []
+    answer = documents.request
+
+    def request(method: str, path: str, body: Any = None, params: Any = None) -> Any:
+        asked.append(params["stop"])
+        return answer(method, path, body, params)
+
+    documents.request = request
+    for minute in (31, 36):
+        documents.status = lambda _, now=f"2027-01-15T10:{minute}:00.000000Z": known | {"now": now}
+        reader._read()
+    assert asked == ["2027-01-15T10:36:00.000001Z"]
+
+
 @pytest.mark.parametrize(("encoding", "mark"), [("utf-8", "▂"), ("ascii", ".")])
 def test_the_strip_has_a_mark_for_each_half_hour_that_has_rows(documents: Any, encoding: str, mark: str) -> None:
     shown = lines(LiveReader(documents, documents, "yamal-202"), encoding=encoding)

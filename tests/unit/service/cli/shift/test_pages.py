@@ -62,7 +62,7 @@ def test_every_list_is_written() -> None:
     )
     at = "2027-01-15 10:30:00"
     lines = [line for each in handover_sections(found)[2:] for line in each.lines]
-    assert lines[0].startswith(f"3 severe: no new measurements sa-1 – s, shelved, raised {at}; look at the links")
+    assert lines[0].startswith(f"3 severe: no new measurements sa-1, shelved, raised {at}; look at the links")
     assert lines[1:] == [
         f"eclipse, {at} – open end: long",
         "sa-1: silent: no report",

@@ -315,6 +315,6 @@ def test_where_the_craft_is_flown_each_row_waits_for_the_command_of_the_one_befo
     seen = [entry for entry in stage.log if entry[0] in {"proceed", "torques"}][3:]
     assert seen == [entry for row in range(30, 33) for entry in (("proceed",), ("torques", epoch(row)))]
     assert record.counters == [1, 2, 3]
-    assert [scene.phase for scene in scenes] == ["start", "calibration", "operation"]
+    assert [scene.phase for scene in scenes] == ["start", "calibration", "alignment", "first_row", "operation"]
     assert scenes[-1].until == epoch(30), "the row whose truth was told"
     assert max(story.truth_deg) == START_US + 32 * MINUTE_US

@@ -113,12 +113,12 @@ def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_
     driver.archive.change_spacecraft(release=Release.AUTOMATIC)
     driver.rows(2)
     assert driver.verdict.is_allowed
-    assert codes(driver.verdict) == ["yaw_sign"]
+    assert codes(driver.verdict) == []
     driver.order(OrderKind.STOP)
     assert driver.verdict.state == "TRIPPED"
     driver.rows(20)
     driver.order(OrderKind.RESET)
-    assert (driver.verdict.state, codes(driver.verdict)) == ("INHIBITED", ["yaw_sign", "good_minutes"])
+    assert (driver.verdict.state, codes(driver.verdict)) == ("INHIBITED", ["good_minutes"])
     driver.rows(8)
     assert (driver.verdict.is_allowed, driver.view.is_withheld) == (False, True)
     driver.restart()
