@@ -87,7 +87,7 @@ def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
     reported = {"fed_forward_torque": fed_forward_line(world)}
     start = {"type": "start", "scenario": world.scenario.name, "seed": world.seed, "carriers": carriers}
     yield {**start, **rows, **what, **reported}
-    yield from ({"type": "ground", "line": line} for line in catalogue_lines(world))
+    yield from ({"type": "ground", "line": line} for line in catalogue_lines(world, is_flown=True))
     for first, last, phase in chunks_of(world):
         if phase != "operation":
             yield from ({"type": "ground", "line": line} for line in reported_lines(world, first, last))

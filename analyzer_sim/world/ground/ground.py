@@ -73,9 +73,9 @@ def flown_chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[
     return chunks
 
 
-def catalogue_lines(world: World) -> Iterator[Line]:
+def catalogue_lines(world: World, *, is_flown: bool = False) -> Iterator[Line]:
     """Yield what is known before the first row: spacecraft, carriers, task, ephemeris, and for the judge the bound."""
-    yield {"kind": "spacecraft", "body": spacecraft_body(world)}
+    yield {"kind": "spacecraft", "body": spacecraft_body(world, is_flown=is_flown)}
     yield from _plan_lines(world, world.plan_versions[0].carriers)
     yield {"kind": "ephemeris", "body": ephemeris_body(world, world.ephemerides[0])}
     yield {"kind": "bound", "crlb_deg": _bound(world)}

@@ -69,7 +69,7 @@ def task(world: World, carriers: tuple[Carrier, ...]) -> Line:
     return {"id": TASK_ID, "period_s": period_s, "input": levels, "sweeps": [sweep], "carriers": measured}
 
 
-def spacecraft_body(world: World) -> Line:
+def spacecraft_body(world: World, *, is_flown: bool = False) -> Line:
     """Return the body of the spacecraft."""
     site, keeping = world.plan.receiving_site, world.scenario.keeping
     # null: an operator who knows of no torque states none
@@ -93,18 +93,24 @@ def spacecraft_body(world: World) -> Line:
             "forecast_mode": True,
             "roll_yaw_coupling": keeping.is_coupling_announced,
             "residual_torque_n_m": residual_n_m,
-            **_momentum(world),
+            **_momentum(world, is_flown=is_flown),
         },
         # torques do not reach a story that is only replayed, so none may count as applied
         "control": {"method": "robust", "mode": "ground", "release": "two_step"},
     }
 
 
-def _momentum(world: World) -> Line:
-    """Return what the catalogue says of the wheels: their errors and the torque that gathers in them."""
+def _momentum(world: World, *, is_flown: bool) -> Line:
+    """Return what the catalogue says of the wheels: their errors and the torque that gathers in them alone."""
     figures = world.scenario.wheels
     if figures is None:
         return {}
+    errors = {"sigma_n_m_s": figures.noise_n_m_s, "scale_error": figures.scale_error}
+    # three times as wrong as stated where the story says so
+    stated = {**errors, "misalignment_deg": 0.05, "used": True}
+    if is_flown:
+        # what acts on it moves the body too: it is the profile that is fed forward
+        return {"momentum": stated}
     profile = stated_profile(figures, world.seed)
     parts = zip(("constant_n_m", "cosine_n_m", "sine_n_m"), profile, strict=True)
     torque = {
@@ -114,9 +120,7 @@ def _momentum(world: World) -> Line:
         "relative_error": figures.profile_error,
         "axis_relative_error": figures.axis_profile_error,
     }
-    errors = {"sigma_n_m_s": figures.noise_n_m_s, "scale_error": figures.scale_error}
-    # three times as wrong as stated where the story says so
-    return {"momentum": {**errors, "misalignment_deg": 0.05, "used": True, "torque": torque}}
+    return {"momentum": {**stated, "torque": torque}}
 
 
 def carrier_body(world: World, carrier: Carrier) -> Line:

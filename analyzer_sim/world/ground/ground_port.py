@@ -169,7 +169,7 @@ async def _converse(session: _Session, reader: asyncio.StreamReader, writer: asy
 
 async def _steer(session: _Session, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Send catalogue and chunks; move on with each confirmation."""
-    await _send(writer, catalogue_lines(session.world))
+    await _send(writer, catalogue_lines(session.world, is_flown=session.flight is not None))
     await _report_flown(session, reader, writer)
     while session.next_chunk < len(session.chunks):
         first, last, phase = session.chunks[session.next_chunk]

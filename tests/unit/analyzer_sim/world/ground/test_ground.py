@@ -12,6 +12,7 @@ from ground_story import ground_lines
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, turn_operations
+from analyzer_sim.world.ground.ground_bodies import spacecraft_body
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.scenario.turns import TIMETABLE
 from analyzer_sim.world.world import World
@@ -152,3 +153,10 @@ def test_the_catalogue_alone_can_be_had() -> None:
     assert [line["kind"] for line in catalogue_lines(world())] == [
         *("spacecraft", "carriers", "task", "ephemeris", "bound")
     ]
+
+
+def test_a_spacecraft_that_is_flown_states_no_torque_that_moves_its_wheels_alone() -> None:
+    story = World(replace(scenario_named("wheels"), quiet_h=1.0, operation_h=1.0), 1)
+    told, flown = (spacecraft_body(story, is_flown=each)["onboard"]["momentum"] for each in (False, True))
+    assert told.pop("torque")["period_s"] == 86_400.0
+    assert flown == told
