@@ -1,5 +1,10 @@
 """One field of CSV by RFC 4180."""
 
+import re
+
+#: what separates fields or lines
+_SEPARATES = re.compile('[,"\r\n]').search
+
 
 def csv_field(text: str) -> str:
     r"""Return a field, quoted when it holds what separates fields or lines.
@@ -9,6 +14,6 @@ def csv_field(text: str) -> str:
     >>> csv_field('a "b", c')
     '"a ""b"", c"'
     """
-    if any(mark in text for mark in ',"\r\n'):
+    if _SEPARATES(text):
         return '"' + text.replace('"', '""') + '"'
     return text
