@@ -8,22 +8,22 @@ Json = dict[str, Any]
 class Angles(TypedDict):
     """One value an axis; absent = null."""
 
-    #: Yaw; positive yaw moves stations in the east to the north in the satellite's view.
+    #: Value of yaw; with a sign it is positive where stations in the east move north in the satellite's view.
     yaw: float | None
-    #: Roll; positive roll moves stations south in the satellite's view.
+    #: Value of roll; with a sign it is positive where stations move south in the satellite's view.
     roll: float | None
-    #: Pitch; positive pitch moves stations west in the satellite's view.
+    #: Value of pitch; with a sign it is positive where stations move west in the satellite's view.
     pitch: float | None
 
 
 class AllowedAxes(TypedDict):
     """Permission of control for each axis."""
 
-    #: Yaw; positive yaw moves stations in the east to the north in the satellite's view.
+    #: Control about yaw is allowed.
     yaw: bool
-    #: Roll; positive roll moves stations south in the satellite's view.
+    #: Control about roll is allowed.
     roll: bool
-    #: Pitch; positive pitch moves stations west in the satellite's view.
+    #: Control about pitch is allowed.
     pitch: bool
 
 
@@ -36,7 +36,7 @@ class Refused(TypedDict):
     seq: int | None
     #: Stable word for programs.
     code: str
-    #: Sentence for people: what happened, to which thing, what to do next; it may change.
+    #: Sentence for people: what is wrong, and with which thing; it may change.
     detail: str
 
 
@@ -68,18 +68,18 @@ class CatalogueWarningReply(TypedDict):
     pointer: str
     #: Stable word for programs.
     code: str
-    #: Sentence for people: what happened, to which thing, what to do next; it may change.
+    #: Sentence for people: what is wrong, and with which thing; it may change.
     detail: str
 
 
 class PlanPut(TypedDict):
     """A stored plan."""
 
-    #: Carrier plan that gives the order of the carriers.
+    #: Number of the plan.
     plan_id: int
-    #: SHA-256 of the content.
+    #: SHA-256 of the plan's content.
     sha256: str
-    #: The carriers, in the order of the plan.
+    #: Number of carriers of the plan.
     carriers: int
     #: Stations that have the satellite below 5 deg elevation.
     warnings: list[CatalogueWarningReply]
@@ -100,7 +100,7 @@ class MeasurementReply(TypedDict):
     plan_id: int
     #: Came late or out of order.
     late: bool
-    #: Whether its source was the prime one.
+    #: True: its source was the prime one.
     feeds_estimator: bool
     #: By carrier id, dBm; null = absent.
     power_dbm: dict[str, float | None]
@@ -110,11 +110,11 @@ class MeasurementReply(TypedDict):
     flag_names: dict[str, list[str]] | None
     #: By carrier id, as the front end stated it; null = it stated none; dB.
     measured_sigma_db: dict[str, float | None] | None
-    #: Carrier to noise density of each carrier, in the order of the plan; null where it was not measured; dB Hz.
+    #: Carrier over noise density, by carrier id; null where it was not measured; dB Hz.
     c_n0_db_hz: dict[str, float | None] | None
-    #: Measured bandwidth of each carrier, in the order of the plan; null where it was not measured; Hz.
+    #: Bandwidth that holds 99 per cent of the power, by carrier id; null where it was not measured; Hz.
     occupied_bandwidth_hz: dict[str, float | None] | None
-    #: Centre of the received power minus the nominal downlink frequency, of each carrier; positive is higher; Hz.
+    #: Centre of the power above the nominal frequency, by carrier id; null where it was not measured; Hz.
     centroid_offset_hz: dict[str, float | None] | None
 
 
@@ -130,13 +130,13 @@ class ExclusionReply(TypedDict):
 class ControlReasonReply(TypedDict):
     """A reason why no torque may go, or why yaw is withheld."""
 
-    #: Stable word for programs.
+    #: Stable word for the reason.
     code: str
-    #: Text for people.
+    #: Sentence for people.
     text: str
     #: Since when it has stood without a break; null: not known.
     since: str | None
-    #: What the operator does next.
+    #: Next step of the operator.
     next_step: str
 
 
@@ -158,7 +158,7 @@ class Attitude(TypedDict):
     epoch: str | None
     #: When the service received it.
     received_at: str | None
-    #: Method: `robust` or `paper`.
+    #: Estimation method: `robust`, `paper`, or `robust_smoothed` in versions of replays.
     method: Literal["robust", "paper", "robust_smoothed"]
     #: Yaw; positive moves eastern stations north in the satellite's view; deg.
     yaw_deg: float | None
@@ -170,14 +170,14 @@ class Attitude(TypedDict):
     rates_deg_s: Angles | None
     #: One standard deviation; deg.
     sigma_deg: Angles
-    #: Status of the estimate, of the words that the reference of data levels lists.
+    #: ACQUIRED: angles of this row; EXPIRED: of older data; INVALID: none; NOT_RECEIVED: before the first row.
     status: Literal["ACQUIRED", "NOT_RECEIVED", "INVALID", "EXPIRED"]
-    #: Whether this estimate may be used for control: no inhibition stands; yaw alone may be withheld. It is stored and
-    #: does not change; whether a torque may go now is told by `control.allowed` of the newest answer.
+    #: Permission of this estimate for control: no inhibition stands; yaw alone may be withheld. It is stored and does
+    #: not change; whether a torque may go now is told by `control.allowed` of the newest answer.
     control_allowed: bool
-    #: The same by axis.
+    #: The estimate may be used for control about each axis.
     control_allowed_axes: AllowedAxes
-    #: Reasons against control, in the order in which to act on them.
+    #: Codes of the reasons why the estimate may not be used for control.
     inhibitions: list[str]
     #: Number of carriers that the row uses.
     carriers_used: int
@@ -189,32 +189,32 @@ class Attitude(TypedDict):
     downlink_fade_db: float | None
     #: Level that all carriers share, against the alignment; negative is weaker, as in rain over the receiving site; dB.
     common_db: float | None
-    #: Root mean square of what the model leaves; dB.
+    #: Root mean square of measured minus modelled levels of the carriers used; dB.
     residual_rms_db: float | None
-    #: Calibration that was used; null before the first.
+    #: Calibration that the row was computed with; null where none was active.
     calibration_id: int | None
     #: Alignment that the row was computed with; null before the first.
     alignment_id: int | None
-    #: What the operator is advised while control goes on: `realign`.
+    #: Advice to the operator while control goes on: `realign`.
     advice: list[str]
     #: Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known; deg.
     protection_deg: Angles
-    #: Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods.
+    #: Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods; s.
     lag_s: float | None
     #: `live`, or the replay that made the row.
     version: str
-    #: State of control with its reasons.
+    #: Verdict on control: whether a torque may go now, and every reason against it.
     control: Verdict
 
 
 class JobReply(TypedDict):
     """One piece of long work."""
 
-    #: Identifier, as paths and other fields name it.
+    #: Id of the job.
     id: str
-    #: Kind, of the words that the reference of data levels lists.
+    #: Kind of the work: `calibration`, `replay` or `closed-loop`.
     kind: str
-    #: State, of the words that the reference of states lists.
+    #: `queued`, `running`, `done` or `failed`.
     state: Literal["queued", "running", "done", "failed"]
     #: 0..1
     progress: float
@@ -237,19 +237,19 @@ class StatusReply(TypedDict):
     pending: int
     #: An alignment is in force.
     aligned: bool
-    #: Whether `advice` has `realign`.
+    #: True: `advice` has `realign`.
     realignment_advised: bool
     #: Of the newest row of the robust method.
     advice: list[Json]
-    #: Whether the roll or pitch angles of both methods have differed for a quarter of an hour.
+    #: True: the roll or pitch angles of both methods have differed for a quarter of an hour.
     methods_disagree: bool
-    #: Time of the spacecraft; null before the first row under the clock of the data.
+    #: `system`, or `data`: the newest accepted epoch is the present of a simulated spacecraft.
     clock: Literal["system", "data"]
     #: Present of the spacecraft; null before its first row under the data clock.
     now: str | None
-    #: The links, by id.
+    #: Sources of measurements with the links that carry them.
     links: list[Json]
-    #: State of control with its reasons.
+    #: Verdict on control: whether a torque may go now, and every reason against it.
     control: Verdict
     #: State of the interlock with its reasons.
     interlock: Json
@@ -264,9 +264,9 @@ class StatusReply(TypedDict):
 class PulseReply(TypedDict):
     """One element of a schedule."""
 
-    #: Begin, UTC; included.
+    #: Begin of the pulse, UTC.
     start: str
-    #: Duration; s.
+    #: Duration of the pulse; s.
     duration_s: float
     #: Torque about yaw; positive turns toward positive yaw; N m.
     yaw_n_m: float
@@ -283,7 +283,7 @@ class Check(TypedDict):
     name: str
     #: The check is passed.
     ok: bool
-    #: What is wrong; empty where nothing is.
+    #: Fault of the command; empty where there is none.
     detail: str
 
 
@@ -292,19 +292,19 @@ class CommandReply(TypedDict):
 
     #: Its counter, which stands in paths and in the uplink product.
     id: int
-    #: State, of the words that the reference of states lists.
+    #: State of the command; EXECUTED, FAILED, EXPIRED, CANCELLED and REJECTED are final.
     state: Literal[
         "PREPARED", "CONFIRMED", "RELEASED", "SENT", "EXECUTED", "FAILED", "EXPIRED", "CANCELLED", "REJECTED"
     ]
-    #: What a second person confirms: SHA-256 of counter, estimate, start and pulses to the last bit.
+    #: Content that a second person confirms: SHA-256 of counter, estimate, start and pulses to the last bit.
     digest: str
     #: Number of the command, counted upward for each spacecraft.
     counter: int
     #: It cannot be confirmed from then on.
     expires_at: str
-    #: `control` or `sign_check`.
+    #: `control`, or `sign_check`: a turn whose torque the filter is not told.
     purpose: Literal["control", "sign_check"]
-    #: Why; empty where there is nothing to say.
+    #: Reason of the command, as who prepared it stated it.
     reason: str
     #: The command is prepared and checked, and never sent.
     dry_run: bool
@@ -316,17 +316,17 @@ class CommandReply(TypedDict):
     needs_approver: bool
     #: Epoch of the attitude row from which it was computed.
     attitude_epoch: str
-    #: Begin, UTC; included.
+    #: Begin of the first pulse, UTC.
     start: str
-    #: End, UTC; excluded.
+    #: End of the last pulse, UTC.
     stop: str
     #: Pulses of the command.
     schedule: list[PulseReply]
-    #: Angular impulse of the command about each axis; positive as the angle; N m s.
+    #: Net angular impulse of the pulses about each axis; positive as the angle; N m s.
     impulse_n_m_s: Angles
     #: Sum of the sizes of the pulses: what the envelope counts; N m s.
     gross_impulse_n_m_s: Angles
-    #: What the command is predicted to do.
+    #: Effect of the pulses by prediction.
     predicted: Json
     #: As they were when it was prepared; all are made again when it is confirmed.
     checks: list[Check]
@@ -344,22 +344,22 @@ class CommandReply(TypedDict):
     released_at: str | None
     #: When it was reported as sent to the spacecraft; null before that.
     sent_at: str | None
-    #: When the newest report came; null before the first.
+    #: Instant of the newest report on the command; null before the first.
     reported_at: str | None
     #: Name of the key that reported it; null before a report.
     reported_by: str | None
-    #: What of the schedule was carried out, by report.
+    #: Part of the schedule that was carried out, by report.
     executed: list[PulseReply]
 
 
 class Control(TypedDict):
     """State of the control interlock of a spacecraft."""
 
-    #: State of control with its reasons.
+    #: Verdict on control: whether a torque may go now, and every reason against it.
     control: Verdict
     #: That of `control`.
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
-    #: Since when it holds.
+    #: Since when the interlock is in this state; null before anything happened.
     since: str | None
     #: Codes of the reasons of `control`.
     reasons: list[str]
@@ -375,17 +375,17 @@ class Control(TypedDict):
     withheld: bool
     #: Release of torques: `two_step` by two persons, or `automatic`.
     release: Literal["two_step", "automatic"]
-    #: Who computes torques: `ground` or `onboard`.
+    #: Place of the torque computation: `ground`, `onboard` or `off`.
     mode: Literal["ground", "onboard", "off"]
     #: That of the standing authorisation, else that of the settings.
     envelope: Json
-    #: Name of the key that authorised release automatic; null without one.
+    #: Approvers of the standing authorisation; empty without one.
     authorised_by: list[str]
-    #: End of that authorisation; null without one.
+    #: End of the standing authorisation; null without one.
     authorised_until: str | None
     #: Who waits for a second person to engage.
     requested_by: str | None
-    #: End of the time for which release automatic is requested; null without a request.
+    #: End of the standing authorisation that waits for a second person; null without a request.
     requested_until: str | None
     #: Axes whose sign a check has proved.
     proven_axes: list[Literal["yaw", "roll", "pitch"]]

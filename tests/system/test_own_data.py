@@ -148,6 +148,20 @@ def test_a_flipped_sensor_is_refused_by_the_calibration(site: Site) -> None:
     print(done.stderr)
 
 
+def test_too_few_carriers_are_refused_by_the_calibration(site: Site) -> None:
+    write_station(site.folder / "files", SEED)
+    plan = site.folder / "files" / "carriers.csv"
+    plan.write_text("".join(plan.read_text().splitlines(keepends=True)[:4]))
+    *commands, last = commands_of_the_page()[:5]
+    for command in commands:
+        site.serve(command) if command.endswith("&") else site.run(command)
+    done = site.run(last)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "only 3 carriers can be used, 4 are needed for three angles and the common level" in done.stderr
+    assert "Traceback" not in done.stderr
+    print(done.stderr)
+
+
 def test_without_a_service_the_import_says_so(site: Site) -> None:
     write_station(site.folder / "files", SEED, minutes=30)
     init, _, _, propose, send, _ = commands_of_the_page()

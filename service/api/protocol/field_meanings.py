@@ -4,6 +4,7 @@ A record's ``Annotated`` goes before the table. The unit stands at the end of a 
 """
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,18 @@ def describe_properties(schemas: Mapping[str, dict[str, Any]]) -> None:
         for field, content in schema.get("properties", {}).items():
             text = content.get("description") or _meaning(name, field)
             unit = unit_of(field)
-            content["description"] = text if unit is None or f" {unit}" in f" {text}" else _with(text, unit)
+            content["description"] = text if unit is None or states_unit(text, unit) else _with(text, unit)
+
+
+def states_unit(text: str, unit: str) -> bool:
+    """Return whether a description states a unit as a word.
+
+    Examples
+    --------
+    >>> states_unit("Time of the sweep.", "s"), states_unit("Time of the sweep, s.", "s")
+    (False, True)
+    """
+    return re.search(rf"(?<![\w/']){re.escape(unit)}(?![\w/])", text) is not None
 
 
 def _meaning(schema: str, field: str) -> str:

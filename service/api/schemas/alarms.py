@@ -68,7 +68,7 @@ class AlarmAnswer(
     state: Literal["normal", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed"]
     """That of the cover where there is one; normal = closed."""
     is_active: bool
-    """Whether the condition holds."""
+    """True: the condition holds."""
     present_value: FiniteFigure
     """Newest value; null where none is known."""
     next_step: str
@@ -89,7 +89,7 @@ class AlarmChangeAnswer(Answer):
     """raised, escalated, returned, repeated, acknowledged, shelved, unshelved, suppressed, released or cleared."""
     at: EpochAnswer
     is_told: bool
-    """Whether notices are sent outside: never while it is shelved or suppressed."""
+    """True: notices are sent outside; never while it is shelved or suppressed."""
     by: str | None
     comment: str | None
     alarm: AlarmAnswer

@@ -193,7 +193,7 @@ class ScheduleDocument(Document):
     momentum_n_m_s: Quantity = 0.0
     momentum_limit_n_m_s: Quantity | None = None
     carried: Annotated[list[PhasorDocument], Field(max_length=16)] | None = None
-    """What the schedule before left, one a mode; null: at rest."""
+    """Swing that the schedule before left, one a mode; null: at rest."""
 
 
 class PhasorAnswer(Answer):

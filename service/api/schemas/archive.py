@@ -19,7 +19,7 @@ class PartAnswer(Answer):
     bytes: int
     sha256: str
     closed: bool
-    """Whether the day is over; only late rows change the file of a closed day."""
+    """True: the day is over; only late rows change the file of a closed day."""
     href: str
     """Where the file is, relative to the service; takes Range and If-Range."""
 

@@ -82,7 +82,7 @@ class SetCarrierAnswer(Answer):
     undetectable_fault_db: Figure
     """Fault that one row overlooks in one case of ten; null where no other carrier checks it."""
     fault_shift_deg: _Angles
-    """What that fault moves."""
+    """Shift of the angles by that fault."""
 
 
 class AveragedSigmaAnswer(Answer):
@@ -116,7 +116,7 @@ class CarrierSetAnswer(Answer):
     """Largest share of the carriers in one transponder."""
     sufficient: bool
     shortcomings: list[str]
-    """What the set lacks for the robust method."""
+    """Requirements of the robust method that the set lacks."""
     carriers: list[SetCarrierAnswer]
 
     @classmethod
@@ -223,10 +223,10 @@ class CarrierSelectionAnswer(Answer):
     crlb_deg: _Angles
     """One row, with a common-mode unknown."""
     sufficient: bool
-    """Whether the subset has all that the robust method wants."""
+    """True: the subset has all that the robust method wants."""
     shortcomings: list[str]
     notes: list[str]
-    """What to know before trusting the figures."""
+    """Cautions on the figures."""
     carriers: list[RecommendedCarrierAnswer]
     sets: CarrierSetsAnswer
     further: list[FurtherCarrierAnswer]

@@ -90,7 +90,7 @@ class LawDocument(Document):
     product: Literal["tilt_first", "as_printed", "yaw_first"] = "tilt_first"
     """Which product of tilt and yaw the law takes."""
     beyond_orbital_rate: Literal["refuse", "second_branch", "as_printed"] = "refuse"
-    """What happens where the roll rate exceeds the orbital rate: nothing is clipped."""
+    """Behaviour where the roll rate exceeds the orbital rate: nothing is clipped."""
 
     def to_law(self) -> Law:
         """Return the law."""

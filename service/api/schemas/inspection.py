@@ -30,7 +30,7 @@ class CarrierHarmonicAnswer(HarmonicAnswer):
     phase_sigma_rad: Figure
     offset_sigma_db: Figure
     converged: bool
-    """Whether the iteration came to rest."""
+    """True: the iteration came to rest."""
 
     @classmethod
     def of(cls, fit: CarrierHarmonic) -> Self:

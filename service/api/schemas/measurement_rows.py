@@ -32,7 +32,7 @@ class MeasurementAnswer(Answer):
     late: bool
     """Came late or out of order."""
     feeds_estimator: bool
-    """Whether its source was the prime one."""
+    """True: its source was the prime one."""
     power_dbm: dict[str, float | None]
     """By carrier id, dBm; null = absent."""
     flags: dict[str, int] | None

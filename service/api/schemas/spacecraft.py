@@ -148,7 +148,7 @@ class WheelMomentumDocument(Document):
     misalignment_deg: Annotated[float, Field(ge=0, le=5)] = 0.05
     """One standard deviation of the axes."""
     used: bool = True
-    """Whether the filter uses it."""
+    """Use by the filter; false: the record is stored alone."""
     torque: FedForwardDocument | None = None
     """Torque from outside that gathers in the wheels and moves nothing else, with the error of its profile; null: that
     of `fed_forward_torque`, whose error also moves the body."""
@@ -160,7 +160,7 @@ class OnboardDocument(Document):
     fast_loop: bool = False
     forecast_mode: bool = False
     roll_yaw_coupling: bool | None = None
-    """Whether roll and yaw exchange once a day because the on-board mode holds a fixed inertial rate; under `false` it
+    """Exchange of roll and yaw once a day because the on-board mode holds a fixed inertial rate; under `false` it
     turns with the orbit. Decides yaw: under `true` roll tells it; `null`: unknown, powers alone tell it."""
     residual_torque_n_m: Annotated[float, Field(ge=0, le=1e-3)] | None = None
     """Size of the disturbance torque an axis that is not fed forward on board, for the filter to learn; 0 = none.

@@ -51,11 +51,11 @@ class StatusAnswer(Answer):
     """Rows after the alignment's epoch without a result of every method that can run; 0 when not aligned."""
     aligned: bool
     realignment_advised: bool
-    """Whether `advice` has `realign`."""
+    """True: `advice` has `realign`."""
     advice: list[AdviceAnswer]
     """Of the newest row of the robust method."""
     methods_disagree: bool
-    """Whether the roll or pitch angles of both methods have differed for a quarter of an hour."""
+    """True: the roll or pitch angles of both methods have differed for a quarter of an hour."""
     clock: Literal["system", "data"]
     now: EpochAnswer | None
     """Present of the spacecraft; null before its first row under the data clock."""

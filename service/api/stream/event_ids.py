@@ -40,7 +40,7 @@ class DroppedAnswer(Answer):
     counts: dict[str, int]
     """Events by kind; `result` = attitudes and torques that cannot be told apart any more; empty = not known."""
     follows: bool
-    """Whether they come next, read from the archive; otherwise this stream will not tell them."""
+    """True: they come next, read from the archive; otherwise this stream will not tell them."""
     history: list[str]
     """Paths that tell what is kept of them."""
     detail: str

@@ -100,7 +100,7 @@ class AttitudeRow:
     status: Status
     control_allowed: Annotated[
         bool,
-        "Whether this estimate may be used for control: no inhibition stands; yaw alone may be withheld. It is stored "
+        "Permission of this estimate for control: no inhibition stands; yaw alone may be withheld. It is stored "
         "and\ndoes not change; whether a torque may go now is told by `control.allowed` of the newest answer.",
     ]
     #: yaw, roll, pitch
@@ -114,7 +114,7 @@ class AttitudeRow:
     residual_rms_db: float
     calibration_id: int | None
     alignment_id: int | None
-    advice: Annotated[tuple[str, ...], "What the operator is advised while control goes on: `realign`."] = ()
+    advice: Annotated[tuple[str, ...], "Advice to the operator while control goes on: `realign`."] = ()
     protection_deg: Annotated[
         Axes, "Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known."
     ] = NO_ANGLES
@@ -164,7 +164,7 @@ class CarrierState:
     state: Annotated[str, "used, absent, excluded, unselected or uncalibrated."]
     hypothesis: Annotated[
         str | None,
-        "What the references of the alignment make of the carrier: dry, wet, level_changed or level_learned.",
+        "State of the carrier by the references of the alignment: dry, wet, level_changed or level_learned.",
     ] = None
     hypothesis_probability: float = math.nan
     hypothesis_since_us: int | None = None

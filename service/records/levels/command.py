@@ -32,7 +32,7 @@ class ScheduleVerdict:
     residual_deg: Annotated[float, "Amplitude of the oscillation after the last pulse."]
     margin: Annotated[float, "Share of the allowed peak that is left; negative: exceeded."]
     worst_mode: Annotated[int, "Place among the modes of the catalogue, from 0."]
-    suggestion: Annotated[str | None, "What would be better; null where nothing is wrong or nothing helps."]
+    suggestion: Annotated[str | None, "Better schedule; null where nothing is wrong or nothing helps."]
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,7 +46,7 @@ class TraceHead:
     settings: TraceSettings
     points: int
     received_at_us: int
-    size_bytes: Annotated[int, "What its points take in the archive."]
+    size_bytes: Annotated[int, "Size of its points in the archive."]
 
 
 @dataclass(frozen=True, slots=True)

@@ -87,7 +87,7 @@ class Alarm:
     since_us: int
     raised_at_us: int
     changed_at_us: int
-    value: Annotated[float, "What raised it, or made it worse."]
+    value: Annotated[float, "Value that raised it, or made it worse."]
     #: that it passed
     limit: float
     unit: str

@@ -78,7 +78,7 @@ class CommandCheck:
 
     name: str
     is_ok: bool
-    detail: Annotated[str, "What is wrong; empty where nothing is."] = ""
+    detail: Annotated[str, "Fault of the command; empty where there is none."] = ""
     #: by which it refuses
     code: str = ""
 
@@ -111,7 +111,7 @@ class Command:
 
     state: CommandState = CommandState.PREPARED
     digest: Annotated[
-        str, "What a second person confirms: SHA-256 of counter, estimate, start and pulses to the last bit."
+        str, "Content that a second person confirms: SHA-256 of counter, estimate, start and pulses to the last bit."
     ] = ""
     #: rises by one with each command of a spacecraft: its id in paths and in the uplink product
     counter: int = 0
@@ -154,7 +154,7 @@ class Command:
     reported_by: str | None = None
     #: from when until when the report says it was carried out, as it says it
     told_executed_us: tuple[int | None, int | None] = (None, None)
-    executed: Annotated[tuple[Pulse, ...], "What of the schedule was carried out, by report."] = ()
+    executed: Annotated[tuple[Pulse, ...], "Part of the schedule that was carried out, by report."] = ()
 
     @property
     def is_sign_check(self) -> bool:

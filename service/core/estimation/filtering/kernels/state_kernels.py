@@ -70,7 +70,7 @@ def add_process_noise(
     held_variance: FloatArray,
     variance: FloatArray,
 ) -> None:
-    """Add to the diagonal, in place, what a step brings.
+    """Add the process noise of a step to the diagonal, in place.
 
     Core (11,) as it is; common (G,) and coloured (N, K) parts what keeps their variance stationary, references (N,) by
     the hour, the last two times `scale2`. One part of each carrier also carries an error of variance `variance` (N,),

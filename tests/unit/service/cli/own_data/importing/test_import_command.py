@@ -34,6 +34,7 @@ class Service:
         self.calibrations: list[dict[str, Any]] = []
         self.alignments: list[dict[str, Any]] = []
         self.orders: list[str] = []
+        self.job: dict[str, Any] = {"state": "done"}
         #: code of the answer to every request, and how many requests are answered before the service is away
         self.refusal: tuple[int, str] | None = None
         self.answers_left = 10_000
@@ -58,7 +59,7 @@ class Service:
         if path.startswith("calibrations/"):
             return httpx.Response(200, json=self.calibrations[-1])
         if path.startswith("api/v1/jobs"):
-            return httpx.Response(200, json={"state": "done"})
+            return httpx.Response(200, json=self.job)
         if path == "status":
             ids = {"calibration_id": 1, "alignment_id": 1, "newest_attitude": WINDOW["stop"]}
             return httpx.Response(200, json={"aligned": True, "pending": 0, **ids})
@@ -248,6 +249,16 @@ def test_calibration_and_alignment_are_made_once_and_only_when_asked(service: Se
     assert [each["state"] for each in service.calibrations] == ["active"]
     assert service.calibrations[0]["source"] == "star_tracker"
     assert [each["window"] for each in service.alignments] == [WINDOW]
+
+
+def test_a_calibration_that_fails_ends_the_import_with_its_reason(service: Service, folder: Path) -> None:
+    propose(folder, *STATED, DAY_FIRST)
+    with_windows(folder)
+    reason = "only 3 carriers can be used, 4 are needed for three angles and the common level"
+    service.job = {"state": "failed", "error": reason}
+    done = run(folder, "--calibrate", "--align")
+    assert (done.exit_code, reason in done.output) == (1, True), done.output
+    assert (service.calibrations[-1]["state"], service.alignments) == ("draft", []), "nothing is activated or aligned"
 
 
 def test_an_interrupted_import_goes_on(service: Service, folder: Path) -> None:
