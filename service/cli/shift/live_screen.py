@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 _BLOCKS, _ASCII = "▁▂▃▄▅▆▇█", "_.-:=+*#"
 #: lines below the state: titles of alarms and links, and the last line; lines that the carriers may take
 _FRAME_LINES, _CARRIER_LINES = 3, 3
-#: columns of the strip, with the words beside it in 80 columns
-_STRIP_COLUMNS = 44
+#: columns of the strip: with the words beside it 80 columns, and the least
+_STRIP_COLUMNS, _LEAST_COLUMNS = 44, 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,11 +65,11 @@ def _above(state: LiveState, cut: str, blocks: str, width: int) -> "Iterator[Ren
     yield _line(sentence(status, row, state.control), style, is_cut=False)
     simulated = f" {words('app.simulated')}" if state.spacecraft["simulated"] else ""
     title = f"{clean(state.spacecraft['id'])}{simulated}, {utc(status['now'])} UTC"
-    yield _line(title)
-    yield _line(f"{words('views.control.title')}: {meaning('states', verdict['state'])}")
+    yield _line(title, is_cut=False)
+    yield _line(f"{words('views.control.title')}: {meaning('states', verdict['state'])}", is_cut=False)
     yield axes_table(row, state.other, conditions)
-    yield _line(_strip(state, limit_of(conditions, "protection_level"), blocks))
-    yield _line(f"{words('views.now.torque')}: {_torque(state.torque)}")
+    yield _line(_strip(state, limit_of(conditions, "protection_level"), blocks, width))
+    yield _line(f"{words('views.now.torque')}: {_torque(state.torque)}", is_cut=False)
     used = words("views.now.used", used=row["carriers_used"], all=row["carriers_used"] + len(row["excluded"]))
     carriers = f"{words('views.now.carriers')}: {used}; left out: {excluded_line(row)}"
     # lines break between words, each before its end
@@ -97,14 +97,17 @@ def _height(console: "Console", parts: "Iterable[RenderableType]") -> int:
 
 
 def _list(title: str, lines: list[str], style: str, console: "Console", room: int) -> "Iterator[RenderableType]":
-    """Yield a list under its title: every line whole where there is room, else its begin, and the rest counted."""
+    """Yield a list under its title: a line each, the first ones whole while there is room, and the rest counted."""
     yield _line(f"{title}: {len(lines) or words('views.now.none')}", "bold")
-    if _height(console, _entries(lines, style)) <= room:
-        yield from _entries(lines, style)
-        return
-    shown = lines if len(lines) <= room else lines[: max(0, room - 1)]
-    yield from _entries(shown, style, is_cut=True)
-    if len(shown) < len(lines) and room:
+    # the first entry says more than the number of the others, which the title says
+    shown = lines if len(lines) <= room else lines[: min(room, max(1, room - 1))]
+    spare = room - len(lines)
+    for each in shown:
+        (whole,) = _entries([each], style)
+        more = _height(console, [whole]) - 1
+        yield from [whole] if more <= spare else _entries([each], style, is_cut=True)
+        spare -= more if more <= spare else 0
+    if 1 < room < len(lines):
         yield _line(f"  {words('views.now.more', count=len(lines) - len(shown))}", style)
 
 
@@ -116,22 +119,24 @@ def _torque(torque: Json | None) -> str:
     return ", ".join(f"{axis} {number(impulses[axis], 4, '+')}" for axis in AXES) + f" {words('app.unit.n_m_s')}"
 
 
-def _strip(state: LiveState, alert_deg: float | None, blocks: str) -> str:
+def _strip(state: LiveState, alert_deg: float | None, blocks: str, width: int) -> str:
     """Return the greater protection level of roll and pitch over a day; ``!`` is beyond the alert limit."""
     title = f"{words('views.now.protection')}, 24 h"
     present = state.status["now"]
     if state.samples is None or present is None:
         return f"{title}: {words('views.now.none')}"
+    limit = f"{words('views.now.ofAlert', alert=number(alert_deg, 2))} deg"
+    columns = max(_LEAST_COLUMNS, min(_STRIP_COLUMNS, width - len(title) - len(limit) - 2))
     start_us = parse_epoch(present) - DAY_US
     greatest: dict[int, float] = {}
     for series in state.samples["series"]:
         for epoch, value in zip(state.samples["epochs"], series["max"], strict=True):
-            column = (parse_epoch(epoch) - start_us) * _STRIP_COLUMNS // DAY_US
+            column = (parse_epoch(epoch) - start_us) * columns // DAY_US
             if value is not None:
                 greatest[column] = max(value, greatest.get(column, 0.0))
     full = alert_deg or max(greatest.values(), default=1.0) or 1.0
-    levels = (_level(greatest.get(column), full, blocks) for column in range(_STRIP_COLUMNS))
-    return f"{title} {''.join(levels)} {words('views.now.ofAlert', alert=number(alert_deg, 2))} deg"
+    levels = (_level(greatest.get(column), full, blocks) for column in range(columns))
+    return f"{title} {''.join(levels)} {limit}"
 
 
 def _level(value: float | None, full: float, blocks: str) -> str:

@@ -46,6 +46,26 @@ def test_next_steps_and_states_are_whole_where_there_is_room(documents: Any) -> 
     assert "Control: inhibited: no torque may go" in text
 
 
+def test_the_worst_alarm_is_whole_before_others_are(documents: Any) -> None:
+    documents.alarms = [documents.alarms[0] | {"id": number} for number in range(1, 8)]
+    shown = lines(LiveReader(documents, documents, "yamal-202"))
+    first = shown.index(next(line for line in shown if line.startswith("Alarms: 7"))) + 1
+    whole = " ".join(" ".join(shown[first : first + 3]).split())
+    assert whole.endswith("check with another sensor; look at control and the newest torque")
+    assert shown[first + 3].rstrip().endswith("…")
+    assert "more)" not in "".join(shown)
+
+
+def test_a_small_terminal_shows_the_worst_alarm_and_the_newest_hours(documents: Any) -> None:
+    documents.alarms = [documents.alarms[0] | {"id": number} for number in range(1, 8)]
+    shown = lines(LiveReader(documents, documents, "yamal-202"), width=60, height=20)
+    assert len(shown) <= 20
+    text = " ".join(" ".join(shown).split())
+    assert "Alarms: 7 1 warning: angle beyond its limit roll" in text
+    assert "! of 0.22 deg" in text
+    assert "pitch +0.0010 N m s" in text
+
+
 def test_the_worst_and_newest_alarms_are_shown_where_not_all_have_room(documents: Any) -> None:
     mild = [documents.alarms[0] | {"id": number, "severity": "watch"} for number in range(40)]
     severe = documents.alarms[0] | {"id": 98, "severity": "severe"}
