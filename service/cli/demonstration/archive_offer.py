@@ -1,5 +1,6 @@
 """End of an interrupted demonstration: its archive is kept where somebody at a terminal says so."""
 
+import shlex
 import shutil
 import signal
 import sys
@@ -35,7 +36,9 @@ def offer_archive(console: Console, directory: Path, keep: Path | None, *, is_as
         return
     kept = "database, logs and figure" if any(keep.glob("*.png")) else "database and logs"
     console.print(f"{kept} are in {keep}; to look at the archive again:", soft_wrap=True, highlight=False)
-    command = f"{program()} serve --clock data --database sqlite:///{keep / 'soo.db'}"
+    # the key was this run's own: the archive does not hold it
+    key, database = shlex.quote(str(keep / "administrator.key")), shlex.quote(f"sqlite:///{keep / 'soo.db'}")
+    command = f'SOO_BOOTSTRAP_KEY="$(cat {key})" {program()} serve --clock data --database {database}'
     console.print(command, soft_wrap=True, highlight=False)
 
 

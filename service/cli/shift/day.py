@@ -36,7 +36,9 @@ def figures(samples: Json) -> list[str]:
     if not rows:
         return [words("views.history.empty")]
     share = np.dot(allowed["n"], [each or 0.0 for each in allowed["avg"]]) / rows
-    lines = [f"{rows} rows; the estimate allowed control in {share:.1%} of them"]
+    # whole intervals: the first may begin some minutes before the span of the report
+    since = utc(samples["range"]["start"])
+    lines = [f"{rows} rows since {since}; the estimate allowed control in {share:.1%} of them"]
     for axis in AXES:
         least, greatest = _column(samples, f"{axis}_deg", "min"), _column(samples, f"{axis}_deg", "max")
         protection = _column(samples, f"{axis}_protection_deg", "max")

@@ -121,7 +121,7 @@ def link_line(link: Json) -> str:
     """Return a source or link with its state, warnings and missing rows."""
     state = link["state"]
     said = words(f"views.links.state.{state}") if state else words("views.now.source")
-    parts = [said, *(meaning("problems", each["code"]) for each in link["warnings"])]
+    parts = [said, *(meaning("problems", each["code"]).rstrip(".") for each in link["warnings"])]
     if link["rows_missing"]:
         parts.append(words("views.now.missing", count=link["rows_missing"]))
     return f"{clean(link['id'] or link['source'])}: {'; '.join(parts)}; {utc(link['newest_epoch'])}"

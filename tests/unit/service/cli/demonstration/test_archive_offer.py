@@ -55,7 +55,8 @@ def test_a_named_folder_gets_a_copy_with_the_modes_of_its_keys(directory, answer
     text = offered(directory)
     assert (folder / "soo.db").read_text() == "rows"
     assert (folder / "operator.key").stat().st_mode & 0o777 == 0o600
-    assert f"{program()} serve --clock data --database sqlite:///{folder / 'soo.db'}" in text
+    key = f'SOO_BOOTSTRAP_KEY="$(cat {folder / "administrator.key"})"'
+    assert f"{key} {program()} serve --clock data --database sqlite:///{folder / 'soo.db'}" in text
     assert "database and logs are in" in text
 
 

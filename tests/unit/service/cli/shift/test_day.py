@@ -16,12 +16,12 @@ def samples(**changes: Any) -> dict[str, Any]:
     series = [{"quantity": name, **values} for name in (*names, "downlink_fade_db")]
     allowed = {"quantity": "control_allowed", **values, "avg": [1.0, 0.0, None], **changes}
     epochs = ["2027-01-15T10:00:00Z", "2027-01-15T10:15:00Z", "2027-01-15T10:30:00Z"]
-    return {"epochs": epochs, "series": [*series, allowed]}
+    return {"range": {"start": epochs[0]}, "epochs": epochs, "series": [*series, allowed]}
 
 
 def test_ranges_and_the_share_of_control() -> None:
     first, *axes, fade = figures(samples())
-    assert first == "40 rows; the estimate allowed control in 75.0% of them"
+    assert first == "40 rows since 2027-01-15 10:00:00; the estimate allowed control in 75.0% of them"
     assert axes[1] == "Roll: -0.100 to 0.500 deg; Protection level at most 0.500 deg"
     assert fade == "Downlink fade: at most 0.500 dB"
 

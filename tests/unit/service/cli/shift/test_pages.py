@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.cli.shift.pages import Section, handover_sections, page
+from service.cli.shift.tables import link_line
 
 NOW = "2027-01-15T10:30:00.000000Z"
 HOSTILE = '<img src=x onerror=alert(1)> & "quoted" [x](javascript:y) *bold* \x1b[2J'
@@ -72,6 +73,12 @@ def test_every_list_is_written() -> None:
         "aligned 8 h ago",
         f"{at} Anna: first second",
     ]
+
+
+def test_a_link_line_is_one_sentence() -> None:
+    link = {"id": "sa-1", "state": "STOPPED", "warnings": [{"code": "analyzer.fault"}], "rows_missing": 0}
+    said = "sa-1: stopped; The last cycle of the analyzer failed; it tries again; 2027-01-15 10:30:00"
+    assert link_line({**link, "newest_epoch": NOW}) == said
 
 
 @pytest.mark.parametrize("picture", [None, b"png"])
