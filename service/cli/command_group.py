@@ -87,10 +87,28 @@ def late_app(
             super().format_help(ctx, formatter)
             self.commands = imported_late
 
+        def invoke(self, ctx: Any) -> Any:
+            try:
+                return super().invoke(ctx)
+            except typer.BadParameter as error:
+                error.message = _wrong_value(error)
+                raise
+
     app = new_app(**options)
     # Typer makes a group of what has a callback
     app.callback(cls=LateGroup, no_args_is_help=True)(begin)
     return app
+
+
+def _wrong_value(error: typer.BadParameter) -> str:
+    """Return what a value must be; the sentence of the library that judged it is its own."""
+    faults = getattr(error.__cause__, "errors", None)
+    if faults is None:
+        return error.message
+    # a right command must not wait for it
+    from service.records.field_faults import fault_sentence
+
+    return "; ".join(map(fault_sentence, faults()))
 
 
 def end(message: str, code: int = EXIT_USAGE, cause: BaseException | None = None) -> NoReturn:
