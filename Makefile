@@ -14,7 +14,7 @@ export OPENBLAS_NUM_THREADS := 1
 .PHONY: help install install-dev run demo-check test test-all mutants console-check clients lint types imports locks check dist coverage bench nightly docs map hooks schema lock clean
 
 help: ## show the targets
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 $(STAMP): requirements.lock pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
