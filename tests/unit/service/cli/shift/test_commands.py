@@ -77,6 +77,18 @@ def test_names_of_others_move_no_terminal(service: Any) -> None:
     assert "�[2J�31m�" in run("alarms").stdout
 
 
+@pytest.mark.parametrize(
+    "command",
+    [["status"], ["attitude"], ["carriers"], ["alarms"], ["ack", "1"], ["shelve", "1"], ["note", "x"]]
+    + [["control", order] for order in ("arm", "stop", "reset")]
+    + [["torque", "confirm", "1", "--digest", "7da0f923"]],
+)
+def test_programs_get_one_document_and_the_exit_code_of_the_text(service: Any, command: list[str]) -> None:
+    for_people, for_programs = run(*command), run(*command, "--json")
+    assert isinstance(json.loads(for_programs.stdout), dict)
+    assert for_programs.exit_code == for_people.exit_code
+
+
 def test_orders_send_what_was_typed(service: Any) -> None:
     assert run("ack", "1", "--comment", "known").exit_code == 0
     assert run("shelve", "1", "--hours", "2").exit_code == 0
