@@ -8,7 +8,7 @@ from service.client.problem import ClientError
 
 
 class JobFailedError(ClientError):
-    """A job of the service ended with an error, or did not end in time."""
+    """A job of the service ended with an error, or made no progress for long."""
 
 
 class JobWatch:
@@ -19,7 +19,7 @@ class JobWatch:
     job_id : str
         Names the job in errors.
     timeout_s : float
-        Bound on the whole wait.
+        Bound on the wait without progress: a replay of years takes longer than any bound on the whole.
     on_progress : callable, optional
         Gets the progress 0..1 at every look.
     """
@@ -29,15 +29,19 @@ class JobWatch:
         self._timeout_s = timeout_s
         self._deadline_s = time.monotonic() + timeout_s
         self._on_progress = on_progress
+        self._progress = 0.0
 
     def is_done(self, job: JobReply) -> bool:
-        """Return whether a job is done; JobFailedError when it failed or takes too long."""
+        """Return whether a job is done; JobFailedError when it failed or stands still."""
+        progress = float(job.get("progress") or 0.0)
+        if progress > self._progress:
+            self._progress, self._deadline_s = progress, time.monotonic() + self._timeout_s
         if self._on_progress is not None:
-            self._on_progress(float(job.get("progress") or 0.0))
+            self._on_progress(progress)
         if job["state"] == "failed":
             message = f"job {self._job_id} failed: {job.get('error')}"
             raise JobFailedError(message)
         if job["state"] != "done" and time.monotonic() > self._deadline_s:
-            message = f"job {self._job_id} is {job['state']} after {self._timeout_s:g} s"
+            message = f"job {self._job_id} is {job['state']}, without progress for {self._timeout_s:g} s"
             raise JobFailedError(message)
         return job["state"] == "done"

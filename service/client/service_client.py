@@ -47,14 +47,14 @@ class ServiceClient(Transport, Endpoints):
         job_id : str
             From the answer that started it.
         timeout_s, poll_s : float
-            Bound on the wait, and time between two polls.
+            Bound on the wait without progress, and time between two polls.
         on_progress : callable, optional
             Gets the progress 0..1 at every poll.
 
         Raises
         ------
         JobFailedError
-            The job failed, or is not done in time.
+            The job failed, or made no progress in time.
         """
         watch = JobWatch(job_id, timeout_s, on_progress)
         while not watch.is_done(job := self.job(job_id)):

@@ -2,6 +2,8 @@
 
 import json
 from collections.abc import Callable
+from itertools import count
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -182,11 +184,23 @@ def test_waiting_for_a_job_reports_its_progress() -> None:
     assert progress == [0.0, 0.4, 1.0]
 
 
-@pytest.mark.parametrize(("state", "match"), [("failed", "too few turns"), ("running", "after 0 s")])
+@pytest.mark.parametrize(("state", "match"), [("failed", "too few turns"), ("running", "without progress for 0 s")])
 def test_a_job_that_fails_or_lasts_too_long(state: str, match: str) -> None:
     answer = {"state": state, "progress": 0.1, "error": "too few turns"}
     with pytest.raises(JobFailedError, match=match):
         client(lambda _: httpx.Response(200, json=answer)).wait_job("j", timeout_s=0.0, poll_s=0.0)
+
+
+def test_a_job_is_waited_for_as_long_as_it_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, progress = count(0.0, 9.0), count(0.01, 0.01)
+    monkeypatch.setattr("service.client.jobs.time", SimpleNamespace(monotonic=lambda: next(now_s)))
+
+    def answer(_request: httpx.Request) -> httpx.Response:
+        share = next(progress)
+        state = "done" if share > 0.5 else "running"
+        return httpx.Response(200, json={"job": "j", "state": state, "progress": share})
+
+    assert client(answer).wait_job("j", timeout_s=20.0, poll_s=0.0)["state"] == "done"
 
 
 def test_epochs_as_numbers_or_text() -> None:
