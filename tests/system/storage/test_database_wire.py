@@ -85,7 +85,7 @@ class DeafWire(Wire):
     def serve(self, client):
         session = self.connected()
         threading.Thread(target=self._answer, args=(session, client), daemon=True).start()
-        session.sendall(read_message(client, is_first=True))
+        session.sendall(read_message(client, is_first=True) or b"")
         while message := read_message(client):
             session.sendall(message)
         session.shutdown(socket.SHUT_WR)
@@ -112,16 +112,20 @@ class TransactionPooler(Wire):
 
     def serve(self, client):
         session = self.connected()
-        session.sendall(read_message(client, is_first=True))
-        self._pass_on(session, client)
+        session.sendall(read_message(client, is_first=True) or b"")
+        ready = self._pass_on(session, client)
         self._release(session)
+        client.sendall(ready)
         held = None
         while (message := read_message(client)) and message[:1] != TERMINATE:
             held = held or self._acquire()
             held.sendall(message)
-            if message[:1] in (QUERY, SYNC) and self._pass_on(held, client) == IDLE:
-                self._release(held)
-                held = None
+            if message[:1] in (QUERY, SYNC):
+                ready = self._pass_on(held, client)
+                if ready[-1:] == IDLE:
+                    self._release(held)
+                    held = None
+                client.sendall(ready)
 
     def _acquire(self):
         with self._changed:
@@ -134,12 +138,12 @@ class TransactionPooler(Wire):
             self._changed.notify()
 
     def _pass_on(self, session, client):
-        """Pass on what the server answers until it is ready; return the state of the transaction."""
-        while True:
-            message = read_message(session)
-            client.sendall(message)
+        """Pass on what the server answers until it is ready; return that message, which has the transaction's state."""
+        while message := read_message(session):
             if message[:1] == READY:
-                return message[-1:]
+                return message
+            client.sendall(message)
+        raise ConnectionAbortedError
 
 
 class PoolerInTurn(TransactionPooler):
