@@ -61,8 +61,8 @@ _GIVE_BACK = text(
 )
 _IS_OURS = text("SELECT 1 FROM lease WHERE name = :name AND holder = :member AND term = :term FOR SHARE")
 _LEADERS = select(lease.c.name, live_member.c.name).join(live_member, live_member.c.member_id == lease.c.holder)
-#: the driver prepares a statement after five, and in another session its name is taken
-_ASKED_AGAIN = 3
+#: with the two queries before at most five: the driver prepares the sixth, whose name another session has already
+_LATER_QUERIES = 3
 _NO_SESSION = (
     "the database's URL leads to a pooler that changes the server's session between transactions, in which locks and "
     "notifications do not hold: let the pooler run in session mode, or connect to the server itself"
@@ -277,7 +277,7 @@ def require_own_session(first: Connection, second: Connection) -> None:
     """Raise ValueError unless two connections have a session each, and keep it.
 
     A pooler in transaction mode gives the next transaction the session that was used last, or another each time; it
-    may take one back a moment later than its answer comes, so some more are asked for at the end.
+    may take one back only after its answer was passed on, so the session is asked for again at the end.
     """
     before = first.scalar(_PROCESS)
     second.execute(text("BEGIN"))
@@ -286,7 +286,7 @@ def require_own_session(first: Connection, second: Connection) -> None:
         own = {first.scalar(_PROCESS)}
     finally:
         second.execute(text("ROLLBACK"))
-    own |= {first.scalar(_PROCESS) for _ in range(_ASKED_AGAIN)}
+    own |= {first.scalar(_PROCESS) for _ in range(_LATER_QUERIES)}
     if own != {before} or other == before:
         raise ValueError(_NO_SESSION)
 

@@ -1,4 +1,4 @@
-"""What lies between a service and its database server: a wire that loses announcements, and a pooler."""
+"""Connections that pass through others to the database server: lost notifications, and poolers that are refused."""
 
 import shutil
 import socket
