@@ -20,7 +20,7 @@ from service.records.operations.note import Note
 SC = "yamal-202"
 HOSTILE = '<img src=x onerror="window.broken = 1">\u202e' + "x" * 950
 #: carriers that are absent, so that their alarms stand
-ABSENT = (3, 4, 5, 6)
+ABSENT = (3, 4, 5, 6, 7)
 #: condition, thing, severity
 ALARMS = (
     ("carrier_level", "c90", Severity.WATCH),
@@ -143,6 +143,17 @@ def test_an_alarm_is_shelved_with_time_and_comment_and_comes_back(page, open_vie
     expect(row(page, "c04")).to_have_count(0)
     page.get_by_role("button", name="Open", exact=True).click()
     expect(row(page, "c04")).to_be_visible()
+
+
+def test_an_opened_history_stays_and_is_renewed_while_the_list_is_read_again(page, open_view):
+    open_view(page, "alarms")
+    history = row(page, "c07").locator("li")
+    row(page, "c07").get_by_role("button", name="What happened").click()
+    expect(history).to_have_count(1)
+    row(page, "c07").get_by_role("button", name="Acknowledge").click()
+    expect(history).to_have_count(2)
+    row(page, "c07").get_by_role("button", name="What happened").click()
+    expect(history).to_have_count(0)
 
 
 def test_limits_in_force_are_shown(page, open_view):

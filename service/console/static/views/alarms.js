@@ -30,6 +30,8 @@ export function show({ store, spacecraft, session, parameters }) {
   const ending = new AbortController();
   let shown = parameters.get("list") in LISTS || parameters.get("list") === "limits" ? parameters.get("list") : "open";
   const list = newestFirst(`${base}/alarms`, (rows) => drawn(rows));
+  /** Opened histories by alarm: a list that is drawn anew keeps them. */
+  const histories = new Map();
 
   function drawn(rows) {
     const ordered = shown === "open" ? pressing(rows) : rows;
@@ -53,13 +55,14 @@ export function show({ store, spacecraft, session, parameters }) {
     const button = (key, act) => element("button", { type: "button", onclick: act }, words(`views.alarms.${key}`));
     const isOpen = alarm.state !== "normal";
     const isShelved = alarm.state === "shelved";
-    const history = element("div");
+    const history = histories.get(alarm.id) ?? element("div");
+    if (histories.has(alarm.id)) showHistory(alarm, history);
     const buttons = element("div", { class: "actions" },
       mayOperate && WAITING.includes(alarm.state) && button("acknowledge", (event) => acknowledge(event, [alarm])),
       mayOperate && isOpen && !isShelved && button("shelve", () => shelve(alarm)),
       mayOperate && isShelved && button("unshelve", (event) => order(event, alarm, "unshelve")),
       mayOperate && alarm.state === "latched" && button("clear", (event) => order(event, alarm, "clear")),
-      button("history", () => showHistory(alarm, history)));
+      button("history", () => (histories.delete(alarm.id) ? fill(history) : showHistory(alarm, history))));
     return [buttons, history];
   }
 
@@ -110,14 +113,14 @@ export function show({ store, spacecraft, session, parameters }) {
   }
 
   async function showHistory(alarm, host) {
-    if (host.firstChild) return fill(host);
+    histories.set(alarm.id, host);
     try {
       const { changes } = await get(`/alarms/${alarm.id}`, {}, { signal: ending.signal });
-      return fill(host, element("ol", { class: "changes" }, changes.map((change) =>
+      if (histories.has(alarm.id)) fill(host, element("ol", { class: "changes" }, changes.map((change) =>
         element("li", {}, `${utc(change.at)} ${words(`views.alarms.change.${change.change}`)} `, change.by && [words("views.alarms.by"), " ", foreign(change.by)], change.comment && [": ", foreign(change.comment)]))));
     } catch (error) {
       if (!(error instanceof Problem)) throw error;
-      return fill(host, failure(error));
+      fill(host, failure(error));
     }
   }
 
