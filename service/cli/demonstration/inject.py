@@ -16,7 +16,7 @@ _EXPECTED = {
     "rain": "rain over the receiving site: control is inhibited by a fade until ten minutes after its end",
     "step": "one carrier is 3 dB stronger: it is left out of the estimate",
     "dead-carrier": "one carrier is off: it is left out of the estimate",
-    "sign": "the wheels do the opposite of each command: control ends, beyond 0.6 deg at the latest (hand_over)",
+    "sign": "the wheels do the opposite of each command: the powers show it and control ends, mostly within the hour",
     "stop": "an operator stopped control: it is tripped until somebody resets it",
 }
 Kind = Literal["rain", "step", "dead-carrier", "sign", "stop"]

@@ -168,7 +168,7 @@ class ReleaseService(ReleaseLoop):
         if refusal.code == "command.unknown" and isinstance(event, events.Confirm | events.Cancel | Report):
             # one that ended long ago is not in the state any more
             ended = context.release.command(event.counter).state
-            raise ConflictError("command.state", f"command {event.counter} is {ended}: this is not possible any more")
+            raise ConflictError("command.state", f"command {event.counter} has ended, {ended}: nothing follows on that")
         raise error_of(refusal)
 
     def _view(self, context: ReleaseContext, at: Instant) -> ControlView:

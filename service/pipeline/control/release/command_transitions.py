@@ -94,7 +94,7 @@ def cancel(state: ReleaseState, event: events.Cancel, _settings: ReleaseSettings
     if command is None:
         return unknown(state, event.counter)
     if command.state not in OPEN:
-        return _illegal(state, command)
+        return _illegal(state, command, CommandTransition.CANCEL)
     return Step(with_command(state, moved(command, CommandTransition.CANCEL)))
 
 
@@ -104,7 +104,7 @@ def report(state: ReleaseState, event: events.Report, _settings: ReleaseSettings
     if command is None:
         return unknown(state, event.counter)
     if event.transition not in REPORTS or next_state(command.state, event.transition) is None:
-        return _illegal(state, command)
+        return _illegal(state, command, event.transition)
     reported = moved(command, event.transition)
     if event.transition is CommandTransition.SENT:
         sent_us = event.at.now_us if event.reported_at_us is None else event.reported_at_us
@@ -176,8 +176,8 @@ def unknown(state: ReleaseState, counter: int) -> Step:
     return refused(state, "command.unknown", f"no command {counter} is open or ended within the last hour")
 
 
-def _illegal(state: ReleaseState, command: Command) -> Step:
-    detail = f"command {command.counter} is {command.state}: this is not possible any more"
+def _illegal(state: ReleaseState, command: Command, transition: CommandTransition) -> Step:
+    detail = f"command {command.counter} is {command.state}: {transition.name} does not follow on that"
     return refused(state, "command.state", detail)
 
 

@@ -3,11 +3,12 @@
     x(s) = x + (s - s0) v          nu(s) = nu - (s - s0) H v          s = share of the commands that is carried out
     log p(s) / p(s0) = (s - s0) b - (s - s0)^2 j / 2      b = sum (H v)' S^-1 nu      j = sum (H v)' S^-1 H v
 
-v is the derivative of the state by s: commands enter it as they enter the attitude, updates take out what the powers
-have told. A roll command against a yaw that nobody announced looks like a command that was lost; a yaw rate of unknown
-size therefore runs beside s as a second column and is taken out of b and j. Where another share explains the last hour
-beyond chance the state moves along v, the share is believed for an hour and control is told. The law of this file:
-shares of a short list; sums forget, so that what was commanded long ago excuses nothing.
+v is the derivative of the state by s: commands enter it as they enter attitude and rate, updates take out what the
+powers have told; a rate that was given long ago is no longer in question. A roll command against a yaw that nobody
+announced looks like a command that was lost; a yaw rate of unknown size therefore runs beside s as a second column and
+is taken out of b and j. Where another share explains the last hour beyond chance the state moves along v, the share is
+believed for an hour and control is told. The law of this file: shares of a short list; sums forget, so that what was
+commanded long ago excuses nothing.
 """
 
 import math
@@ -24,7 +25,14 @@ from service.core.estimation.filtering.model.filter_model import (
     FloatArray,
     KnownMotion,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, RAIN, Gaussian, common_states, core_size
+from service.core.estimation.filtering.model.filter_state import (
+    ATTITUDE,
+    RAIN,
+    RATE,
+    Gaussian,
+    common_states,
+    core_size,
+)
 from service.core.estimation.filtering.model.hidden_motion import hidden_transition
 
 #: shares that an on-board mode makes of a command: other sign, nothing, half, all, twice
@@ -71,12 +79,15 @@ def executed_commands() -> CommandWatch:
 
 def doubting_settings(settings: FilterSettings, watch: CommandWatch) -> FilterSettings:
     """Return the settings with the error that the effect of commands has while they are doubted."""
-    return settings._replace(correction_scale=_SHARE_SIGMA) if watch.is_doubted else settings
+    return settings._replace(correction_scale=_SHARE_SIGMA, torque_scale=_SHARE_SIGMA) if watch.is_doubted else settings
 
 
 def believed_motion(watch: CommandWatch, known: KnownMotion) -> KnownMotion:
-    """Return the known motion with its corrections scaled by the estimated share."""
-    return known if watch.share == 1.0 else known._replace(correction_deg=watch.share * known.correction_deg)
+    """Return the known motion with its corrections and torques scaled by the estimated share."""
+    if watch.share == 1.0:
+        return known
+    correction_deg, rate_change_deg_h = watch.share * known.correction_deg, watch.share * known.rate_change_deg_h
+    return known._replace(correction_deg=correction_deg, rate_change_deg_h=rate_change_deg_h)
 
 
 def pass_commands(
@@ -119,7 +130,7 @@ def pass_commands(
     seconds = step_us / 1e6
     minutes = seconds / 60.0
     left = max(0.0, watch.minutes_left - minutes)
-    is_commanded = bool(np.abs(known.correction_deg).max() > 0.0)
+    is_commanded = bool(known.correction_deg.any() or known.rate_change_deg_h.any())
     watch = watch._replace(minutes_left=left, share=watch.share if left > 0.0 else 1.0)
     if len(watch.sensitivity) != size:
         watch = watch._replace(sensitivity=np.zeros((size, 2)))
@@ -130,13 +141,16 @@ def pass_commands(
     if not is_commanded and not watch.sensitivity.any():
         return watch
     moved = watch.sensitivity.copy()
+    moved[RATE] *= keep
     common = common_states(model)
     moved[:9] = motion_over(step_us, settings).transition @ moved[:9]
     if hidden:
         added = hidden_transition(hidden, from_us, step_us, settings, known)
         moved[:9] += added @ watch.sensitivity[common.stop : core]
-    moved[ATTITUDE, 0] += known.correction_deg
-    moved[ATTITUDE.start, 1] += seconds / 3600.0
+    hours = seconds / 3600.0
+    moved[ATTITUDE, 0] += known.correction_deg + 0.5 * hours * known.rate_change_deg_h
+    moved[RATE, 0] += known.rate_change_deg_h
+    moved[ATTITUDE.start, 1] += hours
     moved[RAIN] *= 1.0 if is_raining else math.exp(-seconds / settings.rain_dry_tau_s)
     moved[common] *= np.exp(-seconds / model.common_tau_s)[:, None]
     own = moved[core:].reshape(-1, model.carriers, 2)

@@ -29,7 +29,7 @@ class OrbitalFrameSpacecraft:
     def __init__(self, filter_models):
         self.model, self.rng = filter_models.carrier_model(carriers=CARRIERS), np.random.default_rng(8)
         self.state = start(self.model, 0, filter_models.aligned(self.model))
-        self.attitude_deg = ZEROS
+        self.attitude_deg, self.rate_deg_min = ZEROS, ZEROS
         self.announced = []
 
     def turn(self, minutes, rate_deg_min, share):
@@ -37,12 +37,22 @@ class OrbitalFrameSpacecraft:
         moved = np.array([0.0, 0.0, rate_deg_min])
         for _ in range(minutes):
             self.attitude_deg = self.attitude_deg + share * moved
-            level_db = pattern_change(self.model, self.attitude_deg).deviation_db
-            row = level_db + self.model.white_sigma_db * self.rng.standard_normal(CARRIERS)
-            known = KnownMotion(moved, ZEROS, ZEROS)
-            self.announced.append(step(self.model, SETTINGS, self.state, self.state.epoch_us + MINUTE_US, row, known))
-            self.state = self.announced[-1].state
+            self.measure(KnownMotion(moved, ZEROS, ZEROS))
         return self.announced[-1]
+
+    def push(self, minutes, change_deg_h, share):
+        """Command a torque about pitch each minute for some minutes, with the rate that it is to give."""
+        change = np.array([0.0, 0.0, change_deg_h])
+        for _ in range(minutes):
+            self.attitude_deg = self.attitude_deg + self.rate_deg_min + share * change / 120.0
+            self.rate_deg_min = self.rate_deg_min + share * change / 60.0
+            self.measure(KnownMotion(ZEROS, ZEROS, change))
+
+    def measure(self, known):
+        level_db = pattern_change(self.model, self.attitude_deg).deviation_db
+        row = level_db + self.model.white_sigma_db * self.rng.standard_normal(CARRIERS)
+        self.announced.append(step(self.model, SETTINGS, self.state, self.state.epoch_us + MINUTE_US, row, known))
+        self.state = self.announced[-1].state
 
     @property
     def doubted(self):
@@ -72,6 +82,22 @@ def test_commands_that_are_not_obeyed_are_found_and_the_share_is_believed(spacec
     # the share found is applied: the error stays what noise leaves
     assert abs(spacecraft.announced[-1].attitude_deg[2] - spacecraft.attitude_deg[2]) < 0.05
     assert "unannounced_motion" in spacecraft.announced[-1].integrity.reasons
+
+
+def test_torques_that_act_as_announced_are_never_doubted(spacecraft):
+    for sign in (1.0, -1.0, -1.0, 1.0):
+        spacecraft.push(30, sign * 0.02, 1.0)
+    assert not any(spacecraft.doubted)
+
+
+@pytest.mark.parametrize("share", [-1.0, 0.0, 2.0])
+def test_torques_that_act_otherwise_are_found_and_the_share_is_believed(spacecraft, share):
+    """Each gives a rate that stays: what is announced grows with the square of the time."""
+    spacecraft.turn(30, 0.0, 1.0)
+    spacecraft.push(60, 0.01, share)  # 0.3 deg in an hour
+    assert np.argmax(spacecraft.doubted) - 30 in range(60)
+    assert spacecraft.state.command.share == share
+    assert abs(spacecraft.announced[-1].attitude_deg[2] - spacecraft.attitude_deg[2]) < 0.05
 
 
 def test_a_doubt_ends_after_an_hour(spacecraft):
@@ -145,10 +171,11 @@ def test_a_share_moves_the_attitude_by_half_a_degree_at_most(spacecraft, reach_d
 
 
 def test_a_believed_share_scales_the_commands():
-    known = KnownMotion(np.array([0.1, 0.2, 0.3]), ZEROS, ZEROS)
+    known = KnownMotion(np.array([0.1, 0.2, 0.3]), ZEROS, np.array([0.0, 2.0, 4.0]))
     assert believed_motion(executed_commands(), known) is known
     half = believed_motion(executed_commands()._replace(share=0.5, minutes_left=9.0), known)
     np.testing.assert_array_equal(half.correction_deg, [0.05, 0.1, 0.15])
+    np.testing.assert_array_equal(half.rate_change_deg_h, [0.0, 1.0, 2.0])
 
 
 def test_nothing_commanded_costs_nothing(spacecraft):
