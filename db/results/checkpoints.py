@@ -13,8 +13,8 @@ from db.schema.row_checksum import checksum_of
 from db.schema.tables import checkpoint as checkpoint_table
 from service.records.storage.checkpoint import Checkpoint
 
-#: latest ones that are kept beside those of days
-LATEST = 3
+#: latest ones that are kept beside those of days: one an hour, so that one is older than smoothed rows need, 125 min
+LATEST = 4
 _DAY_US = 86_400_000_000
 
 

@@ -33,7 +33,7 @@ from db.results.stored_rows import (
 from db.schema.tables import attitude, torque
 from service.core.rows.state_runs import History
 from service.core.rows.summaries import Summaries
-from service.ports import LIVE, Intervals, Outcome, SampledCarriers
+from service.ports import LIVE, SMOOTHED, Intervals, Outcome, SampledCarriers
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import AttitudeRow, IntArray
@@ -66,7 +66,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         def store(connection: Connection) -> int:
             return store_outcomes(connection, key, version, outcomes, consumed, checkpoint)
 
-        led = self._database.leases.under(store, spacecraft_id) if version == LIVE else store
+        led = self._database.leases.under(store, spacecraft_id) if version in (LIVE, SMOOTHED) else store
         return self._database.write(led, key)
 
     def checkpoints(

@@ -158,7 +158,7 @@ class Attitude(TypedDict):
     epoch: str | None
     #: When the service received it.
     received_at: str | None
-    #: Estimation method: `robust`, `paper`, or `robust_smoothed` in versions of replays.
+    #: Estimation method: `robust`, `paper`, or `robust_smoothed` in version `smoothed` and those of replays.
     method: Literal["robust", "paper", "robust_smoothed"]
     #: Yaw; positive moves eastern stations north in the satellite's view; deg.
     yaw_deg: float | None
@@ -201,7 +201,7 @@ class Attitude(TypedDict):
     protection_deg: Angles
     #: Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods; s.
     lag_s: float | None
-    #: `live`, or the replay that made the row.
+    #: `live`, `smoothed`, or the replay that made the row.
     version: str
     #: Verdict on control: whether a torque may go now, and every reason against it.
     control: Verdict

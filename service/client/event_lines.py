@@ -15,7 +15,9 @@ from service.client.backoff import Backoff
 from service.client.call import LONGEST_WAIT_S
 from service.client.problem import ServiceUnavailableError
 
-EventKind = Literal["measurement", "attitude", "torque", "alarm", "status", "command", "job", "link", "note", "dropped"]
+EventKind = Literal[
+    "measurement", "attitude", "torque", "alarm", "status", "command", "job", "link", "note", "smoothed", "dropped"
+]
 STREAM_HEADERS = {"Accept": "text/event-stream", "Cache-Control": "no-store"}
 #: the service says something every 15 s; a connection that is silent for three times as long is dead
 SILENCE_S = 45.0

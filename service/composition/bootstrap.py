@@ -35,6 +35,8 @@ from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
 from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
+from service.runtime.jobs.lagged_run import lagged_in_process
+from service.runtime.jobs.lagged_series import LaggedSeries
 from service.runtime.jobs.replay_job import Replayer
 from service.runtime.jobs.replay_run import replay_in_process
 from service.runtime.jobs.workers import WorkerConfig, Workers
@@ -49,6 +51,8 @@ if TYPE_CHECKING:
 
 #: descriptors that connections leave to the archive, logs and worker processes
 _OWN_FILES = 256
+#: a part of six hours of smoothed rows is ended after this, s; at a row a second it takes three minutes
+_PART_TIMEOUT_S = 3600.0
 
 
 def build_storage(settings: Settings) -> Storage:
@@ -257,6 +261,21 @@ def _replayer(settings: Settings, storage: Storage, clock: Clock) -> tuple[Repla
     return Replayer(storage, clock, jobs, lambda sc, version, _: replayed(sc, version)), end
 
 
+def _lagged_series(settings: Settings, storage: Storage, leading: Leading) -> tuple[LaggedSeries, Callable[[], None]]:
+    """Return the live series of smoothed angles, made in a worker process of its own, and what ends both."""
+    worker = Workers(WorkerConfig(processes=1, job_timeout_s=_PART_TIMEOUT_S))
+    opened = partial(SqlStorage, settings.database_url, settings.database_timeout_s)
+    made = partial(lagged_in_process, opened, settings.chain_config())
+    work = partial(worker.run, made)
+    series = LaggedSeries(storage, settings.smoothing, work, leading.term)
+
+    def end() -> None:
+        worker.stop()
+        series.stop()
+
+    return series, end
+
+
 def _flights(settings: Settings, jobs: JobRunner, workers: Workers) -> FlightAnalyses:
     """Return what flies analyses; without a compiler shorter ones only."""
     most_steps = MOST_STEPS if settings.kernels == "numba" else MOST_STEPS_PLAIN
@@ -276,6 +295,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     jobs, analyses = JobRunner(storage.results, clock), JobRunner(storage.results, clock)
     workers = Workers(settings.workers)
     replayer, end_replays = _replayer(settings, storage, clock)
+    lagged, end_lagged = _lagged_series(settings, storage, leading)
     maintainer = build_maintenance(settings, storage, clock, leading.term)
 
     async def start() -> None:
@@ -284,10 +304,11 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         alarms.start()
         supervisor.start()
         release_service.start()
+        lagged.start()
 
     async def stop() -> None:
         running = (release_service.stop, supervisor.stop, alarms.stop, workers.stop, jobs.stop, analyses.stop)
-        for end in (end_replays, *running, maintainer.stop, leading.stop, storage.close):
+        for end in (end_lagged, end_replays, *running, maintainer.stop, leading.stop, storage.close):
             await asyncio.to_thread(end)
 
     context = ApiContext(

@@ -34,6 +34,7 @@ from service.pipeline.config import (
 )
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.storage.archive_maintenance import RetentionConfig, SealingConfig
+from service.runtime.jobs.lagged_series import SmoothingConfig
 from service.runtime.jobs.workers import WorkerConfig
 
 
@@ -163,6 +164,7 @@ class Settings(BaseSettings):
     release: ReleaseSettings = Field(ReleaseSettings(), description="release of torques")
     robust: RobustConfig = Field(RobustConfig(), description="the robust method in operation")
     operations: OperationConfig = Field(OperationConfig(), description="what declared operations mean to it")
+    smoothing: SmoothingConfig = Field(SmoothingConfig(), description="live series of smoothed angles")
 
     alarms: AlarmConfig = Field(AlarmConfig(), description="alarms by default")
     sealing: SealingConfig = Field(SealingConfig(), description="packing of closed days")

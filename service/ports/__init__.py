@@ -16,7 +16,7 @@ from service.ports.catalogue import Catalogue
 from service.ports.clock import Clock
 from service.ports.lease import ARCHIVE, Leases, Term
 from service.ports.release import Releases
-from service.ports.results import ATTITUDE_FIGURES, LIVE, AttitudeFigure, Outcome, Results, SampledCarriers
+from service.ports.results import ATTITUDE_FIGURES, LIVE, SMOOTHED, AttitudeFigure, Outcome, Results, SampledCarriers
 from service.ports.stations import Links, Traces
 from service.ports.storage import Storage
 from service.ports.watch import Alarms, Notes
@@ -25,6 +25,7 @@ __all__ = [
     "ARCHIVE",
     "ATTITUDE_FIGURES",
     "LIVE",
+    "SMOOTHED",
     "Alarms",
     "Archive",
     "AttitudeFigure",

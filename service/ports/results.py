@@ -27,6 +27,8 @@ from service.records.storage.checkpoint import Checkpoint
 
 #: version under which the live chain writes
 LIVE = "live"
+#: version of the live series of smoothed rows
+SMOOTHED = "smoothed"
 AttitudeFigure = Literal[
     "yaw_deg",
     "roll_deg",

@@ -15,7 +15,7 @@ class Method(StrEnum):
 
     ROBUST = "robust"
     PAPER = "paper"
-    #: rows of the robust method after the rows that came later: in versions of replays alone, never for control
+    #: rows of the robust method after the rows that came later: in versions of their own, never for control
     ROBUST_SMOOTHED = "robust_smoothed"
 
 

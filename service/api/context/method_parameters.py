@@ -6,12 +6,14 @@ from fastapi import Depends, Query
 
 from service.api.context.dependencies import Context, SpacecraftId
 from service.errors import ConflictError, InvalidInputError
-from service.ports import LIVE, Results
+from service.ports import LIVE, SMOOTHED, Results
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.operations.job import JobState, ReplayVersion
 
 MethodParameter = Annotated[Method | None, Query(description="Default: the method that drives control")]
-VersionParameter = Annotated[str, Query(max_length=64, description="`live`, or the version of a replay")]
+VersionParameter = Annotated[
+    str, Query(max_length=64, description="`live`, `smoothed` (live rows of robust_smoothed), or that of a replay")
+]
 
 
 def wanted_method(spacecraft_id: SpacecraftId, context: Context, method: MethodParameter = None) -> Method:
@@ -35,15 +37,18 @@ def stored_method(
 
 
 def check_method(method: Method, version: str) -> None:
-    """Raise InvalidInputError ``method.smoothed`` for smoothed rows of the live version, which has none."""
+    """Raise InvalidInputError ``method.smoothed`` for smoothed rows of the live version, or others of `smoothed`."""
     if version == LIVE and method not in LIVE_METHODS:
-        detail = f"{method} exists only in versions of replays with smooth=true"
+        detail = f"{method} exists only in version {SMOOTHED}, and in versions of replays with smooth=true"
+        raise InvalidInputError("method.smoothed", detail)
+    if version == SMOOTHED and method is not Method.ROBUST_SMOOTHED:
+        detail = f"version {SMOOTHED} has rows of method {Method.ROBUST_SMOOTHED} alone"
         raise InvalidInputError("method.smoothed", detail)
 
 
 def check_version(results: Results, spacecraft_id: str, version: str) -> None:
     """Raise NotFoundError unless a version exists, ConflictError unless every row of it is stored."""
-    if version != LIVE:
+    if version not in (LIVE, SMOOTHED):
         _check_done(results.replay(spacecraft_id, version))
 
 

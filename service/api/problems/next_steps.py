@@ -167,7 +167,7 @@ _RESULTS = {
     "replay.not_aligned": "Align the spacecraft first.",
     "replay.unknown": "Look up the version with GET .../replays.",
     "replay.unfinished": "Wait for its job; where that failed, start another replay.",
-    "method.smoothed": "Name robust or paper; smoothed rows are read by version=, from a replay with smooth=true.",
+    "method.smoothed": "Name robust or paper; smoothed rows: version=smoothed, or that of a replay with smooth=true.",
     "replay.deleted": "Start another replay.",
     "job.unknown": "Use the job_id of the answer that started the job.",
     "job.exists": "Report the request id.",

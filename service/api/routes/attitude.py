@@ -7,11 +7,12 @@ from fastapi import APIRouter
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.method_parameters import StoredMethod, WantedMethod, WantedVersion, check_method
 from service.api.protocol.paging import Page, by_epoch
-from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer
+from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer, SmoothedPage
 from service.api.schemas.control import VerdictAnswer
 from service.api.views.newest import newest_attitude
 from service.api.views.present import present_of
-from service.ports import LIVE
+from service.ports import LIVE, SMOOTHED
+from service.records.catalogue import Method
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitude"])
 
@@ -43,3 +44,12 @@ def list_attitude(
     found = read(spacecraft_id, version, method, page.window, page.most, page.after, newest_first=page.newest_first)
     of = partial(AttitudeAnswer.of, version=version)
     return page.answer(AttitudePage, found, by_epoch, of, method=method, version=version)
+
+
+@router.get("/smoothed")
+def list_smoothed(spacecraft_id: SpacecraftId, page: Page, context: Context) -> SmoothedPage:
+    """List smoothed rows in order of epoch, one each five minutes, made when the data reach the lag beyond them."""
+    read, method = context.storage.results.attitude_rows, Method.ROBUST_SMOOTHED
+    found = read(spacecraft_id, SMOOTHED, method, page.window, page.most, page.after, newest_first=page.newest_first)
+    of = partial(AttitudeAnswer.of, version=SMOOTHED)
+    return page.answer(SmoothedPage, found, by_epoch, of, method=method, version=SMOOTHED)

@@ -70,7 +70,7 @@ async def stream(
 ) -> EventStreamResponse:
     """Follow a spacecraft: events measurement, attitude, torque, alarm, status, dropped; Last-Event-ID resumes.
 
-    Events command, job, link and note tell changes while the stream is open, within some seconds; after a new
+    Events command, job, link, note and smoothed tell changes while the stream is open, within some seconds; after a new
     connection the lists tell what was missed of these. An attitude row comes with the results of its carriers.
     """
     parts: StreamParts = request.app.state.stream_parts

@@ -35,7 +35,7 @@ class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):
     """Attitude estimate of one method at one measurement."""
 
     version: str
-    """`live`, or the replay that made the row."""
+    """`live`, `smoothed`, or the replay that made the row."""
 
     @classmethod
     def of(cls, row: AttitudeRow, version: str, **others: Any) -> Self:
@@ -96,3 +96,7 @@ class AttitudePage(Answer):
     version: str
     rows: list[AttitudeAnswer]
     next: str | None
+
+
+class SmoothedPage(AttitudePage):
+    """Smoothed rows in order of epoch, one each five minutes at most; `lag_s` tells what each of them knows."""

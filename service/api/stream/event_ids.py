@@ -19,7 +19,9 @@ MAX_ID_LENGTH = 128
 _EVENT_ID = re.compile(r"([a-z0-9][a-z0-9-]{0,63}):(\d{1,18})\.(\d{1,18})\.(\d{1,18})", re.ASCII)
 _POINTER = "/header/Last-Event-ID"
 #: kinds of events that a client may choose; `dropped` comes in any case
-EventName = Literal["measurement", "attitude", "torque", "alarm", "status", "command", "job", "link", "note"]
+EventName = Literal[
+    "measurement", "attitude", "torque", "alarm", "status", "command", "job", "link", "note", "smoothed"
+]
 EVENT_NAMES: tuple[EventName, ...] = get_args(EventName)
 #: part of the place that a kind of event moves; others move none
 PART_MOVED = {"measurement": 0, "attitude": 1, "torque": 1, "alarm": 2}

@@ -14,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.context.dependencies import ApiContext
 from service.api.protocol.paging import EVERYTHING
+from service.api.schemas.attitude import AttitudeAnswer
 from service.api.schemas.base import Answer
 from service.api.schemas.notes import NoteAnswer
 from service.api.schemas.status import StatusAnswer
@@ -21,6 +22,8 @@ from service.api.schemas.torque_commands import CommandAnswer
 from service.api.views.jobs import job_answer
 from service.api.views.links import link_answers
 from service.api.views.status import status_of
+from service.ports import SMOOTHED
+from service.records.catalogue import Method
 
 #: of each kind so many are looked at, the newest ones; between two looks fewer change
 _NEWEST = 20
@@ -94,6 +97,13 @@ def _notes(context: ApiContext, spacecraft_id: str) -> Records:
     return {note.id: _record(NoteAnswer.of(note)) for note in reversed(found)}
 
 
+def _smoothed(context: ApiContext, spacecraft_id: str) -> Records:
+    read = context.storage.results.attitude_rows
+    found = read(spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED, EVERYTHING, _NEWEST, None, newest_first=True)
+    # oldest first, as they are sent
+    return {row.epoch_us: _record(AttitudeAnswer.of(row, SMOOTHED)) for row in reversed(found)}
+
+
 def _record(answer: Answer) -> Record:
     return Record(answer.model_dump_json(exclude=_AGES).encode(), answer.model_dump_json().encode())
 
@@ -104,4 +114,5 @@ READERS: Mapping[str, Callable[[ApiContext, str], Records]] = {
     "job": _jobs,
     "link": _links,
     "note": _notes,
+    "smoothed": _smoothed,
 }

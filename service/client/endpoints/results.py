@@ -90,6 +90,13 @@ class ResultEndpoints:
         return Series(below(spacecraft_id, "/attitude/history"), params)
 
     @series
+    def smoothed_attitude(
+        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
+    ) -> Series[Attitude]:
+        """Yield every row of the live series of smoothed angles; parameters as for `attitude_history`."""
+        return Series(below(spacecraft_id, "/attitude/smoothed"), window(start, stop, limit))
+
+    @series
     def carrier_results(
         self,
         spacecraft_id: str,

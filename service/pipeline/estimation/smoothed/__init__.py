@@ -1,4 +1,4 @@
 """Smoothed angles: the robust method's rows after the rows that came later.
 
-Public: smoothed_rows, smoother.
+Public: lagged_rows, smoothed_rows, smoother.
 """

@@ -172,6 +172,18 @@ def test_history_follows_the_cursor_and_keeps_the_question() -> None:
     assert all(query["start"] == "1970-01-01T00:00:00.000000Z" for query in seen)
 
 
+def test_the_smoothed_series_is_read_to_its_end() -> None:
+    paths: list[str] = []
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        paths.append(request.url.path)
+        return httpx.Response(200, json={"rows": [{"n": len(paths)}], "next": "p" if len(paths) < 2 else None})
+
+    rows = list(client(handle).smoothed_attitude("x", 0, "2026-11-21T00:00:00Z", limit=1))
+    assert [row["n"] for row in rows] == [1, 2]
+    assert set(paths) == {"/api/v1/spacecraft/x/attitude/smoothed"}
+
+
 def test_waiting_for_a_job_reports_its_progress() -> None:
     states = iter([("queued", None), ("running", 0.4), ("done", 1.0)])
     progress: list[float] = []

@@ -1,0 +1,195 @@
+"""Live series of smoothed rows: stored in parts, once, by the process that leads, whatever ends it in between."""
+
+import logging
+
+import pytest
+from busy_station import MINUTE, SC, at, text
+
+from service.errors import StorageError, UnavailableError
+from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.smoothed.lagged_rows import GRID_US, grid_us
+from service.ports import SMOOTHED
+from service.records.calibration import Window
+from service.records.catalogue import Method
+from service.runtime.jobs import lagged_series
+from service.runtime.jobs.lagged_run import LaggedPart, LaggedRun
+from service.runtime.jobs.lagged_series import LaggedSeries, SmoothingConfig
+
+LAG = SmoothingConfig(lag_s=1200.0)
+
+
+class KilledError(BaseException):
+    """The process ends here."""
+
+
+class Maker:
+    """Makes parts in this process, notes what was ordered, and fails when it should."""
+
+    def __init__(self, station):
+        self.station, self.orders, self.error = station, [], None
+
+    def __call__(self, spacecraft_id, order):
+        self.orders.append(order)
+        if self.error is not None:
+            raise self.error
+        return LaggedRun(self.station.storage, ChainConfig(), spacecraft_id, order).run()
+
+
+def smoothed(station):
+    return station.rows(Method.ROBUST_SMOOTHED, SMOOTHED)
+
+
+def made(station, *polls, **changes):
+    """Return a series after some polls, and its maker."""
+    maker = Maker(station)
+    series = LaggedSeries(station.storage, LAG, maker, **changes)
+    for _ in polls:
+        series.poll_once()
+    return series, maker
+
+
+def test_all_that_is_due_is_made_once(busy):
+    series, maker = made(busy, 1, 2)
+    rows = smoothed(busy)
+    assert len(rows) > 15
+    assert grid_us(at(139) - 20 * MINUTE) - GRID_US < rows[-1].epoch_us <= at(139) - 20 * MINUTE
+    asked = len(maker.orders)
+    series.poll_once()
+    assert len(maker.orders) == asked
+    assert text(smoothed(busy)) == text(rows)
+
+
+def test_live_rows_torques_and_sequences_stay_as_they_are(busy):
+    methods = (Method.ROBUST, Method.PAPER)
+
+    def live():
+        kept = [text(busy.rows(method)) for method in methods]
+        results = busy.storage.results
+        # a stream that resumes gets results by their sequences
+        return kept, text(busy.commands()), text(results.results_after(SC, 0, 10_000)), results.pending(SC, methods)
+
+    before, head = live(), busy.storage.archive.head(SC)
+    made(busy, 1, 2)
+    assert smoothed(busy)
+    assert live() == before
+    assert busy.storage.archive.head(SC) == head
+
+
+def test_a_process_that_was_killed_leaves_whole_parts_and_the_next_one_goes_on(new_station, lived_archive, monkeypatch):
+    whole, killed = new_station(lived_archive), new_station(lived_archive)
+    made(whole, 1, 2)
+    monkeypatch.setattr("service.runtime.jobs.lagged_run._PART_US", 25 * MINUTE)
+    series, maker = made(killed, 1, 2)
+    stored = smoothed(killed)
+    maker.error = KilledError()
+    with pytest.raises(KilledError):
+        series.poll_once()
+    assert text(smoothed(killed)) == text(stored)
+    made(killed, 1, 2, 3, 4, 5, 6)
+    assert text(smoothed(killed)) == text(smoothed(whole))
+
+
+def test_only_the_process_that_leads_makes_rows(busy):
+    _, maker = made(busy, 1, turn=lambda _: 0)
+    assert maker.orders == []
+    terms = [1]
+    series, maker = made(busy, 1, 2, turn=lambda _: terms[0])
+    rows = smoothed(busy)
+    # of a new term the archive tells how far the rows reach
+    terms[0] = 2
+    series.poll_once()
+    assert text(smoothed(busy)) == text(rows)
+
+
+@pytest.mark.parametrize(
+    ("error", "is_fault"),
+    [(StorageError("storage.full", "no space"), True), (UnavailableError("analysis.ended", "it died"), False)],
+)
+def test_a_run_that_failed_is_made_again(busy, caplog, error, is_fault):
+    series, maker = made(busy)
+    maker.error = error
+    with caplog.at_level(logging.INFO, "soo.lagged"):
+        series.poll_once()
+    assert smoothed(busy) == []
+    assert any(record.levelno >= logging.ERROR for record in caplog.records) == is_fault
+    maker.error = None
+    series.poll_once()
+    series.poll_once()
+    assert len(smoothed(busy)) > 15
+
+
+def test_a_disk_that_is_full_keeps_nothing_of_a_part(busy, monkeypatch):
+    series, _ = made(busy)
+
+    def refuse(*_args):
+        raise StorageError("storage.full", "no space")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(busy.storage.results, "save_outcomes", refuse)
+        series.poll_once()
+        series.poll_once()
+    assert smoothed(busy) == []
+    series.poll_once()
+    series.poll_once()
+    assert len(smoothed(busy)) > 15
+
+
+def test_before_the_first_alignment_nothing_is_made_and_nobody_asks_twice(new_station, opened_archive):
+    station = new_station(opened_archive)
+    with station.supervised() as settle:
+        station.send(range(1, 60))
+        settle()
+    _, maker = made(station, 1, 2, 3)
+    assert smoothed(station) == []
+    assert maker.orders == []
+
+
+def test_rows_that_lie_weeks_back_are_left_out_and_said(busy, caplog, monkeypatch):
+    monkeypatch.setattr(lagged_series, "_MOST_BEHIND_US", 60 * MINUTE)
+    first = LaggedPart((), at(5) // GRID_US * GRID_US, is_skipped=False)
+    maker = Maker(busy)
+    series = LaggedSeries(busy.storage, LAG, maker)
+    series._made[SC] = 1, first.made_us
+    with caplog.at_level(logging.INFO, "soo.lagged"):
+        series.poll_once()
+    assert "they lie too far back" in caplog.text
+    rows = smoothed(busy)
+    assert rows
+    assert rows[0].epoch_us > at(139) - 20 * MINUTE - 60 * MINUTE - 2 * GRID_US
+
+
+def test_retention_and_sealing_take_the_series_along(busy):
+    made(busy, 1, 2)
+    rows = smoothed(busy)
+    day_us = 86_400_000_000
+    sealed = list(busy.storage.results.seal(SC, at(0) + 3 * day_us))
+    assert SMOOTHED in {part.version for part in sealed}
+    assert text(smoothed(busy)) == text(rows)
+    for _ in busy.storage.archive.drop_before(SC, "attitude", at(0) + 3 * day_us):
+        pass
+    window = Window(at(-10_000), at(10_000))
+    assert busy.storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10, None) == []
+
+
+@pytest.mark.parametrize("lag_s", [-1.0, 299.0, 43_201.0, float("nan")])
+def test_a_lag_that_makes_no_sense_is_refused(lag_s):
+    with pytest.raises(ValueError, match="lag_s is 0, or from 300 to 43200 s"):
+        SmoothingConfig(lag_s=lag_s)
+
+
+def test_without_a_lag_there_is_no_series(busy):
+    series = LaggedSeries(busy.storage, SmoothingConfig(lag_s=0.0), Maker(busy))
+    series.start()
+    series.stop()
+    assert smoothed(busy) == []
+
+
+def test_the_thread_makes_rows_and_rests_after_its_work(busy, monkeypatch, wait):
+    monkeypatch.setattr(lagged_series, "POLL_S", 0.01)
+    monkeypatch.setattr(lagged_series, "_REST", 0.01)
+    series = LaggedSeries(busy.storage, LAG, Maker(busy))
+    series.start()
+    try:
+        wait(lambda: len(smoothed(busy)) > 15)
+    finally:
+        series.stop()
