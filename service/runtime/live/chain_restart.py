@@ -10,6 +10,7 @@ import time
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from tokenize import TokenError
 from typing import NamedTuple
 
 from service.pipeline.chain import Chain
@@ -32,7 +33,7 @@ _ENTRIES_AT_ONCE = 64
 #: what zip, deflate, JSON and numpy say of damaged bytes
 _UNREADABLE = (
     *(ArithmeticError, AttributeError, EOFError, LookupError, OSError, RuntimeError, TypeError, ValueError),
-    *(struct.error, zipfile.BadZipFile, zlib.error),
+    *(SyntaxError, TokenError, struct.error, zipfile.BadZipFile, zlib.error),
 )
 
 

@@ -217,8 +217,8 @@ def test_the_latest_and_one_of_each_day_are_kept(busy):
         made = Checkpoint(first + k, epoch_us, FITS, b"state %d" % k)
         busy.storage.results.save_outcomes(SC, LIVE, [], first + k, epoch_us, made)
     numbers = [one.number - first for one in kept(busy) if one.content.startswith(b"state")]
-    # four a day: the last of each day, and the latest three
-    assert numbers == [19, 18, 17, 15, 11, 7, 3]
+    # four a day: the last of each day, and the latest four
+    assert numbers == [19, 18, 17, 16, 15, 11, 7, 3]
 
 
 def test_other_kernels_and_settings_take_no_state_of_these():
