@@ -27,6 +27,8 @@ from service.records.catalogue import Method
 
 #: of each kind so many are looked at, the newest ones; between two looks fewer change
 _NEWEST = 20
+#: the same of smoothed rows, of which one comes in five minutes
+_NEWEST_SMOOTHED = 4
 #: members that grow by themselves
 _AGES = {"age_s", "last_good_age_s"}
 
@@ -99,7 +101,7 @@ def _notes(context: ApiContext, spacecraft_id: str) -> Records:
 
 def _smoothed(context: ApiContext, spacecraft_id: str) -> Records:
     read = context.storage.results.attitude_rows
-    found = read(spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED, EVERYTHING, _NEWEST, None, newest_first=True)
+    found = read(spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED, EVERYTHING, _NEWEST_SMOOTHED, None, newest_first=True)
     # oldest first, as they are sent
     return {row.epoch_us: _record(AttitudeAnswer.of(row, SMOOTHED)) for row in reversed(found)}
 

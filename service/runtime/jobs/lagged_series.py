@@ -16,6 +16,7 @@ from service.pipeline.estimation.smoothed.lagged_rows import GRID_US, grid_us
 from service.ports import SMOOTHED, Outcome, Storage, Term
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch
+from service.records.levels.series import HeadState
 from service.records.setting import CHOSEN, setting
 from service.runtime.jobs.lagged_run import LaggedOrder, LaggedPart
 from service.runtime.live.leadership import always, is_moving
@@ -87,17 +88,20 @@ class LaggedSeries:
 
     def poll_once(self) -> None:
         """Make the next part of what is due of each spacecraft; one that fails keeps no other one from it."""
-        for spacecraft in self._storage.catalogue.all_spacecraft():
-            turn = self._turn(spacecraft.id)
+        heads = self._storage.archive.heads()
+        # one that was deleted may come again under its name
+        self._made = {spacecraft_id: made for spacecraft_id, made in self._made.items() if spacecraft_id in heads}
+        for spacecraft_id, head in heads.items():
+            turn = self._turn(spacecraft_id)
             if self._stopping.is_set() or not turn:
                 continue
             try:
-                self._extend(spacecraft.id, turn)
+                self._extend(spacecraft_id, turn, head)
             except Exception as error:  # noqa: BLE001 what is due stays due
                 if self._stopping.is_set() or is_moving(error) or isinstance(error, UnavailableError):
-                    _LOG.info("smoothed rows of %s wait: %s", spacecraft.id, error)
+                    _LOG.info("smoothed rows of %s wait: %s", spacecraft_id, error)
                 else:
-                    _LOG.exception("smoothed rows of %s were not made; they are retried", spacecraft.id)
+                    _LOG.exception("smoothed rows of %s were not made; they are retried", spacecraft_id)
 
     def _run(self) -> None:
         wait_s = POLL_S
@@ -109,23 +113,27 @@ class LaggedSeries:
                 _LOG.exception("smoothed rows were not made; they are retried")
             wait_s = max(POLL_S, _REST * (time.monotonic() - began_s))
 
-    def _extend(self, spacecraft_id: str, turn: int) -> None:
+    def _extend(self, spacecraft_id: str, turn: int, head: HeadState) -> None:
         """Make and store the next part of the rows of a spacecraft, where one is due."""
-        head = self._storage.archive.head(spacecraft_id)
         if head.consumed_epoch_us is None:
             return
         due_us = grid_us(head.consumed_epoch_us - self._lag_us)
         after_us = self._after_us(spacecraft_id, turn, due_us)
-        if after_us >= due_us or not self._is_robust(spacecraft_id):
+        if after_us >= due_us:
             return
+        made_us = self._store_part(spacecraft_id, after_us, head) if self._is_robust(spacecraft_id) else after_us
+        # without a state to begin with, as before the first alignment, there is nothing to wait for
+        self._made[spacecraft_id] = turn, made_us if made_us > after_us else due_us
+
+    def _store_part(self, spacecraft_id: str, after_us: int, head: HeadState) -> int:
+        """Make and store rows behind an instant, and return the instant up to which they are made."""
         part = self._work(spacecraft_id, LaggedOrder(after_us, head.consumed_number, self._lag_us))
         if part.is_skipped:
             _report_gap(spacecraft_id, after_us, part.made_us, "no state of the chain is kept that is old enough")
         if part.rows:
             outcomes = [Outcome((row,), None) for row in part.rows]
             self._storage.results.save_outcomes(spacecraft_id, SMOOTHED, outcomes, 0, None)
-        # without a state to begin with, as before the first alignment, there is nothing to wait for
-        self._made[spacecraft_id] = turn, part.made_us if part.made_us > after_us else due_us
+        return part.made_us
 
     def _is_robust(self, spacecraft_id: str) -> bool:
         """Return whether the robust method was ever aligned; without it there is nothing to smooth."""

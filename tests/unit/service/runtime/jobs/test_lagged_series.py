@@ -171,6 +171,20 @@ def test_retention_and_sealing_take_the_series_along(busy):
     assert busy.storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10, None) == []
 
 
+def test_a_spacecraft_that_comes_again_under_its_name_begins_anew(busy, monkeypatch):
+    series, _ = made(busy)
+    # of the one before, whose data reached further
+    series._made[SC] = 1, at(10_000)
+    series.poll_once()
+    assert smoothed(busy) == []
+    with monkeypatch.context() as patch:
+        patch.setattr(busy.storage.archive, "heads", dict)
+        series.poll_once()
+    series.poll_once()
+    series.poll_once()
+    assert len(smoothed(busy)) > 15
+
+
 @pytest.mark.parametrize("lag_s", [-1.0, 299.0, 43_201.0, float("nan")])
 def test_a_lag_that_makes_no_sense_is_refused(lag_s):
     with pytest.raises(ValueError, match="lag_s is 0, or from 300 to 43200 s"):
