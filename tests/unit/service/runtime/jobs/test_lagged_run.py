@@ -1,4 +1,4 @@
-"""Smoothed rows at a fixed lag: the same to the bit whoever makes them, from whatever state, in whatever parts."""
+"""Smoothed rows at a fixed lag: the same to the bit from any state and in any parts."""
 
 import shutil
 from dataclasses import replace

@@ -171,7 +171,7 @@ def test_retention_and_sealing_take_the_series_along(busy):
     assert busy.storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10, None) == []
 
 
-def test_a_spacecraft_that_comes_again_under_its_name_begins_anew(busy, monkeypatch):
+def test_a_spacecraft_that_comes_again_under_its_name_begins_again(busy, monkeypatch):
     series, _ = made(busy)
     # of the one before, whose data reached further
     series._made[SC] = 1, at(10_000)
