@@ -68,6 +68,9 @@ class CalibrationConfig:
     min_turn_deg: float = setting(0.1, "an axis counts as turned where its angle passed this, deg", TUNED)
     min_yaw_proof_deg: float = setting(0.3, "turns of yaw below this do not prove its sign, deg", TUNED)
     max_scale_error: float = setting(0.1, "scale by which one axis of a sensor may differ, else warned", TUNED)
+    momentum_bias_share: float = setting(
+        0.1, "share by which the wheels' momentum along pitch may differ from the stated one, else refused", CHOSEN
+    )
 
 
 @dataclass(frozen=True, slots=True)

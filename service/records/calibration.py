@@ -3,6 +3,7 @@
 All arrays are tuples in the order of the plan's carriers or of (yaw, roll, pitch); absent figures are NaN.
 """
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
@@ -115,6 +116,26 @@ class SensorSigns:
     is_common_proven: bool
 
 
+class MomentumVerdict(StrEnum):
+    """Verdict of the turns on the momentum of the wheels in telemetry."""
+
+    CONSISTENT = "consistent"
+    CONTRADICTED = "contradicted"
+    UNCHECKED = "not_checked"
+
+
+@dataclass(frozen=True, slots=True)
+class MomentumCheck:
+    """Check of the momentum of the wheels by the turns; order roll, pitch, yaw, NaN = not determined."""
+
+    verdict: MomentumVerdict
+    #: what contradicts it, why it was not checked, or what stays open; empty = nothing
+    reason: str
+    #: response of each axis over that of true telemetry, and one standard deviation
+    response: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    response_sigma: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:
     """Outcome of a fit."""
@@ -128,6 +149,8 @@ class CalibrationResult:
     geometry: GeometryFit | None = None
     #: None of a calibration made before signs were judged
     signs: SensorSigns | None = None
+    #: None where the catalogue stated nothing of the momentum
+    momentum: MomentumCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +172,12 @@ class Calibration:
     def is_yaw_controllable(self) -> bool:
         """Return whether yaw may be controlled: its sign is proven, or was not judged by this calibration."""
         return self.result is None or self.result.signs is None or self.result.signs.is_yaw_proven
+
+    @property
+    def is_momentum_contradicted(self) -> bool:
+        """Return whether the turns contradict the momentum of the wheels in telemetry."""
+        check = None if self.result is None else self.result.momentum
+        return check is not None and check.verdict is MomentumVerdict.CONTRADICTED
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,6 +117,8 @@ class WheelMomentum:
     #: one standard deviation of the scale, relative, and of the axes, deg
     scale_error: float = 0.005
     misalignment_deg: float = 0.05
+    #: momentum along pitch that unloadings restore, N m s, for the check at calibration; None = unknown
+    pitch_bias_n_m_s: float | None = None
     #: whether the filter uses it
     used: bool = True
     #: torque from outside that gathers in the wheels and moves nothing else; None = that of fed_forward_torque, whose

@@ -107,7 +107,7 @@ def _momentum(world: World, *, is_flown: bool) -> Line:
         return {}
     errors = {"sigma_n_m_s": figures.noise_n_m_s, "scale_error": figures.scale_error}
     # three times as wrong as stated where the story says so
-    stated = {**errors, "misalignment_deg": 0.05, "used": True}
+    stated = {**errors, "misalignment_deg": 0.05, "pitch_bias_n_m_s": figures.bias_n_m_s, "used": True}
     if is_flown:
         # what acts on it moves the body too: it is the profile that is fed forward
         return {"momentum": stated}

@@ -163,7 +163,9 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     sources: SensorsDocument
     quality: dict[str, Figure | str | list[str]]
     """Figures of the fit as a whole, `warnings`, and `yaw_sign` and `common_sign`: proven, unproven or not_judged.
-    While `yaw_sign` is unproven, yaw is not controlled; `common_sign` is that of all axes of the sensors together."""
+    While `yaw_sign` is unproven, yaw is not controlled; `common_sign` is that of all axes of the sensors together.
+    `momentum` of the wheels by the turns: consistent, contradicted (the filter does not use it), not_checked, or
+    not_stated where the catalogue has no `onboard.momentum`; `momentum_response_roll` and others must be 1."""
     observability: ObservabilityAnswer | None
     carriers: list[CarrierCalibrationAnswer]
     job: str | None
@@ -196,8 +198,10 @@ def _quality(result: CalibrationResult | None) -> dict[str, float | str | list[s
     """Return the figures of the whole, the signs and the warnings."""
     if result is None:
         return {"warnings": []}
-    words = {"yaw_sign": "not_judged", "common_sign": "not_judged"}
+    words = {"yaw_sign": "not_judged", "common_sign": "not_judged", "momentum": "not_stated"}
     if result.signs is not None:
         words["yaw_sign"] = "proven" if result.signs.is_yaw_proven else "unproven"
         words["common_sign"] = "proven" if result.signs.is_common_proven else "unproven"
+    if result.momentum is not None:
+        words["momentum"] = result.momentum.verdict.value
     return {**result.quality, **words, "warnings": list(result.warnings)}

@@ -147,6 +147,9 @@ class WheelMomentumDocument(Document):
     """One standard deviation of the scale, relative."""
     misalignment_deg: Annotated[float, Field(ge=0, le=5)] = 0.05
     """One standard deviation of the axes."""
+    pitch_bias_n_m_s: Annotated[float, Field(ge=-1e4, le=1e4)] | None = None
+    """Momentum along pitch that unloadings restore. A calibration refuses telemetry whose mean differs by more than a
+    tenth; null: a unit or a sign that all axes share stays unproven."""
     used: bool = True
     """Use by the filter; false: the record is stored alone."""
     torque: FedForwardDocument | None = None

@@ -12,7 +12,7 @@ from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import CalibrationRequest
 from service.records.catalogue import CarrierPlan, Ephemeris, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.inputs import Correction, Operation
+from service.records.inputs import Correction, Operation, TelemetryRecord
 from service.records.levels.attitude import FloatArray, IntArray
 from service.records.levels.series import MeasurementSeries, ReferenceSeries
 
@@ -46,6 +46,8 @@ class CalibrationInput:
     row_measurements: float = 1.0
     #: (T, N) dBm, of each row of the quiet window its first measurement; None = the row is the measurement
     quiet_first_dbm: FloatArray | None = None
+    #: records of the turns
+    telemetry: tuple[TelemetryRecord, ...] = ()
 
     @property
     def sensors(self) -> tuple[str, str, str]:

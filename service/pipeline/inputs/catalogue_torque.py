@@ -48,10 +48,10 @@ def fed_forward(spacecraft: Spacecraft | None) -> FedForward | None:
     return None if spacecraft is None or reported is None else _profile(reported, spacecraft)
 
 
-def momentum_model(spacecraft: Spacecraft | None) -> MomentumModel | None:
-    """Return how the momentum of the wheels is read; None where the catalogue does not use it."""
+def momentum_model(spacecraft: Spacecraft | None, *, is_contradicted: bool = False) -> MomentumModel | None:
+    """Return how the momentum of the wheels is read; None where the catalogue does not use it, or turns contradict."""
     stated = None if spacecraft is None else spacecraft.onboard.momentum
-    if spacecraft is None or stated is None or not stated.used:
+    if spacecraft is None or stated is None or not stated.used or is_contradicted:
         return None
     return MomentumModel(
         stated.sigma_n_m_s,

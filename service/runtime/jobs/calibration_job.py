@@ -17,12 +17,14 @@ from service.records.calibration import (
     CalibrationResult,
     CalibrationState,
 )
-from service.records.inputs import Correction, Operation
+from service.records.inputs import Correction, Operation, TelemetryRecord
 from service.records.operations.job import Job
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
 
 #: operations and corrections that a calibration looks at, at most of each
 _MAX_INPUTS = 1000
+#: records of telemetry that it looks at: three hours of one a second, the whole turns of one in five
+_MAX_RECORDS = 10_000
 
 
 class Calibrator:
@@ -157,12 +159,18 @@ class Calibrator:
             self._corrections(spacecraft_id, request),
             quiet.usual_measurements,
             quiet.first_dbm,
+            self._telemetry(spacecraft_id, request),
         )
 
     def _corrections(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Correction, ...]:
         """Return the announced corrections that overlap the turns."""
         entries = self._storage.archive.inputs(spacecraft_id, "correction", request.turns, _MAX_INPUTS, None)
         return tuple(entry.content for entry in entries if isinstance(entry.content, Correction))
+
+    def _telemetry(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[TelemetryRecord, ...]:
+        """Return the records of the turns, the first of them where they are more than a calibration reads."""
+        entries = self._storage.archive.inputs(spacecraft_id, "telemetry", request.turns, _MAX_RECORDS, None)
+        return tuple(entry.content for entry in entries if isinstance(entry.content, TelemetryRecord))
 
     def _operations(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Operation, ...]:
         """Return the declared operations that overlap a window, each once, by number."""

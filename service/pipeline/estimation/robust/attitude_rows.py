@@ -22,6 +22,8 @@ ADVICE: dict[str, str] = {
     "state_torque": "a torque of which the catalogue knows nothing turns the spacecraft, and yaw is known worse for "
     "it; state its size in onboard.residual_torque_n_m, and in onboard.fed_forward_torque the profile that the loop on "
     "board feeds forward",
+    "momentum_contradicted": "the calibration turns contradict the momentum of the wheels in telemetry, and the filter "
+    "does not use it; read the warnings of the calibration, correct sign, order, unit or epochs, and calibrate again",
     "momentum_refused": "the momentum of the wheels in telemetry contradicts the powers and is not used until the next "
     "alignment; check sign, order, unit and source of the telemetry, and onboard.momentum",
     "momentum_jump": "the momentum of the wheels jumped and telemetry did not say thrusters_active; report unloadings",

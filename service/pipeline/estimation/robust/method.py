@@ -171,6 +171,7 @@ def step_robust(
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
         given={
             "state_torque": model.is_torque_unknown and is_torque_shown(found.state, model, len(released)),
+            "momentum_contradicted": model.is_momentum_contradicted,
             **momentum_advice(state.momentum, measurement.epoch_us),
         },
     )

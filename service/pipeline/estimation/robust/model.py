@@ -75,6 +75,8 @@ class RobustModel:
     is_yaw_controllable: bool
     #: whether the catalogue does not state the size of the torque that is not fed forward
     is_torque_unknown: bool
+    #: whether the turns contradict the momentum of the wheels, which the filter would use otherwise
+    is_momentum_contradicted: bool
     calibration_id: int
     alignment_id: int
 
@@ -111,7 +113,6 @@ def robust_model(
     if fit is None or Method.ROBUST.value not in alignment.references_by_method:
         return None
     arrays = geometry_model(fit, result.carriers)
-    level = ExpectedLevel(arrays, fit, ephemeris)
     former = aligned_with if aligned_with is not None and aligned_with.id != calibration.id else None
     offset_db, sigma_db = _references(result, fit, arrays, alignment, former, aligned_under or ephemeris)
     carrier_ids = tuple(carrier.id for carrier in result.carriers)
@@ -120,7 +121,7 @@ def robust_model(
     groups = member_groups(fit.alc_group, is_used)
     grown_db = _grown_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us))
     spacecraft = knowledge.spacecraft
-    settings = _filter_settings(spacecraft, config.robust)
+    settings = _filter_settings(spacecraft, config.robust, calibration)
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
@@ -130,7 +131,7 @@ def robust_model(
         limits=_limits(config.interlock, config.robust, settings, spacecraft),
         response=centred_response(arrays.response, groups),
         orders=subset_orders(len(carrier_ids), _SUBSETS),
-        level=level,
+        level=ExpectedLevel(arrays, fit, ephemeris),
         fit=fit,
         names=CarrierIndices(carrier_ids, fit.transponders, np.array(fit.transponder, dtype=np.int64)),
         reference_offset_db=np.nan_to_num(offset_db),
@@ -143,6 +144,7 @@ def robust_model(
         inertia_kg_m2=None if spacecraft is None else angle_inertia_kg_m2(spacecraft),
         wheel_axes=None if spacecraft is None else np.array(spacecraft.wheels.axes),
         is_torque_unknown=is_torque_unknown(spacecraft),
+        is_momentum_contradicted=calibration.is_momentum_contradicted and momentum_model(spacecraft) is not None,
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )
@@ -230,7 +232,7 @@ def _window_levels(arrays: GeometryModel, level: ExpectedLevel, alignment: Align
     return level.mean_dbm(instants) + predict_deviation(attitude, arrays.response)
 
 
-def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
+def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig, calibration: Calibration) -> FilterSettings:
     """Return the settings of the filter for the spacecraft.
 
     An exchange of roll and yaw that nobody knows of is drift of either by what the usual angle of the other makes.
@@ -251,7 +253,7 @@ def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> Fil
         torque_deg_h2=residual_deg_h2(spacecraft, config.unknown_torque_n_m),
         torque_constant_share=constant_share(spacecraft),
         fed_forward=fed_forward(spacecraft),
-        momentum=momentum_model(spacecraft),
+        momentum=momentum_model(spacecraft, is_contradicted=calibration.is_momentum_contradicted),
     )
 
 

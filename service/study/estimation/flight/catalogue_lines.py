@@ -59,7 +59,9 @@ def _onboard(body: Body) -> Onboard:
     stated = body.get("momentum")
     if stated is None:
         return Onboard(**body)
-    return Onboard(**{**body, "momentum": WheelMomentum(**{**stated, "torque": read_torque(stated["torque"])})})
+    # a flown spacecraft states none: what gathers in its wheels is the profile that is fed forward
+    torque = None if stated.get("torque") is None else read_torque(stated["torque"])
+    return Onboard(**{**body, "momentum": WheelMomentum(**{**stated, "torque": torque})})
 
 
 def read_torque(body: Body) -> FedForwardTorque:

@@ -28,6 +28,7 @@ from service.records.inputs import (
     AlignmentSet,
     CalibrationActivation,
     SpacecraftChange,
+    TelemetryRecord,
 )
 from service.records.journal import SlowInput
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
@@ -142,6 +143,7 @@ def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibr
         ground.spacecraft,
         row_measurements=still.usual_measurements,
         quiet_first_dbm=still.first_dbm,
+        telemetry=tuple(e.content for e in ground.events if isinstance(e.content, TelemetryRecord)),
     )
     try:
         result = calibrate_geometry(data, CalibrationConfig())

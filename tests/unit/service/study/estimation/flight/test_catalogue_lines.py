@@ -1,6 +1,6 @@
 """Lines of the simulator's ground become the records that the interface would have made of them."""
 
-from service.records.catalogue import ControlMode, Method, Release
+from service.records.catalogue import ControlMode, Method, Release, WheelMomentum
 from service.records.epoch import parse_epoch
 from service.records.levels.attitude import Axes
 from service.study.estimation.flight.catalogue_lines import (
@@ -53,6 +53,12 @@ def test_a_spacecraft_keeps_what_the_ground_says_of_its_coupling_and_control():
         Release.AUTOMATIC,
     )
     assert record.receiving_site.height_m == 180.0
+
+
+def test_a_flown_spacecraft_states_its_wheels_without_a_torque_of_their_own():
+    stated = {"sigma_n_m_s": 0.02, "scale_error": 0.005, "misalignment_deg": 0.05, "used": True}
+    record = read_spacecraft({**SPACECRAFT, "onboard": {**SPACECRAFT["onboard"], "momentum": stated}})
+    assert record.onboard.momentum == WheelMomentum(sigma_n_m_s=0.02)
 
 
 def test_carriers_keep_their_order_and_a_beacon_has_no_station():
