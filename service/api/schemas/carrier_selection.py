@@ -8,6 +8,7 @@ from pydantic import BeforeValidator
 
 from service.api.schemas.base import AnglesAnswer, Answer, Figure
 from service.pipeline.planning.candidates import Candidates
+from service.pipeline.planning.momentum_gain import MomentumGain
 from service.pipeline.planning.planning import (
     AVERAGING_SPANS_S,
     CarrierSet,
@@ -206,6 +207,26 @@ class FurtherCarrierAnswer(Answer):
     """Bounds of one row with it over those without it; null: not determined without it."""
 
 
+class MomentumGainAnswer(Answer):
+    """Smallest sigma of a filter over a day, with and without the momentum of the wheels in telemetry."""
+
+    pitch_bias_n_m_s: float
+    """Momentum along pitch."""
+    sigma_n_m_s: float
+    """Noise of a record along an axis."""
+    period_s: float
+    """Time between two records."""
+    without_deg: _Angles
+    """By powers alone."""
+    with_deg: _Angles
+    """By powers and momentum."""
+
+    @classmethod
+    def of(cls, gain: MomentumGain) -> Self:
+        """Return the answer for a gain."""
+        return super().of(gain, **gain.wheels._asdict())
+
+
 class CarrierSelectionAnswer(Answer):
     """A recommended subset of the carriers of a calibration."""
 
@@ -231,6 +252,8 @@ class CarrierSelectionAnswer(Answer):
     sets: CarrierSetsAnswer
     further: list[FurtherCarrierAnswer]
     """At most three that were left out of the chosen set, in the order of their effect."""
+    momentum: MomentumGainAnswer | None
+    """What the momentum of the wheels gives the chosen carriers; null where neither query nor catalogue states one."""
     turns: TurnsAnswer | None
 
     @classmethod
@@ -255,5 +278,6 @@ class CarrierSelectionAnswer(Answer):
             carriers=[RecommendedCarrierAnswer.of(recommendation, k) for k in range(len(candidates.carrier_ids))],
             sets=CarrierSetsAnswer(**sets),
             further=[FurtherCarrierAnswer.of(one) for one in recommendation.further],
+            momentum=None if found.momentum is None else MomentumGainAnswer.of(found.momentum),
             turns=None if turns is Turns.NONE else TurnsAnswer.of(turns),
         )

@@ -40,6 +40,11 @@ def plan(
     count: Annotated[int | None, typer.Option(help="Carriers wanted; default 16.", min=5, max=1000)] = None,
     rule: Annotated[Literal["optimal", "paper"], typer.Option(help="Rule of the choice.")] = "optimal",
     far_yaw: Annotated[bool, typer.Option("--far-yaw", help="Turn to 1 deg about yaw.")] = False,
+    wheels: Annotated[float | None, typer.Option(help="Momentum along pitch in telemetry, N m s.")] = None,
+    wheel_sigma: Annotated[float | None, typer.Option(help="Noise of its records, N m s.", min=1e-6, max=10)] = None,
+    wheel_period: Annotated[
+        float | None, typer.Option(help="Time between its records, s; default 300.", min=60, max=86_400)
+    ] = None,
     turns_start: Annotated[str | None, typer.Option(help="RFC 3339 start of the turns; default: from +0:00.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw the stations into this PNG or SVG file.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write Markdown, JSON and figures into this folder.")] = None,
@@ -55,7 +60,7 @@ def plan(
     if is_offline == (spacecraft is not None):
         raise _refused("name a spacecraft of the service, or both --spacecraft-file and --carriers-file")
     _require_together(spacecraft, quiet, ephemeris, beam or contours or quiet or ephemeris)
-    request = PlanRequest(count, rule, far_yaw)
+    request = PlanRequest(count, rule, far_yaw, wheels, wheel_sigma, wheel_period)
     try:
         begin_us = None if turns_start is None else parse_epoch(turns_start)
         if spacecraft is not None:

@@ -37,6 +37,8 @@ def planning_parts(planning: CarrierPlanning) -> Iterator[str | Table]:
         yield _quiet_table(quiet)
     yield _sets_table(document)
     yield _averages_table(document)
+    if document.get("momentum") is not None:
+        yield _momentum_table(document["momentum"])
     yield _chosen_table(document)
     left = [row for row in document["carriers"] if not row["selected"]]
     if left:
@@ -116,6 +118,18 @@ def _averages_table(document: dict[str, Any]) -> Table:
     table.add_row("1 row", *(_angles(one["crlb_deg"]) for one in sets))
     for k, first in enumerate(sets[0]["averaged"]):
         table.add_row(_span(first["span_s"]), *(_angles(one["averaged"][k]["sigma_deg"]) for one in sets))
+    return table
+
+
+def _momentum_table(gain: dict[str, Any]) -> Table:
+    """Return what the momentum of the wheels would give."""
+    title = (
+        f"Bound over a day, one sigma, deg; wheels of {gain['pitch_bias_n_m_s']:g} N m s along pitch, read to "
+        f"{gain['sigma_n_m_s']:g} N m s each {_span(gain['period_s'])}"
+    )
+    table = Table("by", *_AXES, title=title, title_justify="left")
+    table.add_row("powers", *(_angle(gain["without_deg"][axis]) for axis in _AXES))
+    table.add_row("powers and momentum", *(_angle(gain["with_deg"][axis]) for axis in _AXES))
     return table
 
 

@@ -14,8 +14,10 @@ import numpy as np
 from service.client.service_client import ServiceClient
 from service.core.geometry.frames import AntennaDirection, station_direction
 from service.errors import InvalidInputError
+from service.records.catalogue import Spacecraft
 
 if TYPE_CHECKING:
+    from service.core.estimation.momentum_bound import WheelStatistics
     from service.pipeline.planning.rehearsal import Rehearsal
 
 _BEAM_FORM = "[TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] in deg"
@@ -29,11 +31,22 @@ class PlanRequest:
     count: int | None
     rule: str
     far_yaw: bool
+    #: momentum along pitch and noise of a record, N m s, and time between records, s; None: those of the catalogue
+    wheels_n_m_s: float | None = None
+    wheel_sigma_n_m_s: float | None = None
+    wheel_period_s: float | None = None
 
     @property
     def turns(self) -> str:
         """Which turns the answer carries."""
         return "far_yaw" if self.far_yaw else "standard"
+
+    def wheels(self, spacecraft: Spacecraft) -> "WheelStatistics | None":
+        """Return the wheels that the request or the spacecraft states."""
+        from service.pipeline.planning.momentum_gain import WHEEL_PERIOD_S, stated_wheels
+
+        figures = self.wheels_n_m_s, self.wheel_sigma_n_m_s
+        return stated_wheels(spacecraft.onboard.momentum, *figures, self.wheel_period_s or WHEEL_PERIOD_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +73,14 @@ class CarrierPlanning(NamedTuple):
 def planned_by_service(client: ServiceClient, spacecraft_id: str, request: PlanRequest) -> CarrierPlanning:
     """Return the recommendation of a service by its calibration."""
     spacecraft = client.spacecraft(spacecraft_id)
-    wanted = {"count": request.count, "rule": request.rule, "turns": request.turns}
+    wanted = {
+        "count": request.count,
+        "rule": request.rule,
+        "turns": request.turns,
+        "wheels_n_m_s": request.wheels_n_m_s,
+        "wheel_sigma_n_m_s": request.wheel_sigma_n_m_s,
+        "wheel_period_s": request.wheel_period_s,
+    }
     stated = {name: value for name, value in wanted.items() if value is not None}
     document = client.request("GET", f"/spacecraft/{spacecraft_id}/carrier-selection", params=stated)
     stations = {carrier["id"]: carrier.get("station") for carrier in client.carriers(spacecraft_id)["carriers"]}
@@ -95,7 +115,7 @@ def planned_by_files(files: PlanFiles, beams: list[str], noise: str, request: Pl
         meant = NOISES[noise] if files.quiet is None else NOISES[noise]._replace(meaning=f"that of {files.quiet.name}")
         payload = assume_payload(carriers, spacecraft.longitude_deg, meant, stated)
         if files.quiet is None:
-            return CarrierPlanning(spacecraft.id, _assumed_document(payload, request), payload.direction)
+            return CarrierPlanning(spacecraft.id, _assumed_document(payload, request, spacecraft), payload.direction)
         from service.cli.planning.quiet_plan import planned_by_quiet_days
 
         plan = CarrierPlan(1, "", carriers)
@@ -125,7 +145,7 @@ def _require_known(beams: dict[str, Any], carriers: Any) -> None:
         raise InvalidInputError("plan.beam", detail)
 
 
-def _assumed_document(payload: Any, request: PlanRequest) -> dict[str, Any]:
+def _assumed_document(payload: Any, request: PlanRequest, spacecraft: Spacecraft) -> dict[str, Any]:
     """Return the document of carriers with assumed beams and noise."""
     from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
     from service.pipeline.planning.planning import Rule, recommend
@@ -136,6 +156,7 @@ def _assumed_document(payload: Any, request: PlanRequest) -> dict[str, Any]:
     offered = offered_sites(payload, payload.candidates)
     recommendation = recommend(payload.candidates, count, Rule(request.rule), offered=offered)
     found = CarrierRecommendation(None, None, count, recommendation, payload.assumptions)
+    found = found.with_wheels(request.wheels(spacecraft))
     document: dict[str, Any] = json.loads(CarrierSelectionAnswer.of(found, Turns(request.turns)).model_dump_json())
     return document
 

@@ -3,14 +3,16 @@
 Nothing is stored: an operator looks before deciding on a calibration or on which carriers to measure.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+from service.core.estimation.momentum_bound import WheelStatistics
 from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.pipeline.calibration.minute_rows import minute_rows
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning.candidates import MIN_USABLE, Candidates, candidates_of
+from service.pipeline.planning.momentum_gain import MomentumGain, momentum_gain
 from service.pipeline.planning.planning import Recommendation, Rule, recommend
 from service.ports import LIVE, Storage
 from service.records.calibration import (
@@ -49,6 +51,15 @@ class CarrierRecommendation:
     recommendation: Recommendation
     #: limits of the figures' validity
     notes: tuple[str, ...]
+    #: None where no momentum is stated
+    momentum: MomentumGain | None = None
+
+    def with_wheels(self, wheels: WheelStatistics | None) -> "CarrierRecommendation":
+        """Return the recommendation with what wheels would give the chosen carriers."""
+        if wheels is None:
+            return self
+        chosen = self.recommendation.sets[self.recommendation.rule.value].chosen
+        return replace(self, momentum=momentum_gain(self.recommendation.candidates, chosen, wheels))
 
 
 def window_harmonics(

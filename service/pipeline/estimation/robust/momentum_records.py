@@ -7,7 +7,7 @@ import numpy as np
 
 from service.core.estimation.filtering.model.filter_state import core_size, hidden_count
 from service.core.estimation.filtering.model.hidden_motion import MOMENTUM
-from service.core.estimation.filtering.watches.momentum_watch import push_record
+from service.core.estimation.filtering.watches.momentum_watch import push_record, with_impossible
 from service.pipeline.estimation.robust.method import RobustState, RobustStep, step_robust
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.inputs.knowledge import Knowledge
@@ -30,8 +30,11 @@ def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) ->
     reported = knowledge.momentum_n_m_s(epoch_us, _LATE_S)
     if wheels is None or record is None or reported is None or model.wheel_axes is None:
         return state
-    if len(reported) != len(model.wheel_axes):
+    if len(reported) != len(model.wheel_axes) or knowledge.spacecraft is None:
         return state
+    if max(map(abs, reported)) > knowledge.spacecraft.wheels.momentum_limit_n_m_s:
+        # no wheel holds so much: a first record of another unit would be believed, a later one is a wild record
+        return replace(state, momentum=with_impossible(state.momentum))
     gaussian = state.filter.gaussian
     watch, gaussian = push_record(
         state.momentum,

@@ -50,6 +50,11 @@ def fresh_watch() -> MomentumWatch:
     return MomentumWatch(_NEVER_US, np.zeros(3), 0, 0.0, 0.0, 0.0, _NEVER_US, False)
 
 
+def with_impossible(watch: MomentumWatch) -> MomentumWatch:
+    """Return the watch after a record that no wheel can hold: telemetry that begins so is refused."""
+    return watch._replace(is_refused=True) if watch.newest_us == _NEVER_US else watch
+
+
 def has_jumped(watch: MomentumWatch, epoch_us: int) -> bool:
     """Return whether a jump that nobody declared is reported at an epoch."""
     return epoch_us - watch.jumped_us < _REPORTED_US

@@ -255,3 +255,12 @@ def test_without_a_key_no_service_is_asked() -> None:
     result = run("--spacecraft", "yamal-202", key="")
     assert result.exit_code == 2
     assert "the environment variable SOO_KEY is empty" in result.output
+
+
+def test_wheels_of_an_option_say_what_yaw_they_would_give(files: list[str]) -> None:
+    plain, wheels = (json.loads(run(*files, "--json", *more).stdout) for more in ((), ("--wheels", "8")))
+    assert plain["momentum"] is None
+    gain = wheels["momentum"]
+    assert (gain["pitch_bias_n_m_s"], gain["sigma_n_m_s"], gain["period_s"]) == (8.0, 0.01, 300.0)
+    assert gain["with_deg"]["yaw"] < gain["without_deg"]["yaw"]
+    assert "powers and momentum" in run(*files, "--wheels", "8", "--wheel-period", "3600").stdout

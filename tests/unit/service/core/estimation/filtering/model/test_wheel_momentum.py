@@ -8,7 +8,13 @@ import pytest
 from service.core.estimation.filtering.model.filter_model import FedForward, FilterSettings, MomentumModel
 from service.core.estimation.filtering.model.filter_state import Gaussian
 from service.core.estimation.filtering.model.wheel_momentum import compared, moved_momentum
-from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch, has_jumped, push_record
+from service.core.estimation.filtering.watches.momentum_watch import (
+    MomentumWatch,
+    fresh_watch,
+    has_jumped,
+    push_record,
+    with_impossible,
+)
 
 #: nine core states, chain and rain, nine torques, seven of the momentum
 FIRST, SIZE = 20, 27
@@ -104,3 +110,9 @@ def test_telemetry_that_keeps_jumping_is_refused_and_yaw_is_known_less() -> None
     after, unchanged = fed(watch, gaussian, 30, H)
     assert after is watch
     assert unchanged is gaussian
+
+
+def test_telemetry_that_begins_with_what_no_wheel_holds_is_refused() -> None:
+    assert with_impossible(fresh_watch()).is_refused
+    watch, _ = records(noisy(5))
+    assert with_impossible(watch) is watch
