@@ -72,12 +72,12 @@ def momentum_warnings(check: MomentumCheck | None) -> tuple[str, ...]:
 def _records(data: CalibrationInput, wheels: int) -> list[TelemetryRecord]:
     """Return the records of the turns that tell the momentum of every wheel, in order of their epochs."""
     turns = data.request.turns
-    told = [
+    reported = [
         one
         for one in data.telemetry
         if turns.start_us <= one.epoch_us < turns.stop_us and len(one.wheel_momentum_n_m_s or ()) == wheels
     ]
-    return sorted(told, key=lambda one: one.epoch_us)
+    return sorted(reported, key=lambda one: one.epoch_us)
 
 
 def _response(

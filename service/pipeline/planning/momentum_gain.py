@@ -1,4 +1,4 @@
-"""What the momentum of the wheels in telemetry would give: bounds of the attitude with and without it."""
+"""Gain by the momentum of the wheels in telemetry: bounds of the attitude with and without it."""
 
 import math
 from typing import NamedTuple
