@@ -38,7 +38,7 @@ from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.lagged_run import lagged_in_process
 from service.runtime.jobs.lagged_series import LaggedSeries
 from service.runtime.jobs.replay_job import Replayer
-from service.runtime.jobs.replay_run import replay_in_process
+from service.runtime.jobs.replay_run import prepare_process, replay_in_process
 from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.leadership import Leading, always
 from service.runtime.live.live_feed import LiveFeed
@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 _OWN_FILES = 256
 #: a part of six hours of smoothed rows is ended after this, s; at a row a second it takes three minutes
 _PART_TIMEOUT_S = 3600.0
+#: from the start of leadership to that of the worker process of replays, so that it delays no start, s
+_PREPARED_AFTER_S = 10.0
 
 
 def build_storage(settings: Settings) -> Storage:
@@ -247,18 +249,22 @@ def _calibrator(settings: Settings, storage: Storage, clock: Clock, jobs: JobRun
     return Calibrator(storage, clock, jobs, fit, settings.workers.max_calibrations)
 
 
-def _replayer(settings: Settings, storage: Storage, clock: Clock) -> tuple[Replayer, Callable[[], None]]:
-    """Return what replays in a worker process of its own, since a replay may take hours, and what ends that."""
+def _replayer(
+    settings: Settings, storage: Storage, clock: Clock
+) -> tuple[Replayer, Callable[[], None], Callable[[], None]]:
+    """Return what replays in a worker process of its own, since a replay may take hours, its preparation, its end."""
     jobs, worker = JobRunner(storage.results, clock), Workers(WorkerConfig(processes=1))
     opened = partial(SqlStorage, settings.database_url, settings.database_timeout_s)
-    replayed = partial(worker.complete, partial(replay_in_process, opened, settings.chain_config()))
+    config = settings.chain_config()
+    replayed = partial(worker.complete, partial(replay_in_process, opened, config))
+    prepare = partial(worker.prepare, _PREPARED_AFTER_S, partial(prepare_process, opened, config))
 
     def end() -> None:
         worker.stop()
         jobs.stop()
 
     # the process reports for itself
-    return Replayer(storage, clock, jobs, lambda sc, version, _: replayed(sc, version)), end
+    return Replayer(storage, clock, jobs, lambda sc, version, _: replayed(sc, version)), prepare, end
 
 
 def _lagged_series(settings: Settings, storage: Storage, leading: Leading) -> tuple[LaggedSeries, Callable[[], None]]:
@@ -294,12 +300,12 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     # apart, so that no calibration waits for an analysis
     jobs, analyses = JobRunner(storage.results, clock), JobRunner(storage.results, clock)
     workers = Workers(settings.workers)
-    replayer, end_replays = _replayer(settings, storage, clock)
+    replayer, prepare_replays, end_replays = _replayer(settings, storage, clock)
     lagged, end_lagged = _lagged_series(settings, storage, leading)
     maintainer = build_maintenance(settings, storage, clock, leading.term)
 
     async def start() -> None:
-        await asyncio.to_thread(leading.start, [jobs.start, replayer.resume])
+        await asyncio.to_thread(leading.start, [jobs.start, replayer.resume, prepare_replays])
         maintainer.start()
         alarms.start()
         supervisor.start()

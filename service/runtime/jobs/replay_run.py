@@ -15,6 +15,7 @@ from service.pipeline.chain import METHODS, Chain
 from service.pipeline.checkpoints.chain_state import ChainState, fingerprint
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.smoothed.smoothed_rows import SmoothedRows
+from service.pipeline.first_rows import compile_filter
 from service.ports import Outcome, Storage
 from service.records.calibration import Window
 from service.records.catalogue import Method
@@ -303,6 +304,12 @@ class ReplayRun:
         content = entry.content
         is_other = isinstance(content, AlignmentSet) and content.alignment_id != self._alignment.id
         return not (self._replay.is_fixed_alignment and is_other)
+
+
+def prepare_process(_open_storage: Callable[[], Storage], config: ChainConfig) -> None:
+    """Load in a process, ahead of the first replay, what it needs: by the arguments all modules, here machine code."""
+    if config.kernels == "numba":
+        compile_filter()
 
 
 def replay_in_process(

@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from queue import LifoQueue
-from threading import TIMEOUT_MAX, Lock, Thread
+from threading import TIMEOUT_MAX, Lock, Thread, Timer
 from typing import Any, ParamSpec, TypeVar
 
 from service.errors import BusyError, InvalidInputError, UnavailableError
@@ -73,6 +73,7 @@ class Workers:
             self._idle.put(worker)
         self._lock = Lock()
         self._analyses = 0
+        self._preparing: Timer | None = None
         self._is_stopping = False
 
     def analyse(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Future[Found]:
@@ -132,9 +133,29 @@ class Workers:
                 _LOG.warning("a worker process ended unexpectedly; its work goes on in another one", exc_info=True)
         return None
 
+    def prepare(self, delay_s: float, work: Callable[[], None]) -> None:
+        """Start a process after some time and do some work in it, so that the next work finds imports and code loaded.
+
+        A later call changes nothing.
+        """
+
+        def begin() -> None:
+            # the service may have begun to stop
+            with suppress(UnavailableError):
+                self._submit(TIMEOUT_MAX, work)
+
+        with self._lock:
+            if self._preparing is None and not self._is_stopping:
+                self._preparing = Timer(delay_s, begin)
+                self._preparing.daemon = True
+                self._preparing.start()
+
     def stop(self) -> None:
         """End what is computed and what waits; futures of both tell it."""
-        self._is_stopping = True
+        with self._lock:
+            self._is_stopping = True
+            if self._preparing is not None:
+                self._preparing.cancel()
         self._threads.shutdown(wait=False, cancel_futures=True)
         for worker in self._all:
             worker.end()

@@ -5,6 +5,7 @@ import signal
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -134,6 +135,49 @@ def end_at_first(folder, times):
     (folder / str(died)).touch()
     if died < times:
         os.kill(os.getpid(), signal.SIGKILL)
+
+
+def leave_process_id(path):
+    """Write the number of this process."""
+    path.write_text(str(os.getpid()))
+
+
+def await_prepared(path):
+    """Return the number of the prepared process."""
+    deadline = time.monotonic() + 60
+    while not (path.exists() and path.read_text()):
+        assert time.monotonic() < deadline, "no process was prepared"
+        time.sleep(0.01)
+    return int(path.read_text())
+
+
+def test_a_prepared_process_takes_the_first_work_and_ends_with_the_workers(make_workers, tmp_path):
+    workers = make_workers(processes=1)
+    workers.prepare(0.0, partial(leave_process_id, tmp_path / "id"))
+    process_id = await_prepared(tmp_path / "id")
+    workers.prepare(0.0, partial(os._exit, 1))
+    assert workers.run(os.getpid) == process_id
+    workers.stop()
+    await_end(process_id)
+
+
+def test_work_goes_on_in_another_process_when_the_prepared_one_was_killed(make_workers, tmp_path):
+    workers = make_workers(processes=1)
+    workers.prepare(0.0, partial(leave_process_id, tmp_path / "id"))
+    process_id = await_prepared(tmp_path / "id")
+    os.kill(process_id, signal.SIGKILL)
+    await_end(process_id)
+    workers.complete(leave_process_id, tmp_path / "second")
+    assert int((tmp_path / "second").read_text()) != process_id
+
+
+def test_a_stop_before_its_time_leaves_no_process_prepared(make_workers, tmp_path):
+    workers = make_workers(processes=1)
+    workers.prepare(0.2, partial(leave_process_id, tmp_path / "id"))
+    workers.stop()
+    workers.prepare(0.0, partial(leave_process_id, tmp_path / "id"))
+    time.sleep(1.0)
+    assert not (tmp_path / "id").exists()
 
 
 def test_work_that_goes_on_where_it_was_gets_another_process_when_its_own_dies(make_workers, tmp_path):
