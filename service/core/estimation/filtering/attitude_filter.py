@@ -5,14 +5,19 @@ same rows give the same states bit for bit, and a row that is not newer than the
 than four carriers the filter coasts.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from service.core.estimation.filtering.anchor.anchor_watch import ask_anchor, is_contradicted, protection_now_deg
 from service.core.estimation.filtering.causes.carrier_return import release_quiet
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Chooser, choose_cause
-from service.core.estimation.filtering.causes.rain_state import pass_hold
 from service.core.estimation.filtering.declared_effects import with_declared
-from service.core.estimation.filtering.filter_predict import Weather, predict
+from service.core.estimation.filtering.filter_predict import (
+    Weather,
+    predict,
+    with_moved_momentum,
+)
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.model.declared import Declared
@@ -24,22 +29,23 @@ from service.core.estimation.filtering.model.filter_model import (
     KnownMotion,
 )
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
+from service.core.estimation.filtering.model.step_inputs import StepInputs, step_inputs
 from service.core.estimation.filtering.new_start import start_again
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, RowKernels
 from service.core.estimation.filtering.rows.row_stages import (
     MIN_CARRIERS,
+    OrdinaryRow,
+    state_ahead,
 )
 from service.core.estimation.filtering.rows.staged_row import JudgedRow, staged_row
 from service.core.estimation.filtering.watches.command_watch import (
+    CommandWatch,
     believed_motion,
     doubting_settings,
     pass_commands,
 )
 from service.core.estimation.filtering.watches.drift_watch import scaled_settings
 from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess
-from service.core.estimation.filtering.watches.motion_watch import (
-    pass_motion,
-)
 
 __all__ = ["MIN_CARRIERS", "FilterState", "FilterStep", "start", "step"]
 
@@ -96,35 +102,40 @@ def step(
         return _reported(
             model, state, nothing, np.empty(0, dtype=np.int64), None, limits, _left_db(model, state, deviation_db)
         )
-    step_us = epoch_us - state.epoch_us
-    minutes = min(step_us / 60e6, 1.0)
-    ahead = _ahead(model, settings, state, step_us, known, declared, kernels)
-    row = _row(ahead, deviation_db, minutes, declared, reported_wet)
-    if len(row.present) < MIN_CARRIERS:
+    passed = _passed(model, settings, state, epoch_us - state.epoch_us, known)
+    row = _row(state, deviation_db, passed.step.minutes, declared, reported_wet)
+    is_enough = len(row.present) >= MIN_CARRIERS
+    if is_enough and declared is None:
+        found = _ordinary(model, settings, state, passed, row, kernels)
+        if found.is_ordinary:
+            return _judged(model, found, row, None, limits, kernels)
+    ahead = _ahead(model, passed, state, declared, kernels)
+    if not is_enough:
         return _reported(model, ahead, nothing, row.present[:0], None, limits, _left_db(model, ahead, deviation_db))
-    found = _judged(model, settings, ahead, row, limits, chooser, kernels)
-    return found if declared is None else found._replace(residual_db=_left_db(model, found.state, deviation_db))
+    white_db2 = (model.white_sigma_db * ahead.noise.white_scale) ** 2
+    if declared is not None:
+        white_db2 = white_db2 + declared.white_db**2
+    found, cause = staged_row(model, settings, ahead, row, white_db2, chooser)
+    judged = _judged(model, found, row, cause, limits, kernels)
+    return judged if declared is None else judged._replace(residual_db=_left_db(model, judged.state, deviation_db))
 
 
-def _ahead(
-    model: CarrierModel,
-    settings: FilterSettings,
-    state: FilterState,
-    step_us: int,
-    known: KnownMotion,
-    declared: Declared | None,
-    kernels: RowKernels,
-) -> FilterState:
-    """Return the predicted state with the detectors as much later."""
-    minutes = min(step_us / 60e6, 1.0)
-    is_raining = state.rain.is_raining
-    noise, held_db2 = state.noise.slow_scale, state.model_variance_db2
-    weather = Weather(is_raining, state.motion.is_followed, noise, held_db2, declared)
+class _Passed(NamedTuple):
+    """Step of time before it is applied to the state: its inputs, and the watch on commands after it."""
+
+    settings: FilterSettings
+    known: KnownMotion
+    step: StepInputs
+    command: CommandWatch
+
+
+def _passed(
+    model: CarrierModel, settings: FilterSettings, state: FilterState, step_us: int, known: KnownMotion
+) -> _Passed:
+    """Return what a step of time brings, with the drift that was learned and the share of commands that is believed."""
+    is_raining, from_us, hidden = state.rain.is_raining, state.epoch_us, hidden_count(model, len(state.gaussian.mean))
     now = doubting_settings(scaled_settings(settings, state.drift), state.command)
     believed = believed_motion(state.command, known)
-    predicted, variance = predict(
-        model, now, state.gaussian, step_us, believed, weather, kernels.move_state, state.epoch_us
-    )
     command = pass_commands(
         model,
         now,
@@ -133,22 +144,46 @@ def _ahead(
         known,
         state.carriers.is_flagged,
         is_raining=is_raining,
-        from_us=state.epoch_us,
-        hidden=hidden_count(model, len(predicted.mean)),
+        from_us=from_us,
+        hidden=hidden,
     )
-    ahead = state._replace(
-        epoch_us=state.epoch_us + step_us,
-        gaussian=predicted,
-        rain=pass_hold(state.rain, minutes),
-        motion=pass_motion(state.motion, minutes),
-        model_variance_db2=variance,
-        command=command,
+    followed = state.motion.is_followed
+    step = step_inputs(model, now, hidden, step_us, believed, followed, is_raining=is_raining, from_us=from_us)
+    return _Passed(now, believed, step, command)
+
+
+def _ordinary(
+    model: CarrierModel,
+    settings: FilterSettings,
+    state: FilterState,
+    passed: _Passed,
+    row: JudgedRow,
+    kernels: RowKernels,
+) -> OrdinaryRow:
+    """Return a row without declarations, as it is if nothing is found in it."""
+    if settings.momentum is not None:
+        moved = with_moved_momentum(model, passed.settings, state.gaussian, passed.step.step_us, state.epoch_us)
+        state = state._replace(gaussian=moved)
+    drift_deg_h = settings.drift_deg_h
+    return kernels.ordinary_row(model, state, passed.step, passed.command, drift_deg_h, row.deviation_db, row.present)
+
+
+def _ahead(
+    model: CarrierModel, passed: _Passed, state: FilterState, declared: Declared | None, kernels: RowKernels
+) -> FilterState:
+    """Return the predicted state with the detectors as much later."""
+    rain, followed = state.rain.is_raining, state.motion.is_followed
+    weather = Weather(rain, followed, state.noise.slow_scale, state.model_variance_db2, declared)
+    now, step_us, known = passed.settings, passed.step.step_us, passed.known
+    predicted, variance = predict(
+        model, now, state.gaussian, step_us, known, weather, kernels.move_state, state.epoch_us
     )
+    ahead = state_ahead(state, passed.step, predicted, variance, passed.command)
     return ahead if declared is None else with_declared(model, ahead, declared)
 
 
 def _row(
-    ahead: FilterState,
+    state: FilterState,
     deviation_db: FloatArray,
     minutes: float,
     declared: Declared | None,
@@ -157,41 +192,22 @@ def _row(
     """Return the row without the carriers that are not to be used."""
     is_there = np.isfinite(deviation_db)
     if declared is None:
-        present = np.flatnonzero(is_there & ~ahead.carriers.is_flagged)
+        present = np.flatnonzero(is_there & ~state.carriers.is_flagged)
         return JudgedRow(deviation_db, present, is_there, minutes, declared, reported_wet)
     used_db = np.where(declared.is_masked, np.nan, deviation_db)
-    present = np.flatnonzero(is_there & ~declared.is_masked & ~ahead.carriers.is_flagged)
+    present = np.flatnonzero(is_there & ~declared.is_masked & ~state.carriers.is_flagged)
     return JudgedRow(used_db, present, is_there | declared.is_masked, minutes, declared, reported_wet)
 
 
 def _judged(
     model: CarrierModel,
-    settings: FilterSettings,
-    ahead: FilterState,
+    found: OrdinaryRow,
     row: JudgedRow,
+    cause: Cause | None,
     limits: IntegrityLimits,
-    chooser: Chooser,
     kernels: RowKernels,
 ) -> FilterStep:
-    """Test, update and watch a row of enough carriers."""
-    white_db2 = (model.white_sigma_db * ahead.noise.white_scale) ** 2
-    if row.declared is not None:
-        white_db2 = white_db2 + row.declared.white_db**2
-    found = None
-    if row.declared is None:
-        found = kernels.ordinary_row(
-            model,
-            ahead,
-            settings.drift_deg_h,
-            row.deviation_db,
-            row.present,
-            row.is_accounted,
-            white_db2,
-            row.minutes,
-        )
-    is_ordinary, cause = found is not None and found.is_ordinary, None
-    if found is None or not is_ordinary:
-        found, cause = staged_row(model, settings, ahead, row, white_db2, chooser)
+    """Return the step after a row that was taken: carriers that come back, the references' answer, integrity."""
     after = found.state
     if found.is_returning:
         gaussian, carriers = release_quiet(model, after.gaussian, after.carriers)
@@ -202,7 +218,7 @@ def _judged(
     if after.gaussian is not found.state.gaussian:
         residual_db = _left_db(model, after, row.deviation_db)
     reported = _reported(model, after, found.innovation_db, found.used, cause, limits, residual_db)
-    return reported._replace(is_ordinary=is_ordinary, effective=found.effective)
+    return reported._replace(is_ordinary=found.is_ordinary, effective=found.effective)
 
 
 def _left_db(model: CarrierModel, state: FilterState, deviation_db: FloatArray) -> FloatArray:

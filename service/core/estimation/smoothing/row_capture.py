@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_predict import Mover, TransitionMatrices
+from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray
 from service.core.estimation.filtering.model.filter_state import FIRST_COMMON, RAIN, Gaussian, core_size
+from service.core.estimation.filtering.model.step_inputs import StepInputs
 from service.core.estimation.filtering.rows.row_kernels import RowKernels
+from service.core.estimation.filtering.rows.row_stages import OrdinaryRow
 from service.core.estimation.smoothing.adjoint import LinearStep
 
 
@@ -21,25 +23,24 @@ class StepCapture:
     """
 
     def __init__(self, kernels: RowKernels) -> None:
-        self._mover: Mover = kernels.move_state
-        self.kernels = kernels._replace(move_state=self._move)
+        self._kernels = kernels
+        self.kernels = kernels._replace(move_state=self._move, ordinary_row=self._row)
         self.newest: LinearStep | None = None
 
-    def _move(
-        self, model: CarrierModel, state: Gaussian, motion: TransitionMatrices, *rest: Any
-    ) -> tuple[Gaussian, FloatArray]:
-        _push, _variance, _sigma, common_tau_s, seconds, rain_factor = rest[:6]
-        self.newest = _linear_step(model, motion.transition, common_tau_s, seconds, rain_factor)
-        return self._mover(model, state, motion, *rest)
+    def _move(self, model: CarrierModel, state: Gaussian, step: StepInputs, *rest: Any) -> tuple[Gaussian, FloatArray]:
+        self.newest = _linear_step(model, step)
+        return self._kernels.move_state(model, state, step, *rest)
+
+    def _row(self, model: CarrierModel, state: FilterState, step: StepInputs, *rest: Any) -> OrdinaryRow:
+        self.newest = _linear_step(model, step)
+        return self._kernels.ordinary_row(model, state, step, *rest)
 
 
-def _linear_step(
-    model: CarrierModel, transition: FloatArray, common_tau_s: FloatArray, seconds: float, rain_factor: float
-) -> LinearStep:
+def _linear_step(model: CarrierModel, step: StepInputs) -> LinearStep:
     """Return the step of a state whose first nine numbers move by a transition (9, 9 + E)."""
-    core = np.ones(FIRST_COMMON)
-    core[RAIN] = rain_factor
-    decays = [np.exp(-seconds / common_tau_s), np.exp(-seconds / model.coloured_tau_s).T.ravel()]
+    core, transition = np.ones(FIRST_COMMON), step.transition
+    core[RAIN] = step.rain_factor
+    decays = [np.exp(-step.seconds / step.common_tau_s), np.exp(-step.seconds / model.coloured_tau_s).T.ravel()]
     factor = np.concatenate([core, *decays, np.ones(model.carriers)])
     moving = np.arange(len(transition))
     hidden = core_size(model) + np.arange(transition.shape[1] - len(transition))

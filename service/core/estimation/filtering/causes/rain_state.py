@@ -109,7 +109,16 @@ def common_rose(state: Gaussian, watch: RainWatch, median_db: float) -> tuple[Ga
 
 def pass_hold(watch: RainWatch, minutes: float) -> RainWatch:
     """Return the watch with control held for some minutes of data less."""
-    return watch._replace(hold_minutes=max(0.0, watch.hold_minutes - minutes))
+    return RainWatch(
+        watch.is_raining,
+        watch.wet_minutes,
+        watch.dry_minutes,
+        max(0.0, watch.hold_minutes - minutes),
+        watch.base_chain_db,
+        watch.history_db,
+        watch.cusum,
+        watch.is_steady,
+    )
 
 
 def pass_minutes(state: Gaussian, watch: RainWatch, minutes: float) -> tuple[Gaussian, RainWatch]:

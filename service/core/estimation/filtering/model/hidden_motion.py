@@ -147,11 +147,14 @@ def hidden_noise(hidden: int, shares: int, settings: FilterSettings) -> tuple[Fl
     return sigma, tau_s
 
 
-def add_scale_noise(covariance: FloatArray, first: int, settings: FilterSettings, hours: float) -> None:
-    """Add to a covariance, in place, the noise that keeps the shares of a known profile alive; torques from `first`."""
-    if settings.fed_forward is not None:
-        grown = -math.expm1(-2.0 * hours / settings.torque_tau_h)
-        covariance[first : first + TORQUES, first : first + TORQUES] += grown * scale_covariance(settings.fed_forward)
+def scale_noise(settings: FilterSettings, hours: float) -> FloatArray:
+    """Return the covariance that a step adds to the torque states to keep the shares of a known profile alive.
+
+    Empty, (0, 0), where the loop on board feeds no profile forward.
+    """
+    if settings.fed_forward is None:
+        return np.zeros((0, 0))
+    return -math.expm1(-2.0 * hours / settings.torque_tau_h) * scale_covariance(settings.fed_forward)
 
 
 def torque_states(model: CarrierModel, state: Gaussian, shares: int) -> slice | None:

@@ -22,8 +22,10 @@ from service.core.estimation.filtering.causes import (
     common_change,
     rain_state,
 )
+from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.kernels import anchor_kernels, kernels, state_kernels
-from service.core.estimation.filtering.model import filter_model, filter_state
+from service.core.estimation.filtering.model import filter_model, filter_state, step_inputs
+from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.core.estimation.filtering.rows import row_stages
 from service.core.estimation.filtering.watches import (
     command_watch,
@@ -46,6 +48,7 @@ _SOURCES: tuple[ModuleType, ...] = (
     rain_state,
     filter_model,
     filter_state,
+    step_inputs,
     command_watch,
     drift_watch,
     minute_sums,
@@ -56,6 +59,10 @@ _SOURCES: tuple[ModuleType, ...] = (
 )
 
 
+#: models that are held at once, each with its newest state: one a spacecraft and calibration, some 0.2 MB
+_MOST_MODELS = 64
+
+
 class RowKernels(NamedTuple):
     """Stages of a row; their docstrings are those of `filter_predict` and `row_stages`."""
 
@@ -64,7 +71,6 @@ class RowKernels(NamedTuple):
     anchor: kernels.AnchorKernels
 
 
-_STAGES: tuple[Callable[..., Any], ...] = (filter_predict.move_state, row_stages.ordinary_row)
 ARRAYS = RowKernels(filter_predict.move_state, row_stages.ordinary_row, kernels.ARRAYS)
 
 
@@ -86,24 +92,29 @@ def compiled_kernels(*, is_cached: bool = True) -> RowKernels:
     from numba import config, njit
     from numba.extending import register_jitable
 
+    from service.core.estimation.filtering.rows import held_values
+
     # less of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code
     for vector_code in ("LOOP_VECTORIZE", "SLP_VECTORIZE"):
         setattr(config, vector_code, 0)
 
-    for module in _SOURCES:
+    sources = (*_SOURCES, held_values)
+    for module in sources:
         for part in vars(module).values():
             if isinstance(part, FunctionType) and part.__module__ == module.__name__:
                 register_jitable(part)
-    compiler, digest = njit(cache=is_cached, nogil=True, error_model="numpy"), _digest()
-    mover, ordinary = (_Stage(compiler(_entry(stage, digest))) for stage in _STAGES)
+    compiler, digest = njit(cache=is_cached, nogil=True, error_model="numpy"), _digest(sources)
+    stages = (filter_predict.move_state, held_values.held, held_values.held)
+    mover, hold_model, hold_state = (_Stage(compiler(_entry(stage, digest))) for stage in stages)
+    taken = _Stage(compiler(held_values.row_of_held(digest)))
     anchor = kernels.AnchorKernels(compiler(anchor_kernels.mix), compiler(anchor_kernels.levels))
-    return RowKernels(mover, ordinary, anchor)
+    return RowKernels(mover, _HeldRows(hold_model, hold_state, taken), anchor)
 
 
-def _digest() -> str:
+def _digest(modules: tuple[ModuleType, ...]) -> str:
     """Return a digest of the sources: numba itself asks only the file of a stage whether its machine code is old."""
     # the loader of a module has its source wherever it was installed
-    sources = (vars(module)["__loader__"].get_source(module.__name__) for module in _SOURCES)
+    sources = (vars(module)["__loader__"].get_source(module.__name__) for module in modules)
     return hashlib.sha256("".join(map(str, sources)).encode()).hexdigest()
 
 
@@ -137,6 +148,30 @@ class _Stage:
             return self._compiled(*args)
         except TypeError:
             return self._compiled(*_plain(args))
+
+
+class _HeldRows:
+    """The compiled ordinary row: model and newest state stay in compiled code, and are found again by identity."""
+
+    def __init__(self, hold_model: _Stage, hold_state: _Stage, taken: _Stage) -> None:
+        self._hold_model, self._hold_state, self._taken = hold_model, hold_state, taken
+        #: model, its handle, its newest state and the handle of that, by identity of the model
+        self._kept: dict[int, tuple[CarrierModel, Any, FilterState, Any]] = {}
+
+    def __call__(
+        self, model: CarrierModel, state: FilterState, step: step_inputs.StepInputs, *rest: Any
+    ) -> row_stages.OrdinaryRow:
+        """Return the row as `ordinary_row` does."""
+        found = self._kept.get(id(model))
+        held_model = found[1] if found is not None else self._hold_model(_plain(model))
+        is_newest = found is not None and found[2] is state
+        held_state = found[3] if found is not None and is_newest else self._hold_state(_plain(state))
+        row: row_stages.OrdinaryRow
+        row, handle = self._taken(held_model, held_state, step, *rest)
+        if found is None and len(self._kept) >= _MOST_MODELS:
+            self._kept.clear()
+        self._kept[id(model)] = model, held_model, row.state, handle
+        return row
 
 
 def _plain(value: Any) -> Any:

@@ -29,11 +29,13 @@ from service.core.estimation.filtering.causes.common_cause import (
     common_innovation,
     suspicion,
 )
-from service.core.estimation.filtering.causes.rain_state import RainWatch, pass_minutes, push_common
+from service.core.estimation.filtering.causes.rain_state import RainWatch, pass_hold, pass_minutes, push_common
+from service.core.estimation.filtering.filter_predict import move_state
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_update import EffectiveUpdate, Innovation, innovate, site_db, update
 from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_state import CHAIN, Gaussian
+from service.core.estimation.filtering.model.step_inputs import StepInputs
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, is_share_likelier, push_row
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch, push_drift
 from service.core.estimation.filtering.watches.minute_sums import MinuteSums, push_minute
@@ -41,6 +43,7 @@ from service.core.estimation.filtering.watches.motion_watch import (
     MotionWatch,
     alarmed_axes,
     forget_shifts,
+    pass_motion,
     push_shift,
 )
 from service.core.estimation.filtering.watches.noise_watch import NoiseWatch, push_values
@@ -202,24 +205,49 @@ class OrdinaryRow(NamedTuple):
     effective: EffectiveUpdate
 
 
+def state_ahead(
+    state: FilterState, step: StepInputs, moved: Gaussian, variance_db2: FloatArray, command: CommandWatch
+) -> FilterState:
+    """Return the state after a step of time with the detectors as much later; commands have passed already."""
+    return FilterState(
+        state.epoch_us + step.step_us,
+        moved,
+        state.carriers,
+        pass_hold(state.rain, step.minutes),
+        state.noise,
+        state.minute,
+        pass_motion(state.motion, step.minutes),
+        variance_db2,
+        state.anchor,
+        state.drift,
+        command,
+    )
+
+
 def ordinary_row(
     model: CarrierModel,
-    ahead: FilterState,
+    state: FilterState,
+    step: StepInputs,
+    command: CommandWatch,
     drift_deg_h: tuple[float, float, float],
     deviation_db: FloatArray,
     present: IntArray,
-    is_measured: BoolArray,
-    white_db2: FloatArray,
-    minutes: float,
 ) -> OrdinaryRow:
-    """Return the state after a row in which nothing is found, from the predicted one."""
+    """Return the state after a step of time and a row in which nothing is found.
+
+    The watch on commands has passed the step already; `present` are the carriers (n,) to be judged.
+    """
+    moved, variance_db2 = move_state(model, state.gaussian, step, state.noise.slow_scale, state.model_variance_db2)
+    ahead = state_ahead(state, step, moved, variance_db2, command)
+    white_db2 = (model.white_sigma_db * ahead.noise.white_scale) ** 2
+    is_measured, minutes = np.isfinite(deviation_db), step.minutes
     screened = screen_row(model, ahead, deviation_db, present, white_db2)
     values, is_minute = screened.values, screened.is_minute
     used = use_row(model, ahead, deviation_db, screened.innovation, is_measured, minutes, values, False)
     closed = close_row(
         model, ahead, used, screened.rain, drift_deg_h, deviation_db, white_db2, values, is_minute, minutes
     )
-    state = FilterState(
+    after = FilterState(
         ahead.epoch_us,
         closed.gaussian,
         closed.carriers,
@@ -237,7 +265,7 @@ def ordinary_row(
     innovation_db[present] = screened.innovation.innovation_db
     carriers, is_due, is_returning = used.kept.carriers, closed.is_due, closed.is_returning
     return OrdinaryRow(
-        is_ordinary, state, innovation_db, carriers, closed.residual_db, is_due, is_returning, used.effective
+        is_ordinary, after, innovation_db, carriers, closed.residual_db, is_due, is_returning, used.effective
     )
 
 

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_predict import motion_over
 from service.core.estimation.filtering.filter_update import Innovation
 from service.core.estimation.filtering.model.filter_model import (
     BoolArray,
@@ -34,6 +33,7 @@ from service.core.estimation.filtering.model.filter_state import (
     core_size,
 )
 from service.core.estimation.filtering.model.hidden_motion import hidden_transition
+from service.core.estimation.filtering.model.step_inputs import motion_over
 
 #: shares that an on-board mode makes of a command: other sign, nothing, half, all, twice
 SHARES = (-1.0, 0.0, 0.5, 1.0, 2.0)

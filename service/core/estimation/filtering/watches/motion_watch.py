@@ -111,4 +111,4 @@ def pass_motion(watch: MotionWatch, minutes: float) -> MotionWatch:
         return watch
     left = np.maximum(0.0, watch.minutes_left - minutes)
     reported = np.maximum(0.0, watch.reported_minutes - minutes)
-    return watch._replace(minutes_left=left, reported_minutes=reported, alarms=np.where(left > 0.0, watch.alarms, 0.0))
+    return MotionWatch(watch.minute, watch.cusum, left, reported, np.where(left > 0.0, watch.alarms, 0.0))

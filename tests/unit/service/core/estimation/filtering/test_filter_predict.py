@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from service.core.estimation.filtering.filter_predict import Weather, motion_over, predict
+from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.model.declared import nothing_declared
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion
 from service.core.estimation.filtering.model.filter_state import (
@@ -17,6 +17,7 @@ from service.core.estimation.filtering.model.filter_state import (
     carrier_states,
     reference_states,
 )
+from service.core.estimation.filtering.model.step_inputs import motion_over
 
 HOUR_US = 3_600_000_000
 
