@@ -1,4 +1,4 @@
 """The attitude filter: prediction, common changes, carrier faults, rain, integrity.
 
-Public: attitude_filter, carry_over, filter_predict, filter_records, filter_update, hidden_shares.
+Public: attitude_filter, carry_over, filter_records, filter_update, hidden_shares.
 """
