@@ -253,7 +253,7 @@ class CarrierSelectionAnswer(Answer):
     further: list[FurtherCarrierAnswer]
     """At most three that were left out of the chosen set, in the order of their effect."""
     momentum: MomentumGainAnswer | None
-    """What the momentum of the wheels gives the chosen carriers; null where neither query nor catalogue states one."""
+    """Bounds with and without the momentum of the wheels; null where neither query nor catalogue states one."""
     turns: TurnsAnswer | None
 
     @classmethod

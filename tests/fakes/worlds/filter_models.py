@@ -2,8 +2,12 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import CarrierModel
+from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, no_motion
 from service.core.estimation.filtering.model.filter_state import Gaussian, initial_gaussian
+from service.core.estimation.filtering.rows.row_kernels import ARRAYS
+from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row
+from service.core.estimation.smoothing.row_capture import StepCapture
 
 MINUTE_US = 60_000_000
 
@@ -34,3 +38,17 @@ def aligned(model: CarrierModel, drift_deg_h=(0.04, 0.025, 0.025)) -> Gaussian:
     """Return the state at a good alignment at nominal attitude."""
     sigma = np.array([0.01, 0.005, 0.005])
     return initial_gaussian(model, np.zeros(3), sigma, np.full(model.carriers, 0.03), drift_deg_h=drift_deg_h)
+
+
+def quiet_effective_rows(rows: int, carriers: int, period_us: int, seed: int) -> list[EffectiveRow]:
+    """Return what a filter did with rows that hold noise alone."""
+    model, capture, rng = carrier_model(carriers=carriers), StepCapture(ARRAYS), np.random.default_rng(seed)
+    settings, state, found = FilterSettings(), start(model, 0, aligned(model)), []
+    for _ in range(rows):
+        level_db = model.white_sigma_db * rng.standard_normal(carriers)
+        before, epoch_us = state, state.epoch_us + period_us
+        result = step(model, settings, state, epoch_us, level_db, no_motion(), kernels=capture.kernels)
+        state = result.state
+        origin = np.arange(len(state.gaussian.mean))
+        found.append(effective_row(model, settings, before, result, capture.newest, origin))
+    return found

@@ -1,14 +1,8 @@
 """Instants of a grid get their newest row, when the lag has passed or later rows would not fit into memory."""
 
 import filter_models
-import numpy as np
 import pytest
 
-from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion
-from service.core.estimation.filtering.rows.row_kernels import ARRAYS
-from service.core.estimation.smoothing.effective_row import effective_row
-from service.core.estimation.smoothing.row_capture import StepCapture
 from service.pipeline.estimation.smoothed import lagged_rows
 from service.pipeline.estimation.smoothed.lagged_rows import GRID_US, LaggedRows, grid_us
 from service.pipeline.estimation.smoothed.smoother import lagged_angles
@@ -23,18 +17,7 @@ HOUR_US = 3_600_000_000
 @pytest.fixture(scope="module")
 def effective():
     """Effective rows of a quiet filter, by epoch."""
-    model, capture, rng = filter_models.carrier_model(carriers=CARRIERS), StepCapture(ARRAYS), np.random.default_rng(7)
-    state, found = start(model, 0, filter_models.aligned(model)), []
-    for _ in range(ROWS):
-        level_db = model.white_sigma_db * rng.standard_normal(CARRIERS)
-        before = state
-        result = step(
-            model, FilterSettings(), state, state.epoch_us + ROW_US, level_db, no_motion(), kernels=capture.kernels
-        )
-        state = result.state
-        origin = np.arange(len(state.gaussian.mean))
-        found.append(effective_row(model, FilterSettings(), before, result, capture.newest, origin))
-    return found
+    return filter_models.quiet_effective_rows(ROWS, CARRIERS, ROW_US, seed=7)
 
 
 def robust(epoch_us, *inhibitions):

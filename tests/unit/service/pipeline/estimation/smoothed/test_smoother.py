@@ -6,12 +6,7 @@ import filter_models
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion
 from service.core.estimation.filtering.model.filter_state import ATTITUDE
-from service.core.estimation.filtering.rows.row_kernels import ARRAYS
-from service.core.estimation.smoothing.effective_row import effective_row
-from service.core.estimation.smoothing.row_capture import StepCapture
 from service.pipeline.estimation.smoothed import smoother
 from service.pipeline.estimation.smoothed.smoother import SpanSmoother, angles_of, lagged_angles
 
@@ -33,19 +28,7 @@ class Kept:
 
 @pytest.fixture(scope="module")
 def rows():
-    model, capture, rng = filter_models.carrier_model(carriers=CARRIERS), StepCapture(ARRAYS), np.random.default_rng(3)
-    state, found = start(model, 0, filter_models.aligned(model)), []
-    for _ in range(ROWS):
-        level_db = model.white_sigma_db * rng.standard_normal(CARRIERS)
-        before = state
-        result = step(
-            model, FilterSettings(), state, state.epoch_us + ROW_US, level_db, no_motion(), kernels=capture.kernels
-        )
-        state = result.state
-        found.append(
-            effective_row(model, FilterSettings(), before, result, capture.newest, np.arange(len(state.gaussian.mean)))
-        )
-    return found
+    return filter_models.quiet_effective_rows(ROWS, CARRIERS, ROW_US, seed=3)
 
 
 def left_by(recorder, rows):
