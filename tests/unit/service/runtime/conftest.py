@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import synthetic_payload as synthetic
 from alarm_rig import CARRIERS, INERTIA, Rig
-from busy_station import Station, morning
+from busy_station import Station, live_morning_of_states, morning
 from set_clock import SetClock
 
 from db.storage import SqlStorage
@@ -309,6 +309,15 @@ def opened_archive(tmp_path_factory):
     station = Station(directory)
     station.open()
     station.close()
+    return directory
+
+
+@pytest.fixture(scope="module")
+def archive_of_states(opened_archive, tmp_path_factory):
+    """Directory of an archive in which a morning was lived, with a state of the chain after nearly every entry."""
+    directory = tmp_path_factory.mktemp("states") / "archive"
+    shutil.copytree(opened_archive, directory)
+    live_morning_of_states(directory)
     return directory
 
 

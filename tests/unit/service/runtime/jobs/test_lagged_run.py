@@ -1,10 +1,9 @@
 """Smoothed rows at a fixed lag: the same to the bit from any state and in any parts."""
 
-import shutil
 from dataclasses import replace
 
 import pytest
-from busy_station import MINUTE, SC, at, live_morning_of_states, text
+from busy_station import MINUTE, SC, at, text
 
 from service.pipeline.config import ChainConfig, RobustConfig
 from service.pipeline.estimation.smoothed.lagged_rows import GRID_US, grid_us
@@ -21,18 +20,9 @@ def part_of(station, after_us, until_number=None, lag_us=LAG_US, config=None):
     return LaggedRun(station.storage, config or ChainConfig(), SC, LaggedOrder(after_us, until, lag_us)).run()
 
 
-@pytest.fixture(scope="module")
-def kept_archive(opened_archive, tmp_path_factory):
-    """Directory of an archive with a morning and a state of the chain after nearly every entry of it."""
-    directory = tmp_path_factory.mktemp("states") / "archive"
-    shutil.copytree(opened_archive, directory)
-    live_morning_of_states(directory)
-    return directory
-
-
 @pytest.fixture
-def kept(kept_archive, new_station):
-    return new_station(kept_archive)
+def kept(archive_of_states, new_station):
+    return new_station(archive_of_states)
 
 
 def begin_us():

@@ -1,11 +1,10 @@
 """A replay whose spans are computed apart, in any order and again, is the replay that was computed in one go."""
 
 import random
-import shutil
 from dataclasses import replace
 
 import pytest
-from busy_station import SC, at, everything, live_morning_of_states
+from busy_station import SC, at, everything
 
 from db.results import checkpoints
 from service.pipeline.config import ChainConfig
@@ -24,19 +23,10 @@ INDIVISIBLE = [
 ]
 
 
-@pytest.fixture(scope="module")
-def often_kept(opened_archive, tmp_path_factory):
-    """Directory of an archive in which a morning was lived, with a state after each minute of data."""
-    directory = tmp_path_factory.mktemp("kept") / "archive"
-    shutil.copytree(opened_archive, directory)
-    live_morning_of_states(directory)
-    return directory
-
-
 @pytest.fixture
-def station(often_kept, new_station, monkeypatch):
+def station(archive_of_states, new_station, monkeypatch):
     monkeypatch.setattr(replay_run, "_OUTCOMES_AT_ONCE", 7)
-    return new_station(often_kept)
+    return new_station(archive_of_states)
 
 
 def run_of(station, monkeypatch, **changes):
