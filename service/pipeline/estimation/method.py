@@ -131,11 +131,12 @@ class CalibratedColumns:
         """Return the powers (N,) in dBm, NaN where the plan has no such carrier."""
         return self._of(plan).of(measurement.power_dbm, np.nan)
 
-    def flags(self, measurement: Measurement, plan: CarrierPlan) -> IntArray:
-        """Return the quality flags (N,), zero where none came."""
+    def fit_power_dbm(self, measurement: Measurement, plan: CarrierPlan, unfit: int) -> FloatArray:
+        """Return the same, NaN also where one of the quality flags `unfit` stands."""
+        power_dbm = self.power_dbm(measurement, plan)
         if measurement.flags is None:
-            return np.zeros(len(self._carrier_ids), dtype=np.int64)
-        return self._of(plan).of(measurement.flags, 0)
+            return power_dbm
+        return np.where(self._of(plan).of(measurement.flags, 0) & unfit, np.nan, power_dbm)
 
     def _of(self, plan: CarrierPlan) -> CarrierColumns:
         if plan.id not in self._columns:

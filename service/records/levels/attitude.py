@@ -29,7 +29,7 @@ class Axes(NamedTuple):
 
 def named_axes(values: FloatArray) -> Axes:
     """Return an array (3,) in the order yaw, roll, pitch by name."""
-    return Axes(float(values[0]), float(values[1]), float(values[2]))
+    return Axes._make(values.tolist())
 
 
 NO_ANGLES = Axes(math.nan, math.nan, math.nan)

@@ -25,7 +25,6 @@ from service.core.estimation.filtering.model.filter_model import (
     CarrierModel,
     FilterSettings,
     FloatArray,
-    IntArray,
     KnownMotion,
 )
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
@@ -97,11 +96,8 @@ def step(
         New state, attitude, what was used, whether control may use it.
     """
     limits = limits or IntegrityLimits()
-    nothing = np.full(model.carriers, np.nan)
     if epoch_us <= state.epoch_us:
-        return _reported(
-            model, state, nothing, np.empty(0, dtype=np.int64), None, limits, _left_db(model, state, deviation_db)
-        )
+        return _unused(model, state, limits, deviation_db)
     passed = _passed(model, settings, state, epoch_us - state.epoch_us, known)
     row = _row(state, deviation_db, passed.step.minutes, declared, reported_wet)
     is_enough = len(row.present) >= MIN_CARRIERS
@@ -111,7 +107,7 @@ def step(
             return _judged(model, found, row, None, limits, kernels)
     ahead = _ahead(model, passed, state, declared, kernels)
     if not is_enough:
-        return _reported(model, ahead, nothing, row.present[:0], None, limits, _left_db(model, ahead, deviation_db))
+        return _unused(model, ahead, limits, deviation_db)
     white_db2 = (model.white_sigma_db * ahead.noise.white_scale) ** 2
     if declared is not None:
         white_db2 = white_db2 + declared.white_db**2
@@ -192,7 +188,7 @@ def _row(
     """Return the row without the carriers that are not to be used."""
     is_there = np.isfinite(deviation_db)
     if declared is None:
-        present = np.flatnonzero(is_there & ~state.carriers.is_flagged)
+        present = (is_there & ~state.carriers.is_flagged).nonzero()[0]
         return JudgedRow(deviation_db, present, is_there, minutes, declared, reported_wet)
     used_db = np.where(declared.is_masked, np.nan, deviation_db)
     present = np.flatnonzero(is_there & ~declared.is_masked & ~state.carriers.is_flagged)
@@ -217,8 +213,7 @@ def _judged(
     residual_db = found.residual_db
     if after.gaussian is not found.state.gaussian:
         residual_db = _left_db(model, after, row.deviation_db)
-    reported = _reported(model, after, found.innovation_db, found.used, cause, limits, residual_db)
-    return reported._replace(is_ordinary=found.is_ordinary, effective=found.effective)
+    return _reported(model, after, found, cause, limits, residual_db)
 
 
 def _left_db(model: CarrierModel, state: FilterState, deviation_db: FloatArray) -> FloatArray:
@@ -244,11 +239,25 @@ def _anchored(
     return start_again(model, state, mixture) if is_contradicted(mixture) else state
 
 
+def _unused(model: CarrierModel, state: FilterState, limits: IntegrityLimits, deviation_db: FloatArray) -> FilterStep:
+    """Return the step's result after a row of which nothing was used."""
+    nothing = OrdinaryRow(
+        True,
+        state,
+        np.full(model.carriers, np.nan),
+        np.empty(0, dtype=np.int64),
+        _left_db(model, state, deviation_db),
+        False,
+        False,
+        None,
+    )
+    return _reported(model, state, nothing, None, limits, nothing.residual_db)
+
+
 def _reported(
     model: CarrierModel,
     state: FilterState,
-    innovation_db: FloatArray,
-    used: IntArray,
+    found: OrdinaryRow,
     cause: Cause | None,
     limits: IntegrityLimits,
     residual_db: FloatArray,
@@ -260,7 +269,7 @@ def _reported(
     evidence = IntegrityInputs(
         sigma_deg,
         protection_deg,
-        len(used),
+        len(found.used),
         state.rain.is_raining,
         state.rain.hold_minutes > 0.0,
         state.noise.nis_ratio,
@@ -274,11 +283,13 @@ def _reported(
         gaussian.mean[ATTITUDE],
         gaussian.covariance[ATTITUDE, ATTITUDE],
         protection_deg,
-        innovation_db,
-        used,
+        found.innovation_db,
+        found.used,
         cause,
         float(gaussian.mean[CHAIN]),
         float(gaussian.mean[RAIN]),
         assess(evidence, limits),
         residual_db,
+        found.is_ordinary,
+        found.effective,
     )

@@ -148,10 +148,10 @@ def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, 
 
 def _exclusions(model: RobustModel, fixed: Fixed) -> tuple[Exclusion, ...]:
     """Return the carriers of the method that did not enter, each with its reason."""
+    if len(fixed.announced.used) == np.count_nonzero(model.is_used):
+        return ()
     is_out = model.is_used.copy()
     is_out[fixed.announced.used] = False
-    if not is_out.any():
-        return ()
     moved = _moved_groups(model, fixed)
     return tuple(Exclusion(model.carrier_ids[k], _reason(model, fixed, moved, int(k))) for k in np.flatnonzero(is_out))
 

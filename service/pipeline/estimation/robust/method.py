@@ -156,7 +156,8 @@ def step_robust(
     known, commanded = consume(state.commanded, state.filter.epoch_us, measurement.epoch_us)
     unreported, released = _unreported(state.released, state.filter.epoch_us, measurement.epoch_us)
     declared = _declared(state, model, knowledge, measurement, config)
-    known = known._replace(unreported=unreported)
+    if released:
+        known = known._replace(unreported=unreported)
     found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, config, recorder)
     is_without_orbit = not np.isfinite(expected_dbm).any()
     residual_db = found.residual_db

@@ -159,13 +159,12 @@ class RobustRunner:
         if self._model is None or self._state is None or self._columns is None:
             message = "the robust method was stepped without a model"
             raise ValueError(message)
-        is_unfit = (self._columns.flags(measurement, plan) & _UNFIT) != 0
         consume = partial(
             step_with_record,
             model=self._model,
             knowledge=knowledge,
             measurement=measurement,
-            power_dbm=np.where(is_unfit, np.nan, self._columns.power_dbm(measurement, plan)),
+            power_dbm=self._columns.fit_power_dbm(measurement, plan, _UNFIT),
             is_late=is_late,
             is_catch_up=is_catch_up,
             config=self._config,

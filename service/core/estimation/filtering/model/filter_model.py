@@ -7,6 +7,7 @@ the receiving chain, r >= 0 rain over the receiving site, a_ik coloured noise of
 the reference. The law of this file: what a carrier does is told by arrays, what the spacecraft does by settings.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -133,9 +134,11 @@ class KnownMotion(NamedTuple):
     unreported: FloatArray = np.zeros((0, 2, 3))
 
 
+@lru_cache(maxsize=1)
 def no_motion() -> KnownMotion:
-    """Return the knowledge of a step in which nothing was commanded."""
+    """Return the knowledge of a step in which nothing was commanded, always the same one; its arrays are read-only."""
     zeros = np.zeros(3)
+    zeros.setflags(write=False)
     return KnownMotion(zeros, zeros, zeros)
 
 

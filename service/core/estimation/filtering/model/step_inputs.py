@@ -20,6 +20,7 @@ from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     FloatArray,
     KnownMotion,
+    no_motion,
 )
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, core_size
 from service.core.estimation.filtering.model.hidden_motion import hidden_noise, hidden_transition, scale_noise
@@ -29,6 +30,8 @@ _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 #: below this product of rate and time the quotients of exponentials lose digits
 _SMALL = 1e-6
 _S_PER_H = 3600.0
+#: of hidden states, where there are none
+_NO_NOISE = np.zeros((0, 0))
 
 
 class TransitionMatrices(NamedTuple):
@@ -151,7 +154,12 @@ def step_inputs(
     seconds = step_us / 1e6
     hours = seconds / _S_PER_H
     transition, common_sigma, common_tau_s = motion.transition, model.common_sigma_db, model.common_tau_s
-    shares, torque_noise = len(known.unreported), np.zeros((0, 0))
+    shares, torque_noise = len(known.unreported), _NO_NOISE
+    push, core_variance = (
+        _of_no_commands(settings, hours, is_unannounced, is_raining)
+        if known is no_motion()
+        else _of_commands(settings, hours, known, is_unannounced, is_raining=is_raining)
+    )
     if hidden:
         # beside the common parts: they fade and grow as those do
         transition = np.hstack([transition, hidden_transition(hidden, from_us, step_us, settings, known)])
@@ -166,14 +174,38 @@ def step_inputs(
         min(step_us / 60e6, 1.0),
         transition,
         motion.noise,
-        _push(hours, known),
-        np.array(_core_variance(settings, hours, known, is_unannounced, is_raining=is_raining)),
+        push,
+        core_variance,
         common_sigma,
         common_tau_s,
         1.0 if is_raining else math.exp(-seconds / settings.rain_dry_tau_s),
         torque_noise,
         core_size(model) + shares,
     )
+
+
+def _of_commands(
+    settings: FilterSettings,
+    hours: float,
+    known: KnownMotion,
+    is_unannounced: tuple[bool, bool, bool],
+    *,
+    is_raining: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what commands add to the first states (9,), and their variance (11,) beside the noise of the drifts."""
+    variance = np.array(_core_variance(settings, hours, known, is_unannounced, is_raining=is_raining))
+    return _push(hours, known), variance
+
+
+@lru_cache(maxsize=64)
+def _of_no_commands(
+    settings: FilterSettings,
+    hours: float,
+    is_unannounced: tuple[bool, bool, bool],
+    is_raining: bool,  # noqa: FBT001 a cache takes no arguments by keyword alone as fast
+) -> tuple[FloatArray, FloatArray]:
+    """Return the same for a step without commands; nobody may write to the arrays."""
+    return _of_commands(settings, hours, no_motion(), is_unannounced, is_raining=is_raining)
 
 
 def _push(hours: float, known: KnownMotion) -> FloatArray:

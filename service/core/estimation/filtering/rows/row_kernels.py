@@ -165,7 +165,7 @@ class _HeldRows:
         found = self._kept.get(id(model))
         held_model = found[1] if found is not None else self._hold_model(_plain(model))
         is_newest = found is not None and found[2] is state
-        held_state = found[3] if found is not None and is_newest else self._hold_state(_plain(state))
+        held_state = found[3] if found is not None and is_newest else self._hold_state(state)
         row: row_stages.OrdinaryRow
         row, handle = self._taken(held_model, held_state, step, *rest)
         if found is None and len(self._kept) >= _MOST_MODELS:

@@ -202,7 +202,8 @@ class OrdinaryRow(NamedTuple):
     residual_db: FloatArray
     is_due: bool
     is_returning: bool
-    effective: EffectiveUpdate
+    #: None where no row was used
+    effective: EffectiveUpdate | None
 
 
 def state_ahead(

@@ -23,6 +23,7 @@ from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     FloatArray,
     KnownMotion,
+    no_motion,
 )
 from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
@@ -130,7 +131,9 @@ def pass_commands(
     seconds = step_us / 1e6
     minutes = seconds / 60.0
     left = max(0.0, watch.minutes_left - minutes)
-    is_commanded = bool(known.correction_deg.any() or known.rate_change_deg_h.any())
+    is_commanded = known is not no_motion() and bool(known.correction_deg.any() or known.rate_change_deg_h.any())
+    if not is_commanded and _is_quiet(watch, size):
+        return watch
     watch = watch._replace(minutes_left=left, share=watch.share if left > 0.0 else 1.0)
     if len(watch.sensitivity) != size:
         watch = watch._replace(sensitivity=np.zeros((size, 2)))
@@ -157,6 +160,13 @@ def pass_commands(
     own[:-1] *= np.exp(-seconds / model.coloured_tau_s).T[:, :, None]
     own[:, is_flagged] = 0.0
     return watch._replace(sensitivity=moved)
+
+
+def _is_quiet(watch: CommandWatch, size: int) -> bool:
+    """Return whether a step without commands leaves the watch of a state of a size as it is."""
+    sums = watch.sensitivity, watch.score, watch.information
+    is_known = len(watch.sensitivity) == size and watch.share == 1.0 and watch.minutes_left == 0.0
+    return is_known and not any(map(np.count_nonzero, sums))
 
 
 def push_row(

@@ -3,9 +3,8 @@
 The law of this file: every condition that fails is named; nothing is latched, each reason stands as long as its cause.
 """
 
+import math
 from typing import NamedTuple
-
-import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import FloatArray
 
@@ -84,8 +83,8 @@ def assess(evidence: IntegrityInputs, limits: IntegrityLimits) -> Integrity:
     (False, True, True)
     """
     yaw, roll, pitch = evidence.sigma_deg.tolist()
-    level_deg = max(evidence.protection_deg[1:].tolist())
-    is_monitored = bool(np.isfinite(evidence.protection_deg[1:]).all())
+    _, *levels_deg = evidence.protection_deg.tolist()
+    level_deg, is_monitored = max(levels_deg), all(map(math.isfinite, levels_deg))
     checks = (
         ("downlink_fade", evidence.is_raining),
         ("chain_step", evidence.is_chain_held),

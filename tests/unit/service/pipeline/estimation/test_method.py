@@ -21,8 +21,9 @@ def row(power, flags=None):
 def test_the_own_plan_passes_as_it_is():
     columns = CalibratedColumns(PAYLOAD.ids, PLAN)
     np.testing.assert_array_equal(columns.power_dbm(row([1, 2, np.nan, 4, 5]), PLAN), [1, 2, np.nan, 4, 5])
-    np.testing.assert_array_equal(columns.flags(row([1, 2, 3, 4, 5]), PLAN), 0)
-    np.testing.assert_array_equal(columns.flags(row([0] * 5, np.array([1, 0, 16, 0, 4])), PLAN), [1, 0, 16, 0, 4])
+    np.testing.assert_array_equal(columns.fit_power_dbm(row([1, 2, 3, 4, 5]), PLAN, 16), [1, 2, 3, 4, 5])
+    flagged = row([1, 2, 3, 4, 5], np.array([1, 0, 16, 0, 4]))
+    np.testing.assert_array_equal(columns.fit_power_dbm(flagged, PLAN, 16 | 4), [1, 2, np.nan, 4, np.nan])
 
 
 def test_carriers_are_found_by_id_whatever_their_place():
@@ -31,8 +32,8 @@ def test_carriers_are_found_by_id_whatever_their_place():
     plan = CarrierPlan(2, "sha-2", (carriers[3], newcomer, carriers[1], carriers[0]))
     columns = CalibratedColumns(PAYLOAD.ids, PLAN)
     np.testing.assert_array_equal(columns.power_dbm(row([30, 99, 10, 0]), plan), [0, 10, np.nan, 30, np.nan])
-    reported = columns.flags(row([0] * 4, np.array([8, 64, 2, 1])), plan)
-    np.testing.assert_array_equal(reported, [1, 2, 0, 8, 0])
+    flagged = row([30, 99, 10, 0], np.array([8, 64, 2, 1]))
+    np.testing.assert_array_equal(columns.fit_power_dbm(flagged, plan, 8 | 2), [0, np.nan, np.nan, np.nan, np.nan])
     # what was found for one plan is not taken for another
     np.testing.assert_array_equal(columns.power_dbm(row([1, 2, 3, 4, 5]), PLAN), [1, 2, 3, 4, 5])
 
