@@ -96,7 +96,8 @@ def _text_of(field: RecordField) -> Callable[[Any], str] | None:
     if field.kind is FieldKind.RECORD:
         return encode
     if field.kind is FieldKind.TEXTS or (field.kind is FieldKind.RECORDS and issubclass(content, tuple)):
-        return json.dumps
+        # most rows have none
+        return lambda value: json.dumps(value) if value else "[]"
     return (lambda value: encode_all(content, value)) if field.kind is FieldKind.RECORDS else None
 
 

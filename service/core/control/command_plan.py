@@ -117,9 +117,11 @@ def plan_command(
 def _request_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Request:
     """Return the request of the pulses: the law's slew, and the effect of the disturbance torque until its end."""
     slew = tracking_request(gains, situation.attitude_deg, situation.rates_deg_s, forecast.slew_s)
-    pushed_rad_s2 = np.linalg.solve(gains.inertia_kg_m2, forecast.torque_n_m[0])
-    change = np.radians(slew.angle_change_deg) + 0.5 * pushed_rad_s2 * forecast.slew_s**2
-    rate = np.radians(slew.rate_deg_s) + pushed_rad_s2 * forecast.slew_s
+    change, rate = np.radians(slew.angle_change_deg), np.radians(slew.rate_deg_s)
+    if forecast.torque_n_m[0].any():
+        pushed_rad_s2 = np.linalg.solve(gains.inertia_kg_m2, forecast.torque_n_m[0])
+        change = change + 0.5 * pushed_rad_s2 * forecast.slew_s**2
+        rate = rate + pushed_rad_s2 * forecast.slew_s
     return _Request(np.where(situation.is_allowed, change, 0.0), np.where(situation.is_allowed, rate, 0.0))
 
 

@@ -114,6 +114,43 @@ def solve_candidates(normal: FloatArray) -> CandidateSystems:
     return CandidateSystems(adjugate / np.where(is_regular, determinant, 1.0)[:, :, np.newaxis, np.newaxis], is_regular)
 
 
+class CandidateChooser:
+    """Chooses the candidate of one row whose carriers are those of many rows: what they settle is computed once.
+
+    Parameters
+    ----------
+    candidates : CandidateSystems
+        Of this row alone.
+    """
+
+    def __init__(self, candidates: CandidateSystems) -> None:
+        self.inverse, self.is_regular = candidates.inverse[0], candidates.is_regular[0]
+        # (81, 6) from the scaled right-hand sides to all solutions
+        self._solve = (self.inverse @ np.eye(7)[_SIDES])[:, :, :6].reshape(81, 6)
+
+    def choose(self, moment: FloatArray) -> tuple[int, FloatArray, float]:
+        """Return the best candidate of a row, its solution (3,) and the largest gain in another octant.
+
+        Parameters
+        ----------
+        moment : ndarray, shape (6,)
+            Scaled right-hand sides.
+        """
+        solution = (self._solve @ moment).reshape(27, 3)
+        is_feasible = self.is_regular & ((solution * CANDIDATE_SIGNS).min(axis=1) >= 0.0)
+        # where an angle is zero its solution is
+        gain = np.where(is_feasible, np.vecdot(solution, moment[_COLUMNS]), -math.inf)
+        best = int(gain.argmax())
+        gain_of_octant = gain[_CANDIDATES_OF_OCTANT].max(axis=1)
+        gain_of_octant[_OCTANT_OF_CANDIDATE[best]] = -math.inf
+        return best, solution[best], float(gain_of_octant.max())
+
+
+def octant_of(candidate: int) -> tuple[int, IntArray]:
+    """Return the first octant that holds a candidate, and which of the six columns stands for each axis (3,)."""
+    return int(_OCTANT_OF_CANDIDATE[candidate]), _COLUMNS[candidate]
+
+
 def choose_candidate(candidates: CandidateSystems, moment: FloatArray) -> BestCandidate:
     """Return the cheapest feasible candidate of each row.
 

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from service.core.estimation.paper.octant_candidates import (
     OCTANT_SIGNS,
+    CandidateChooser,
     CandidateSystems,
     choose_candidate,
+    octant_of,
     solve_candidates,
 )
 
@@ -143,7 +145,10 @@ def solve_octants(
     """
     row_db = deviation_db[np.newaxis]
     if sigma_db is None:
-        system = _system_of(plus.tobytes(), minus.tobytes(), np.isfinite(deviation_db).tobytes())
+        row = _row_of(plus.tobytes(), minus.tobytes(), np.isfinite(deviation_db).tobytes())
+        system, fix = row.system, _fix(row, deviation_db)
+        if fix is not None:
+            return fix
     else:
         system = _normal_system(np.concatenate([plus, minus], axis=1), np.isfinite(row_db), sigma_db)
     fixes = _fixes(system, row_db, is_weighted=sigma_db is not None)
@@ -202,12 +207,52 @@ def _outer(vectors: FloatArray) -> FloatArray:
     return vectors[:, :, np.newaxis] * vectors[:, np.newaxis, :]
 
 
-# some sets of carriers for each spacecraft of a fleet, 5 kB each
+class _RowSystem(NamedTuple):
+    """Equations of one row of equal weights, solved as far as its carriers settle them."""
+
+    system: _System
+    #: (N,)
+    is_present: BoolArray
+    #: (N, 6), zeros where a carrier is absent
+    design: FloatArray
+    #: (6, N) from deviations to scaled right-hand sides
+    moment: FloatArray
+    chooser: CandidateChooser
+
+
+# some sets of carriers for each spacecraft of a fleet, 10 kB each
 @lru_cache(maxsize=512)
-def _system_of(plus: bytes, minus: bytes, is_measured: bytes) -> _System:
+def _row_of(plus: bytes, minus: bytes, is_measured: bytes) -> _RowSystem:
     """Return the equations of one row of equal weights: from row to row the carriers hardly ever change."""
     columns = [np.frombuffer(each).reshape(-1, 3) for each in (plus, minus)]
-    return _normal_system(np.concatenate(columns, axis=1), np.frombuffer(is_measured, dtype=np.bool_)[np.newaxis], None)
+    is_there = np.frombuffer(is_measured, dtype=np.bool_)[np.newaxis]
+    system = _normal_system(np.concatenate(columns, axis=1), is_there, None)
+    design = system.weights[0, :, np.newaxis] * system.design
+    moment = (design / system.length[0]).T.copy()
+    return _RowSystem(system, system.is_present[0], design, moment, CandidateChooser(system.candidates))
+
+
+def _fix(row: _RowSystem, deviation_db: FloatArray) -> OctantFix | None:
+    """Return the optimum of one row of deviations (N,); None where it is not determined."""
+    system, count = row.system, int(row.system.carriers_used[0])
+    measured = np.where(row.is_present, deviation_db, 0.0)
+    best, solution, second_gain = row.chooser.choose(row.moment @ measured)
+    octant, columns = octant_of(best)
+    if count < MIN_CARRIERS or not row.chooser.is_regular[octant]:
+        return None
+    scale = system.length[0, columns]
+    attitude = solution / scale
+    residual = measured - row.design[:, columns] @ attitude
+    cost = float(residual @ residual)
+    return OctantFix(
+        attitude_deg=attitude,
+        cost=cost,
+        octant=octant,
+        covariance_deg2=row.chooser.inverse[octant] * (cost / max(count - 3, 1)) / np.multiply.outer(scale, scale),
+        residual_db=np.where(row.is_present, residual, math.nan),
+        second_best_cost=max(float(measured @ measured) - second_gain, cost),
+        carriers_used=count,
+    )
 
 
 def _normal_system(design: FloatArray, is_measured: BoolArray, sigma_db: FloatArray | None) -> _System:

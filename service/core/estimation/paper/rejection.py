@@ -125,7 +125,8 @@ def reject_faded_carriers(
     (array([5]), array([ 0.1, -0.1,  0.2]))
     """
     row = _Row(plus, minus, deviation_db, min_carriers)
-    is_present: BoolArray = np.isfinite(deviation_db) & np.isfinite(plus).all(axis=1) & np.isfinite(minus).all(axis=1)
+    # a sum is finite where all of its parts are
+    is_present: BoolArray = np.isfinite(deviation_db + (plus + minus).sum(axis=1))
     gated = _gate(row, is_present, gate_db)
     clipped = _sigma_rule(row, gated.is_kept, gated.fix, gate_sigma)
     is_used = clipped.is_used

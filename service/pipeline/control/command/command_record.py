@@ -110,5 +110,6 @@ def predicted(pulses: Sequence[AxisPulse], inverse_1_kg_m2: FloatArray, period_s
 
 
 def _pulse(epoch_us: int, pulse: AxisPulse) -> Pulse:
-    torque = Axes(*(pulse.torque_n_m if position == pulse.axis else 0.0 for position in range(3)))
-    return Pulse(epoch_us + round(pulse.start_s * US_PER_S), pulse.duration_s, torque)
+    torque = [0.0, 0.0, 0.0]
+    torque[pulse.axis] = pulse.torque_n_m
+    return Pulse(epoch_us + round(pulse.start_s * US_PER_S), pulse.duration_s, Axes._make(torque))

@@ -5,6 +5,7 @@ octants; carriers hit by uplink rain are left out first. With fewer carriers tha
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -66,9 +67,8 @@ def solve_attitude(
 ) -> AttitudeFix:
     """Return the fix of one deviation that is the mean of some rows over a span."""
     considered_db = np.where(model.is_selected, deviation_db, np.nan)
-    sigma_db = averaged_sigma_db(
-        model.sigma_white_db, model.sigma_coloured_db, model.correlation_time_s, rows=rows, span_s=span_s
-    )
+    noise = model.sigma_white_db, model.sigma_coloured_db, model.correlation_time_s
+    sigma_db = _averaged_sigma_db(*(values.tobytes() for values in noise), model.sigma_coloured_db.shape, rows, span_s)
     outcome = reject_faded_carriers(
         model.plus_db_per_deg,
         model.minus_db_per_deg,
@@ -88,6 +88,17 @@ def solve_attitude(
         int(np.count_nonzero(is_used)),
         _exclusions(model, outcome.reason),
     )
+
+
+@lru_cache(maxsize=256)
+def _averaged_sigma_db(
+    white: bytes, coloured: bytes, times: bytes, shape: tuple[int, ...], rows: int, span_s: float
+) -> FloatArray:
+    """Return one standard deviation (N,) of the mean of some rows, dB: from row to row it hardly ever changes."""
+    parts = (np.frombuffer(each).reshape(shape) for each in (coloured, times))
+    sigma_db = averaged_sigma_db(np.frombuffer(white), *parts, rows=rows, span_s=span_s)
+    sigma_db.setflags(write=False)
+    return sigma_db
 
 
 def _variance_ratio(fix: OctantFix, sigma_db: FloatArray) -> float:

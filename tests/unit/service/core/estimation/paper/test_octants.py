@@ -144,7 +144,10 @@ def test_each_set_of_carriers_has_its_own_equations():
         deviation_db = np.where(rng.random(8) < 0.2, np.nan, rng.standard_normal(8))
         equal = solve_octants(plus, minus, deviation_db, None)
         weighted = solve_octants(plus, minus, deviation_db, np.ones(8))
-        assert np.array_equal(equal.attitude_deg, weighted.attitude_deg, equal_nan=True)
+        np.testing.assert_allclose(equal.attitude_deg, weighted.attitude_deg, rtol=0.0, atol=1e-12)  # rounding
+        np.testing.assert_allclose(equal.residual_db, weighted.residual_db, rtol=0.0, atol=1e-12)
+        assert equal.cost == pytest.approx(weighted.cost, abs=1e-12, nan_ok=True)
+        assert equal.second_best_cost == pytest.approx(weighted.second_best_cost, abs=1e-12, nan_ok=True)
         assert (equal.octant, equal.carriers_used) == (weighted.octant, weighted.carriers_used)
 
 
