@@ -152,15 +152,8 @@ def solve_octants(
     else:
         system = _normal_system(np.concatenate([plus, minus], axis=1), np.isfinite(row_db), sigma_db)
     fixes = _fixes(system, row_db, is_weighted=sigma_db is not None)
-    return OctantFix(
-        attitude_deg=fixes.attitude_deg[0],
-        cost=float(fixes.cost[0]),
-        octant=int(fixes.octant[0]),
-        covariance_deg2=fixes.covariance_deg2[0],
-        residual_db=fixes.residual_db[0],
-        second_best_cost=float(fixes.second_best_cost[0]),
-        carriers_used=int(fixes.carriers_used[0]),
-    )
+    attitude, cost, octant, covariance, residual, second, count = (values[0] for values in fixes)
+    return OctantFix(attitude, float(cost), int(octant), covariance, residual, float(second), int(count))
 
 
 def solve_octants_rows(
@@ -211,8 +204,6 @@ class _RowSystem(NamedTuple):
     """Equations of one row of equal weights, solved as far as its carriers settle them."""
 
     system: _System
-    #: (N,)
-    is_present: BoolArray
     #: (N, 6), zeros where a carrier is absent
     design: FloatArray
     #: (6, N) from deviations to scaled right-hand sides
@@ -225,23 +216,20 @@ class _RowSystem(NamedTuple):
 def _row_of(plus: bytes, minus: bytes, is_measured: bytes) -> _RowSystem:
     """Return the equations of one row of equal weights: from row to row the carriers hardly ever change."""
     columns = [np.frombuffer(each).reshape(-1, 3) for each in (plus, minus)]
-    is_there = np.frombuffer(is_measured, dtype=np.bool_)[np.newaxis]
-    system = _normal_system(np.concatenate(columns, axis=1), is_there, None)
+    system = _normal_system(np.concatenate(columns, axis=1), np.frombuffer(is_measured, np.bool_)[np.newaxis], None)
     design = system.weights[0, :, np.newaxis] * system.design
-    moment = (design / system.length[0]).T.copy()
-    return _RowSystem(system, system.is_present[0], design, moment, CandidateChooser(system.candidates))
+    return _RowSystem(system, design, (design / system.length[0]).T.copy(), CandidateChooser(system.candidates))
 
 
 def _fix(row: _RowSystem, deviation_db: FloatArray) -> OctantFix | None:
     """Return the optimum of one row of deviations (N,); None where it is not determined."""
-    system, count = row.system, int(row.system.carriers_used[0])
-    measured = np.where(row.is_present, deviation_db, 0.0)
+    system, count, is_present = row.system, int(row.system.carriers_used[0]), row.system.is_present[0]
+    measured = np.where(is_present, deviation_db, 0.0)
     best, solution, second_gain = row.chooser.choose(row.moment @ measured)
     octant, columns = octant_of(best)
     if count < MIN_CARRIERS or not row.chooser.is_regular[octant]:
         return None
-    scale = system.length[0, columns]
-    attitude = solution / scale
+    attitude = solution / (scale := system.length[0, columns])
     residual = measured - row.design[:, columns] @ attitude
     cost = float(residual @ residual)
     return OctantFix(
@@ -249,7 +237,7 @@ def _fix(row: _RowSystem, deviation_db: FloatArray) -> OctantFix | None:
         cost=cost,
         octant=octant,
         covariance_deg2=row.chooser.inverse[octant] * (cost / max(count - 3, 1)) / np.multiply.outer(scale, scale),
-        residual_db=np.where(row.is_present, residual, math.nan),
+        residual_db=np.where(is_present, residual, math.nan),
         second_best_cost=max(float(measured @ measured) - second_gain, cost),
         carriers_used=count,
     )
