@@ -27,6 +27,8 @@ ADVICE: dict[str, str] = {
     "momentum_refused": "the momentum of the wheels in telemetry contradicts the powers and is not used until the next "
     "alignment; check sign, order, unit and source of the telemetry, and onboard.momentum",
     "momentum_jump": "the momentum of the wheels jumped and telemetry did not say thrusters_active; report unloadings",
+    "momentum_silent": "no new momentum of the wheels has been used for three hours, and yaw is known as without it; "
+    "send records within 15 min, with a value that changes for each wheel of the catalogue",
 }
 #: fewest rows of a flagged carrier from which its kind of fault is told
 _INFORMATIVE_ROWS = QUIET_ROWS // 2

@@ -26,6 +26,8 @@ _LEAST_RECORDS = 5.0
 _MISLED_DEG = (0.2, 0.02, 0.02)
 #: a jump is reported for this long, us
 _REPORTED_US = 3_600_000_000
+#: without a new record for this long yaw is known as without telemetry, us; records of each hour may miss one
+_SILENT_US = 3 * 3_600_000_000
 _NEVER_US = -(1 << 62)
 
 
@@ -60,9 +62,14 @@ def has_jumped(watch: MomentumWatch, epoch_us: int) -> bool:
     return epoch_us - watch.jumped_us < _REPORTED_US
 
 
-def momentum_advice(watch: MomentumWatch, epoch_us: int) -> dict[str, bool]:
-    """Return which advice about the telemetry of the wheels is given at an epoch."""
-    return {"momentum_refused": watch.is_refused, "momentum_jump": has_jumped(watch, epoch_us)}
+def momentum_advice(watch: MomentumWatch, since_us: int, epoch_us: int) -> dict[str, bool]:
+    """Return which advice about the telemetry of the wheels is given at an epoch of a filter that began at another."""
+    is_silent = epoch_us - max(watch.newest_us, since_us) > _SILENT_US
+    return {
+        "momentum_refused": watch.is_refused,
+        "momentum_jump": has_jumped(watch, epoch_us),
+        "momentum_silent": is_silent and not watch.is_refused,
+    }
 
 
 def push_record(
