@@ -45,6 +45,9 @@ FAMILIES: dict[str, Family] = {
     "soo_journal_lag": Family(
         "gauge", "entries of the journal that the estimator has not consumed yet", ("spacecraft",)
     ),
+    "soo_smoothed_lag_seconds": Family(
+        "gauge", "newest consumed row less newest smoothed row of the live series, by epochs", ("spacecraft",)
+    ),
     "soo_filter_rows_total": Family(
         "counter",
         "rows of the robust method since its chain began, by kind: ordinary, or event (something found or declared)",

@@ -27,7 +27,8 @@ from service.api.views.newest import newest_attitude
 from service.api.views.present import present_of
 from service.api.views.shipped import program_version
 from service.errors import StorageError
-from service.records.catalogue import LIVE_METHODS, Spacecraft
+from service.ports import SMOOTHED
+from service.records.catalogue import LIVE_METHODS, Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
 from service.runtime.process_metrics import process_statistics
@@ -150,10 +151,14 @@ class Metrics:
         yield from self._links()
 
     def _sources(self, spacecraft_id: str) -> Iterator[Sample]:
-        """Yield age and gaps of each source, the lag of the estimator, and the state of each carrier."""
+        """Yield age and gaps of each source, the lags of the estimates, and the state of each carrier."""
         archive, now_us = self._context.storage.archive, self._context.clock.now_us(spacecraft_id)
         head = archive.head(spacecraft_id)
         yield "soo_journal_lag", (spacecraft_id,), float(head.newest_number - head.consumed_number)
+        smoothed = self._context.storage.results.newest_attitude(spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED)
+        if smoothed is not None and head.consumed_epoch_us is not None:
+            lag_s = (head.consumed_epoch_us - smoothed.epoch_us) / US_PER_S
+            yield "soo_smoothed_lag_seconds", (spacecraft_id,), lag_s
         for source in archive.sources(spacecraft_id)[:MAX_SOURCES]:
             key = (spacecraft_id, source.id)
             if now_us is not None and source.newest_epoch_us is not None:

@@ -54,8 +54,8 @@ def angles(minutes):
 class Station:
     """The service's runtime over one archive with a calibration by geometry that knows the truth."""
 
-    def __init__(self, directory):
-        self.storage = SqlStorage(f"sqlite:///{directory / 'soo.db'}")
+    def __init__(self, directory, url=None):
+        self.storage = SqlStorage(url or f"sqlite:///{directory / 'soo.db'}")
         self.jobs = JobRunner(self.storage.results, self)
         self.replayer = Replayer(self.storage, self, self.jobs, self.run_replay)
         self.aligner = Aligner(self.storage, self, AlignmentConfig())
