@@ -32,12 +32,14 @@ class Refused(TypedDict):
 
     #: Place in the list that was sent, counted from 0.
     index: int
-    #: Number that the source gave the row; null where it numbers none.
-    seq: int | None
     #: Stable word for programs.
     code: str
     #: Sentence for people: what is wrong, and with which thing; it may change.
     detail: str
+    #: What to do next; the same for every row of this code.
+    next_step: str
+    #: Number that the source gave the row; null where it numbers none.
+    seq: int | None
 
 
 class Receipt(TypedDict):
@@ -172,8 +174,7 @@ class Attitude(TypedDict):
     sigma_deg: Angles
     #: ACQUIRED: angles of this row; EXPIRED: of older data; INVALID: none; NOT_RECEIVED: before the first row.
     status: Literal["ACQUIRED", "NOT_RECEIVED", "INVALID", "EXPIRED"]
-    #: Permission of this estimate for control: no inhibition stands; yaw alone may be withheld. It is stored and does
-    #: not change; whether a torque may go now is told by `control.allowed` of the newest answer.
+    #: Permission of this estimate for control, yaw apart; it does not change. For now read `control.allowed`.
     control_allowed: bool
     #: The estimate may be used for control about each axis.
     control_allowed_axes: AllowedAxes
@@ -195,7 +196,7 @@ class Attitude(TypedDict):
     calibration_id: int | None
     #: Alignment that the row was computed with; null before the first.
     alignment_id: int | None
-    #: Advice to the operator while control goes on: `realign`.
+    #: Advice to the operator while control goes on, such as `realign`.
     advice: list[str]
     #: Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known; deg.
     protection_deg: Angles

@@ -2,6 +2,8 @@
 
 import pytest
 
+from service.api.problems.next_steps import NEXT_STEPS
+
 pytestmark = pytest.mark.anyio
 SC = "/api/v1/spacecraft"
 BASE = f"{SC}/yamal-202"
@@ -46,6 +48,7 @@ async def test_indices_of_refused_rows_are_those_of_the_request(soo, spacecraft)
     rows = [{"epoch": T0, "yaw_deg": 1.0}, {"epoch": T1}, {"epoch": T0, "yaw_deg": 2.0}, {"epoch": T2, "yaw_deg": 1.0}]
     answer = await soo.client.post(f"{BASE}/attitude-references:batch", json={"source": "other", "references": rows})
     assert [(r["index"], r["code"]) for r in answer.json()["refused"]] == [(1, "value.absent"), (2, "input.conflict")]
+    assert [r["next_step"] for r in answer.json()["refused"]] == ["Leave the row out.", NEXT_STEPS["input.conflict"]]
     assert answer.json()["accepted"] == 2
 
 

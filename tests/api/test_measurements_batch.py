@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.api.problems.next_steps import NEXT_STEPS
 from service.records.calibration import Window
 from service.records.epoch import format_epoch
 
@@ -89,7 +90,7 @@ async def test_every_kind_of_row_is_counted_once(soo, spacecraft, carriers):
         (9, 16, "time.too_old"),
         (10, 17, "value.count"),
     ]
-    assert all(r["detail"] for r in answer["refused"])
+    assert all(r["detail"] and r["next_step"] == NEXT_STEPS[r["code"]] for r in answer["refused"])
     assert [r.epoch_us for r in stored(soo)] == [NOW_US + s * 1_000_000 for s in (-400, -10, -9, -8, -4)]
     assert soo.accepted == ["yamal-202"]
 

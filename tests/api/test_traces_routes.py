@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from role_keys import RoleKeys
 
+from service.api.problems.next_steps import NEXT_STEPS
 from service.records.epoch import format_epoch
 
 pytestmark = pytest.mark.anyio
@@ -106,6 +107,7 @@ async def test_a_trace_from_the_future_cannot_push_the_others_out(record):
     receipt = await send(record, trace(-1), trace(6), trace(epoch="1999-12-31T23:59:59.000000Z"))
     assert (receipt["received"], receipt["accepted"]) == (3, 1)
     assert [(r["index"], r["code"]) for r in receipt["refused"]] == [(1, "time.future"), (2, "time.too_old")]
+    assert all(r["next_step"] == NEXT_STEPS[r["code"]] for r in receipt["refused"])
     record.clock.data["yamal-202"] = None
     # nothing has moved the data clock yet: the end of the calendar is the bound
     late = await send(record, trace(50 * 365 * 86_400), trace(epoch="2101-01-01T00:00:00.000000Z"))

@@ -173,7 +173,7 @@ def _append(
         received=len(rows),
         accepted=receipt.accepted,
         duplicates=receipt.duplicates,
-        refused=[InputRefusalAnswer(index=i, code=code, detail=detail) for i, code, detail in sorted(refused)],
+        refused=[InputRefusalAnswer.of_fault(index, (code, detail)) for index, code, detail in sorted(refused)],
     )
 
 

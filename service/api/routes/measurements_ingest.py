@@ -18,6 +18,7 @@ from service.api.context.dependencies import ApiContext, SpacecraftIdText, check
 from service.api.context.epoch_limits import EpochLimits
 from service.api.context.plan_widths import PlanWidths
 from service.api.monitoring.request_metrics import RequestMetrics
+from service.api.problems.next_steps import NEXT_STEPS
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.bodies import accepts, read_body
 from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs
@@ -137,4 +138,5 @@ def _leap_notice(position: int, first_seq: int | None) -> RowNotice:
 
 def _listed(notices: Sequence[RowNotice]) -> list[dict[str, Any]]:
     """Return remarks in order of place."""
-    return [asdict(notice) for notice in sorted(notices, key=lambda notice: notice.index)]
+    ordered = sorted(notices, key=lambda notice: notice.index)
+    return [asdict(notice) | {"next_step": NEXT_STEPS.get(notice.code, "")} for notice in ordered]

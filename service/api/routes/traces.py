@@ -45,11 +45,7 @@ async def send_traces(
     bounds = await limits.present(spacecraft_id)
     faults = [_fault(trace, bounds) for trace in body.traces]
     kept = [trace.to_record() for trace, fault in zip(body.traces, faults, strict=True) if fault is None]
-    refused = [
-        TraceRefusalAnswer(index=index, code=fault[0], detail=fault[1])
-        for index, fault in enumerate(faults)
-        if fault is not None
-    ]
+    refused = [TraceRefusalAnswer.of_fault(index, fault) for index, fault in enumerate(faults) if fault is not None]
     ring = Ring(context.limits.evidence_traces, context.limits.evidence_bytes)
     now_us = context.clock.system_us()
     receipt = await run_in_threadpool(context.storage.traces.append, spacecraft_id, body.source, kept, now_us, ring)

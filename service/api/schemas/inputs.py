@@ -22,6 +22,7 @@ from service.api.schemas.base import (
     record_of,
 )
 from service.api.schemas.record_answers import members_of
+from service.api.schemas.row_refusals import RefusalAnswer
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch
 from service.records.inputs import AttitudeReference, Correction, TelemetryRecord, WeatherReport
 from service.records.levels.attitude import NO_ANGLES
@@ -179,12 +180,8 @@ class WeatherBatchDocument(Document):
     reports: Annotated[list[WeatherDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
 
 
-class InputRefusalAnswer(Answer):
+class InputRefusalAnswer(RefusalAnswer):
     """A refused row."""
-
-    index: int
-    code: str
-    detail: str
 
 
 class InputReceiptAnswer(Answer):

@@ -7,6 +7,7 @@ from typing_extensions import TypedDict
 
 from service.api.schemas.base import MAX_ROWS, Answer, Document, Name, PlanNumber, RowList
 from service.api.schemas.record_answers import members_of
+from service.api.schemas.row_refusals import RefusalAnswer
 from service.records.levels.measurement import DETAIL_NAMES
 from service.records.levels.series import SourceState
 
@@ -71,13 +72,10 @@ def _details(row: MeasurementDocument) -> dict[str, list[float | None]]:
     return {name: statistics for name, statistics in stated.items() if statistics is not None}
 
 
-class RowRemarkAnswer(Answer):
+class RowRemarkAnswer(RefusalAnswer):
     """A row that was refused, or flagged."""
 
-    index: int
     seq: int | None
-    code: str
-    detail: str
 
 
 class MeasurementReceiptAnswer(Answer):

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from service.api.schemas.base import Answer, AnyEpoch, Document, Name, RowPage
 from service.api.schemas.record_answers import members_of
+from service.api.schemas.row_refusals import RefusalAnswer
 from service.formats.numbers import shortest_float32
 from service.records.levels.trace import KeptTrace, Trace, TraceHead, TraceReceipt, TraceSettings
 
@@ -50,12 +51,8 @@ class TraceBatchDocument(Document):
     traces: Annotated[list[TraceDocument], Field(max_length=MAX_TRACES, fail_fast=True)]
 
 
-class TraceRefusalAnswer(Answer):
+class TraceRefusalAnswer(RefusalAnswer):
     """A refused trace."""
-
-    index: int
-    code: str
-    detail: str
 
 
 class TraceReceiptAnswer(members_of(TraceReceipt), Answer):

@@ -100,8 +100,7 @@ class AttitudeRow:
     status: Status
     control_allowed: Annotated[
         bool,
-        "Permission of this estimate for control: no inhibition stands; yaw alone may be withheld. It is stored "
-        "and\ndoes not change; whether a torque may go now is told by `control.allowed` of the newest answer.",
+        "Permission of this estimate for control, yaw apart; it does not change. For now read `control.allowed`.",
     ]
     #: yaw, roll, pitch
     control_allowed_axes: tuple[bool, bool, bool]
@@ -114,7 +113,7 @@ class AttitudeRow:
     residual_rms_db: float
     calibration_id: int | None
     alignment_id: int | None
-    advice: Annotated[tuple[str, ...], "Advice to the operator while control goes on: `realign`."] = ()
+    advice: Annotated[tuple[str, ...], "Advice to the operator while control goes on, such as `realign`."] = ()
     protection_deg: Annotated[
         Axes, "Protection level: the error of the angle passes it with a probability of 1e-4 a row; null = not known."
     ] = NO_ANGLES
