@@ -122,7 +122,7 @@ class WheelMomentum:
     #: whether the filter uses it
     used: bool = True
     #: torque from outside that gathers in the wheels and moves nothing else; None = that of fed_forward_torque, whose
-    #: error also moves the body
+    #: error also moves the body; neither stated: an unknown one
     torque: FedForwardTorque | None = None
 
 

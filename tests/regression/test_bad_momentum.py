@@ -192,3 +192,26 @@ def test_telemetry_that_the_turns_contradict_is_left_out_to_the_last_bit() -> No
     assert found.advises("momentum_contradicted").all()
     np.testing.assert_array_equal(found.estimate_deg, plain.estimate_deg)
     np.testing.assert_array_equal(found.sigma_deg, plain.sigma_deg)
+
+
+@pytest.mark.slow
+def test_momentum_helps_where_nobody_states_the_torque_that_gathers_in_the_wheels() -> None:
+    world = shared_world("wheels", SEED, 1.0)
+    kept, spacecraft = world.ground, world.ground.spacecraft
+    momentum = spacecraft.onboard.momentum
+    assert momentum is not None
+    rms_deg, refused = [], []
+    for known in (replace(momentum, torque=None), None):
+        onboard = replace(spacecraft.onboard, fed_forward_torque=None, momentum=known)
+        try:
+            world.ground = replace(kept, spacecraft=replace(spacecraft, onboard=onboard))
+            found = world.fly_ground(world.ground)
+        finally:
+            world.ground = kept
+        rms_deg.append(found.rms_deg(1.0))
+        refused.append(found.advises("momentum_refused").any())
+        if known is not None:
+            assert np.sqrt(np.mean((found.error_deg / found.sigma_deg)[60:, 0] ** 2)) < 1.25
+    print(f"seed {SEED}: with momentum of an unknown torque {rms_deg[0].round(4)}, without {rms_deg[1].round(4)}")
+    assert refused == [False, False]
+    assert rms_deg[0][0] < 0.9 * rms_deg[1][0]

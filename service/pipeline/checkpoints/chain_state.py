@@ -14,7 +14,7 @@ from service.records.levels.measurement import Measurement
 
 #: raised when the state means something else than before, though its classes look alike; their names, fields and types
 #: are compared by themselves
-LAYOUT_NUMBER = 1
+LAYOUT_NUMBER = 2
 
 
 class ChainState(NamedTuple):

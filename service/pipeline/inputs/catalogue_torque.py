@@ -15,6 +15,8 @@ from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import FloatArray
 
+#: torque from outside where no profile is stated, N m: light of the Sun on the arrays of a large comsat
+_UNKNOWN_GATHERED_N_M = 2e-5
 #: of a torque whose size is stated; it is that of the Sun's light, nearly all wave
 _STATED_CONSTANT_SHARE = 0.2
 
@@ -53,12 +55,14 @@ def momentum_model(spacecraft: Spacecraft | None, *, is_contradicted: bool = Fal
     stated = None if spacecraft is None else spacecraft.onboard.momentum
     if spacecraft is None or stated is None or not stated.used or is_contradicted:
         return None
+    is_profile_known = stated.torque is not None or spacecraft.onboard.fed_forward_torque is not None
     return MomentumModel(
         stated.sigma_n_m_s,
         stated.scale_error,
         stated.misalignment_deg,
         angle_inertia_kg_m2(spacecraft),
         None if stated.torque is None else _profile(stated.torque, spacecraft),
+        None if is_profile_known else _triple(_accelerations(AxisTorques(*[_UNKNOWN_GATHERED_N_M] * 3), spacecraft)),
     )
 
 

@@ -10,10 +10,10 @@ from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings
 from service.core.estimation.filtering.model.filter_state import Gaussian, core_size
 from service.core.estimation.filtering.model.hidden_motion import (
-    MOMENTUM,
     SHARE_SIGMA,
     dropped,
     inserted,
+    momentum_count,
     torque_states,
     with_wider_torque,
 )
@@ -50,7 +50,7 @@ def without_shares(model: CarrierModel, state: FilterState, shares: int) -> Filt
 def with_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings) -> Gaussian:
     """Return the state at an alignment, which has no hidden states, with those of the torque that is stated, if any."""
     if settings.momentum is not None:
-        gaussian = inserted(gaussian, core_size(model), momentum_covariance(settings.momentum))
+        gaussian = inserted(gaussian, core_size(model), momentum_covariance(settings, settings.momentum))
     return inserted(gaussian, core_size(model), torque_covariance(settings)) if has_torque(settings) else gaussian
 
 
@@ -81,10 +81,10 @@ def _with_stated_momentum(
 ) -> FilterState:
     """Return the state after the catalogue states other telemetry of the wheels: it and torques begin again."""
     first = core_size(model, shares)
-    known = (TORQUES if has_torque(before) else 0) + (MOMENTUM if before.momentum is not None else 0)
+    known = (TORQUES if has_torque(before) else 0) + momentum_count(before)
     gaussian = dropped(state.gaussian, slice(first, first + known))
     if after.momentum is not None:
-        gaussian = inserted(gaussian, first, momentum_covariance(after.momentum))
+        gaussian = inserted(gaussian, first, momentum_covariance(after, after.momentum))
     if has_torque(after):
         gaussian = inserted(gaussian, first, torque_covariance(after))
     command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_state import core_size, hidden_count
-from service.core.estimation.filtering.model.hidden_motion import MOMENTUM
+from service.core.estimation.filtering.model.hidden_motion import momentum_count
 from service.core.estimation.filtering.watches.momentum_watch import push_record, with_impossible
 from service.pipeline.estimation.robust.method import RobustState, RobustStep, step_robust
 from service.pipeline.estimation.robust.model import RobustModel
@@ -39,7 +39,7 @@ def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) ->
     watch, gaussian = push_record(
         state.momentum,
         gaussian,
-        core_size(model.filter, hidden_count(model.filter, len(gaussian.mean))) - MOMENTUM,
+        core_size(model.filter, hidden_count(model.filter, len(gaussian.mean))) - momentum_count(model.settings),
         record.epoch_us,
         np.array(reported) @ model.wheel_axes,
         epoch_us,

@@ -84,6 +84,8 @@ class MomentumModel(NamedTuple):
     inertia_kg_m2: tuple[float, float, float]
     #: torque from outside that gathers in the wheels and moves nothing else; None = the one fed forward
     profile: FedForward | None = None
+    #: size of that torque where nobody knows its profile, deg/h^2 about yaw, roll, pitch; None = a profile is known
+    unknown_torque_deg_h2: tuple[float, float, float] | None = None
     #: N m s/sqrt(s), walk of the momentum by torques of which nobody knows
     walk_n_m_s_sqrt_s: float = 2e-5
 

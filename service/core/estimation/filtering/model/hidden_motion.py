@@ -28,6 +28,7 @@ from service.core.estimation.filtering.model.filter_model import (
 from service.core.estimation.filtering.model.filter_state import RATE, Gaussian, common_states, hidden_count
 from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
+    gathered_prior_deg_h2,
     has_torque,
     is_pushed,
     scale_covariance,
@@ -36,8 +37,8 @@ from service.core.estimation.filtering.model.torque_prior import (
     wave_period_us,
 )
 
-#: states of the momentum of the wheels, behind the torques
-MOMENTUM = 7
+#: states of the momentum of the wheels, behind the torques: momentum, misalignment, scales
+_MOMENTUM = 7
 #: one standard deviation of the share of a command that nobody has reported
 SHARE_SIGMA = 1.0
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -90,6 +91,17 @@ def _gained_h(hours: float, angular_rate_per_h: float) -> FloatArray:
     )
 
 
+def momentum_count(settings: FilterSettings) -> int:
+    """Return how many states the momentum of the wheels has.
+
+    Where one torque pushes the body and another of unknown profile gathers in the wheels, the nine of that stand last.
+    """
+    wheels = settings.momentum
+    if wheels is None:
+        return 0
+    return _MOMENTUM + TORQUES * (wheels.unknown_torque_deg_h2 is not None and is_pushed(settings))
+
+
 def hidden_transition(
     hidden: int, from_us: int, step_us: int, settings: FilterSettings, known: KnownMotion
 ) -> FloatArray:
@@ -113,7 +125,7 @@ def hidden_transition(
     """
     shares = len(known.unreported)
     torques = TORQUES * has_torque(settings)
-    if hidden - shares != torques + MOMENTUM * (settings.momentum is not None) and (
+    if hidden - shares != torques + momentum_count(settings) and (
         settings.momentum is not None or hidden - shares not in (0, TORQUES)
     ):
         message = f"{shares} commands are unreported, which does not fit {hidden} hidden states"
@@ -139,11 +151,12 @@ def hidden_transition(
 
 def hidden_noise(hidden: int, shares: int, settings: FilterSettings) -> tuple[FloatArray, FloatArray]:
     """Return sigma (E,) and correlation time (E,), s, of the noise that keeps the hidden states alive."""
-    torques = TORQUES if hidden - shares >= TORQUES else 0
-    still = hidden - shares - torques
-    sigma = np.concatenate([np.zeros(shares), torque_prior_deg_h2(settings)[:torques], np.zeros(still)])
-    tau_s = np.full(hidden, np.inf)
-    tau_s[shares : shares + torques] = 3600.0 * settings.torque_tau_h
+    sigma, tau_s = np.zeros(hidden), np.full(hidden, np.inf)
+    if hidden - shares >= TORQUES:
+        own = slice(shares, shares + TORQUES)
+        sigma[own], tau_s[own] = torque_prior_deg_h2(settings), 3600.0 * settings.torque_tau_h
+    if momentum_count(settings) > _MOMENTUM:
+        sigma[-TORQUES:], tau_s[-TORQUES:] = gathered_prior_deg_h2(settings), 3600.0 * settings.torque_tau_h
     return sigma, tau_s
 
 
@@ -194,7 +207,7 @@ def with_wider_torque(gaussian: Gaussian, positions: slice, variance: FloatArray
 def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings, axes: BoolArray) -> Gaussian:
     """Return the state whose torque about some axes (3,) may for a while have been some times what was stated."""
     # shares stand before the torques, momentum behind them
-    own = TORQUES + MOMENTUM * (settings.momentum is not None)
+    own = TORQUES + momentum_count(settings)
     positions = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - own))
     if positions is None:
         return gaussian

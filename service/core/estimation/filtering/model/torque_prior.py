@@ -35,8 +35,20 @@ def torque_prior_deg_h2(settings: FilterSettings) -> FloatArray:
     all of a torque that was stated is wave. One of which nothing is known is as well constant: with a fifth a constant
     of twice the prior leaves yaw wrong by 0.5 deg for a day, with equal parts by 0.3, which is what powers alone allow.
     """
-    size, constant = np.array(settings.torque_deg_h2), settings.torque_constant_share
-    wave = math.sqrt(1.0 - constant**2)
+    if has_torque(settings) and not is_pushed(settings):
+        return gathered_prior_deg_h2(settings)
+    return _prior(settings.torque_deg_h2, settings.torque_constant_share)
+
+
+def gathered_prior_deg_h2(settings: FilterSettings) -> FloatArray:
+    """Return the standard deviation (9,) of the torque that gathers in the wheels where no profile is known; else 0."""
+    unknown = None if settings.momentum is None else settings.momentum.unknown_torque_deg_h2
+    return np.zeros(TORQUES) if unknown is None else _prior(unknown, math.sqrt(0.5))
+
+
+def _prior(size_deg_h2: tuple[float, float, float], constant: float) -> FloatArray:
+    """Return the standard deviation (9,) of a torque of a size and a constant share."""
+    size, wave = np.array(size_deg_h2), math.sqrt(1.0 - constant**2)
     return np.concatenate([constant * size, wave * size, wave * size])
 
 
@@ -74,4 +86,6 @@ def is_pushed(settings: FilterSettings) -> bool:
 
 def has_torque(settings: FilterSettings) -> bool:
     """Return whether torques are among the states: one that is not fed forward, or one that gathers in the wheels."""
-    return is_pushed(settings) or (settings.momentum is not None and settings.momentum.profile is not None)
+    wheels = settings.momentum
+    is_gathered = wheels is not None and (wheels.profile is not None or wheels.unknown_torque_deg_h2 is not None)
+    return is_pushed(settings) or is_gathered

@@ -14,9 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, MomentumModel
+from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, IntArray, MomentumModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, Gaussian
-from service.core.estimation.filtering.model.torque_prior import TORQUES, wave_period_us
+from service.core.estimation.filtering.model.hidden_motion import momentum_count
+from service.core.estimation.filtering.model.torque_prior import (
+    TORQUES,
+    gathered_prior_deg_h2,
+    has_torque,
+    wave_period_us,
+)
 
 #: exchange of roll and yaw momentum in the orbital frame, 1/h
 _ORBITAL_RATE_PER_H = 0.2625162
@@ -40,9 +46,11 @@ class ReportedMomentum(NamedTuple):
     cross: FloatArray
 
 
-def momentum_covariance(model: MomentumModel) -> FloatArray:
-    """Return the covariance (7, 7) before the first record."""
-    sigma = [FREE_N_M_S] * 3 + [model.misalignment_deg] * 2 + [model.scale_error] * 2
+def momentum_covariance(settings: FilterSettings, wheels: MomentumModel) -> FloatArray:
+    """Return the covariance before the first record, (7, 7), or (16, 16) with a torque of its own."""
+    sigma = [FREE_N_M_S] * 3 + [wheels.misalignment_deg] * 2 + [wheels.scale_error] * 2
+    if momentum_count(settings) > len(sigma):
+        sigma += gathered_prior_deg_h2(settings).tolist()
     return np.diag(np.square(sigma))
 
 
@@ -71,14 +79,12 @@ def moved_momentum(
     step_us: int,
     settings: FilterSettings,
     wheels: MomentumModel,
-    *,
-    has_torque: bool,
 ) -> Gaussian:
-    """Return the state whose momentum, from a place on, has moved on; the torque states stand right before it."""
+    """Return the state whose momentum, from a place on, has moved on."""
     effect, turn = momentum_transition(from_us, step_us, settings, wheels)
-    start = first - TORQUES if has_torque else first
-    positions = slice(start, first + 3)
-    step = np.hstack([effect, turn]) if has_torque else turn
+    torques, states = _torque_places(first, settings), np.arange(first, first + 3)
+    positions = np.concatenate([torques, states])
+    step = np.hstack([effect[:, : len(torques)], turn])
     mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
     own = slice(first, first + 3)
     moved = step @ covariance[positions]
@@ -89,6 +95,17 @@ def moved_momentum(
     push = 0.0 if known is None else effect @ np.concatenate(known[:3])
     mean[own] = step @ mean[positions] + push
     return Gaussian(mean, covariance)
+
+
+def _torque_places(first: int, settings: FilterSettings) -> IntArray:
+    """Return the places (9,) of the torque that moves the momentum, (0,) where none is among the states.
+
+    One of its own stands behind the momentum, misalignment and scales; that which also pushes the body before them.
+    """
+    own = momentum_count(settings) - TORQUES
+    if own > 0:
+        return np.arange(first + own, first + own + TORQUES)
+    return np.arange(first - TORQUES * has_torque(settings), first)
 
 
 def compared(
