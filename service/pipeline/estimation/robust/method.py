@@ -127,13 +127,6 @@ def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
     return CarrierLevels(model.carrier_ids, found.deviation_db, found.residual_db, model.is_used, hypothesis)
 
 
-def _momentum_advice(state: RobustState, model: RobustModel, epoch_us: int) -> dict[str, bool]:
-    """Return the advice about the telemetry of the wheels; none where the filter does not use it."""
-    if model.settings.momentum is None:
-        return {}
-    return momentum_advice(state.momentum, state.commanded.since_us, epoch_us)
-
-
 def _torque_of(settings: FilterSettings) -> tuple[object, ...]:
     return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, settings.momentum
 
@@ -180,7 +173,12 @@ def step_robust(
         given={
             "state_torque": model.is_torque_unknown and is_torque_shown(found.state, model, len(released)),
             "momentum_contradicted": model.is_momentum_contradicted,
-            **_momentum_advice(state, model, measurement.epoch_us),
+            **momentum_advice(
+                state.momentum,
+                state.commanded.since_us,
+                measurement.epoch_us,
+                is_used=model.settings.momentum is not None,
+            ),
         },
     )
     after = RobustState(found.state, commanded, readings, released, measurement.source, state.momentum)

@@ -62,13 +62,13 @@ def has_jumped(watch: MomentumWatch, epoch_us: int) -> bool:
     return epoch_us - watch.jumped_us < _REPORTED_US
 
 
-def momentum_advice(watch: MomentumWatch, since_us: int, epoch_us: int) -> dict[str, bool]:
+def momentum_advice(watch: MomentumWatch, since_us: int, epoch_us: int, *, is_used: bool) -> dict[str, bool]:
     """Return which advice about the telemetry of the wheels is given at an epoch of a filter that began at another."""
     is_silent = epoch_us - max(watch.newest_us, since_us) > _SILENT_US
     return {
         "momentum_refused": watch.is_refused,
         "momentum_jump": has_jumped(watch, epoch_us),
-        "momentum_silent": is_silent and not watch.is_refused,
+        "momentum_silent": is_used and is_silent and not watch.is_refused,
     }
 
 

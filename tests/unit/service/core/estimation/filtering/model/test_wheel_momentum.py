@@ -45,7 +45,8 @@ def test_momentum_of_many_short_steps_is_that_of_a_long_one(settings: FilterSett
     for minute in range(120):
         many = moved_momentum(many, FIRST, minute * MINUTE_US, MINUTE_US, settings, wheels)
     np.testing.assert_allclose(one.mean, many.mean, atol=2e-4)
-    np.testing.assert_allclose(one.covariance, many.covariance, atol=1e-6)
+    # a torque counts as constant for ten minutes, in which roll and yaw exchange by 0.04
+    np.testing.assert_allclose(one.covariance, many.covariance, rtol=5e-3, atol=1e-6)
     np.testing.assert_array_equal(one.covariance, one.covariance.T)
 
 

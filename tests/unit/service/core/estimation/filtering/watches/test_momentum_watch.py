@@ -81,9 +81,10 @@ def test_telemetry_that_begins_with_what_no_wheel_holds_is_refused() -> None:
 def test_three_hours_without_a_new_record_are_reported(count: int, silent_after_minutes: int) -> None:
     watch, _ = records(noisy(count)) if count else (fresh_watch(), None)
     for minutes, is_reported in ((silent_after_minutes, False), (silent_after_minutes + 1, True)):
-        assert momentum_advice(watch, 0, minutes * MINUTE_US)["momentum_silent"] is is_reported
+        assert momentum_advice(watch, 0, minutes * MINUTE_US, is_used=True)["momentum_silent"] is is_reported
+        assert not momentum_advice(watch, 0, minutes * MINUTE_US, is_used=False)["momentum_silent"]
 
 
 def test_refused_telemetry_is_not_silent_as_well() -> None:
-    advice = momentum_advice(with_impossible(fresh_watch()), 0, 1000 * MINUTE_US)
+    advice = momentum_advice(with_impossible(fresh_watch()), 0, 1000 * MINUTE_US, is_used=True)
     assert advice == {"momentum_refused": True, "momentum_jump": False, "momentum_silent": False}
