@@ -198,15 +198,16 @@ class Plant:
     def _spacecraft(self, options: PlantOptions) -> OrbitalFrameSpacecraft:
         """Return the spacecraft as it stands when operation begins."""
         keeping, seed = self.world.scenario.keeping, self.world.seed
-        wheels = wheel_set(seed, self.reported_telemetry().wheel_momentum_n_m_s)
+        wheels = wheel_set(seed, self.reported_telemetry().wheel_momentum_n_m_s or (0.0, 0.0, 0.0))
         attitude_deg = _triple(self._attitude_deg[self.first_row])
         flown = spacecraft_at_rest(INERTIA_KG_M2, attitude_deg, wheels, is_coupled=keeping.is_coupled)
         flown.response, flown.tones = options.response, options.tones
         return flown
 
     def reported_telemetry(self) -> TelemetryRecord:
-        """Return the story's newest record at the present row."""
-        return [record for record in self.world.telemetry if record.reported_us <= self.epoch_us][-1]
+        """Return the story's newest record of the wheels at the present row."""
+        told = (one for one in self.world.telemetry if one.wheel_momentum_n_m_s is not None)
+        return [record for record in told if record.reported_us <= self.epoch_us][-1]
 
 
 def _triple(values: FloatArray) -> Triple:

@@ -69,6 +69,8 @@ def _reported_statistics(scenario: Scenario) -> list[str]:
         kinds.append(f"catalogue: roll_yaw_coupling {str(scenario.keeping.is_coupling_announced).lower()}")
     if scenario.wheels is not None:
         kinds.append(f"wheel momentum each {scenario.wheels.period_min:g} min")
+    if scenario.rates is not None:
+        kinds.append("body rates each row")
     if scenario.keeping.corrections_late_min is not None:
         kinds.append(f"corrections {scenario.keeping.corrections_late_min:g} min after their end")
     return kinds
@@ -165,6 +167,8 @@ _FOOT = (
     "* Telemetry is for show where no torque is flown: wheel momentum and mode act on nothing. In `wheels` and its",
     "  kin it is that of the attitude, told with the errors of axes, scale, noise and one rpm. The torque from outside",
     "  gathers in the wheels and moves nothing: the loop on board takes it whole away.",
+    "* In `rates` and its kin telemetry has the inertial rate of the body, the mean since the row before, with a bias",
+    "  and an angle random walk about each axis; the axes of the sensor are those of the body.",
     "* The loop on board takes gyroscopic torques away with the true rate; flexible modes do not act back on it.",
     "* Noise is written row by row: a row of 10 s has the white noise of a row of 300 s.",
     "* A pause is passed over: noise goes on after it as if it had not been.",

@@ -117,7 +117,7 @@ class SensorSigns:
 
 
 class MomentumVerdict(StrEnum):
-    """Verdict of the turns on the momentum of the wheels in telemetry."""
+    """Verdict of the turns on the momentum of the wheels, or the rates of the body, in telemetry."""
 
     CONSISTENT = "consistent"
     CONTRADICTED = "contradicted"
@@ -137,6 +137,18 @@ class MomentumCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class RateCheck:
+    """Check of the rates of the body in telemetry by the turns."""
+
+    verdict: MomentumVerdict
+    #: what contradicts it, or why it was not checked; empty = nothing
+    reason: str
+    #: of roll, pitch, yaw: response to the own turn, 1 of a true sensor, and one standard deviation
+    response: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    response_sigma: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrationResult:
     """Outcome of a fit."""
 
@@ -151,6 +163,8 @@ class CalibrationResult:
     signs: SensorSigns | None = None
     #: None where the catalogue stated nothing of the momentum
     momentum: MomentumCheck | None = None
+    #: None where the catalogue has no rate sensor beside the loop
+    rates: RateCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +191,12 @@ class Calibration:
     def is_momentum_contradicted(self) -> bool:
         """Return whether the turns contradict the momentum of the wheels in telemetry."""
         check = None if self.result is None else self.result.momentum
+        return check is not None and check.verdict is MomentumVerdict.CONTRADICTED
+
+    @property
+    def is_rates_contradicted(self) -> bool:
+        """Return whether the turns contradict the rates of the body in telemetry."""
+        check = None if self.result is None else self.result.rates
         return check is not None and check.verdict is MomentumVerdict.CONTRADICTED
 
 

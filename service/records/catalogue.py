@@ -127,6 +127,19 @@ class WheelMomentum:
 
 
 @dataclass(frozen=True, slots=True)
+class RateSensor:
+    """Telemetry of the rate of the body as a measurement of its motion."""
+
+    #: whether the loop on board closes on this sensor: what it holds still tells nothing new
+    in_loop: bool
+    #: bias about an axis, one standard deviation, deg/h, and its correlation time; None = not stated, in the loop
+    bias_deg_h: float | None = None
+    bias_tau_h: float | None = None
+    #: angle random walk, deg/sqrt(h)
+    noise_deg_sqrt_h: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Onboard:
     """On-board control of the spacecraft: fast loop, forecast mode, roll-yaw coupling and known torques."""
 
@@ -143,6 +156,8 @@ class Onboard:
     fed_forward_torque: FedForwardTorque | None = None
     #: None = the filter does not use the momentum of the wheels
     momentum: WheelMomentum | None = None
+    #: None = the filter does not use the rates of the body
+    rate_sensor: RateSensor | None = None
 
 
 @dataclass(frozen=True, slots=True)

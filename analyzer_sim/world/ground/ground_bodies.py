@@ -94,6 +94,7 @@ def spacecraft_body(world: World, *, is_flown: bool = False) -> Line:
             "roll_yaw_coupling": keeping.is_coupling_announced,
             "residual_torque_n_m": residual_n_m,
             **_momentum(world, is_flown=is_flown),
+            **_rate_sensor(world, is_flown=is_flown),
         },
         # torques do not reach a story that is only replayed, so none may count as applied
         "control": {"method": "robust", "mode": "ground", "release": "two_step"},
@@ -121,6 +122,17 @@ def _momentum(world: World, *, is_flown: bool) -> Line:
         "axis_relative_error": figures.axis_profile_error,
     }
     return {"momentum": {**stated, "torque": torque}}
+
+
+def _rate_sensor(world: World, *, is_flown: bool) -> Line:
+    """Return what the catalogue says of the rate sensor; that of the flown spacecraft is the loop's own."""
+    figures = world.scenario.rates
+    if figures is None:
+        return {}
+    if is_flown:
+        return {"rate_sensor": {"in_loop": True}}
+    errors = ("bias_deg_h", "bias_tau_h", "noise_deg_sqrt_h")
+    return {"rate_sensor": {"in_loop": False, **{name: getattr(figures, name) for name in errors}}}
 
 
 def carrier_body(world: World, carrier: Carrier) -> Line:
@@ -215,12 +227,12 @@ def corrections_body(corrections: Sequence[Correction]) -> Line:
 
 def telemetry_body(record: TelemetryRecord) -> Line:
     """Return a batch of one record."""
-    entry = {
-        "epoch": rfc3339(record.reported_us),
-        "onboard_mode": record.onboard_mode,
-        "wheel_momentum_n_m_s": list(record.wheel_momentum_n_m_s),
-        "thrusters_active": record.thrusters_active,
-    }
+    entry: Line = {"epoch": rfc3339(record.reported_us), "onboard_mode": record.onboard_mode}
+    if record.wheel_momentum_n_m_s is not None:
+        entry["wheel_momentum_n_m_s"] = list(record.wheel_momentum_n_m_s)
+    entry["thrusters_active"] = record.thrusters_active
+    if record.body_rate_deg_s is not None:
+        entry["body_rate_deg_s"] = dict(zip(AXES, record.body_rate_deg_s, strict=True))
     return {"records": [entry]}
 
 

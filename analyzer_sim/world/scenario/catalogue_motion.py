@@ -1,6 +1,6 @@
-"""Catalogue, measured motion: telemetry of the wheels that follows from attitude and torques."""
+"""Catalogue, measured motion: telemetry of the wheels and of a rate sensor that follows from the attitude."""
 
-from analyzer_sim.world.scenario.story import Scenario, WheelTelemetry
+from analyzer_sim.world.scenario.story import RateTelemetry, Scenario, WheelTelemetry
 
 MOTION: tuple[Scenario, ...] = (
     Scenario(
@@ -20,4 +20,10 @@ MOTION: tuple[Scenario, ...] = (
         wheels=WheelTelemetry(misalignment_deg=0.15),
     ),
     Scenario("wheels_zero", "As wheels, without momentum along pitch.", wheels=WheelTelemetry(bias_n_m_s=0.0)),
+    Scenario(
+        "rates",
+        "As nominal; a rate sensor beside the loop, of 0.01 deg/h of bias, tells the rate of the body each minute.",
+        rates=RateTelemetry(),
+    ),
+    Scenario("rates_biased", "As rates, the bias five times as large as stated.", rates=RateTelemetry(bias_factor=5.0)),
 )

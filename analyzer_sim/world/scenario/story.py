@@ -148,6 +148,19 @@ class WheelTelemetry:
 
 
 @dataclass(frozen=True, slots=True)
+class RateTelemetry:
+    """Rate sensor beside the loop on board, told with every row: its true errors, and what the catalogue says of it."""
+
+    #: first-order bias about each axis, one sigma, deg/h, and its correlation time
+    bias_deg_h: float = 0.01
+    bias_tau_h: float = 8.0
+    #: angle random walk, deg/sqrt(h)
+    noise_deg_sqrt_h: float = 0.003
+    #: the true bias is so many times what the catalogue states
+    bias_factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class Phase:
     """One stretch of the story, [start, stop)."""
 
@@ -181,6 +194,8 @@ class Scenario:
     sensors: tuple[Sensor, ...] = (STAR_TRACKER,)
     #: wheels whose momentum follows from attitude and torques; none = hourly figures that act on nothing
     wheels: WheelTelemetry | None = None
+    #: rate sensor beside the loop; none = telemetry has no rates
+    rates: RateTelemetry | None = None
 
     @property
     def row_period_us(self) -> int:

@@ -5,10 +5,11 @@
     pitch h = b + r t, back to b at each unloading by thrusters, twelve hours apart
 
 None of it acts on the attitude; it only looks like the real thing. A story with wheels of its own has momentum that
-follows from attitude and torques (`stored_momentum`), reported as often as it says.
+follows from attitude and torques (`stored_momentum`), reported as often as it says. Where a rate sensor stands beside
+the loop, every row has a record of its rates (`body_rates`), with the momentum where that is due too.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from analyzer_sim.epochs import US_PER_H, US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, EpochArray
 from analyzer_sim.world.scenario.story import Scenario, WheelTelemetry
+from analyzer_sim.world.spacecraft.body_rates import reported_rates
 from analyzer_sim.world.spacecraft.stored_momentum import UNLOADING_H, reported_momentum, unloadings_us
 
 #: time between two records, h
@@ -31,9 +33,11 @@ class TelemetryRecord:
 
     reported_us: int
     onboard_mode: str
-    #: wheels along roll, pitch, yaw
-    wheel_momentum_n_m_s: tuple[float, float, float]
+    #: wheels along roll, pitch, yaw; None = not in this record
+    wheel_momentum_n_m_s: tuple[float, float, float] | None
     thrusters_active: bool
+    #: inertial rate of the body about yaw, roll, pitch, deg/s
+    body_rate_deg_s: tuple[float, float, float] | None = None
 
 
 def telemetry(
@@ -46,12 +50,30 @@ def telemetry(
 ) -> tuple[TelemetryRecord, ...]:
     """Return the records from the first row to the last; nothing is sent in a pause.
 
-    They are hourly, or of the attitudes (T, 3) of rows (T,) where the story has wheels of its own.
+    They are hourly, or of the attitudes (T, 3) of rows (T,) where the story has wheels or a rate sensor of its own.
     """
     if scenario.wheels is not None:
         reported = reported_momentum(scenario, scenario.wheels, seed, inertia_kg_m2, rows_us, attitude_deg)
-        return _records(scenario, scenario.wheels, rows_us, reported)
-    return _hourly(scenario, seed, burns_us)
+        records = _records(scenario, scenario.wheels, rows_us, reported)
+    else:
+        records = _hourly(scenario, seed, burns_us)
+    if scenario.rates is None:
+        return records
+    rates = reported_rates(scenario.rates, seed, scenario.row_period_s, rows_us, attitude_deg)
+    return _with_rates(scenario, records, rows_us, rates)
+
+
+def _with_rates(
+    scenario: Scenario, records: tuple[TelemetryRecord, ...], rows_us: EpochArray, rates: FloatArray
+) -> tuple[TelemetryRecord, ...]:
+    """Return a record with every row: those there are, and new ones, with the rates (T, 3)."""
+    own = {record.reported_us: record for record in records}
+    made = []
+    for epoch_us, (yaw, roll, pitch) in zip(rows_us.tolist(), rates.tolist(), strict=True):
+        mode = FORECAST_MODE if epoch_us >= scenario.operation_start_us else SENSOR_MODE
+        record = own.pop(epoch_us, None) or TelemetryRecord(epoch_us, mode, None, False)
+        made.append(replace(record, body_rate_deg_s=(yaw, roll, pitch)))
+    return tuple(sorted((*made, *own.values()), key=lambda record: record.reported_us))
 
 
 def is_unloaded(scenario: Scenario, from_us: int, to_us: int) -> bool:

@@ -1,4 +1,4 @@
-"""Disturbance torque of a spacecraft by its catalogue, as accelerations of the body.
+"""Disturbance torque and motion sensors of a spacecraft by its catalogue; torques as accelerations of the body.
 
     a = T / J        T N m, J kg m2 about the axis, a deg/h^2
 
@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FedForward, MomentumModel
+from service.core.estimation.filtering.model.filter_model import FedForward, MomentumModel, RateSensorModel
 from service.pipeline.inputs.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import US_PER_S
@@ -64,6 +64,17 @@ def momentum_model(spacecraft: Spacecraft | None, *, is_contradicted: bool = Fal
         None if stated.torque is None else _profile(stated.torque, spacecraft),
         None if is_profile_known else _triple(_accelerations(AxisTorques(*[_UNKNOWN_GATHERED_N_M] * 3), spacecraft)),
     )
+
+
+def rate_sensor_model(spacecraft: Spacecraft | None, *, is_contradicted: bool = False) -> RateSensorModel | None:
+    """Return how the rates of the body are read; None where the catalogue has no sensor beside the loop."""
+    stated = None if spacecraft is None else spacecraft.onboard.rate_sensor
+    if stated is None or stated.in_loop or is_contradicted:
+        return None
+    bias, tau_h, noise = stated.bias_deg_h, stated.bias_tau_h, stated.noise_deg_sqrt_h
+    if bias is None or tau_h is None or noise is None:
+        return None
+    return RateSensorModel(bias, tau_h, noise)
 
 
 def _profile(reported: FedForwardTorque, spacecraft: Spacecraft) -> FedForward:

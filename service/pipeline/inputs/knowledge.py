@@ -27,6 +27,9 @@ from service.records.journal import SlowInput
 from service.records.levels.attitude import Axes, FloatArray
 from service.records.operations.release import InterlockHold
 
+#: records of the rate of the body that are kept: a day of one a minute, for rows that are taken again
+_MOST_RATES = 1500
+
 
 class Lookup(Protocol):
     """Documents of one spacecraft by number."""
@@ -60,6 +63,8 @@ class Knowledge:
     telemetry: TelemetryRecord | None = None
     #: newest record that told the rate of the body about every axis
     rated: TelemetryRecord | None = None
+    #: newest records of a rate sensor that the filter may use, in order of epochs
+    rates: tuple[TelemetryRecord, ...] = ()
     #: reports of rain, by station and source
     weather: WeatherReports = field(default_factory=dict)
     #: newest word of the interlock; none: it never withheld anything
@@ -150,9 +155,21 @@ def _with_word(knowledge: Knowledge, reported: TelemetryRecord | WeatherReport |
         return replace(knowledge, hold=reported)
     if reported.wheel_momentum_n_m_s is not None and _is_newest(reported, knowledge.telemetry):
         knowledge = replace(knowledge, telemetry=reported)
-    if has_body_rate(reported) and _is_newest(reported, knowledge.rated):
-        knowledge = replace(knowledge, rated=reported)
-    return knowledge
+    if not has_body_rate(reported):
+        return knowledge
+    sensor = None if knowledge.spacecraft is None else knowledge.spacecraft.onboard.rate_sensor
+    if sensor is not None and not sensor.in_loop:
+        knowledge = replace(knowledge, rates=_with_rate(knowledge.rates, reported))
+    return replace(knowledge, rated=reported) if _is_newest(reported, knowledge.rated) else knowledge
+
+
+def _with_rate(rates: tuple[TelemetryRecord, ...], reported: TelemetryRecord) -> tuple[TelemetryRecord, ...]:
+    """Return the newest records with one more; of two of one epoch the first counts."""
+    if not rates or reported.epoch_us > rates[-1].epoch_us:
+        return (*rates, reported)[-_MOST_RATES:]
+    if any(one.epoch_us == reported.epoch_us for one in rates):
+        return rates
+    return tuple(sorted((*rates, reported), key=lambda one: one.epoch_us))[-_MOST_RATES:]
 
 
 def has_body_rate(reported: TelemetryRecord) -> bool:

@@ -26,6 +26,12 @@ ADVICE: dict[str, str] = {
     "does not use it; read the warnings of the calibration, correct sign, order, unit or epochs, and calibrate again",
     "momentum_refused": "the momentum of the wheels in telemetry contradicts the powers and is not used until the next "
     "alignment; check sign, order, unit and source of the telemetry, and onboard.momentum",
+    "rates_contradicted": "the calibration turns contradict the rates of the body in telemetry, and the filter does "
+    "not use them; read the warnings of the calibration, correct sign, order or unit, and calibrate again",
+    "rates_refused": "the rates of the body in telemetry contradict the powers or the commands, or are no better than "
+    "the inertial model, and are not used until the next alignment; check the telemetry, and onboard.rate_sensor",
+    "rates_in_loop": "the rates of the body in telemetry are those of the sensor that the loop on board holds still: "
+    "they tell nothing new and are not used; report a sensor beside the loop, or send none",
     "momentum_jump": "the momentum of the wheels jumped and telemetry did not say thrusters_active; report unloadings",
     "momentum_silent": "no new momentum of the wheels has been used for three hours, and yaw is known as without it; "
     "send records within 15 min, with a value that changes for each wheel of the catalogue",

@@ -23,7 +23,9 @@ from service.core.estimation.filtering.model.filter_state import (
     RATE,
     initial_gaussian,
 )
+from service.core.estimation.filtering.model.measured_motion import measured_known
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch, momentum_advice
+from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates, inertial_motion
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
@@ -43,6 +45,9 @@ from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow, FloatArray
 from service.records.levels.measurement import Measurement
 
+#: a rate of the body so old is none of the present, s
+_RATE_S = 600.0
+
 
 @dataclass(frozen=True)
 class RobustState:
@@ -57,6 +62,8 @@ class RobustState:
     source: str | None = None
     #: judgement of the records of wheel momentum
     momentum: MomentumWatch = field(default_factory=fresh_watch)
+    #: judgement of the records of the rate of the body
+    rates: RateWatch = field(default_factory=fresh_rates)
 
 
 class RobustStep(NamedTuple):
@@ -104,6 +111,8 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
         state = replace(state, filter=pushed)
     if old.settings.momentum != new.settings.momentum:
         state = replace(state, momentum=fresh_watch())
+    if old.rate_sensor != new.rate_sensor:
+        state = replace(state, filter=inertial_motion(state.rates, state.filter)[1], rates=fresh_rates())
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
         return state
     position_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
@@ -158,6 +167,8 @@ def step_robust(
     declared = _declared(state, model, knowledge, measurement, config)
     if released:
         known = known._replace(unreported=unreported)
+    if state.rates.is_measured and model.rate_sensor is not None:
+        known = measured_known(model.rate_sensor)
     found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, config, recorder)
     is_without_orbit = not np.isfinite(expected_dbm).any()
     residual_db = found.residual_db
@@ -179,10 +190,20 @@ def step_robust(
                 measurement.epoch_us,
                 is_used=model.settings.momentum is not None,
             ),
+            **_rate_advice(state, model, knowledge, measurement.epoch_us),
         },
     )
-    after = RobustState(found.state, commanded, readings, released, measurement.source, state.momentum)
+    after = RobustState(found.state, commanded, readings, released, measurement.source, state.momentum, state.rates)
     return RobustStep(row, expected_dbm, deviation_db, residual_db, after, found.is_ordinary)
+
+
+def _rate_advice(state: RobustState, model: RobustModel, knowledge: Knowledge, epoch_us: int) -> dict[str, bool]:
+    """Return which advice about the rates of the body is given at an epoch."""
+    return {
+        "rates_contradicted": model.is_rates_contradicted,
+        "rates_refused": state.rates.is_refused,
+        "rates_in_loop": model.is_rate_in_loop and knowledge.body_rate_deg_s(epoch_us, _RATE_S) is not None,
+    }
 
 
 def _filtered(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_deviation
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, RateSensorModel
 from service.core.estimation.filtering.model.torque_prior import is_pushed
 from service.core.estimation.filtering.watches.integrity import IntegrityLimits
 from service.core.estimation.snapshot.snapshot_start import subset_orders
@@ -20,6 +20,7 @@ from service.pipeline.inputs.catalogue_torque import (
     fed_forward,
     is_torque_unknown,
     momentum_model,
+    rate_sensor_model,
     residual_deg_h2,
 )
 from service.pipeline.inputs.declared_operations import CarrierIndices
@@ -77,6 +78,10 @@ class RobustModel:
     is_torque_unknown: bool
     #: whether the turns contradict the momentum of the wheels, which the filter would use otherwise
     is_momentum_contradicted: bool
+    #: rate sensor whose records move the angles; None = there is none, or it tells nothing new
+    rate_sensor: RateSensorModel | None
+    is_rates_contradicted: bool
+    is_rate_in_loop: bool
     calibration_id: int
     alignment_id: int
 
@@ -122,6 +127,7 @@ def robust_model(
     grown_db = _grown_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us))
     spacecraft = knowledge.spacecraft
     settings = _filter_settings(spacecraft, config.robust, calibration)
+    stated_rates = None if spacecraft is None else spacecraft.onboard.rate_sensor
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
@@ -145,6 +151,9 @@ def robust_model(
         wheel_axes=None if spacecraft is None else np.array(spacecraft.wheels.axes),
         is_torque_unknown=is_torque_unknown(spacecraft),
         is_momentum_contradicted=calibration.is_momentum_contradicted and momentum_model(spacecraft) is not None,
+        rate_sensor=rate_sensor_model(spacecraft, is_contradicted=calibration.is_rates_contradicted),
+        is_rates_contradicted=calibration.is_rates_contradicted and rate_sensor_model(spacecraft) is not None,
+        is_rate_in_loop=stated_rates is not None and stated_rates.in_loop,
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )

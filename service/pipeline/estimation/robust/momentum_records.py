@@ -10,18 +10,27 @@ from service.core.estimation.filtering.model.hidden_motion import momentum_count
 from service.core.estimation.filtering.watches.momentum_watch import push_record, with_impossible
 from service.pipeline.estimation.robust.method import RobustState, RobustStep, step_robust
 from service.pipeline.estimation.robust.model import RobustModel
+from service.pipeline.estimation.robust.rate_records import with_rates
 from service.pipeline.inputs.knowledge import Knowledge
+from service.records.levels.measurement import Measurement
 
 #: a record older than the newest row by more than this tells nothing, s
 _LATE_S = 900.0
 
 
 def step_with_record(
-    state: RobustState, *, model: RobustModel, knowledge: Knowledge, is_late: bool, **inputs: Any
+    state: RobustState,
+    *,
+    model: RobustModel,
+    knowledge: Knowledge,
+    measurement: Measurement,
+    is_late: bool,
+    **inputs: Any,
 ) -> RobustStep:
-    """Take the newest record of the wheels, if it is due, then a row, as `step_robust` does."""
-    taken = state if is_late else with_record(state, model, knowledge)
-    return step_robust(taken, model=model, knowledge=knowledge, is_late=is_late, **inputs)
+    """Take the records of wheels and rates that are due, then a row, as `step_robust` does."""
+    if not is_late:
+        state, model = with_rates(with_record(state, model, knowledge), model, knowledge, measurement.epoch_us)
+    return step_robust(state, model, knowledge, measurement, is_late=is_late, **inputs)
 
 
 def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) -> RobustState:

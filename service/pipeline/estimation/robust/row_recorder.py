@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep
+from service.core.estimation.filtering.model.filter_state import DRIFT, RATE
 from service.core.estimation.filtering.model.torque_prior import TORQUES, is_pushed
 from service.core.estimation.filtering.rows.row_kernels import RowKernels
 from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row, state_origin
@@ -70,6 +71,10 @@ class RowRecorder:
         former, mean = self._rows[-1].mean, before.gaussian.mean
         if former is mean:
             return np.arange(len(mean))
+        if model.rate_sensor is not None and len(former) == len(mean):
+            # a measured rate is put into the state before a row, and a bias may have taken the place of the drift
+            stays, moving = former == mean, np.arange(len(mean))
+            return np.where(stays, moving, -1) if stays[: DRIFT.start].all() and stays[RATE.stop :].all() else None
         if (self._model.calibration_id, self._model.carrier_ids) != (model.calibration_id, model.carrier_ids):
             return None
         torques = TORQUES if is_pushed(model.settings) else 0

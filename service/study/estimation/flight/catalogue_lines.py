@@ -17,6 +17,7 @@ from service.records.catalogue import (
     FedForwardTorque,
     Method,
     Onboard,
+    RateSensor,
     Release,
     Site,
     Spacecraft,
@@ -56,7 +57,9 @@ def read_spacecraft(body: Body) -> Spacecraft:
 
 def _onboard(body: Body) -> Onboard:
     """Return what the catalogue states of the spacecraft on board."""
-    stated = body.get("momentum")
+    stated, rates = body.get("momentum"), body.get("rate_sensor")
+    if rates is not None:
+        body = {**body, "rate_sensor": RateSensor(**rates)}
     if stated is None:
         return Onboard(**body)
     # a flown spacecraft states none: what gathers in its wheels is the profile that is fed forward
@@ -121,6 +124,7 @@ def read_telemetry(body: Body) -> tuple[TelemetryRecord, ...]:
             record["onboard_mode"],
             tuple(record["wheel_momentum_n_m_s"]) if "wheel_momentum_n_m_s" in record else None,
             thrusters_active=record.get("thrusters_active"),
+            body_rate_deg_s=Axes(**record["body_rate_deg_s"]) if "body_rate_deg_s" in record else None,
         )
         for record in body["records"]
     )

@@ -90,6 +90,16 @@ class MomentumModel(NamedTuple):
     walk_n_m_s_sqrt_s: float = 2e-5
 
 
+class RateSensorModel(NamedTuple):
+    """Rate sensor outside of the loop on board."""
+
+    #: bias about each axis, one standard deviation, deg/h, and its correlation time, h
+    bias_deg_h: float
+    bias_tau_h: float
+    #: angle random walk, deg/sqrt(h)
+    noise_deg_sqrt_h: float
+
+
 class FilterSettings(NamedTuple):
     """Noise and dynamics of spacecraft and receiving chain; triples in the order yaw, roll, pitch; rates in deg/h."""
 
@@ -134,6 +144,8 @@ class KnownMotion(NamedTuple):
     rate_change_deg_h: FloatArray
     #: (n, 2, 3) turns of n unreported commands if executed, deg, and their rates at the end, deg/h
     unreported: FloatArray = np.zeros((0, 2, 3))
+    #: random walk of the angles by the noise of a rate sensor, deg/sqrt(h)
+    walk_deg_sqrt_h: float = 0.0
 
 
 @lru_cache(maxsize=1)

@@ -237,6 +237,7 @@ def _core_variance(
         + late**2
         + (0.5 * hours * rate) ** 2
         + (walk**2 * hours if is_followed else 0.0)
+        + known.walk_deg_sqrt_h**2 * hours
         for correction, late, rate, (walk, is_followed) in zip(
             known.correction_deg.tolist(), known.late_correction_deg.tolist(), rates, walks, strict=True
         )
