@@ -77,6 +77,7 @@ _CATALOGUE = {
     "wheels.axis_zero": "State the direction of the wheel's spin axis.",
     "wheels.axes_span": "Add a wheel, or correct the axes.",
     "onboard.momentum_torque": "State the torque in one place.",
+    "onboard.rate_sensor_figures": "State all three errors of the sensor, or in_loop true.",
     "wheels.quantum": "Correct torque_quantum_n_m or torque_limit_n_m; check their unit, N m.",
     "control.no_fast_loop": "Set both true if the spacecraft has them, otherwise choose mode onboard or off.",
     "carrier.duplicate": "Rename or remove one of them.",

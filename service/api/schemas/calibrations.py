@@ -165,7 +165,8 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     """Figures of the fit as a whole, `warnings`, and `yaw_sign` and `common_sign`: proven, unproven or not_judged.
     While `yaw_sign` is unproven, yaw is not controlled; `common_sign` is that of all axes of the sensors together.
     `momentum` of the wheels by the turns: consistent, contradicted (the filter does not use it), not_checked, or
-    not_stated where the catalogue has no `onboard.momentum`; `momentum_response_roll` and others must be 1."""
+    not_stated where the catalogue has no `onboard.momentum`; `momentum_response_roll` and others must be 1. `rates`
+    of the body likewise, not_stated without `onboard.rate_sensor` beside the loop; `rate_response_roll` and others."""
     observability: ObservabilityAnswer | None
     carriers: list[CarrierCalibrationAnswer]
     job: str | None
@@ -198,10 +199,12 @@ def _quality(result: CalibrationResult | None) -> dict[str, float | str | list[s
     """Return the figures of the whole, the signs and the warnings."""
     if result is None:
         return {"warnings": []}
-    words = {"yaw_sign": "not_judged", "common_sign": "not_judged", "momentum": "not_stated"}
+    words = {"yaw_sign": "not_judged", "common_sign": "not_judged", "momentum": "not_stated", "rates": "not_stated"}
     if result.signs is not None:
         words["yaw_sign"] = "proven" if result.signs.is_yaw_proven else "unproven"
         words["common_sign"] = "proven" if result.signs.is_common_proven else "unproven"
     if result.momentum is not None:
         words["momentum"] = result.momentum.verdict.value
+    if result.rates is not None:
+        words["rates"] = result.rates.verdict.value
     return {**result.quality, **words, "warnings": list(result.warnings)}

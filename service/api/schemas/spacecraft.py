@@ -157,6 +157,29 @@ class WheelMomentumDocument(Document):
     of `fed_forward_torque`, whose error also moves the body; neither stated: 2e-5 N m of unknown constant and wave."""
 
 
+class RateSensorDocument(Document):
+    """Rates of the body in telemetry as a measurement of its motion."""
+
+    in_loop: bool
+    """Whether the loop on board closes on this sensor: what it holds still tells nothing new, and is not used."""
+    bias_deg_h: Annotated[float, Field(gt=0, le=10)] | None = None
+    """One standard deviation of the bias about an axis. The filter learns the bias."""
+    bias_tau_h: Annotated[float, Field(ge=0.1, le=1e5)] | None = None
+    """Correlation time of the bias."""
+    noise_deg_sqrt_h: Annotated[float, Field(ge=0, le=1)] | None = None
+    """Angle random walk, deg/sqrt(h)."""
+
+    @model_validator(mode="after")
+    def _check_figures(self) -> Self:
+        """Refuse a sensor beside the loop of which not all is stated."""
+        if not self.in_loop and None in (self.bias_deg_h, self.bias_tau_h, self.noise_deg_sqrt_h):
+            raise PydanticCustomError(
+                "onboard.rate_sensor_figures",
+                "a rate sensor with in_loop false needs bias_deg_h, bias_tau_h and noise_deg_sqrt_h",
+            )
+        return self
+
+
 class OnboardDocument(Document):
     """On-board control of the spacecraft: fast loop, forecast mode, roll-yaw coupling and known torques."""
 
@@ -172,6 +195,8 @@ class OnboardDocument(Document):
     """Torque profile fed forward on board, whose error the filter estimates; null = unknown."""
     momentum: WheelMomentumDocument | None = None
     """Momentum of the wheels as a measurement of yaw; null: the filter does not use it."""
+    rate_sensor: RateSensorDocument | None = None
+    """Rates of the body, `body_rate_deg_s` in telemetry, as a measurement of its motion; null: not used."""
 
     @model_validator(mode="after")
     def _check_torque(self) -> Self:

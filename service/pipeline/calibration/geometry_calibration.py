@@ -16,6 +16,7 @@ from service.pipeline.calibration.geometry_rows import GeometryRows, geometry_ro
 from service.pipeline.calibration.geometry_warnings import calibration_warnings
 from service.pipeline.calibration.momentum_check import momentum_check, momentum_quality, momentum_warnings
 from service.pipeline.calibration.paper_calibration import observe, paper_part
+from service.pipeline.calibration.rate_check import rate_check, rate_quality, rate_warnings
 from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.carrier_model.calibrated_arrays import geometry_model
@@ -61,23 +62,25 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     quality = quality_metrics(rows, joint, is_used)
     is_free = is_user_carrier & (joint.group < 0)
     report = report_signs(data, config, rows.positions, joint.fit.free, is_free, quality["yaw_turn_reach_deg"])
-    momentum = momentum_check(data, config)
+    momentum, rates = momentum_check(data, config), rate_check(data, config)
     sigma_db = np.hypot(white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
     record = geometry_record(data, rows, joint, is_used)
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
         observe(slope[is_user_carrier], sigma_db[is_user_carrier]),
-        {**paper.quality, **quality, **report.quality, **momentum_quality(momentum)},
+        {**paper.quality, **quality, **report.quality, **momentum_quality(momentum), **rate_quality(rates)},
         (
             *calibration_warnings(data, rows, joint, is_used, config),
             *report.warnings,
             *momentum_warnings(momentum),
+            *rate_warnings(data, rates),
             *_of_paper(paper.warnings),
         ),
         replace(record, daily_error_db=_row(error_db)),
         report.signs,
         momentum,
+        rates,
     )
 
 

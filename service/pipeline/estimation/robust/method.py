@@ -25,7 +25,7 @@ from service.core.estimation.filtering.model.filter_state import (
 )
 from service.core.estimation.filtering.model.measured_motion import measured_known
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch, momentum_advice
-from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates, inertial_motion
+from service.core.estimation.filtering.watches.rate_watch import MovingState, RateWatch, fresh_rates, inertial_motion
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
@@ -112,7 +112,7 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
     if old.settings.momentum != new.settings.momentum:
         state = replace(state, momentum=fresh_watch())
     if old.rate_sensor != new.rate_sensor:
-        state = replace(state, filter=inertial_motion(state.rates, state.filter)[1], rates=fresh_rates())
+        state = replace(state, filter=_without_rates(state), rates=fresh_rates())
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
         return state
     position_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
@@ -127,6 +127,13 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
         ~new.is_referenced,
     )
     return replace(state, filter=carried, readings=no_readings(len(position)))
+
+
+def _without_rates(state: RobustState) -> FilterState:
+    """Return the filter that goes on by the inertial model."""
+    before = state.filter
+    moving = MovingState(before.epoch_us, before.gaussian, before.drift, before.command)
+    return before._replace(**inertial_motion(state.rates, moving)[1]._asdict())
 
 
 def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:

@@ -4,17 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.filtering.model.measured_motion import ORBITAL_RATE_PER_H, measured_settings
-from service.core.estimation.filtering.watches.rate_watch import HELD_US, commanded_rate, push_rates
+from service.core.estimation.filtering.model.measured_motion import measured_settings
+from service.core.estimation.filtering.watches.rate_watch import HELD_US, MovingState, commanded_rate, push_rates
 from service.pipeline.estimation.robust.method import RobustState
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import consume
+from service.pipeline.inputs.telemetry_rates import inertial_deg_h
 from service.records.inputs import TelemetryRecord
 
 _US_PER_H = 3.6e9
-#: turn of the orbit about pitch, which an inertial rate holds, deg/h
-_ORBIT_DEG_H = np.array([0.0, 0.0, np.rad2deg(ORBITAL_RATE_PER_H)])
 
 
 def with_rates(
@@ -24,22 +23,22 @@ def with_rates(
     sensor, watch, from_us = model.rate_sensor, state.rates, state.filter.epoch_us
     if sensor is None or watch.is_refused or to_us <= from_us:
         return state, model
+    before = MovingState(from_us, state.filter.gaussian, state.filter.drift, state.filter.command)
     known, _ = consume(state.commanded, from_us, to_us)
-    commanded = commanded_rate(watch, state.filter) + known.correction_deg * (_US_PER_H / (to_us - from_us))
+    commanded = commanded_rate(watch, before) + known.correction_deg * (_US_PER_H / (to_us - from_us))
     records = _fresh(knowledge.rates, max(watch.newest_us, from_us - HELD_US), to_us)
-    rates = [one.body_rate_deg_s for one in records if one.body_rate_deg_s is not None]
     watch, moved = push_rates(
         watch,
-        state.filter,
+        before,
         np.array([one.epoch_us for one in records], dtype=np.int64),
-        3600.0 * np.array(rates, dtype=np.float64).reshape(-1, 3) + _ORBIT_DEG_H,
+        inertial_deg_h([one.body_rate_deg_s for one in records if one.body_rate_deg_s is not None]),
         to_us,
         commanded,
         model.settings,
         sensor,
         is_pushed=bool(known.rate_change_deg_h.any() or state.released),
     )
-    state = replace(state, filter=moved, rates=watch)
+    state = replace(state, filter=state.filter._replace(**moved._asdict()), rates=watch)
     if not watch.is_measured:
         return state, model
     return state, replace(model, settings=measured_settings(model.settings, sensor))

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     FloatArray,
@@ -26,7 +25,7 @@ from service.core.estimation.filtering.model.measured_motion import (
     with_sensor_bias,
     with_unknown_drift,
 )
-from service.core.estimation.filtering.watches.command_watch import executed_commands
+from service.core.estimation.filtering.watches.command_watch import CommandWatch, executed_commands
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch, drift_scale
 
 #: a rate holds for so long where no newer one is known, and records of a step may be apart by so much, us
@@ -66,20 +65,29 @@ class RateWatch(NamedTuple):
     is_refused: bool
 
 
+class MovingState(NamedTuple):
+    """State of a filter that a sensor changes."""
+
+    epoch_us: int
+    gaussian: Gaussian
+    drift: DriftWatch
+    command: CommandWatch
+
+
 def fresh_rates() -> RateWatch:
     """Return the watch before the first record."""
     nothing = np.zeros(3)
     return RateWatch(False, _NEVER_US, nothing, _NEVER_US, nothing, nothing, _NEVER_US, 0.0, 0.0, 0.0, False)
 
 
-def commanded_rate(watch: RateWatch, state: FilterState) -> FloatArray:
+def commanded_rate(watch: RateWatch, state: MovingState) -> FloatArray:
     """Return the rate (3,) that commands have left, deg/h."""
     return watch.commanded_deg_h if watch.is_measured else state.gaussian.mean[RATE].copy()
 
 
 def push_rates(
     watch: RateWatch,
-    state: FilterState,
+    state: MovingState,
     epochs_us: IntArray,
     rates_deg_h: FloatArray,
     to_us: int,
@@ -88,12 +96,12 @@ def push_rates(
     sensor: RateSensorModel,
     *,
     is_pushed: bool,
-) -> tuple[RateWatch, FilterState]:
+) -> tuple[RateWatch, MovingState]:
     """Return watch and state before a step, its rate the measured one where one is known.
 
     Parameters
     ----------
-    watch, state : RateWatch, FilterState
+    watch, state : RateWatch, MovingState
         Before.
     epochs_us, rates_deg_h : ndarray, shapes (n,) and (n, 3)
         Records up to the end of the step that were not judged yet, in order; pitch without the turn of the orbit.
@@ -128,14 +136,14 @@ def push_rates(
     return watch, state._replace(gaussian=with_measured_rate(state.gaussian, rate))
 
 
-def inertial_motion(watch: RateWatch, state: FilterState) -> tuple[RateWatch, FilterState]:
+def inertial_motion(watch: RateWatch, state: MovingState) -> tuple[RateWatch, MovingState]:
     """Return watch and state that go on by the inertial model."""
     if not watch.is_measured:
         return watch, state
     return _swapped(watch, state, with_inertial_drift(state.gaussian, watch.commanded_deg_h))
 
 
-def refused(watch: RateWatch, state: FilterState, drift_deg_h: FloatArray) -> tuple[RateWatch, FilterState]:
+def refused(watch: RateWatch, state: MovingState, drift_deg_h: FloatArray) -> tuple[RateWatch, MovingState]:
     """Return watch and state after the sensor is refused: what it may have done is known less, and so is the drift."""
     watch = watch._replace(is_refused=True)
     if not watch.is_measured:
@@ -145,7 +153,7 @@ def refused(watch: RateWatch, state: FilterState, drift_deg_h: FloatArray) -> tu
     return _swapped(watch, state, gaussian)
 
 
-def _swapped(watch: RateWatch, state: FilterState, gaussian: Gaussian) -> tuple[RateWatch, FilterState]:
+def _swapped(watch: RateWatch, state: MovingState, gaussian: Gaussian) -> tuple[RateWatch, MovingState]:
     """Return watch and state after the drift began to be the bias, or the reverse."""
     commanded = commanded_rate(watch, state)
     command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
