@@ -65,6 +65,7 @@ async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecr
         "residual_torque_n_m": None,
         "fed_forward_torque": None,
         "momentum": None,
+        "rate_sensor": None,
     }
     assert (await soo.client.get(f"{URL}/yamal-202")).json() | {"warnings": []} == document
     del document["warnings"]
@@ -89,6 +90,7 @@ async def test_full_spacecraft_reads_back_as_sent(soo, spacecraft):
             "residual_torque_n_m": 5e-7,
             "fed_forward_torque": FED_FORWARD,
             "momentum": None,
+            "rate_sensor": None,
         },
         "control": {
             "method": "paper",
@@ -197,7 +199,9 @@ async def test_a_fed_forward_torque_is_changed_field_by_field_and_taken_back(soo
     change = {"onboard": {"fed_forward_torque": {"sine_n_m": {"pitch": 2e-6}}}}
     changed = (await soo.client.patch(f"{URL}/yamal-202", json=change)).json()["onboard"]["fed_forward_torque"]
     assert changed == reported | {"sine_n_m": {"yaw": 0.0, "roll": 0.0, "pitch": 2e-6}}
-    ended = await soo.client.patch(f"{URL}/yamal-202", json={"onboard": {"fed_forward_torque": None, "momentum": None}})
+    ended = await soo.client.patch(
+        f"{URL}/yamal-202", json={"onboard": {"fed_forward_torque": None, "momentum": None, "rate_sensor": None}}
+    )
     assert ended.json()["onboard"]["fed_forward_torque"] is None
 
 
@@ -274,7 +278,7 @@ async def test_a_plan_without_rows_is_withdrawn_and_takes_no_rows(soo, spacecraf
 async def test_what_is_stated_can_become_unknown_again(soo, spacecraft):
     stated = {"fast_loop": True, "forecast_mode": True, "roll_yaw_coupling": True, "residual_torque_n_m": 0.0}
     created = (await soo.client.post(URL, json={**spacecraft, "onboard": stated})).json()
-    assert created["onboard"] == {**stated, "fed_forward_torque": None, "momentum": None}
+    assert created["onboard"] == {**stated, "fed_forward_torque": None, "momentum": None, "rate_sensor": None}
     patch = {"onboard": {"roll_yaw_coupling": None, "residual_torque_n_m": None}}
     changed = (await soo.client.patch(f"{URL}/yamal-202", json=patch)).json()["onboard"]
     assert (changed["roll_yaw_coupling"], changed["residual_torque_n_m"]) == (None, None)
@@ -294,3 +298,16 @@ async def test_momentum_of_the_wheels_reads_back_and_its_torque_is_stated_once(s
     assert (momentum["sigma_n_m_s"], momentum["used"]) == (0.01, True)
     assert momentum["torque"]["constant_n_m"] == {"yaw": 0.0, "roll": 1e-5, "pitch": 0.0}
     assert (await soo.client.get(url)).json()["onboard"]["momentum"] == momentum
+
+
+async def test_a_rate_sensor_beside_the_loop_states_all_its_errors(soo, spacecraft):
+    await soo.client.post(URL, json=spacecraft)
+    url = f"{URL}/yamal-202"
+    refused = await soo.client.patch(url, json={"onboard": {"rate_sensor": {"in_loop": False, "bias_deg_h": 0.01}}})
+    assert (refused.status_code, "onboard.rate_sensor_figures" in refused.text) == (422, True)
+    sensor = {"in_loop": False, "bias_deg_h": 0.01, "bias_tau_h": 8.0, "noise_deg_sqrt_h": 0.003}
+    stated = (await soo.client.patch(url, json={"onboard": {"rate_sensor": sensor}})).json()["onboard"]
+    assert stated["rate_sensor"] == sensor
+    assert (await soo.client.get(url)).json()["onboard"] == stated
+    in_loop = (await soo.client.patch(url, json={"onboard": {"rate_sensor": {"in_loop": True}}})).json()["onboard"]
+    assert in_loop["rate_sensor"]["in_loop"] is True

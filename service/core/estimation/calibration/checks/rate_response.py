@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 _ORBITAL_RATE_PER_H = 0.2625162
 #: records are taken together until they span so much, and those further apart tell nothing, h
 _SPAN_H, _APART_H = 1.0 / 60.0, 1.0 / 6.0
-#: a coefficient counts as determined up to this sigma
+#: a coefficient counts as determined up to this sigma, a great one up to this share
 DETERMINED = 0.2
 #: share by which epochs and readings of a record may make a coefficient wrong, and the same of the rate at rest, deg/h
 _EPOCH_SHARE, _REST_DEG_H = 0.03, 0.1
@@ -55,8 +55,9 @@ class RateResponse(NamedTuple):
         if not self.spans:
             return 0.0
         off = np.abs(self.coefficient - np.eye(3)) / np.hypot(self.sigma, _EPOCH_SHARE)
+        is_known = self.sigma <= DETERMINED * np.maximum(1.0, np.abs(self.coefficient))
         rest = np.abs(self.rest_deg_h) / np.hypot(self.rest_sigma_deg_h, np.hypot(_REST_DEG_H, bias_deg_h))
-        return float(np.max(np.concatenate([off[self.sigma <= DETERMINED], rest])))
+        return float(np.max(np.concatenate([off[is_known], rest])))
 
 
 def rate_response(epochs_h: FloatArray, reported_deg_h: FloatArray, attitude_deg: FloatArray) -> RateResponse:

@@ -48,10 +48,10 @@ def with_sensor_bias(gaussian: Gaussian, bias_deg_h: float) -> Gaussian:
     return _with_block(gaussian, DRIFT, np.zeros(3), np.full(3, bias_deg_h))
 
 
-def with_inertial_drift(gaussian: Gaussian, commanded_deg_h: FloatArray) -> Gaussian:
-    """Return the state that goes on by the inertial model: its drift is the newest rate less the commanded one (3,)."""
+def with_inertial_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, beside_deg_h: FloatArray) -> Gaussian:
+    """Return the state that goes on by the inertial model; its drift is what was beside the commanded rate (3,)."""
     mean = gaussian.mean.copy()
-    mean[DRIFT] += mean[RATE] - commanded_deg_h
+    mean[DRIFT] += beside_deg_h
     return _with_block(Gaussian(mean, gaussian.covariance), RATE, commanded_deg_h, np.full(3, _KNOWN_DEG_H))
 
 

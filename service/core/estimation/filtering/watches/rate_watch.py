@@ -26,12 +26,14 @@ from service.core.estimation.filtering.model.measured_motion import (
     with_unknown_drift,
 )
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, executed_commands
-from service.core.estimation.filtering.watches.drift_watch import DriftWatch, drift_scale
+from service.core.estimation.filtering.watches.drift_watch import DriftWatch, drift_scale, push_drift
 
 #: a rate holds for so long where no newer one is known, and records of a step may be apart by so much, us
 HELD_US = 600_000_000
 #: after a torque from the ground powers have to show what it did for so long, us
 _TORQUE_US = 3_600_000_000
+#: the factor on the bias follows by so many minutes more a minute than that on the drift
+_SOONER = 3.0
 #: sigmas of drift and bias, and of the noise, from which a record is left out
 _DRIFTS, _NOISES = 10.0, 5.0
 #: records are counted with this memory, h; the sensor is refused where more than a share of so many is left out
@@ -131,7 +133,9 @@ def push_rates(
     if not is_covered or to_us - watch.known_us > HELD_US or to_us - torque_us <= _TORQUE_US:
         return inertial_motion(watch, state)
     rate = watch.beside_deg_h + commanded_deg_h if mean is None else mean
-    if not watch.is_measured:
+    if watch.is_measured:
+        state = _sooner(state, sensor, min((to_us - state.epoch_us) / 60e6, 1.0))
+    else:
         watch, state = _swapped(watch, state, with_sensor_bias(state.gaussian, bias * sensor.bias_deg_h))
     return watch, state._replace(gaussian=with_measured_rate(state.gaussian, rate))
 
@@ -140,7 +144,7 @@ def inertial_motion(watch: RateWatch, state: MovingState) -> tuple[RateWatch, Mo
     """Return watch and state that go on by the inertial model."""
     if not watch.is_measured:
         return watch, state
-    return _swapped(watch, state, with_inertial_drift(state.gaussian, watch.commanded_deg_h))
+    return _swapped(watch, state, with_inertial_drift(state.gaussian, watch.commanded_deg_h, watch.beside_deg_h))
 
 
 def refused(watch: RateWatch, state: MovingState, drift_deg_h: FloatArray) -> tuple[RateWatch, MovingState]:
@@ -151,6 +155,13 @@ def refused(watch: RateWatch, state: MovingState, drift_deg_h: FloatArray) -> tu
     gaussian = with_unknown_drift(state.gaussian, watch.commanded_deg_h, drift_deg_h)
     gaussian.covariance[ATTITUDE, ATTITUDE] += np.diag(np.square(_MISLED_DEG))
     return _swapped(watch, state, gaussian)
+
+
+def _sooner(state: MovingState, sensor: RateSensorModel, minutes: float) -> MovingState:
+    """Return the state whose factor on the bias has followed sooner than a drift's: a sensor may be worse than none."""
+    sigma = sensor.bias_deg_h
+    drift, gaussian = push_drift(state.drift, (sigma, sigma, sigma), state.gaussian, _SOONER * minutes)
+    return state._replace(drift=drift, gaussian=gaussian)
 
 
 def _swapped(watch: RateWatch, state: MovingState, gaussian: Gaussian) -> tuple[RateWatch, MovingState]:

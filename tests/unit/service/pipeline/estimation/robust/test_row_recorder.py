@@ -19,7 +19,10 @@ MINUTE_US, CARRIERS = 60_000_000, 6
 @pytest.fixture
 def model():
     carriers = filter_models.carrier_model(carriers=CARRIERS)
-    return SimpleNamespace(filter=carriers, settings=FilterSettings(), calibration_id=1, carrier_ids=tuple("abcdef"))
+    names = tuple("abcdef")
+    return SimpleNamespace(
+        filter=carriers, settings=FilterSettings(), rate_sensor=None, calibration_id=1, carrier_ids=names
+    )
 
 
 def aligned(model):
