@@ -206,8 +206,8 @@ class Plant:
 
     def reported_telemetry(self) -> TelemetryRecord:
         """Return the story's newest record of the wheels at the present row."""
-        told = (one for one in self.world.telemetry if one.wheel_momentum_n_m_s is not None)
-        return [record for record in told if record.reported_us <= self.epoch_us][-1]
+        reported = (one for one in self.world.telemetry if one.wheel_momentum_n_m_s is not None)
+        return [record for record in reported if record.reported_us <= self.epoch_us][-1]
 
 
 def _triple(values: FloatArray) -> Triple:

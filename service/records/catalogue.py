@@ -127,7 +127,7 @@ class WheelMomentum:
 
 
 @dataclass(frozen=True, slots=True)
-class RateSensor:
+class BodyRateSensor:
     """Telemetry of the rate of the body as a measurement of its motion."""
 
     #: whether the loop on board closes on this sensor: what it holds still tells nothing new
@@ -157,7 +157,7 @@ class Onboard:
     #: None = the filter does not use the momentum of the wheels
     momentum: WheelMomentum | None = None
     #: None = the filter does not use the rates of the body
-    rate_sensor: RateSensor | None = None
+    rate_sensor: BodyRateSensor | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import pytest
 from driven_world import Flown, shared_world
 
 from service.records.calibration import MomentumVerdict
-from service.records.catalogue import RateSensor
+from service.records.catalogue import BodyRateSensor
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import Axes
 from service.study.estimation.flight.world import Ground, GroundEvent
@@ -25,7 +25,7 @@ Records = list[TelemetryRecord]
 Change = Callable[[Records], list[tuple[int, TelemetryRecord]]]
 
 
-def told(one: TelemetryRecord) -> np.ndarray:
+def rate_of(one: TelemetryRecord) -> np.ndarray:
     assert one.body_rate_deg_s is not None
     return np.array(one.body_rate_deg_s)
 
@@ -37,14 +37,14 @@ def with_rate(one: TelemetryRecord, rate: np.ndarray) -> TelemetryRecord:
 
 def mapped(matrix: np.ndarray) -> Change:
     """Return telemetry that reports the matrix times the truth; yaw, roll, pitch."""
-    return lambda records: [(one.epoch_us, with_rate(one, matrix @ told(one))) for one in records]
+    return lambda records: [(one.epoch_us, with_rate(one, matrix @ rate_of(one))) for one in records]
 
 
 def jumping(records: Records) -> list[tuple[int, TelemetryRecord]]:
     """Return records of which a fifth is off by 2 deg/h."""
     rng = np.random.default_rng(4)
     off = (rng.random((len(records), 1)) < 0.2) * rng.normal(0.0, 2.0 / 3600.0, (len(records), 3))
-    return [(one.epoch_us, with_rate(one, told(one) + each)) for one, each in zip(records, off, strict=True)]
+    return [(one.epoch_us, with_rate(one, rate_of(one) + each)) for one, each in zip(records, off, strict=True)]
 
 
 def late(records: Records) -> list[tuple[int, TelemetryRecord]]:
@@ -80,7 +80,7 @@ def sparse(records: Records) -> list[tuple[int, TelemetryRecord]]:
 
 def stale(records: Records) -> list[tuple[int, TelemetryRecord]]:
     """Return records that repeat the first one."""
-    return [(one.epoch_us, with_rate(one, told(records[0]))) for one in records]
+    return [(one.epoch_us, with_rate(one, rate_of(records[0]))) for one in records]
 
 
 REVERSED = mapped(-np.eye(3))
@@ -189,14 +189,14 @@ def test_rates_that_are_refused_or_in_the_loop_change_no_bit() -> None:
     assert calibration.result.rates.verdict is MomentumVerdict.CONSISTENT
     refused = replace(calibration.result.rates, verdict=MomentumVerdict.CONTRADICTED)
 
-    def stated(sensor: RateSensor | None) -> Flown:
+    def stated(sensor: BodyRateSensor | None) -> Flown:
         world.ground = replace(
             kept, spacecraft=replace(kept.spacecraft, onboard=replace(kept.spacecraft.onboard, rate_sensor=sensor))
         )
         return world.fly_ground(world.ground, until_h=3.0)
 
     try:
-        plain, in_loop = stated(None), stated(RateSensor(in_loop=True))
+        plain, in_loop = stated(None), stated(BodyRateSensor(in_loop=True))
         world.documents.calibrations[1] = replace(calibration, result=replace(calibration.result, rates=refused))
         contradicted = stated(kept.spacecraft.onboard.rate_sensor)
     finally:

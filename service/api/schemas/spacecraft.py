@@ -157,7 +157,7 @@ class WheelMomentumDocument(Document):
     of `fed_forward_torque`, whose error also moves the body; neither stated: 2e-5 N m of unknown constant and wave."""
 
 
-class RateSensorDocument(Document):
+class BodyRateSensorDocument(Document):
     """Rates of the body in telemetry as a measurement of its motion."""
 
     in_loop: bool
@@ -195,7 +195,7 @@ class OnboardDocument(Document):
     """Torque profile fed forward on board, whose error the filter estimates; null = unknown."""
     momentum: WheelMomentumDocument | None = None
     """Momentum of the wheels as a measurement of yaw; null: the filter does not use it."""
-    rate_sensor: RateSensorDocument | None = None
+    rate_sensor: BodyRateSensorDocument | None = None
     """Rates of the body, `body_rate_deg_s` in telemetry, as a measurement of its motion; null: not used."""
 
     @model_validator(mode="after")

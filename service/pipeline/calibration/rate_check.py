@@ -10,7 +10,7 @@ import numpy as np
 from service.core.estimation.calibration.checks.rate_response import RateResponse, rate_response
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.catalogue_torque import rate_sensor_model
+from service.pipeline.inputs.catalogue_torque import is_rate_in_loop, rate_sensor_model
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.pipeline.inputs.telemetry_rates import inertial_deg_h
 from service.records.calibration import MomentumVerdict, RateCheck
@@ -66,8 +66,7 @@ def rate_quality(check: RateCheck | None) -> dict[str, float]:
 
 def rate_warnings(data: CalibrationInput, check: RateCheck | None) -> tuple[str, ...]:
     """Return the warnings of a check."""
-    stated = None if data.spacecraft is None else data.spacecraft.onboard.rate_sensor
-    if stated is not None and stated.in_loop:
+    if is_rate_in_loop(data.spacecraft):
         return (IN_LOOP,)
     if check is None or not check.reason:
         return ()

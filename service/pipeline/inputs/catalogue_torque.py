@@ -77,6 +77,12 @@ def rate_sensor_model(spacecraft: Spacecraft | None, *, is_contradicted: bool = 
     return RateSensorModel(bias, tau_h, noise)
 
 
+def is_rate_in_loop(spacecraft: Spacecraft | None) -> bool:
+    """Return whether the rates of the body are those of a sensor that the loop on board holds still."""
+    stated = None if spacecraft is None else spacecraft.onboard.rate_sensor
+    return stated is not None and stated.in_loop
+
+
 def _profile(reported: FedForwardTorque, spacecraft: Spacecraft) -> FedForward:
     """Return a profile as accelerations."""
     period_us = round(reported.period_s * US_PER_S)

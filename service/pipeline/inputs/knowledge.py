@@ -30,6 +30,9 @@ from service.records.operations.release import InterlockHold
 #: records of the rate of the body that are kept: a day of one a minute, for rows that are taken again
 _MOST_RATES = 1500
 
+#: a rate that was told longer before, or after, is none of the present, s
+_RATE_S = 600.0
+
 
 class Lookup(Protocol):
     """Documents of one spacecraft by number."""
@@ -88,6 +91,10 @@ class Knowledge:
         if reported is None or abs(epoch_us - reported.epoch_us) > age_s * US_PER_S:
             return None
         return reported.body_rate_deg_s
+
+    def has_rate(self, epoch_us: int) -> bool:
+        """Return whether the rate of the body was told within ten minutes."""
+        return self.body_rate_deg_s(epoch_us, _RATE_S) is not None
 
     def reported_wet(self, carrier_ids: Sequence[str], epoch_us: int) -> FloatArray | None:
         """Return for carriers (N,) 1 where rain over the station is reported, 0 where none is, NaN where nobody says.

@@ -1,4 +1,4 @@
-"""A change of the carrier plan in operation: the filter goes on with the carriers that stay.
+"""A change of the carrier plan or of the catalogue in operation: the filter goes on with what stays.
 
 Attitude, drift, commanded rate, chain, rain and hidden states belong to the spacecraft and the site and are kept with
 what they share with the carriers that stay. The law of this file: nothing is learned here; what the new plan does not
@@ -22,6 +22,7 @@ from service.core.estimation.filtering.model.filter_state import (
     hidden_count,
 )
 from service.core.estimation.filtering.watches.command_watch import executed_commands
+from service.core.estimation.filtering.watches.rate_watch import MovingState, RateWatch, inertial_motion
 
 
 def carry_over(
@@ -84,6 +85,12 @@ def carry_over(
         # sums over carriers that are gone mean nothing; what was found of the commands stands
         command=executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left),
     )
+
+
+def without_rates(state: FilterState, watch: RateWatch) -> FilterState:
+    """Return the state of a filter that goes on by the inertial model, whatever the watch on the rates says."""
+    moving = MovingState(state.epoch_us, state.gaussian, state.drift, state.command)
+    return state._replace(**inertial_motion(watch, moving)[1]._asdict())
 
 
 def _picked(values: FloatArray, source: IntArray, fill: float) -> FloatArray:

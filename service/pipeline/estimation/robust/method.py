@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import FilterState, FilterStep, start, step
-from service.core.estimation.filtering.carry_over import carry_over
+from service.core.estimation.filtering.carry_over import carry_over, without_rates
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
 from service.core.estimation.filtering.model.declared import Declared
@@ -25,7 +25,7 @@ from service.core.estimation.filtering.model.filter_state import (
 )
 from service.core.estimation.filtering.model.measured_motion import measured_known
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch, momentum_advice
-from service.core.estimation.filtering.watches.rate_watch import MovingState, RateWatch, fresh_rates, inertial_motion
+from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates, rate_advice
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
@@ -44,9 +44,6 @@ from service.records.calibration import Alignment
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow, FloatArray
 from service.records.levels.measurement import Measurement
-
-#: a rate of the body so old is none of the present, s
-_RATE_S = 600.0
 
 
 @dataclass(frozen=True)
@@ -112,7 +109,7 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
     if old.settings.momentum != new.settings.momentum:
         state = replace(state, momentum=fresh_watch())
     if old.rate_sensor != new.rate_sensor:
-        state = replace(state, filter=_without_rates(state), rates=fresh_rates())
+        state = replace(state, filter=without_rates(state.filter, state.rates), rates=fresh_rates())
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
         return state
     position_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
@@ -127,13 +124,6 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
         ~new.is_referenced,
     )
     return replace(state, filter=carried, readings=no_readings(len(position)))
-
-
-def _without_rates(state: RobustState) -> FilterState:
-    """Return the filter that goes on by the inertial model."""
-    before = state.filter
-    moving = MovingState(before.epoch_us, before.gaussian, before.drift, before.command)
-    return before._replace(**inertial_motion(state.rates, moving)[1]._asdict())
 
 
 def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
@@ -198,19 +188,15 @@ def step_robust(
                 is_used=model.settings.momentum is not None,
             ),
             **_rate_advice(state, model, knowledge, measurement.epoch_us),
+            **rate_advice(
+                state.rates,
+                is_contradicted=model.is_rates_contradicted,
+                is_in_loop=model.is_rate_in_loop and knowledge.has_rate(measurement.epoch_us),
+            ),
         },
     )
     after = RobustState(found.state, commanded, readings, released, measurement.source, state.momentum, state.rates)
     return RobustStep(row, expected_dbm, deviation_db, residual_db, after, found.is_ordinary)
-
-
-def _rate_advice(state: RobustState, model: RobustModel, knowledge: Knowledge, epoch_us: int) -> dict[str, bool]:
-    """Return which advice about the rates of the body is given at an epoch."""
-    return {
-        "rates_contradicted": model.is_rates_contradicted,
-        "rates_refused": state.rates.is_refused,
-        "rates_in_loop": model.is_rate_in_loop and knowledge.body_rate_deg_s(epoch_us, _RATE_S) is not None,
-    }
 
 
 def _filtered(

@@ -18,6 +18,7 @@ from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.inputs.catalogue_torque import (
     constant_share,
     fed_forward,
+    is_rate_in_loop,
     is_torque_unknown,
     momentum_model,
     rate_sensor_model,
@@ -110,11 +111,10 @@ def robust_model(
         Orbit that held at the alignment; a later one need not reach back to it.
     """
     calibration = knowledge.calibration_for(Method.ROBUST)
-    alignment, ephemeris = knowledge.alignment, knowledge.ephemeris
+    alignment, ephemeris, spacecraft = knowledge.alignment, knowledge.ephemeris, knowledge.spacecraft
     if calibration is None or calibration.result is None or alignment is None or ephemeris is None:
         return None
-    result = calibration.result
-    fit = result.geometry
+    result, fit = calibration.result, calibration.result.geometry
     if fit is None or Method.ROBUST.value not in alignment.references_by_method:
         return None
     arrays = geometry_model(fit, result.carriers)
@@ -125,14 +125,11 @@ def robust_model(
     is_used = np.array(fit.is_used, dtype=np.bool_) & is_known
     groups = member_groups(fit.alc_group, is_used)
     grown_db = _grown_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us))
-    spacecraft = knowledge.spacecraft
+    carriers = centred_model(carrier_model(arrays, fit, result.carriers, config.robust), groups)
     settings = _filter_settings(spacecraft, config.robust, calibration)
-    stated_rates = None if spacecraft is None else spacecraft.onboard.rate_sensor
     return RobustModel(
         carrier_ids=carrier_ids,
-        filter=_with_daily_error(
-            centred_model(carrier_model(arrays, fit, result.carriers, config.robust), groups), grown_db
-        ),
+        filter=_with_daily_error(carriers, grown_db),
         settings=settings,
         limits=_limits(config.interlock, config.robust, settings, spacecraft),
         response=centred_response(arrays.response, groups),
@@ -153,7 +150,7 @@ def robust_model(
         is_momentum_contradicted=calibration.is_momentum_contradicted and momentum_model(spacecraft) is not None,
         rate_sensor=rate_sensor_model(spacecraft, is_contradicted=calibration.is_rates_contradicted),
         is_rates_contradicted=calibration.is_rates_contradicted and rate_sensor_model(spacecraft) is not None,
-        is_rate_in_loop=stated_rates is not None and stated_rates.in_loop,
+        is_rate_in_loop=is_rate_in_loop(spacecraft),
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )

@@ -10,6 +10,7 @@ from typing import Any
 from service.formats.ephemeris.orbit import ephemeris_from_nodes
 from service.records.catalogue import (
     AxisTorques,
+    BodyRateSensor,
     Carrier,
     ControlMode,
     ControlSettings,
@@ -17,7 +18,6 @@ from service.records.catalogue import (
     FedForwardTorque,
     Method,
     Onboard,
-    RateSensor,
     Release,
     Site,
     Spacecraft,
@@ -59,7 +59,7 @@ def _onboard(body: Body) -> Onboard:
     """Return what the catalogue states of the spacecraft on board."""
     stated, rates = body.get("momentum"), body.get("rate_sensor")
     if rates is not None:
-        body = {**body, "rate_sensor": RateSensor(**rates)}
+        body = {**body, "rate_sensor": BodyRateSensor(**rates)}
     if stated is None:
         return Onboard(**body)
     # a flown spacecraft states none: what gathers in its wheels is the profile that is fed forward

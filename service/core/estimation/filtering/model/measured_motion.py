@@ -48,10 +48,10 @@ def with_sensor_bias(gaussian: Gaussian, bias_deg_h: float) -> Gaussian:
     return _with_block(gaussian, DRIFT, np.zeros(3), np.full(3, bias_deg_h))
 
 
-def with_inertial_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, beside_deg_h: FloatArray) -> Gaussian:
+def with_inertial_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, residual_deg_h: FloatArray) -> Gaussian:
     """Return the state that goes on by the inertial model; its drift is what was beside the commanded rate (3,)."""
     mean = gaussian.mean.copy()
-    mean[DRIFT] += beside_deg_h
+    mean[DRIFT] += residual_deg_h
     return _with_block(Gaussian(mean, gaussian.covariance), RATE, commanded_deg_h, np.full(3, _KNOWN_DEG_H))
 
 
@@ -61,10 +61,10 @@ def with_unknown_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, drift_de
     return _with_block(drifting, RATE, commanded_deg_h, np.full(3, _KNOWN_DEG_H))
 
 
-def _with_block(gaussian: Gaussian, places: slice, value: FloatArray, sigma: FloatArray) -> Gaussian:
+def _with_block(gaussian: Gaussian, positions: slice, value: FloatArray, sigma: FloatArray) -> Gaussian:
     """Return the state in which three numbers are others, correlated with nothing."""
     mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
-    mean[places] = value
-    covariance[places, :] = covariance[:, places] = 0.0
-    covariance[places, places] = np.diag(sigma**2)
+    mean[positions] = value
+    covariance[positions, :] = covariance[:, positions] = 0.0
+    covariance[positions, positions] = np.diag(sigma**2)
     return Gaussian(mean, covariance)

@@ -54,7 +54,7 @@ class RateWatch(NamedTuple):
     newest_deg_h: FloatArray
     #: epoch of the newest record that counted, and its rate beside the commanded one, deg/h
     known_us: int
-    beside_deg_h: FloatArray
+    residual_deg_h: FloatArray
     #: rate that commands have left, deg/h; it stands here while the state holds the measured one
     commanded_deg_h: FloatArray
     #: newest step with a torque from the ground
@@ -80,6 +80,15 @@ def fresh_rates() -> RateWatch:
     """Return the watch before the first record."""
     nothing = np.zeros(3)
     return RateWatch(False, _NEVER_US, nothing, _NEVER_US, nothing, nothing, _NEVER_US, 0.0, 0.0, 0.0, False)
+
+
+def rate_advice(watch: RateWatch, *, is_contradicted: bool, is_in_loop: bool) -> dict[str, bool]:
+    """Return which advice about the rates of the body is given."""
+    return {
+        "rates_contradicted": is_contradicted,
+        "rates_refused": watch.is_refused,
+        "rates_in_loop": is_in_loop,
+    }
 
 
 def commanded_rate(watch: RateWatch, state: MovingState) -> FloatArray:
@@ -125,14 +134,14 @@ def push_rates(
     torque_us = to_us if is_pushed else watch.torque_us
     is_covered = _is_covered(epochs_us, state.epoch_us, to_us)
     if mean is not None:
-        watch = watch._replace(known_us=int(epochs_us[-1]), beside_deg_h=mean - commanded_deg_h)
+        watch = watch._replace(known_us=int(epochs_us[-1]), residual_deg_h=mean - commanded_deg_h)
     watch = watch._replace(torque_us=torque_us)
     is_worse = 3.0 * (bias * sensor.bias_deg_h) ** 2 > float(inertial @ inertial)
     if is_worse or (watch.records >= _LEAST_RECORDS and watch.wild > _WILD_SHARE * watch.records):
         return refused(watch, state, inertial)
     if not is_covered or to_us - watch.known_us > HELD_US or to_us - torque_us <= _TORQUE_US:
         return inertial_motion(watch, state)
-    rate = watch.beside_deg_h + commanded_deg_h if mean is None else mean
+    rate = watch.residual_deg_h + commanded_deg_h if mean is None else mean
     if watch.is_measured:
         state = _sooner(state, sensor, min((to_us - state.epoch_us) / 60e6, 1.0))
     else:
@@ -144,7 +153,7 @@ def inertial_motion(watch: RateWatch, state: MovingState) -> tuple[RateWatch, Mo
     """Return watch and state that go on by the inertial model."""
     if not watch.is_measured:
         return watch, state
-    return _swapped(watch, state, with_inertial_drift(state.gaussian, watch.commanded_deg_h, watch.beside_deg_h))
+    return _swapped(watch, state, with_inertial_drift(state.gaussian, watch.commanded_deg_h, watch.residual_deg_h))
 
 
 def refused(watch: RateWatch, state: MovingState, drift_deg_h: FloatArray) -> tuple[RateWatch, MovingState]:
