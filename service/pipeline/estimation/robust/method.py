@@ -24,8 +24,8 @@ from service.core.estimation.filtering.model.filter_state import (
     initial_gaussian,
 )
 from service.core.estimation.filtering.model.measured_motion import measured_known
-from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch, momentum_advice
-from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates, rate_advice
+from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch
+from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
@@ -35,6 +35,7 @@ from service.pipeline.estimation.robust.frozen_readings import LastReadings, fro
 from service.pipeline.estimation.robust.model import RobustModel, signals
 from service.pipeline.estimation.robust.residual_torque import is_torque_shown
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
+from service.pipeline.estimation.robust.telemetry_advice import telemetry_advice
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import CommandedMotion, consume
@@ -180,18 +181,8 @@ def step_robust(
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
         given={
             "state_torque": model.is_torque_unknown and is_torque_shown(found.state, model, len(released)),
-            "momentum_contradicted": model.is_momentum_contradicted,
-            **momentum_advice(
-                state.momentum,
-                state.commanded.since_us,
-                measurement.epoch_us,
-                is_used=model.settings.momentum is not None,
-            ),
-            **_rate_advice(state, model, knowledge, measurement.epoch_us),
-            **rate_advice(
-                state.rates,
-                is_contradicted=model.is_rates_contradicted,
-                is_in_loop=model.is_rate_in_loop and knowledge.has_rate(measurement.epoch_us),
+            **telemetry_advice(
+                model, knowledge, state.momentum, state.rates, state.commanded.since_us, measurement.epoch_us
             ),
         },
     )
