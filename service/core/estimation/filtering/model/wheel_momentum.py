@@ -82,7 +82,7 @@ def moved_momentum(
 ) -> Gaussian:
     """Return the state whose momentum, from a place on, has moved on."""
     effect, turn = momentum_transition(from_us, step_us, settings, wheels)
-    torques, states = _torque_places(first, settings), np.arange(first, first + 3)
+    torques, states = _torque_states(first, settings), np.arange(first, first + 3)
     positions = np.concatenate([torques, states])
     step = np.hstack([effect[:, : len(torques)], turn])
     mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
@@ -97,8 +97,8 @@ def moved_momentum(
     return Gaussian(mean, covariance)
 
 
-def _torque_places(first: int, settings: FilterSettings) -> IntArray:
-    """Return the places (9,) of the torque that moves the momentum, (0,) where none is among the states.
+def _torque_states(first: int, settings: FilterSettings) -> IntArray:
+    """Return the positions (9,) of the torque that moves the momentum, (0,) where none is among the states.
 
     One of its own stands behind the momentum, misalignment and scales; that which also pushes the body before them.
     """

@@ -51,4 +51,4 @@ def test_the_calibrations_error_rides_on_the_component_of_about_an_hour():
 def test_sizes():
     model = filter_models.carrier_model(carriers=12, components=3)
     assert (model.carriers, model.components) == (12, 3)
-    assert not any(part.any() for part in no_motion())
+    assert not any(np.any(part) for part in no_motion())
