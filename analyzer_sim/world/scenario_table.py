@@ -71,6 +71,8 @@ def _reported_statistics(scenario: Scenario) -> list[str]:
         kinds.append(f"wheel momentum each {scenario.wheels.period_min:g} min")
     if scenario.rates is not None:
         kinds.append("body rates each row")
+    if scenario.polarimeter is not None:
+        kinds.append("polarisation with each row, electron content")
     if scenario.keeping.corrections_late_min is not None:
         kinds.append(f"corrections {scenario.keeping.corrections_late_min:g} min after their end")
     return kinds
@@ -162,7 +164,8 @@ _FOOT = (
     "",
     "## Simplifications",
     "",
-    "* The beams are invented, wide enough for the published 1.2 dB/deg; there is no polarization.",
+    "* The beams are invented, wide enough for the published 1.2 dB/deg. Polarization is measured in `polarized` and",
+    "  its kin alone: turn about the line of sight, leakage of the feed, Faraday rotation, rain over the site.",
     "* Roll and yaw exchange kinematically. Where torques act, in `plant` and with an uplink, no manoeuvre is flown.",
     "* Telemetry is for show where no torque is flown: wheel momentum and mode act on nothing. In `wheels` and its",
     "  kin it is that of the attitude, told with the errors of axes, scale, noise and one rpm. The torque from outside",

@@ -19,6 +19,7 @@ from analyzer_sim.world.payload.effects import Effects, FaultFlag, Operation
 from analyzer_sim.world.payload.level_terms import LevelTerms
 from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from analyzer_sim.world.payload.plan_versions import PlanVersion, plan_versions
+from analyzer_sim.world.polarimeter import PolarizationReport, polarization_reports
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.sensors import References, references
 from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
@@ -89,7 +90,7 @@ class World:
         What the ground was told about commands, and by the sensors.
     witnesses
         What the sensors would have told in operation, for the judge.
-    operations, ephemerides, plan_versions, telemetry, source_switches
+    operations, ephemerides, plan_versions, telemetry, polarization, source_switches
         What the ground declares, publishes and hears, each with the epoch from which it knows.
     terms : LevelTerms
         The levels without the attitude.
@@ -127,6 +128,15 @@ class World:
         burns_us = tuple(impulse.epoch_us for impulse in self.orbit.impulses)
         self.telemetry: tuple[TelemetryRecord, ...] = telemetry(
             scenario, seed, burns_us, INERTIA_KG_M2, epochs_us, history.attitude_deg
+        )
+        self.polarization: tuple[PolarizationReport, ...] = polarization_reports(
+            scenario,
+            seed,
+            self.orbit,
+            self.plan.receiving_site,
+            epochs_us,
+            history.attitude_deg,
+            effects.downlink_fade_db,
         )
         self._measured = np.flatnonzero(~self.rows.is_gap)
         self._position = -1

@@ -38,7 +38,7 @@ RECORD_PAGE_ROWS = 2048
 #: blocks of a longer span would drive out of memory what others read again and again
 _SCAN_US = 15 * DAY_US
 #: kinds of slow inputs that stand at one epoch
-_POINT_KINDS = ("reference", "telemetry", "weather")
+_POINT_KINDS = ("reference", "telemetry", "weather", "polarization")
 _POSITION = journal.c.start_us, journal.c.number
 
 

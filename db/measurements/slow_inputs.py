@@ -1,4 +1,4 @@
-"""Storing slow inputs: references, corrections, telemetry, weather, reported commands and operations."""
+"""Storing slow inputs: references, corrections, telemetry, weather, polarisation, reported commands and operations."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +9,14 @@ from db.database import EpochSpan, add_entries, lock_head, next_id
 from db.encoding.json_documents import encode, is_same_input, kind_of
 from db.schema.tables import journal, operation
 from service.errors import InvalidInputError, NotFoundError
-from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord, WeatherReport
+from service.records.inputs import (
+    AttitudeReference,
+    Correction,
+    Operation,
+    PolarizationRecord,
+    TelemetryRecord,
+    WeatherReport,
+)
 from service.records.journal import SlowInput
 from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.levels.measurement import RowRefusal
@@ -23,6 +30,7 @@ KEYED = (
     | Correction
     | TelemetryRecord
     | WeatherReport
+    | PolarizationRecord
     | AppliedCommand
     | ReleasedCommand
     | ReportedCommand

@@ -192,6 +192,31 @@ class ControlSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Polarimeter:
+    """Polarimeter on the ground as a measurement of attitude: its feed, its place, what its angle has wrong."""
+
+    #: as its records name it
+    source: str
+    #: turn of the two ports against the polarisation at zero attitude, deg, positive as a positive yaw turns it
+    feed_offset_deg: float
+    #: of the beacon or carrier measured, Hz
+    frequency_hz: float
+    #: None = it stands at the receiving site
+    site: Site | None = None
+    #: component of the Earth's magnetic field along the downlink, T, for the Faraday rotation of a reported content
+    field_t: float = 0.0
+    #: one standard deviation: white noise of a record, amplitude of a daily wave, wander and its correlation time
+    white_deg: float = 0.07
+    daily_deg: float = 0.05
+    wander_deg: float = 0.05
+    wander_h: float = 4.0
+    #: walk of the offset, deg/sqrt(h)
+    offset_walk_deg_sqrt_h: float = 0.003
+    #: whether the filter uses it
+    used: bool = True
+
+
+@dataclass(frozen=True, slots=True)
 class Spacecraft:
     """One spacecraft of the catalogue."""
 
@@ -210,6 +235,8 @@ class Spacecraft:
     modes: tuple[FlexibleMode, ...] = ()
     onboard: Onboard = Onboard()
     control: ControlSettings = ControlSettings()
+    #: each measures yaw by polarisation
+    polarimeters: tuple[Polarimeter, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

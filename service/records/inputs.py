@@ -78,6 +78,27 @@ class WeatherReport:
 
 
 @dataclass(frozen=True, slots=True)
+class PolarizationRecord:
+    """Polarisation of the downlink at a polarimeter: ratio of its two ports, or its angle."""
+
+    source: Annotated[str, "Name of the polarimeter in the catalogue."]
+    epoch_us: int
+    #: cross-polar port over co-polar port
+    ratio_db: Annotated[float | None, "Power of the cross-polar port over that of the co-polar port."] = None
+    co_power_dbm: Annotated[float | None, "Power of the co-polar port; a fade widens the angle."] = None
+    feed_offset_deg: Annotated[float | None, "Turn of the feed at this record; null: as the catalogue states."] = None
+    noise_db: Annotated[float | None, "One standard deviation of the ratio."] = None
+    angle_deg: Annotated[float | None, "Angle against that at zero attitude, in place of a ratio."] = None
+    sigma_deg: Annotated[float | None, "One standard deviation of the angle."] = None
+    tec_tecu: Annotated[float | None, "Electron content along the path, for the Faraday rotation."] = None
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return f"{self.source}/{self.epoch_us}"
+
+
+@dataclass(frozen=True, slots=True)
 class Operation:
     """A declared operation that explains or inhibits."""
 

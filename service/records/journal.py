@@ -11,6 +11,7 @@ from service.records.inputs import (
     EphemerisChange,
     Operation,
     PlanChange,
+    PolarizationRecord,
     SourceSelection,
     SpacecraftChange,
     TelemetryRecord,
@@ -26,6 +27,7 @@ SlowInput = (
     | Correction
     | TelemetryRecord
     | WeatherReport
+    | PolarizationRecord
     | Operation
     | PlanChange
     | EphemerisChange
@@ -45,6 +47,7 @@ KINDS: dict[str, type[SlowInput]] = {
     "correction": Correction,
     "telemetry": TelemetryRecord,
     "weather": WeatherReport,
+    "polarization": PolarizationRecord,
     "operation": Operation,
     "spacecraft": SpacecraftChange,
     "plan": PlanChange,

@@ -10,6 +10,19 @@ from service.records.catalogue import ControlLaw, GyroOrbitantGains
 
 pytestmark = pytest.mark.anyio
 URL = "/api/v1/spacecraft"
+POLARIMETER = {
+    "source": "pol-1",
+    "feed_offset_deg": -5.0,
+    "frequency_hz": 11.2e9,
+    "site": {"name": "B", "latitude_deg": 50.0, "longitude_deg": 30.0, "height_m": 100.0},
+    "field_t": 4e-5,
+    "white_deg": 0.1,
+    "daily_deg": 0.04,
+    "wander_deg": 0.03,
+    "wander_h": 3.0,
+    "offset_walk_deg_sqrt_h": 0.001,
+    "used": False,
+}
 FED_FORWARD = {
     "epoch": "2026-11-21T06:00:00.000000Z",
     "period_s": 86_164.0,
@@ -103,6 +116,7 @@ async def test_full_spacecraft_reads_back_as_sent(soo, spacecraft):
             "law": "gyro_orbitant",
             "gyro_orbitant": GYRO,
         },
+        "polarimeters": [POLARIMETER],
     }
     created = await soo.client.post(URL, json=document)
     assert created.status_code == 201, created.text

@@ -18,6 +18,7 @@ from service.records.inputs import (
     EphemerisChange,
     Operation,
     PlanChange,
+    PolarizationRecord,
     SourceSelection,
     TelemetryRecord,
     WeatherReport,
@@ -45,9 +46,10 @@ def test_slow_inputs_come_back_equal_in_the_order_of_the_journal(setting):
         ),
         TelemetryRecord(16),
         WeatherReport("radar", "Kyiv / Київ", 17, 0.1, None),
+        PolarizationRecord("p", 18, -15.3, -55.0, None, 0.1, tec_tecu=5e-324),
     ]
     receipt = setting.storage.archive.append_inputs(setting.id, sent)
-    assert (receipt.accepted, receipt.duplicates, receipt.refused) == (4, 0, ())
+    assert (receipt.accepted, receipt.duplicates, receipt.refused) == (5, 0, ())
     assert contents(setting) == sent
 
 

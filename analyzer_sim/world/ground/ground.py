@@ -21,6 +21,7 @@ from analyzer_sim.world.ground.ground_bodies import (
     corrections_body,
     ephemeris_body,
     operation_body,
+    polarization_body,
     reference_bodies,
     spacecraft_body,
     task,
@@ -36,9 +37,9 @@ from analyzer_sim.world.world import World
 
 #: rows that one hold of the ground port spans
 ROWS_PER_CHUNK = 60
-#: lines that are not told where torques are flown: nobody flies corrections, and the spacecraft has telemetry of its
-#: own
-_NOT_FLOWN = {"corrections", "telemetry"}
+#: lines that are not told where torques are flown: nobody flies corrections, the spacecraft has telemetry of its own,
+#: and a polarimeter looks at the story's attitude
+_NOT_FLOWN = {"corrections", "telemetry", "polarization"}
 
 
 def chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[tuple[int, int, str]]:
@@ -84,8 +85,8 @@ def catalogue_lines(world: World, *, is_flown: bool = False) -> Iterator[Line]:
 def events(world: World, start_us: int = -(2**63), stop_us: int = 2**63 - 1) -> Iterator[tuple[int, Line]]:
     """Yield what the ground learns in [start, stop) beside references and timely corrections, with the epochs.
 
-    Plans with their tasks, ephemerides, operations, the analyzer that measures from now on, telemetry, and corrections
-    told too late.
+    Plans with their tasks, ephemerides, operations, the analyzer that measures from now on, records of sensors, and
+    corrections told too late.
     """
     for reported_us, make in _all_events(world):
         if start_us <= reported_us < stop_us:
@@ -102,11 +103,18 @@ def _all_events(world: World) -> Iterator[tuple[int, Callable[[], Iterator[Line]
         yield operation.reported_us, partial(_line, "operations", operation_body, operation)
     for reported_us, source in world.source_switches:
         yield reported_us, partial(_line, "source", dict, source=source)
-    for record in world.telemetry:
-        yield record.reported_us, partial(_line, "telemetry", telemetry_body, record)
+    yield from _sensor_events(world)
     for correction in world.corrections:
         if correction.is_late:
             yield correction.reported_us, partial(_line, "corrections", corrections_body, [correction])
+
+
+def _sensor_events(world: World) -> Iterator[tuple[int, Callable[[], Iterator[Line]]]]:
+    """Yield the records of telemetry and of the polarimeter."""
+    for record in world.telemetry:
+        yield record.reported_us, partial(_line, "telemetry", telemetry_body, record)
+    for report in world.polarization:
+        yield report.reported_us, partial(_line, "polarization", polarization_body, report)
 
 
 def _line(kind: str, make_body: Callable[..., Line], *arguments: object, **fields: object) -> Iterator[Line]:

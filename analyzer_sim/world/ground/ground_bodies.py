@@ -12,6 +12,7 @@ from analyzer_sim.world.orbit.orbit import predicted_track
 from analyzer_sim.world.payload.carriers import BANDS, ROLLOFF, SPAN_START_HZ, Carrier
 from analyzer_sim.world.payload.effects import Operation
 from analyzer_sim.world.payload.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
+from analyzer_sim.world.polarimeter import FIELD_T, FREQUENCY_HZ, SOURCE, PolarizationReport
 from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
 from analyzer_sim.world.spacecraft.spacecraft import Correction
 from analyzer_sim.world.spacecraft.stored_momentum import stated_profile
@@ -74,7 +75,7 @@ def spacecraft_body(world: World, *, is_flown: bool = False) -> Line:
     site, keeping = world.plan.receiving_site, world.scenario.keeping
     # null: an operator who knows of no torque states none
     residual_n_m = 0.0 if keeping.residual is None else None
-    return {
+    body: Line = {
         "id": SPACECRAFT_ID,
         "name": "Yamal-202 (simulated)",
         "cospar_id": "2003-053B",
@@ -99,6 +100,20 @@ def spacecraft_body(world: World, *, is_flown: bool = False) -> Line:
         # torques do not reach a story that is only replayed, so none may count as applied
         "control": {"method": "robust", "mode": "ground", "release": "two_step"},
     }
+    figures = world.scenario.polarimeter
+    if figures is not None and not is_flown:
+        stated = {
+            "source": SOURCE,
+            "feed_offset_deg": figures.feed_offset_deg,
+            "frequency_hz": FREQUENCY_HZ,
+            "field_t": FIELD_T,
+            "white_deg": figures.white_deg,
+            # with what a map leaves of the Faraday rotation
+            "daily_deg": 0.04,
+            "wander_deg": figures.wander_deg,
+        }
+        body["polarimeters"] = [stated]
+    return body
 
 
 def _momentum(world: World, *, is_flown: bool) -> Line:
@@ -234,6 +249,18 @@ def telemetry_body(record: TelemetryRecord) -> Line:
     if record.body_rate_deg_s is not None:
         entry["body_rate_deg_s"] = dict(zip(AXES, record.body_rate_deg_s, strict=True))
     return {"records": [entry]}
+
+
+def polarization_body(report: PolarizationReport) -> Line:
+    """Return a batch of one report of the polarimeter."""
+    entry = {
+        "epoch": rfc3339(report.reported_us),
+        "ratio_db": report.ratio_db,
+        "co_power_dbm": report.co_power_dbm,
+        "noise_db": report.noise_db,
+        "tec_tecu": report.tec_tecu,
+    }
+    return {"source": SOURCE, "records": [entry]}
 
 
 def angles(attitude_deg: FloatArray | Iterable[float]) -> dict[str, float | None]:

@@ -1,6 +1,17 @@
-"""Catalogue, measured motion: telemetry of the wheels and of a rate sensor that follows from the attitude."""
+"""Catalogue, measured motion: telemetry of the wheels and of a rate sensor, and polarimeters."""
 
-from analyzer_sim.world.scenario.story import RateTelemetry, Scenario, WheelTelemetry
+from dataclasses import replace
+
+from analyzer_sim.world.scenario.events import DownlinkRain
+from analyzer_sim.world.scenario.story import PolarimeterFigures, RateTelemetry, Scenario, WheelTelemetry
+
+#: ordinary polarimeter, with a shower over the receiving site
+_POLARIZED = Scenario(
+    "polarized",
+    "As nominal; a polarimeter reports each row: leakage, its day and wander, Faraday rotation, a shower.",
+    faults=(DownlinkRain("site shower", (6.0, 40.0), (2.0, 4.0), (0.05, 0.3), (30.0, 90.0)),),
+    polarimeter=PolarimeterFigures(),
+)
 
 MOTION: tuple[Scenario, ...] = (
     Scenario(
@@ -26,4 +37,23 @@ MOTION: tuple[Scenario, ...] = (
         rates=RateTelemetry(),
     ),
     Scenario("rates_biased", "As rates, the bias five times as large as stated.", rates=RateTelemetry(bias_factor=5.0)),
+    _POLARIZED,
+    replace(
+        _POLARIZED,
+        name="polarized_storm",
+        summary="As polarized; from hour 12 the electron content is three times the reported one.",
+        polarimeter=PolarimeterFigures(storm_factor=3.0, storm_from_h=12.0),
+    ),
+    replace(
+        _POLARIZED,
+        name="feed_turned",
+        summary="As polarized; the feed turns by 0.5 deg at hour 20.",
+        polarimeter=PolarimeterFigures(feed_turn_deg=0.5, feed_turn_from_h=20.0),
+    ),
+    replace(
+        _POLARIZED,
+        name="leak_drift",
+        summary="As polarized; the leakage drifts by 0.002 deg/h, 5 % of it a day.",
+        polarimeter=PolarimeterFigures(leak_drift_deg_h=0.002),
+    ),
 )

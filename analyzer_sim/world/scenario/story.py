@@ -160,6 +160,29 @@ class RateTelemetry:
     bias_factor: float = 1.0
 
 
+@dataclass(frozen=True)
+class PolarimeterFigures:
+    """Polarimeter at the receiving site: turn of its feed and what its angle has wrong."""
+
+    feed_offset_deg: float = 10.0
+    #: white noise of a report
+    white_deg: float = 0.07
+    #: leakage of 35 dB, amplitude of its daily wave, sigma of its wander of 4 h
+    leakage_deg: float = 1.0
+    daily_deg: float = 0.035
+    wander_deg: float = 0.04
+    #: error of the reported electron content, relative
+    map_error: float = 0.15
+    #: the true content is so many times the reported one from this hour of operation on
+    storm_factor: float = 1.0
+    storm_from_h: float = 0.0
+    #: turn of the feed at this hour of operation
+    feed_turn_deg: float = 0.0
+    feed_turn_from_h: float = 0.0
+    #: drift of the leakage in operation
+    leak_drift_deg_h: float = 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class Phase:
     """One stretch of the story, [start, stop)."""
@@ -196,6 +219,8 @@ class Scenario:
     wheels: WheelTelemetry | None = None
     #: rate sensor beside the loop; none = telemetry has no rates
     rates: RateTelemetry | None = None
+    #: polarimeter at the receiving site; none = nobody measures polarisation
+    polarimeter: PolarimeterFigures | None = None
 
     @property
     def row_period_us(self) -> int:

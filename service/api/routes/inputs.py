@@ -1,4 +1,4 @@
-"""Slow inputs in batches: attitude references, corrections, telemetry, weather; and the archive of each."""
+"""Slow inputs in batches: references, corrections, telemetry, weather, polarisation; and the archive of each."""
 
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Protocol, TypeVar
@@ -21,6 +21,10 @@ from service.api.schemas.inputs import (
     Fault,
     InputReceiptAnswer,
     InputRefusalAnswer,
+    PolarizationAnswer,
+    PolarizationBatchDocument,
+    PolarizationDocument,
+    PolarizationPage,
     ReferenceAnswer,
     ReferenceBatchDocument,
     ReferencePage,
@@ -108,6 +112,24 @@ async def send_weather(
     return await run_in_threadpool(_append_weather, spacecraft_id, context, body, latest_us)
 
 
+@router.post("/polarization:batch", dependencies=[MAY_SEND], openapi_extra=accepts(PolarizationBatchDocument))
+async def send_polarization(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[PolarizationBatchDocument, body_of(PolarizationBatchDocument)],
+    context: Context,
+    request: Request,
+) -> InputReceiptAnswer:
+    """Store polarisation records of one polarimeter of the catalogue, which measure yaw.
+
+    The robust method takes their median each five minutes; a record more than 15 minutes older than the newest row
+    tells nothing. Wrong angles are left out, and what they did is reported as `advice`.
+    """
+    check_batch_size(len(body.records), context, "/records")
+    limits: EpochLimits = request.app.state.epoch_limits
+    latest_us = (await limits.present(spacecraft_id)).latest_us
+    return await run_in_threadpool(_append_polarization, spacecraft_id, context, body, latest_us)
+
+
 @router.get("/attitude-references")
 def list_references(spacecraft_id: SpacecraftId, page: Page, context: Context) -> ReferencePage:
     """List attitude references in order of epoch."""
@@ -130,6 +152,29 @@ def list_telemetry(spacecraft_id: SpacecraftId, page: Page, context: Context) ->
 def list_weather(spacecraft_id: SpacecraftId, page: Page, context: Context) -> WeatherPage:
     """List weather reports in order of epoch."""
     return input_page(spacecraft_id, "weather", page, context, WeatherPage, WeatherAnswer)
+
+
+@router.get("/polarization")
+def list_polarization(spacecraft_id: SpacecraftId, page: Page, context: Context) -> PolarizationPage:
+    """List polarisation records in order of epoch."""
+    return input_page(spacecraft_id, "polarization", page, context, PolarizationPage, PolarizationAnswer)
+
+
+def _append_polarization(
+    spacecraft_id: str, context: ApiContext, body: PolarizationBatchDocument, latest_us: int
+) -> InputReceiptAnswer:
+    """Store the records of a polarimeter that the catalogue states."""
+    sources = sorted(each.source for each in context.storage.catalogue.spacecraft(spacecraft_id).polarimeters)
+
+    def fault(row: PolarizationDocument) -> Fault | None:
+        if body.source not in sources:
+            known = ", ".join(sources) or "none"
+            return "polarimeter.unknown", f"the catalogue states no polarimeter {body.source!r}; it states: {known}"
+        if row.epoch > latest_us:
+            return "time.future", f"the epoch lies after {format_epoch(latest_us)}"
+        return row.fault()
+
+    return _append(spacecraft_id, context, body.records, lambda row: row.to_record(body.source), fault)
 
 
 def _append_weather(

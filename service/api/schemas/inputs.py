@@ -1,4 +1,4 @@
-"""Documents of slow inputs, sent in batches: attitude references, corrections, telemetry, weather.
+"""Documents of slow inputs, sent in batches: references, corrections, telemetry, weather, polarisation.
 
 A row that says nothing or something impossible is refused by itself; ``fault`` tells why. What does not fit the form
 at all refuses the batch.
@@ -24,7 +24,7 @@ from service.api.schemas.base import (
 from service.api.schemas.record_answers import members_of
 from service.api.schemas.row_refusals import RefusalAnswer
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch
-from service.records.inputs import AttitudeReference, Correction, TelemetryRecord, WeatherReport
+from service.records.inputs import AttitudeReference, Correction, PolarizationRecord, TelemetryRecord, WeatherReport
 from service.records.levels.attitude import NO_ANGLES
 
 #: code and detail of a refused row
@@ -33,6 +33,17 @@ _NO_ANGLE: Fault = ("value.absent", "the row states no angle at all; leave it ou
 _MAX_ANGLE_DEG = 180.0
 #: more rain than was ever measured, and more than any link survives
 _MAX_RAIN_MM_H, _MAX_RAIN_DB = 2000.0, 100.0
+#: least turn of a feed whose ratio has a slope, and what each member of a polarisation record may be
+MIN_FEED_DEG = 0.5
+_POLARIZATION_LIMITS: dict[str, tuple[float, float]] = {
+    "ratio_db": (-60.0, 60.0),
+    "co_power_dbm": (-200.0, 60.0),
+    "feed_offset_deg": (-80.0, 80.0),
+    "noise_db": (1e-4, 20.0),
+    "angle_deg": (-90.0, 90.0),
+    "sigma_deg": (1e-4, 90.0),
+    "tec_tecu": (0.0, 1000.0),
+}
 #: any wheel and any rate; beyond lies a fault of units or of telemetry, not a spacecraft
 _Telemetered = Annotated[float, Field(ge=-1e6, le=1e6)]
 Wheels = Annotated[tuple[_Telemetered, ...], Field(min_length=1, max_length=16)]
@@ -180,6 +191,54 @@ class WeatherBatchDocument(Document):
     reports: Annotated[list[WeatherDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
 
 
+class PolarizationDocument(Document):
+    """Polarisation of the downlink at one epoch: the ratio of the two ports, or an angle."""
+
+    epoch: AnyEpoch
+    ratio_db: float | None = None
+    """Power of the cross-polar port over that of the co-polar port."""
+    co_power_dbm: float | None = None
+    """Power of the co-polar port; a fade widens the angle."""
+    feed_offset_deg: float | None = None
+    """Turn of the feed at this record; null: as the catalogue states."""
+    noise_db: float | None = None
+    """One standard deviation of the ratio; null: as the catalogue states."""
+    angle_deg: float | None = None
+    """Angle against that at zero attitude, in place of a ratio."""
+    sigma_deg: float | None = None
+    """One standard deviation of the angle; null: as the catalogue states."""
+    tec_tecu: float | None = None
+    """Electron content along the path, for the Faraday rotation."""
+
+    def fault(self) -> Fault | None:
+        """Return why the row is refused, None when it is not."""
+        fault = _epoch_fault(self.epoch)
+        if fault is None and (self.ratio_db is None) == (self.angle_deg is None):
+            fault = "value.absent", "the row must state one of ratio_db and angle_deg, not both"
+        if fault is None and self.feed_offset_deg is not None and abs(self.feed_offset_deg) < MIN_FEED_DEG:
+            fault = "value.out_of_range", f"feed_offset_deg lies within {MIN_FEED_DEG:g} deg of 0"
+        return fault or next((found for name in _POLARIZATION_LIMITS if (found := self._range_fault(name))), None)
+
+    def _range_fault(self, name: str) -> Fault | None:
+        """Return why a member cannot be."""
+        value, (least, most) = getattr(self, name), _POLARIZATION_LIMITS[name]
+        if value is None or least <= value <= most:
+            return None
+        return "value.out_of_range", f"{name} lies outside {least:g}..{most:g}"
+
+    def to_record(self, source: str) -> PolarizationRecord:
+        """Return the record that this row states."""
+        return record_of(PolarizationRecord, self, source=source)
+
+
+class PolarizationBatchDocument(Document):
+    """Polarisation records of one polarimeter."""
+
+    source: Name
+    """Name of the polarimeter in the catalogue."""
+    records: Annotated[list[PolarizationDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
+
+
 class InputRefusalAnswer(RefusalAnswer):
     """A refused row."""
 
@@ -209,6 +268,10 @@ class WeatherAnswer(members_of(WeatherReport), Answer):
     """A stored weather report."""
 
 
+class PolarizationAnswer(members_of(PolarizationRecord), Answer):
+    """A stored polarisation record."""
+
+
 class ReferencePage(RowPage):
     """References in order of epoch."""
 
@@ -231,3 +294,9 @@ class WeatherPage(RowPage):
     """Weather reports in order of epoch."""
 
     rows: list[WeatherAnswer]
+
+
+class PolarizationPage(RowPage):
+    """Polarisation records in order of epoch."""
+
+    rows: list[PolarizationAnswer]

@@ -7,7 +7,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, StringConstraints, TypeAdapter, model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import CatalogueWarning, Document, Epoch, LatitudeDeg, LongitudeDeg, Text
+from service.api.schemas.base import CatalogueWarning, Document, Epoch, LatitudeDeg, LongitudeDeg, Name, Text
+from service.api.schemas.inputs import MIN_FEED_DEG
 from service.api.schemas.live_method import LiveMethod
 from service.core.control.quaternion_law import loop_gains
 from service.pipeline.config import TorqueConfig
@@ -238,6 +239,48 @@ class ControlDocument(Document):
     gyro_orbitant: GyroOrbitantDocument | None = None
 
 
+class PolarimeterDocument(Document):
+    """Polarimeter on the ground as a measurement of yaw: its feed, its place, what its angle has wrong."""
+
+    source: Name
+    """As its records name it."""
+    feed_offset_deg: Annotated[float, Field(ge=-80, le=80)]
+    """Turn of the two ports against the polarisation at zero attitude; the sign is that of a positive yaw. Not 0."""
+    frequency_hz: Annotated[float, Field(ge=1e8, le=6e10)]
+    """Of the beacon or carrier measured."""
+    site: SiteDocument | None = None
+    """Place of the polarimeter; null: the receiving site."""
+    field_t: Annotated[float, Field(ge=-1e-4, le=1e-4)] = 0.0
+    """Component of the Earth's magnetic field along the downlink, for the Faraday rotation of a reported electron
+    content; 0: it is not corrected."""
+    white_deg: Annotated[float, Field(gt=0, le=10)] = 0.07
+    """One standard deviation of the white noise of a record that states none."""
+    daily_deg: Annotated[float, Field(gt=0, le=10)] = 0.05
+    """One standard deviation of the amplitude of the daily wave."""
+    wander_deg: Annotated[float, Field(gt=0, le=10)] = 0.05
+    """One standard deviation of the wander of some hours."""
+    wander_h: Annotated[float, Field(ge=0.1, le=100)] = 4.0
+    """Correlation time of the wander."""
+    offset_walk_deg_sqrt_h: Annotated[float, Field(ge=0, le=1)] = 0.003
+    """Walk of the offset in one hour."""
+    used: bool = True
+    """Use by the filter; false: the record is stored alone."""
+
+    @model_validator(mode="after")
+    def _check_feed(self) -> Self:
+        """Refuse a feed whose ratio has no slope."""
+        if abs(self.feed_offset_deg) < MIN_FEED_DEG:
+            raise PydanticCustomError("polarimeter.feed_offset", "feed_offset_deg lies within 0.5 deg of 0")
+        return self
+
+
+def _check_sources(polarimeters: tuple[PolarimeterDocument, ...]) -> tuple[PolarimeterDocument, ...]:
+    """Refuse two polarimeters of one name."""
+    if len({each.source for each in polarimeters}) < len(polarimeters):
+        raise PydanticCustomError("polarimeter.duplicate", "two polarimeters have one source")
+    return polarimeters
+
+
 def _torques(values: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the torque profiles that a spacecraft states."""
     onboard = values["onboard"]
@@ -263,6 +306,8 @@ class SpacecraftDocument(Document):
     modes: Annotated[tuple[FlexibleModeDocument, ...], Field(max_length=64)] = ()
     onboard: OnboardDocument = OnboardDocument()
     control: ControlDocument = ControlDocument()
+    polarimeters: Annotated[tuple[PolarimeterDocument, ...], Field(max_length=8), AfterValidator(_check_sources)] = ()
+    """Each measures yaw by polarisation; its records come by `polarization:batch`."""
 
     @classmethod
     def of(cls, spacecraft: Spacecraft) -> Self:

@@ -1,4 +1,4 @@
-"""Into the service: rows of stations, references, weather, corrections, operations."""
+"""Into the service: rows of stations, references, weather, polarisation, corrections, operations."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -47,6 +47,11 @@ class IngestEndpoints:
     def post_weather(self, spacecraft_id: str, source: str, reports: Rows) -> Call[Json]:
         """Send reports of rain over uplink stations."""
         return batch(spacecraft_id, "weather", {"source": source, "reports": list(reports)})
+
+    @endpoint
+    def post_polarization(self, spacecraft_id: str, source: str, records: Rows) -> Call[Json]:
+        """Send polarisation records of one polarimeter."""
+        return batch(spacecraft_id, "polarization", {"source": source, "records": list(records)})
 
     @endpoint
     def post_corrections(self, spacecraft_id: str, corrections: Rows) -> Call[Json]:

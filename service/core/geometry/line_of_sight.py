@@ -156,23 +156,61 @@ def antenna_motion_deg(
     ndarray, shape (T, N, 2), deg
         Change of azimuth and elevation against the nominal place; NaN within 5 minutes of the ends of the track.
     """
+    positions_m = _station_vectors(stations)
+    moving, nominal = _moving(track, epoch_us), _at_rest(nominal_longitude_deg)
+    return _antenna_angles_deg(*moving, positions_m) - _antenna_angles_deg(*nominal, positions_m)
+
+
+def frame_turn_deg(track: PredictedTrack, epoch_us: IntArray, nominal_longitude_deg: float) -> FloatArray:
+    """Return by how much a body held to the nadir frame turns against the Earth, counted from the nominal place.
+
+    Parameters
+    ----------
+    track : PredictedTrack
+        Prediction of ballistics.
+    epoch_us : ndarray of int, shape (T,), microseconds UTC
+        Epochs.
+    nominal_longitude_deg : float, deg
+        East longitude of the nominal place.
+
+    Returns
+    -------
+    ndarray, shape (T, 3), deg
+        Small turns about z, x, y of the frame, as yaw, roll, pitch turn the body; NaN within 5 minutes of the ends of
+        the track.
+    """
+    frame, nominal = _nadir_frame(*_moving(track, epoch_us)), _nadir_frame(*_at_rest(nominal_longitude_deg))[0]
+    turn = nominal @ np.swapaxes(frame, 1, 2)
+    pairs = ((1, 0), (2, 1), (0, 2))
+    return np.degrees(0.5 * np.stack([turn[:, j, k] - turn[:, k, j] for j, k in pairs], axis=1))
+
+
+def _moving(track: PredictedTrack, epoch_us: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return place and inertial velocity (T, 3) of the satellite, m and m/s."""
     ahead, behind = (
         _satellite_vectors(track_position_deg(track, epoch_us + step)) for step in (_RATE_STEP_US, -_RATE_STEP_US)
     )
     here = _satellite_vectors(track_position_deg(track, epoch_us))
     seconds = 2.0 * _RATE_STEP_US / 1e6
-    velocity = (ahead - behind) / seconds + EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), here)
-    nominal = _satellite_vectors(np.array([[0.0, nominal_longitude_deg]]))
-    rest = EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), nominal)
-    positions_m = _station_vectors(stations)
-    return _antenna_angles_deg(here, velocity, positions_m) - _antenna_angles_deg(nominal, rest, positions_m)
+    return here, (ahead - behind) / seconds + EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), here)
+
+
+def _at_rest(longitude_deg: float) -> tuple[FloatArray, FloatArray]:
+    """Return place and inertial velocity (1, 3) of a satellite that stands still over the equator, m and m/s."""
+    nominal = _satellite_vectors(np.array([[0.0, longitude_deg]]))
+    return nominal, EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), nominal)
+
+
+def _nadir_frame(satellite_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
+    """Return the axes (T, 3, 3), one a row, of the nadir frame of a moving satellite."""
+    nadir = -_unit(satellite_m)
+    south = -_unit(np.cross(satellite_m, velocity_m_s))
+    return np.stack([np.cross(south, nadir), south, nadir], axis=1)
 
 
 def _antenna_angles_deg(satellite_m: FloatArray, velocity_m_s: FloatArray, positions_m: FloatArray) -> FloatArray:
     """Return azimuth and elevation (T, N, 2) of places seen in the nadir frame of a moving satellite."""
-    nadir = -_unit(satellite_m)
-    south = -_unit(np.cross(satellite_m, velocity_m_s))
-    frame = np.stack([np.cross(south, nadir), south, nadir], axis=1)
+    frame = _nadir_frame(satellite_m, velocity_m_s)
     sight = positions_m - satellite_m[:, np.newaxis]
     return np.asarray(np.stack(antenna_direction(np.einsum("tij,tnj->tni", frame, sight)), axis=-1))
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from service.pipeline.inputs.polarization import PolarizationRecords, with_polarization_record
 from service.pipeline.inputs.weather_reports import WeatherReports, reported_wet, with_report
 from service.records.calibration import Alignment, Calibration, CalibrationMethod
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
@@ -19,6 +20,7 @@ from service.records.inputs import (
     EphemerisChange,
     Operation,
     PlanChange,
+    PolarizationRecord,
     SpacecraftChange,
     TelemetryRecord,
     WeatherReport,
@@ -70,6 +72,8 @@ class Knowledge:
     rates: tuple[TelemetryRecord, ...] = ()
     #: reports of rain, by station and source
     weather: WeatherReports = field(default_factory=dict)
+    #: records of polarimeters, by source
+    polarization: PolarizationRecords = field(default_factory=dict)
     #: newest word of the interlock; none: it never withheld anything
     hold: InterlockHold | None = None
 
@@ -148,14 +152,18 @@ def update(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledg
             return replace(knowledge, alignment=lookup.alignment(content.alignment_id))
         case Operation():
             return replace(knowledge, operations={**knowledge.operations, content.id: content})
-        case TelemetryRecord() | WeatherReport() | InterlockHold():
+        case TelemetryRecord() | WeatherReport() | PolarizationRecord() | InterlockHold():
             return _with_word(knowledge, content)
         case _:
             return knowledge
 
 
-def _with_word(knowledge: Knowledge, reported: TelemetryRecord | WeatherReport | InterlockHold) -> Knowledge:
-    """Return the knowledge with a word of the interlock, a report of the weather or the newest of the telemetry."""
+def _with_word(
+    knowledge: Knowledge, reported: TelemetryRecord | WeatherReport | PolarizationRecord | InterlockHold
+) -> Knowledge:
+    """Return the knowledge with a word of the interlock or a record of a sensor; of telemetry the newest counts."""
+    if isinstance(reported, PolarizationRecord):
+        return replace(knowledge, polarization=with_polarization_record(knowledge.polarization, reported))
     if isinstance(reported, WeatherReport):
         return replace(knowledge, weather=with_report(knowledge.weather, reported))
     if isinstance(reported, InterlockHold):

@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 from service.pipeline.chain import Chain
 from service.pipeline.control.command.command_record import withheld_command
+from service.pipeline.inputs.polarization import KEPT_US as POLARIZATION_US
 from service.pipeline.inputs.weather_reports import KEPT_US
 from service.ports import Archive, Catalogue, Outcome, Results
 from service.records.calibration import Alignment, Calibration, Window
 from service.records.catalogue import CarrierPlan, Ephemeris
 from service.records.epoch import US_PER_S
-from service.records.inputs import AlignmentSet, Correction, TelemetryRecord, WeatherReport
+from service.records.inputs import AlignmentSet, Correction, PolarizationRecord, TelemetryRecord, WeatherReport
 from service.records.journal import JournalEntry
 from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.levels.measurement import Measurement
@@ -120,7 +121,7 @@ def update_before(chain: Chain, archive: Archive, spacecraft_id: str, before_num
     """Update a chain with the inputs that stand before a journal number.
 
     Standing inputs are told from the beginning, commanded motion as far as it ends after ``since_us``, the epoch from
-    which rows will be run, telemetry and weather of the hours before it; None when no row will.
+    which rows will be run, records of sensors of the hours before it; None when no row will.
     """
     entries = archive.slow_inputs_before(spacecraft_id, before_number, STANDING_KINDS)
     if since_us is not None:
@@ -129,6 +130,7 @@ def update_before(chain: Chain, archive: Archive, spacecraft_id: str, before_num
             **dict.fromkeys(MOTION_KINDS, window),
             "telemetry": Window(since_us - _TELEMETRY_US, _FOR_EVER_US),
             "weather": Window(since_us - KEPT_US, _FOR_EVER_US),
+            "polarization": Window(since_us - POLARIZATION_US, _FOR_EVER_US),
         }
         for kind, of_kind in windows.items():
             entries += [e for e in _inputs(archive, spacecraft_id, kind, of_kind) if e.number < before_number]
@@ -149,9 +151,9 @@ def _inputs(archive: Archive, spacecraft_id: str, kind: str, window: Window) -> 
 
 
 def _start_us(entry: JournalEntry) -> int:
-    """Return where a commanded motion, telemetry or a report of the weather starts, by which pages are ordered."""
+    """Return where a commanded motion starts or a record of a sensor stands, by which pages are ordered."""
     content = entry.content
-    if isinstance(content, TelemetryRecord | WeatherReport):
+    if isinstance(content, TelemetryRecord | WeatherReport | PolarizationRecord):
         return content.epoch_us
     if isinstance(content, Correction):
         return content.start_us
@@ -161,5 +163,5 @@ def _start_us(entry: JournalEntry) -> int:
         return content.released_us
     if isinstance(content, ReportedCommand):
         return content.reported_us
-    message = f"journal entry {entry.number} is no commanded motion, telemetry or weather"
+    message = f"journal entry {entry.number} is no commanded motion, telemetry, weather or polarisation"
     raise TypeError(message)

@@ -289,6 +289,7 @@ _FORWARD: dict[str, Callable[[ServiceClient, str, dict[str, Any]], Any]] = {
     "corrections": lambda client, sc, body: client.post_corrections(sc, body["corrections"]),
     "operations": lambda client, sc, body: client.post_operation(sc, body),
     "telemetry": lambda client, sc, body: client.request("POST", f"/spacecraft/{sc}/telemetry:batch", body),
+    "polarization": lambda client, sc, body: client.post_polarization(sc, body["source"], body["records"]),
 }
 
 

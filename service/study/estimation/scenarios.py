@@ -50,6 +50,7 @@ _MOTION = (
     *("wheels", "wheels_hourly", "wheels_unmarked", "wheels_misaligned", "wheels_zero"),
     *("rates", "rates_biased"),
 )
+_POLARIZATION = ("polarized", "polarized_storm", "feed_turned", "leak_drift")
 #: the worlds by which "never confident and wrong" is judged
 _YARDSTICK = (
     *_WEATHER,
@@ -67,7 +68,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "sources": _SOURCES,
     "weather": _WEATHER,
     "motion": _MOTION,
+    "polarization": _POLARIZATION,
     "yardstick": _YARDSTICK,
     "snapshot": (SNAPSHOT,),
-    "all": (*_PLAIN, *_FAULTS, *_RAIN, *_HARD, *_MISMATCH, *_SOURCES, *_WEATHER, *_MOTION, SNAPSHOT),
+    "all": (*_PLAIN, *_FAULTS, *_RAIN, *_HARD, *_MISMATCH, *_SOURCES, *_WEATHER, *_MOTION, *_POLARIZATION, SNAPSHOT),
 }

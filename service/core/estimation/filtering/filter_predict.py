@@ -22,7 +22,7 @@ from service.core.estimation.filtering.model.filter_state import (
     hidden_count,
     reference_states,
 )
-from service.core.estimation.filtering.model.hidden_motion import momentum_count
+from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.core.estimation.filtering.model.step_inputs import StepInputs, step_inputs
 from service.core.estimation.filtering.model.wheel_momentum import moved_momentum
 
@@ -85,7 +85,7 @@ def with_moved_momentum(
     """Return the state whose momentum of the wheels, where it is known by telemetry, has moved on over a step."""
     if settings.momentum is None:
         return state
-    first = core_size(model, hidden_count(model, len(state.mean))) - momentum_count(settings)
+    first = sensors_first(model, state, settings)
     return moved_momentum(state, first, from_us, step_us, settings, settings.momentum)
 
 

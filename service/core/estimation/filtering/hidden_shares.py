@@ -13,10 +13,11 @@ from service.core.estimation.filtering.model.hidden_motion import (
     SHARE_SIGMA,
     dropped,
     inserted,
-    momentum_count,
+    sensor_states,
     torque_states,
     with_wider_torque,
 )
+from service.core.estimation.filtering.model.polarimeter import polarimeter_covariance
 from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
     has_torque,
@@ -49,8 +50,7 @@ def without_shares(model: CarrierModel, state: FilterState, shares: int) -> Filt
 
 def with_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings) -> Gaussian:
     """Return the state at an alignment, which has no hidden states, with those of the torque that is stated, if any."""
-    if settings.momentum is not None:
-        gaussian = inserted(gaussian, core_size(model), momentum_covariance(settings, settings.momentum))
+    gaussian = _with_sensors(gaussian, core_size(model), settings)
     return inserted(gaussian, core_size(model), torque_covariance(settings)) if has_torque(settings) else gaussian
 
 
@@ -62,9 +62,9 @@ def with_stated_torque(
     Where it states one for the first time its states come, where it states none they go; a greater one is known less.
     What was learned under another profile is learned again: its shares and its wave are not those of the new one.
     """
-    gaussian, positions = state.gaussian, torque_states(model, state.gaussian, shares)
-    if before.momentum != after.momentum:
-        return _with_stated_momentum(model, state, shares, before, after)
+    gaussian, positions = state.gaussian, torque_states(model, state.gaussian, shares, sensor_states(before))
+    if (before.momentum, before.polarimeters) != (after.momentum, after.polarimeters):
+        return _with_stated_sensors(model, state, shares, before, after)
     if positions is not None and (before.fed_forward != after.fed_forward or not is_pushed(after)):
         gaussian, positions = dropped(gaussian, positions), None
     if positions is not None:
@@ -76,15 +76,24 @@ def with_stated_torque(
     return state._replace(gaussian=gaussian, command=command)
 
 
-def _with_stated_momentum(
+def _with_sensors(gaussian: Gaussian, position: int, settings: FilterSettings) -> Gaussian:
+    """Return the state with the states of the wheels and of polarimeters at a place, where they are used."""
+    if settings.polarimeters:
+        gaussian = inserted(gaussian, position, polarimeter_covariance(settings))
+    return (
+        gaussian
+        if settings.momentum is None
+        else inserted(gaussian, position, momentum_covariance(settings, settings.momentum))
+    )
+
+
+def _with_stated_sensors(
     model: CarrierModel, state: FilterState, shares: int, before: FilterSettings, after: FilterSettings
 ) -> FilterState:
-    """Return the state after the catalogue states other telemetry of the wheels: it and torques begin again."""
+    """Return the state after the catalogue states other wheels or polarimeters: they and torques begin again."""
     first = core_size(model, shares)
-    known = (TORQUES if has_torque(before) else 0) + momentum_count(before)
-    gaussian = dropped(state.gaussian, slice(first, first + known))
-    if after.momentum is not None:
-        gaussian = inserted(gaussian, first, momentum_covariance(after, after.momentum))
+    known = (TORQUES if has_torque(before) else 0) + sensor_states(before)
+    gaussian = _with_sensors(dropped(state.gaussian, slice(first, first + known)), first, after)
     if has_torque(after):
         gaussian = inserted(gaussian, first, torque_covariance(after))
     command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)

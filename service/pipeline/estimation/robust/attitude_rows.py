@@ -8,7 +8,7 @@ import numpy as np
 from service.core.estimation.filtering.attitude_filter import MIN_CARRIERS, FilterStep
 from service.core.estimation.filtering.causes.carrier_faults import QUIET_ROWS, QUIET_STD_DB
 from service.core.estimation.filtering.model.declared import Declared
-from service.core.estimation.filtering.model.filter_state import common_states
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, common_states
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
@@ -35,6 +35,10 @@ ADVICE: dict[str, str] = {
     "momentum_jump": "the momentum of the wheels jumped and telemetry did not say thrusters_active; report unloadings",
     "momentum_silent": "no new momentum of the wheels has been used for three hours, and yaw is known as without it; "
     "send records within 15 min, with a value that changes for each wheel of the catalogue",
+    "polarimeter_refused": "a polarimeter contradicts the powers and is not used until the next alignment; check the "
+    "sign of its angle, its feed offset, its station and its sigma figures in polarimeters",
+    "polarimeter_moved": "the angle of a polarimeter jumped while its co-polar power was quiet: its feed was moved or "
+    "its receiver changed; its offset is learned again",
 }
 #: fewest rows of a flagged carrier from which its kind of fault is told
 _INFORMATIVE_ROWS = QUIET_ROWS // 2
@@ -56,6 +60,13 @@ class Fixed(NamedTuple):
     is_without_ephemeris: bool
     #: (N,) dB, beside attitude and common level
     residual_db: FloatArray
+
+
+def rates_deg_s(mean: FloatArray, coupling_per_h: float) -> FloatArray:
+    """Return the rates (3,) of yaw, roll and pitch, deg/s, that attitude, drift and commanded rate of a state imply."""
+    yaw, roll, _pitch = mean[ATTITUDE].tolist()
+    exchanged = np.array([-coupling_per_h * roll, coupling_per_h * yaw, 0.0])
+    return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
 
 
 def filtered_row(

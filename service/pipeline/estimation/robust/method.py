@@ -17,20 +17,18 @@ from service.core.estimation.filtering.hidden_shares import with_stated_torque, 
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion
 from service.core.estimation.filtering.model.filter_state import (
-    ATTITUDE,
-    DRIFT,
     FREE_REFERENCE_DB2,
-    RATE,
     initial_gaussian,
 )
 from service.core.estimation.filtering.model.measured_motion import measured_known
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch
+from service.core.estimation.filtering.watches.polarimeter_watch import PolarimeterWatch, polarimeter_advice
 from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CarrierLevels
-from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row
+from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row, rates_deg_s
 from service.pipeline.estimation.robust.frozen_readings import LastReadings, frozen, no_readings, push_readings
 from service.pipeline.estimation.robust.model import RobustModel, signals
 from service.pipeline.estimation.robust.residual_torque import is_torque_shown
@@ -62,6 +60,8 @@ class RobustState:
     momentum: MomentumWatch = field(default_factory=fresh_watch)
     #: judgement of the records of the rate of the body
     rates: RateWatch = field(default_factory=fresh_rates)
+    #: judgement of the angles of each polarimeter
+    polarimeters: tuple[PolarimeterWatch, ...] = ()
 
 
 class RobustStep(NamedTuple):
@@ -107,8 +107,9 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
     if _torque_of(old.settings) != _torque_of(new.settings):
         pushed = with_stated_torque(old.filter, state.filter, len(state.released), old.settings, new.settings)
         state = replace(state, filter=pushed)
-    if old.settings.momentum != new.settings.momentum:
-        state = replace(state, momentum=fresh_watch())
+    # the sensors' states begin again together
+    before, after = ((each.settings.momentum, each.settings.polarimeters) for each in (old, new))
+    state = state if before == after else replace(state, momentum=fresh_watch(), polarimeters=())
     if old.rate_sensor != new.rate_sensor:
         state = replace(state, filter=without_rates(state.filter, state.rates), rates=fresh_rates())
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
@@ -135,7 +136,8 @@ def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
 
 
 def _torque_of(settings: FilterSettings) -> tuple[object, ...]:
-    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, settings.momentum
+    sensors = settings.momentum, settings.polarimeters
+    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, *sensors
 
 
 def step_robust(
@@ -170,7 +172,8 @@ def step_robust(
     found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, config, recorder)
     is_without_orbit = not np.isfinite(expected_dbm).any()
     residual_db = found.residual_db
-    fixed = Fixed(found, deviation_db, is_frozen, rates_deg_s(model, found), declared, is_without_orbit, residual_db)
+    rates = rates_deg_s(found.state.gaussian.mean, model.settings.coupling_per_h)
+    fixed = Fixed(found, deviation_db, is_frozen, rates, declared, is_without_orbit, residual_db)
     row = filtered_row(
         measurement,
         model,
@@ -184,9 +187,11 @@ def step_robust(
             **telemetry_advice(
                 model, knowledge, state.momentum, state.rates, state.commanded.since_us, measurement.epoch_us
             ),
+            **polarimeter_advice(state.polarimeters, measurement.epoch_us),
         },
     )
-    after = RobustState(found.state, commanded, readings, released, measurement.source, state.momentum, state.rates)
+    watches = state.momentum, state.rates, state.polarimeters
+    after = RobustState(found.state, commanded, readings, released, measurement.source, *watches)
     return RobustStep(row, expected_dbm, deviation_db, residual_db, after, found.is_ordinary)
 
 
@@ -244,14 +249,6 @@ def _deviation_db(
     if not model.groups:
         return deviation_db
     return without_group_gain(deviation_db, site_db(model.filter, state.filter.gaussian.mean), model.groups)
-
-
-def rates_deg_s(model: RobustModel, found: FilterStep) -> FloatArray:
-    """Return the rates (3,) of yaw, roll and pitch that the state implies, deg/s."""
-    mean, turn = found.state.gaussian.mean, model.settings.coupling_per_h
-    yaw, roll, _pitch = mean[ATTITUDE].tolist()
-    exchanged = np.array([-turn * roll, turn * yaw, 0.0])
-    return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
 
 
 def _unreported(

@@ -27,6 +27,7 @@ from service.pipeline.inputs.catalogue_torque import (
 from service.pipeline.inputs.declared_operations import CarrierIndices
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
+from service.pipeline.inputs.polarization import polarimeter_models
 from service.records.calibration import Alignment, Calibration, CalibrationResult
 from service.records.catalogue import Ephemeris, Method, Spacecraft
 from service.records.geometry import GeometryFit
@@ -260,6 +261,7 @@ def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig, calibr
         torque_constant_share=constant_share(spacecraft),
         fed_forward=fed_forward(spacecraft),
         momentum=momentum_model(spacecraft, is_contradicted=calibration.is_momentum_contradicted),
+        polarimeters=polarimeter_models(spacecraft),
     )
 
 

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_state import core_size, hidden_count
-from service.core.estimation.filtering.model.hidden_motion import momentum_count
+from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.core.estimation.filtering.watches.momentum_watch import push_record, with_impossible
 from service.pipeline.estimation.robust.method import RobustState, RobustStep, step_robust
 from service.pipeline.estimation.robust.model import RobustModel
+from service.pipeline.estimation.robust.polarization_records import with_polarization
 from service.pipeline.estimation.robust.rate_records import with_rates
 from service.pipeline.inputs.knowledge import Knowledge
 from service.records.levels.measurement import Measurement
@@ -27,9 +27,10 @@ def step_with_record(
     is_late: bool,
     **inputs: Any,
 ) -> RobustStep:
-    """Take the records of wheels and rates that are due, then a row, as `step_robust` does."""
+    """Take the records of wheels, polarimeters and rates that are due, then a row, as `step_robust` does."""
     if not is_late:
-        state, model = with_rates(with_record(state, model, knowledge), model, knowledge, measurement.epoch_us)
+        sensed = with_polarization(with_record(state, model, knowledge), model, knowledge)
+        state, model = with_rates(sensed, model, knowledge, measurement.epoch_us)
     return step_robust(state, model, knowledge, measurement, is_late=is_late, **inputs)
 
 
@@ -48,7 +49,7 @@ def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) ->
     watch, gaussian = push_record(
         state.momentum,
         gaussian,
-        core_size(model.filter, hidden_count(model.filter, len(gaussian.mean))) - momentum_count(model.settings),
+        sensors_first(model.filter, gaussian, model.settings),
         record.epoch_us,
         np.array(reported) @ model.wheel_axes,
         epoch_us,

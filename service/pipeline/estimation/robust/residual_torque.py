@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState
-from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, torque_states
+from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
 from service.core.estimation.filtering.model.torque_prior import is_pushed, wave_period_us
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.inputs.known_motion import DEG_H2_N_M
@@ -17,14 +17,14 @@ from service.records.levels.disturbance import Disturbance
 def is_torque_shown(state: FilterState, model: RobustModel, shares: int) -> bool:
     """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
     gaussian = state.gaussian
-    positions = torque_states(model.filter, gaussian, shares)
+    positions = torque_states(model.filter, gaussian, shares, sensor_states(model.settings))
     return any(state.motion.is_followed) or (positions is not None and is_torque_seen(gaussian, positions))
 
 
 def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Disturbance | None:
     """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
     gaussian, epoch_us = state.gaussian, state.epoch_us
-    positions = torque_states(model.filter, gaussian, shares)
+    positions = torque_states(model.filter, gaussian, shares, sensor_states(model.settings))
     if positions is None or model.inertia_kg_m2 is None or not is_pushed(model.settings):
         return None
     period_us = wave_period_us(model.settings)

@@ -65,8 +65,8 @@ class RowRecorder:
         """Return where each number of the state before a row stood after the row before, None = nowhere."""
         if not self._rows or self._model is None:
             return None
-        if model.settings.momentum is not None:
-            # records of the wheels act between rows, which a smoother does not take back
+        if model.settings.momentum is not None or model.settings.polarimeters:
+            # records of the wheels and of polarimeters act between rows, which a smoother does not take back
             return None
         former, mean = self._rows[-1].mean, before.gaussian.mean
         if former is mean:

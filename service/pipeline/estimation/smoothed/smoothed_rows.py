@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE
+from service.core.estimation.filtering.model.filter_state import ATTITUDE
+from service.pipeline.estimation.robust.attitude_rows import rates_deg_s
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.smoothed.smoother import MOST_ROWS, SmoothedRow, SpanSmoother
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import NO_ANGLES, AttitudeRow, FloatArray, named_axes
+from service.records.levels.attitude import NO_ANGLES, AttitudeRow, named_axes
 
 
 class SmoothedRows:
@@ -54,7 +55,7 @@ def smoothed_attitude(row: AttitudeRow, found: SmoothedRow) -> AttitudeRow:
         method=Method.ROBUST_SMOOTHED,
         attitude_deg=named_axes(mean[ATTITUDE]),
         sigma_deg=named_axes(np.sqrt(found.state.covariance.diagonal()[ATTITUDE])),
-        rates_deg_s=named_axes(_rates_deg_s(mean, found.coupling_per_h)),
+        rates_deg_s=named_axes(rates_deg_s(mean, found.coupling_per_h)),
         control_allowed=False,
         control_allowed_axes=(False, False, False),
         inhibitions=(*row.inhibitions, "smoothed"),
@@ -62,10 +63,3 @@ def smoothed_attitude(row: AttitudeRow, found: SmoothedRow) -> AttitudeRow:
         protection_deg=NO_ANGLES,
         lag_s=found.lag_us / US_PER_S,
     )
-
-
-def _rates_deg_s(mean: FloatArray, coupling_per_h: float) -> FloatArray:
-    """Return the rates (3,) that attitude, drift and commanded rate imply."""
-    yaw, roll = mean[ATTITUDE][:2].tolist()
-    exchanged = np.array([-coupling_per_h * roll, coupling_per_h * yaw, 0.0])
-    return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)

@@ -18,6 +18,7 @@ from service.records.catalogue import (
     FedForwardTorque,
     Method,
     Onboard,
+    Polarimeter,
     Release,
     Site,
     Spacecraft,
@@ -26,7 +27,7 @@ from service.records.catalogue import (
     WheelMomentum,
 )
 from service.records.epoch import parse_epoch
-from service.records.inputs import Operation, TelemetryRecord
+from service.records.inputs import Operation, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import Axes
 
 #: one JSON object
@@ -51,6 +52,7 @@ def read_spacecraft(body: Body) -> Spacecraft:
         cospar_id=body["cospar_id"],
         simulated=body["simulated"],
         onboard=_onboard(body["onboard"]),
+        polarimeters=tuple(Polarimeter(**stated) for stated in body.get("polarimeters", ())),
         control=ControlSettings(Method(control["method"]), ControlMode(control["mode"]), Release(control["release"])),
     )
 
@@ -125,6 +127,16 @@ def read_telemetry(body: Body) -> tuple[TelemetryRecord, ...]:
             tuple(record["wheel_momentum_n_m_s"]) if "wheel_momentum_n_m_s" in record else None,
             thrusters_active=record.get("thrusters_active"),
             body_rate_deg_s=Axes(**record["body_rate_deg_s"]) if "body_rate_deg_s" in record else None,
+        )
+        for record in body["records"]
+    )
+
+
+def read_polarization(body: Body) -> tuple[PolarizationRecord, ...]:
+    """Return the records of a ``polarization`` line."""
+    return tuple(
+        PolarizationRecord(
+            body["source"], parse_epoch(record["epoch"]), **{k: v for k, v in record.items() if k != "epoch"}
         )
         for record in body["records"]
     )

@@ -17,13 +17,21 @@ import numpy as np
 
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Ephemeris, Spacecraft
-from service.records.inputs import Correction, Operation, SourceSelection, TelemetryRecord, WeatherReport
+from service.records.inputs import (
+    Correction,
+    Operation,
+    PolarizationRecord,
+    SourceSelection,
+    TelemetryRecord,
+    WeatherReport,
+)
 from service.records.levels.attitude import Axes, BoolArray, FloatArray, IntArray
 from service.records.levels.series import MeasurementSeries, ReferenceSeries
 from service.study.estimation.flight.catalogue_lines import (
     read_carriers,
     read_ephemeris,
     read_operation,
+    read_polarization,
     read_spacecraft,
     read_telemetry,
 )
@@ -42,7 +50,14 @@ class GroundEvent(NamedTuple):
 
     reported_us: int
     content: (
-        tuple[Carrier, ...] | Ephemeris | Operation | TelemetryRecord | WeatherReport | SourceSelection | Correction
+        tuple[Carrier, ...]
+        | Ephemeris
+        | Operation
+        | TelemetryRecord
+        | WeatherReport
+        | PolarizationRecord
+        | SourceSelection
+        | Correction
     )
 
 
@@ -246,6 +261,8 @@ def _ground_events(arrays: Arrays) -> Iterator[GroundEvent]:
             yield GroundEvent(reported_us, read_operation(body, number))
         elif kind == "telemetry":
             yield from (GroundEvent(reported_us, record) for record in read_telemetry(body))
+        elif kind == "polarization":
+            yield from (GroundEvent(reported_us, record) for record in read_polarization(body))
         elif kind == "source":
             yield GroundEvent(reported_us, SourceSelection(body["source"], number))
 

@@ -56,6 +56,12 @@ def client(handle: Callable[[httpx.Request], httpx.Response]) -> ServiceClient:
             "/spacecraft/x/weather:batch",
             {"source": "radar", "reports": []},
         ),
+        (
+            lambda c: c.post_polarization("x", "p", []),
+            "POST",
+            "/spacecraft/x/polarization:batch",
+            {"source": "p", "records": []},
+        ),
         (lambda c: c.post_operation("x", {"kind": "other"}), "POST", "/spacecraft/x/operations", {"kind": "other"}),
         (lambda c: c.start_calibration("x", {}), "POST", "/spacecraft/x/calibrations", {}),
         (lambda c: c.calibration("x", 7), "GET", "/spacecraft/x/calibrations/7", None),

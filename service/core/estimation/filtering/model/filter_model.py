@@ -100,6 +100,20 @@ class RateSensorModel(NamedTuple):
     noise_deg_sqrt_h: float
 
 
+class PolarimeterModel(NamedTuple):
+    """Polarimeter that looks at the spacecraft from the ground."""
+
+    #: turn of the body about the line of sight by yaw, roll, pitch, deg/deg
+    sight: tuple[float, float, float]
+    #: white noise of a record, amplitude of the daily wave, wander and its correlation time
+    white_deg: float = 0.07
+    daily_deg: float = 0.05
+    wander_deg: float = 0.05
+    wander_h: float = 4.0
+    #: walk of the offset
+    offset_walk_deg_sqrt_h: float = 0.003
+
+
 class FilterSettings(NamedTuple):
     """Noise and dynamics of spacecraft and receiving chain; triples in the order yaw, roll, pitch; rates in deg/h."""
 
@@ -131,6 +145,7 @@ class FilterSettings(NamedTuple):
     fed_forward: FedForward | None = None
     #: telemetry of the wheels; None = it is not used
     momentum: MomentumModel | None = None
+    polarimeters: tuple[PolarimeterModel, ...] = ()
 
 
 class KnownMotion(NamedTuple):

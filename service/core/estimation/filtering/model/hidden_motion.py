@@ -1,6 +1,6 @@
-"""Hidden states: what moves the spacecraft without standing in any level.
+"""Hidden states: what moves the spacecraft without standing in any level, and what other sensors have wrong.
 
-    h = [n shares | 3 constant torques | 3 cosines | 3 sines]         each triple yaw, roll, pitch
+    h = [n shares | 3 constant torques | 3 cosines | 3 sines | sensors]         each triple yaw, roll, pitch
     m' = h_const + h_cos cos(p) + h_sin sin(p)       p = phase of the day, zero at midnight UTC, or of the period of
                                                      the profile that is fed forward, zero at the beginning of 1970
 
@@ -25,7 +25,14 @@ from service.core.estimation.filtering.model.filter_model import (
     FloatArray,
     KnownMotion,
 )
-from service.core.estimation.filtering.model.filter_state import RATE, Gaussian, common_states, hidden_count
+from service.core.estimation.filtering.model.filter_state import (
+    RATE,
+    Gaussian,
+    common_states,
+    core_size,
+    hidden_count,
+)
+from service.core.estimation.filtering.model.polarimeter import POLARIMETER, polarimeter_noise
 from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
     gathered_prior_deg_h2,
@@ -124,16 +131,14 @@ def hidden_transition(
         The state has other shares than there are commands.
     """
     shares = len(known.unreported)
-    torques = TORQUES * has_torque(settings)
-    if hidden - shares != torques + momentum_count(settings) and (
-        settings.momentum is not None or hidden - shares not in (0, TORQUES)
-    ):
+    torques = hidden - shares - sensor_states(settings)
+    if torques != TORQUES * has_torque(settings) and (settings.momentum is not None or torques not in (0, TORQUES)):
         message = f"{shares} commands are unreported, which does not fit {hidden} hidden states"
         raise ValueError(message)
     matrix = np.zeros((9, hidden))
     matrix[0:3, :shares], matrix[6:9, :shares] = known.unreported[:, 0].T, known.unreported[:, 1].T
     # a torque that gathers in the wheels moves nothing
-    if hidden - shares < TORQUES or not (is_pushed(settings) or settings.momentum is None):
+    if torques < TORQUES or not (is_pushed(settings) or settings.momentum is None):
         return matrix
     period_us = wave_period_us(settings)
     response = response_over(step_us, settings.coupling_per_h, period_us)
@@ -151,13 +156,27 @@ def hidden_transition(
 
 def hidden_noise(hidden: int, shares: int, settings: FilterSettings) -> tuple[FloatArray, FloatArray]:
     """Return sigma (E,) and correlation time (E,), s, of the noise that keeps the hidden states alive."""
+    sensors = sensor_states(settings)
     sigma, tau_s = np.zeros(hidden), np.full(hidden, np.inf)
-    if hidden - shares >= TORQUES:
+    if hidden - shares - sensors >= TORQUES:
         own = slice(shares, shares + TORQUES)
         sigma[own], tau_s[own] = torque_prior_deg_h2(settings), 3600.0 * settings.torque_tau_h
+    behind = hidden - POLARIMETER * len(settings.polarimeters)
     if momentum_count(settings) > _MOMENTUM:
-        sigma[-TORQUES:], tau_s[-TORQUES:] = gathered_prior_deg_h2(settings), 3600.0 * settings.torque_tau_h
+        own = slice(behind - TORQUES, behind)
+        sigma[own], tau_s[own] = gathered_prior_deg_h2(settings), 3600.0 * settings.torque_tau_h
+    sigma[behind:], tau_s[behind:] = polarimeter_noise(settings)
     return sigma, tau_s
+
+
+def sensor_states(settings: FilterSettings) -> int:
+    """Return the number of hidden states of other sensors, the last ones: the wheels, then each polarimeter."""
+    return momentum_count(settings) + POLARIMETER * len(settings.polarimeters)
+
+
+def sensors_first(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings) -> int:
+    """Return the place of the first state of the other sensors."""
+    return core_size(model, hidden_count(model, len(gaussian.mean))) - sensor_states(settings)
 
 
 def scale_noise(settings: FilterSettings, hours: float) -> FloatArray:
@@ -170,9 +189,9 @@ def scale_noise(settings: FilterSettings, hours: float) -> FloatArray:
     return -math.expm1(-2.0 * hours / settings.torque_tau_h) * scale_covariance(settings.fed_forward)
 
 
-def torque_states(model: CarrierModel, state: Gaussian, shares: int) -> slice | None:
-    """Return the places of the torque states, None where there are none."""
-    hidden = hidden_count(model, len(state.mean))
+def torque_states(model: CarrierModel, state: Gaussian, shares: int, sensors: int = 0) -> slice | None:
+    """Return the places of the torque states, None where there are none; `sensors` as `sensor_states` counts them."""
+    hidden = hidden_count(model, len(state.mean)) - sensors
     first = common_states(model).stop + shares
     return slice(first, first + TORQUES) if hidden - shares >= TORQUES else None
 
@@ -206,9 +225,10 @@ def with_wider_torque(gaussian: Gaussian, positions: slice, variance: FloatArray
 
 def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings, axes: BoolArray) -> Gaussian:
     """Return the state whose torque about some axes (3,) may for a while have been some times what was stated."""
-    # shares stand before the torques, momentum behind them
-    own = TORQUES + momentum_count(settings)
-    positions = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - own))
+    # shares stand before the torques, other sensors behind them
+    sensors = sensor_states(settings)
+    shares = max(0, hidden_count(model, len(gaussian.mean)) - TORQUES - sensors)
+    positions = torque_states(model, gaussian, shares, sensors)
     if positions is None:
         return gaussian
     covariance, size = gaussian.covariance.copy(), torque_size_deg_h2(settings)

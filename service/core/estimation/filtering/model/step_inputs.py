@@ -23,7 +23,12 @@ from service.core.estimation.filtering.model.filter_model import (
     no_motion,
 )
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, core_size
-from service.core.estimation.filtering.model.hidden_motion import hidden_noise, hidden_transition, scale_noise
+from service.core.estimation.filtering.model.hidden_motion import (
+    hidden_noise,
+    hidden_transition,
+    scale_noise,
+    sensor_states,
+)
 from service.core.estimation.filtering.model.torque_prior import TORQUES
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -166,7 +171,7 @@ def step_inputs(
         hidden_sigma, hidden_tau_s = hidden_noise(hidden, shares, settings)
         common_sigma = np.concatenate([common_sigma, hidden_sigma])
         common_tau_s = np.concatenate([common_tau_s, hidden_tau_s])
-        if hidden - shares >= TORQUES:
+        if hidden - shares - sensor_states(settings) >= TORQUES:
             torque_noise = scale_noise(settings, hours)
     return StepInputs(
         step_us,

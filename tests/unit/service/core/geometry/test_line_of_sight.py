@@ -11,6 +11,7 @@ from service.core.geometry.line_of_sight import (
     Positions,
     PredictedTrack,
     antenna_motion_deg,
+    frame_turn_deg,
     sight_motion_deg,
     track_position_deg,
 )
@@ -106,3 +107,17 @@ def test_antenna_motion_is_that_of_the_simulated_satellite():
     assert np.abs(motion).max() > 0.005, "the orbit must move for the claim to mean anything"
     # distance: eccentricity 2.2e-4 times elevation 8.6 deg
     assert np.abs(motion - (seen[0] - seen[1])).max() < 0.0021
+
+
+def test_an_inclined_orbit_turns_the_frame_about_nadir_and_a_drift_about_the_pole():
+    epochs_us = HALF_HOUR_US * np.arange(49)
+    day = 2.0 * np.pi * epochs_us / 86_164e6
+    inclined = PredictedTrack(epochs_us, 0.05 * np.sin(day), np.full(49, 90.0))
+    at_us = epochs_us[4:45]
+    turn_deg = frame_turn_deg(inclined, at_us, 90.0)
+    # at the node the flight is turned to the North; at its greatest latitude nadir is turned to the South
+    np.testing.assert_allclose(turn_deg[:, 0], -0.05 * np.cos(day[4:45]), atol=2e-4)
+    np.testing.assert_allclose(turn_deg[:, 1], -0.05 * np.sin(day[4:45]), atol=2e-4)
+    moved = frame_turn_deg(PredictedTrack(epochs_us, np.zeros(49), np.full(49, 90.1)), at_us, 90.0)
+    np.testing.assert_allclose(moved, np.broadcast_to([0.0, 0.0, -0.1], moved.shape), atol=1e-6)
+    assert np.isnan(frame_turn_deg(inclined, epochs_us[:1], 90.0)).all()

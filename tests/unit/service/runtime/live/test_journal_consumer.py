@@ -8,7 +8,15 @@ import synthetic_payload as synthetic
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.records.inputs import AlignmentSet, Correction, Operation, PlanChange, TelemetryRecord, WeatherReport
+from service.records.inputs import (
+    AlignmentSet,
+    Correction,
+    Operation,
+    PlanChange,
+    PolarizationRecord,
+    TelemetryRecord,
+    WeatherReport,
+)
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
 from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, update_before
@@ -61,19 +69,26 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
         TelemetryRecord(140, "FORECAST"),
     )
     rain = WeatherReport("radar", "Kyiv", 140, 1.0)
+    angle = PolarizationRecord("p", 140, -15.0)
     archive.slow_inputs_before.return_value = [JournalEntry(7, plan)]
     pages = {
         "correction": [JournalEntry(5, correction), JournalEntry(60, correction)],
         "telemetry": [JournalEntry(6, reported), JournalEntry(61, reported)],
         "weather": [JournalEntry(8, rain)],
+        "polarization": [JournalEntry(9, angle)],
     }
     archive.inputs.side_effect = lambda _spacecraft, kind, _window, _limit, _after: pages.get(kind, [])
     update_before(chain, archive, "y", 50, 150)
-    assert [call.args[0] for call in chain.update.call_args_list] == [correction, reported, plan, rain]
+    assert [call.args[0] for call in chain.update.call_args_list] == [correction, reported, plan, rain, angle]
     starts_us = {call.args[1]: call.args[2].start_us for call in archive.inputs.call_args_list}
     # what telemetry told in the hours before may still hold
     hours_us = 6 * 3600 * 1_000_000
-    assert starts_us == {**dict.fromkeys(MOTION_KINDS, 150), "telemetry": 150 - hours_us, "weather": 150 - hours_us}
+    assert starts_us == {
+        **dict.fromkeys(MOTION_KINDS, 150),
+        "telemetry": 150 - hours_us,
+        "weather": 150 - hours_us,
+        "polarization": 150 - hours_us // 12,
+    }
 
 
 def test_each_document_is_read_once():

@@ -8,7 +8,8 @@ from geometry_flight import MINUTE, Flight, FlightPayload
 from stepped_robust import ALIGNED_US, CONFIG, PAYLOAD, Stepped
 
 from service.core.estimation.filtering.model.filter_state import FREE_REFERENCE_DB2
-from service.pipeline.estimation.robust.method import carried_state, rates_deg_s
+from service.pipeline.estimation.robust.attitude_rows import rates_deg_s
+from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.model import robust_model
 from service.records.calibration import CalibrationMethod
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange
@@ -225,10 +226,9 @@ def test_rates_are_those_of_the_state():
     gaussian = outcome.state.filter.gaussian
     mean = gaussian.mean.copy()
     mean[:9] = [0.4, -0.3, 0.2, 0.01, 0.02, 0.03, 0.1, 0.2, 0.3]
-    announced = type("Told", (), {"state": outcome.state.filter._replace(gaussian=gaussian._replace(mean=mean))})
     turn = stepped.model.settings.coupling_per_h
     wanted = np.array([0.3 * turn + 0.11, 0.4 * turn + 0.22, 0.33]) / 3600.0
-    np.testing.assert_allclose(rates_deg_s(stepped.model, announced), wanted, rtol=1e-12)
+    np.testing.assert_allclose(rates_deg_s(mean, turn), wanted, rtol=1e-12)
 
 
 # ---- another calibration --------------------------------------------------------------------------------------------

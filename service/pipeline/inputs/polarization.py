@@ -1,0 +1,115 @@
+"""Polarimeters by the catalogue, and their records of the last minutes as blocks for the filter.
+
+The filter takes the median angle of some minutes: a single wild record changes nothing, and a moved feed stands out of
+the noise. A block whose ratios are all the same to the last digit measured nothing.
+"""
+
+import math
+from bisect import insort
+
+import numpy as np
+
+from service.core.estimation.filtering.model.filter_model import PolarimeterModel
+from service.core.estimation.filtering.model.polarimeter import angle_deg, faraday_deg, slope_db_deg
+from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock
+from service.core.geometry.frames import station_direction
+from service.records.catalogue import Polarimeter, Spacecraft
+from service.records.epoch import US_PER_S
+from service.records.inputs import PolarizationRecord
+
+#: so long records are kept
+KEPT_US = 1800 * US_PER_S
+#: time between two blocks, and age beyond which a record tells nothing
+_BLOCK_US, _LATE_US = 300 * US_PER_S, 900 * US_PER_S
+#: records of one polarimeter that are kept
+_MOST = 120
+
+#: by source, in order of epoch
+PolarizationRecords = dict[str, tuple[PolarizationRecord, ...]]
+
+
+def with_polarization_record(records: PolarizationRecords, record: PolarizationRecord) -> PolarizationRecords:
+    """Return the records with one more; those half an hour older than the newest of their source are left out."""
+    every = list(records.get(record.source, ()))
+    insort(every, record, key=lambda each: each.epoch_us)
+    kept = tuple(each for each in every[-_MOST:] if every[-1].epoch_us - each.epoch_us <= KEPT_US)
+    return {**records, record.source: kept}
+
+
+def used_polarimeters(spacecraft: Spacecraft | None) -> tuple[Polarimeter, ...]:
+    """Return the polarimeters that the filter uses, in the order of the catalogue."""
+    return () if spacecraft is None else tuple(each for each in spacecraft.polarimeters if each.used)
+
+
+def polarimeter_models(spacecraft: Spacecraft | None) -> tuple[PolarimeterModel, ...]:
+    """Return how the polarimeters are read; empty where the catalogue uses none."""
+    return tuple(
+        PolarimeterModel(
+            line_of_sight(spacecraft, each),
+            each.white_deg,
+            each.daily_deg,
+            each.wander_deg,
+            each.wander_h,
+            each.offset_walk_deg_sqrt_h,
+        )
+        for each in used_polarimeters(spacecraft)
+        if spacecraft is not None
+    )
+
+
+def line_of_sight(spacecraft: Spacecraft, polarimeter: Polarimeter) -> tuple[float, float, float]:
+    """Return the turn about the line of sight by yaw, roll and pitch, deg/deg: z, x and y of its unit vector."""
+    site = polarimeter.site or spacecraft.receiving_site
+    seen = station_direction([site.longitude_deg], [site.latitude_deg], [site.height_m], spacecraft.longitude_deg)
+    x, y = math.tan(math.radians(float(seen.azimuth_deg[0]))), -math.tan(math.radians(float(seen.elevation_deg[0])))
+    length = math.hypot(x, y, 1.0)
+    return 1.0 / length, x / length, y / length
+
+
+def due_block(
+    records: tuple[PolarizationRecord, ...], polarimeter: Polarimeter, after_us: int, epoch_us: int
+) -> AngleBlock | None:
+    """Return the block that is due at an epoch, of records later than `after_us`; None before, or without any."""
+    since_us = max(after_us, epoch_us - _LATE_US)
+    fresh = [each for each in records if since_us < each.epoch_us <= epoch_us]
+    if not fresh or fresh[-1].epoch_us - after_us < _BLOCK_US or _stands_still(fresh):
+        return None
+    angles_deg = np.array([_angle_deg(each, polarimeter) for each in fresh])
+    variances = np.array([_variance_deg2(each, polarimeter) for each in fresh])
+    powers = [each.co_power_dbm for each in fresh if each.co_power_dbm is not None]
+    return AngleBlock(
+        fresh[-1].epoch_us,
+        float(np.median(angles_deg)),
+        # of a median of some records
+        0.5 * math.pi * float(variances.mean()) / len(fresh),
+        float(np.median(powers)) if powers else math.nan,
+    )
+
+
+def _stands_still(records: list[PolarizationRecord]) -> bool:
+    """Return whether records repeat the first one."""
+    first = records[0]
+    return len(records) > 1 and all(
+        (each.ratio_db, each.angle_deg) == (first.ratio_db, first.angle_deg) for each in records
+    )
+
+
+def _angle_deg(record: PolarizationRecord, polarimeter: Polarimeter) -> float:
+    """Return the angle of a record without the Faraday rotation that is known."""
+    rotated = faraday_deg(record.tec_tecu or 0.0, polarimeter.field_t, polarimeter.frequency_hz)
+    if record.ratio_db is None:
+        return (record.angle_deg or 0.0) - rotated
+    return angle_deg(_offset_deg(record, polarimeter), record.ratio_db) - rotated
+
+
+def _variance_deg2(record: PolarizationRecord, polarimeter: Polarimeter) -> float:
+    """Return the variance of the white noise of a record."""
+    if record.ratio_db is None:
+        return (polarimeter.white_deg if record.sigma_deg is None else record.sigma_deg) ** 2
+    if record.noise_db is None:
+        return polarimeter.white_deg**2
+    return (record.noise_db / slope_db_deg(_offset_deg(record, polarimeter))) ** 2
+
+
+def _offset_deg(record: PolarizationRecord, polarimeter: Polarimeter) -> float:
+    return polarimeter.feed_offset_deg if record.feed_offset_deg is None else record.feed_offset_deg

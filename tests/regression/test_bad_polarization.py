@@ -1,0 +1,145 @@
+"""Bad polarimeters, given to the whole product: what it reports, no wrong torque, and yaw beside none.
+
+`soo study estimation --group polarization` has the figures of good ones.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from driven_world import Flown, shared_world
+
+from service.records.inputs import PolarizationRecord
+from service.study.estimation.flight.world import GroundEvent
+
+SEED, DAYS = 2, 0.5
+HOUR_US = 3_600_000_000
+Records = list[PolarizationRecord]
+#: what each record becomes, and when it is handed over, us
+Change = Callable[[Records], list[tuple[int, PolarizationRecord]]]
+
+
+def turned(function: Callable[[float, float], tuple[float, float]]) -> Change:
+    """Return records whose angle, deg, and co-polar power, dBm, are functions of hour and angle of the true ones."""
+
+    def change(records: Records) -> list[tuple[int, PolarizationRecord]]:
+        start_us, made = records[0].epoch_us, []
+        for one in records:
+            assert one.ratio_db is not None
+            assert one.co_power_dbm is not None
+            angle_deg = float(np.degrees(np.arctan(10.0 ** (one.ratio_db / 20.0)))) - 10.0
+            angle_deg, added_db = function((one.epoch_us - start_us) / HOUR_US, angle_deg)
+            power_dbm = one.co_power_dbm + added_db
+            bad = replace(one, ratio_db=None, noise_db=None, angle_deg=angle_deg, co_power_dbm=power_dbm)
+            made.append((one.epoch_us, bad))
+        return made
+
+    return change
+
+
+def saturated(records: Records) -> list[tuple[int, PolarizationRecord]]:
+    """Return records of a receiver that is compressed by 20 dB from hour 4 on: the ratio shrinks."""
+    start_us = records[0].epoch_us
+    return [
+        (
+            one.epoch_us,
+            replace(one, ratio_db=0.6 * (one.ratio_db or 0.0), co_power_dbm=-35.0)
+            if one.epoch_us > start_us + 4 * HOUR_US
+            else one,
+        )
+        for one in records
+    ]
+
+
+def stale(records: Records) -> list[tuple[int, PolarizationRecord]]:
+    """Return records that repeat the first one."""
+    return [(one.epoch_us, replace(one, ratio_db=records[0].ratio_db)) for one in records]
+
+
+def late(records: Records) -> list[tuple[int, PolarizationRecord]]:
+    """Return records that are handed over three hours late, with their true epochs."""
+    return [(one.epoch_us + 3 * HOUR_US, one) for one in records]
+
+
+def disordered(records: Records) -> list[tuple[int, PolarizationRecord]]:
+    """Return records that are handed over four at a time in a drawn order."""
+    order = np.random.default_rng(1)
+    fours = [records[k : k + 4] for k in range(0, len(records), 4)]
+    return [(four[-1].epoch_us, four[k]) for four in fours for k in order.permutation(len(four)).tolist()]
+
+
+def rain(hour: float, angle_deg: float) -> tuple[float, float]:
+    """Rain of 4 dB for two hours that turns the polarisation by 0.4 deg."""
+    depth = float(np.clip(4.0 * min(hour - 5.0, 7.0 - hour), 0.0, 1.0))
+    return angle_deg + 0.4 * depth, -4.0 * depth
+
+
+def wild(hour: float, angle_deg: float) -> tuple[float, float]:
+    rng = np.random.default_rng(round(1e6 * hour))
+    return angle_deg + float((rng.random() < 0.3) * rng.normal(0.0, 5.0)), 0.0
+
+
+#: kind, change, and the advice that must be given; None = nothing need be said
+BAD: dict[str, tuple[Change, str | None]] = {
+    "feed moved": (turned(lambda hour, angle: (angle + 0.5 * (hour > 4.0), 0.0)), "polarimeter_moved"),
+    "feed moved each hour": (turned(lambda hour, angle: (angle + 2.0 * (int(hour) % 2), 0.0)), "polarimeter_refused"),
+    "rain": (turned(rain), None),
+    "saturated": (saturated, None),
+    "wrong sign": (turned(lambda hour, angle: (-angle, 0.0)), None),
+    "scale of two": (turned(lambda hour, angle: (2.0 * angle, 0.0)), "polarimeter_refused"),
+    "wild records": (turned(wild), None),
+    "stale": (stale, None),
+    "handed over three hours late": (late, None),
+    "disordered": (disordered, None),
+}
+
+
+@cache
+def flown(kind: str) -> Flown:
+    """Return the flight with records of a kind; "" = without any."""
+    world = shared_world("polarized", SEED, DAYS)
+    is_own = [
+        isinstance(event.content, PolarizationRecord) and event.content.epoch_us >= world.start_us
+        for event in world.ground.events
+    ]
+    records = [one.content for one, is_one in zip(world.ground.events, is_own, strict=True) if is_one]
+    kept = [event for event, is_one in zip(world.ground.events, is_own, strict=True) if not is_one]
+    good = [one for one in records if isinstance(one, PolarizationRecord)]
+    bad = BAD[kind][0](good) if kind else []
+    return world.fly_ground(replace(world.ground, events=(*kept, *(GroundEvent(*one) for one in bad))))
+
+
+def wrong_minutes(found: Flown) -> int:
+    """Return the minutes with control allowed while roll or pitch is off by more than 0.15 deg."""
+    return int(np.count_nonzero((np.abs(found.error_deg[:, 1:]) > 0.15).any(axis=1) & found.is_allowed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", BAD)
+def test_a_bad_polarimeter_leads_to_no_wrong_torque_and_costs_little(kind: str) -> None:
+    advice = BAD[kind][1]
+    found, plain_deg = flown(kind), flown("").rms_deg(1.0)
+    said = [one for one in ("polarimeter_moved", "polarimeter_refused") if found.advises(one).any()]
+    print(f"seed {SEED}, {kind}: {found.rms_deg(1.0).round(4)}, without {plain_deg.round(4)}, advice {said}")
+    assert wrong_minutes(found) == 0
+    assert (found.rms_deg(1.0) <= np.maximum(1.25 * plain_deg, plain_deg + np.array([0.02, 0.003, 0.005]))).all()
+    assert advice is None or advice in said
+
+
+@pytest.mark.slow
+def test_a_polarimeter_that_is_not_used_changes_no_bit() -> None:
+    world = shared_world("polarized", SEED, DAYS)
+    kept, spacecraft = world.ground, world.ground.spacecraft
+    unused = tuple(replace(each, used=False) for each in spacecraft.polarimeters)
+    try:
+        world.ground = replace(kept, spacecraft=replace(spacecraft, polarimeters=unused))
+        found = world.fly_ground(world.ground, until_h=3.0)
+        world.ground = replace(kept, spacecraft=replace(spacecraft, polarimeters=()))
+        silent = tuple(one for one in kept.events if not isinstance(one.content, PolarizationRecord))
+        plain = world.fly_ground(replace(world.ground, events=silent), until_h=3.0)
+    finally:
+        world.ground = kept
+    np.testing.assert_array_equal(found.estimate_deg, plain.estimate_deg)
+    np.testing.assert_array_equal(found.sigma_deg, plain.sigma_deg)

@@ -1,0 +1,86 @@
+"""Judgement of a polarimeter: what is taken, what counts less, a moved feed, rain and a refusal."""
+
+import numpy as np
+import pytest
+
+from service.core.estimation.filtering.model.filter_model import PolarimeterModel
+from service.core.estimation.filtering.model.filter_state import Gaussian
+from service.core.estimation.filtering.watches.polarimeter_watch import (
+    AngleBlock,
+    PolarimeterWatch,
+    polarimeter_advice,
+    push_block,
+)
+
+READ = PolarimeterModel((1.0, 0.0, 0.0))
+FIRST, SIZE, STEP_US = 11, 15, 300_000_000
+Judged = tuple[PolarimeterWatch, Gaussian]
+
+
+def settled() -> Judged:
+    """Return the watch and the state after the first angle, 1 deg at a yaw of 0."""
+    sigma = [0.1, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 3.0, 0.05, 0.05, 0.05]
+    return pushed((PolarimeterWatch(), Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
+
+
+def pushed(judged: Judged, angle_deg: float, power_dbm: float = -55.0, number: int | None = None) -> Judged:
+    """Return watch and state after a block, five minutes after the one before, in which yaw may have turned."""
+    watch, gaussian = judged
+    gaussian = Gaussian(gaussian.mean, gaussian.covariance + np.diag([0.05**2, *(0.0,) * (SIZE - 1)]))
+    epoch_us = max(watch.newest_us, 0) + STEP_US if number is None else number * STEP_US
+    block = AngleBlock(epoch_us, angle_deg, 0.001, power_dbm)
+    return push_block(watch, gaussian, FIRST, block, epoch_us, READ)
+
+
+def advice(judged: Judged) -> list[str]:
+    return [name for name, stands in polarimeter_advice((judged[0],), judged[0].newest_us).items() if stands]
+
+
+def test_a_change_of_the_angle_is_one_of_yaw_and_a_wild_one_of_nothing() -> None:
+    before = settled()
+    assert pushed(before, 1.1)[1].mean[0] > 0.02
+    wild = pushed(before, 3.0)
+    np.testing.assert_array_equal(wild[1].mean, before[1].mean)
+    assert wild[0].skipped == 1
+    # beyond two sigma the pull grows no more as the angle does
+    pull = [pushed(before, 1.0 + change)[1].mean[0] for change in (0.1, 0.2)]
+    assert pull[1] < 1.7 * pull[0]
+
+
+def test_three_blocks_beside_in_quiet_power_are_a_moved_feed() -> None:
+    judged = settled()
+    for _block in range(3):
+        judged = pushed(judged, 3.0)
+    assert advice(judged) == ["polarimeter_moved"]
+    assert judged[1].mean[0] == pytest.approx(0.0, abs=2e-3)
+    after = pushed(judged, 3.0)
+    assert after[1].mean[FIRST] == pytest.approx(3.0, abs=0.05)
+    assert after[1].mean[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_fade_widens_and_a_deep_one_leaves_the_block_out() -> None:
+    before = settled()
+    quiet, faded, deep = (pushed(before, 1.1, power_dbm)[1].mean[0] for power_dbm in (-55.0, -58.0, -62.0))
+    assert quiet > 3.0 * faded > 0.0
+    assert deep == pytest.approx(before[1].mean[0], abs=1e-12)
+    # a step under a fade is no moved feed
+    judged = before
+    for _block in range(6):
+        judged = pushed(judged, 6.0, -57.0)
+    assert advice(judged) == []
+
+
+def test_blocks_that_are_not_newer_tell_nothing() -> None:
+    before = settled()
+    watch, gaussian = pushed(before, 1.5, number=1)
+    assert watch is before[0]
+    np.testing.assert_array_equal(gaussian.mean, before[1].mean)
+
+
+def test_a_polarimeter_that_keeps_disagreeing_is_refused_and_yaw_known_less() -> None:
+    judged, rng = settled(), np.random.default_rng(1)
+    for _block in range(80):
+        judged = pushed(judged, 1.0 + float(rng.normal(0.0, 0.6)))
+    assert "polarimeter_refused" in advice(judged)
+    assert judged[1].covariance[0, 0] >= 0.2**2
+    assert pushed(judged, 1.0)[0] is judged[0]
