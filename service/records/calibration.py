@@ -116,8 +116,8 @@ class SensorSigns:
     is_common_proven: bool
 
 
-class MomentumVerdict(StrEnum):
-    """Verdict of the turns on the momentum of the wheels, or the rates of the body, in telemetry."""
+class MotionVerdict(StrEnum):
+    """Verdict of the turns on measured motion: momentum of the wheels, rates of the body, angles of a polarimeter."""
 
     CONSISTENT = "consistent"
     CONTRADICTED = "contradicted"
@@ -128,7 +128,7 @@ class MomentumVerdict(StrEnum):
 class MomentumCheck:
     """Check of the momentum of the wheels by the turns; order roll, pitch, yaw, NaN = not determined."""
 
-    verdict: MomentumVerdict
+    verdict: MotionVerdict
     #: what contradicts it, why it was not checked, or what stays open; empty = nothing
     reason: str
     #: response of each axis over that of true telemetry, and one standard deviation
@@ -140,12 +140,25 @@ class MomentumCheck:
 class RateCheck:
     """Check of the rates of the body in telemetry by the turns."""
 
-    verdict: MomentumVerdict
+    verdict: MotionVerdict
     #: what contradicts it, or why it was not checked; empty = nothing
     reason: str
     #: of roll, pitch, yaw: response to the own turn, 1 of a true sensor, and one standard deviation
     response: tuple[float, float, float] = (math.nan, math.nan, math.nan)
     response_sigma: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class PolarimeterCheck:
+    """Check of one polarimeter by the turns."""
+
+    source: str
+    verdict: MotionVerdict
+    #: what contradicts it, or why it was not checked; empty = nothing
+    reason: str
+    #: response to a turn about the line of sight, 1 of a true instrument, and one standard deviation
+    response: float = math.nan
+    response_sigma: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +178,8 @@ class CalibrationResult:
     momentum: MomentumCheck | None = None
     #: None where the catalogue has no rate sensor beside the loop
     rates: RateCheck | None = None
+    #: of each polarimeter that the catalogue uses
+    polarimeters: tuple[PolarimeterCheck, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,13 +206,19 @@ class Calibration:
     def is_momentum_contradicted(self) -> bool:
         """Return whether the turns contradict the momentum of the wheels in telemetry."""
         check = None if self.result is None else self.result.momentum
-        return check is not None and check.verdict is MomentumVerdict.CONTRADICTED
+        return check is not None and check.verdict is MotionVerdict.CONTRADICTED
 
     @property
     def is_rates_contradicted(self) -> bool:
         """Return whether the turns contradict the rates of the body in telemetry."""
         check = None if self.result is None else self.result.rates
-        return check is not None and check.verdict is MomentumVerdict.CONTRADICTED
+        return check is not None and check.verdict is MotionVerdict.CONTRADICTED
+
+    @property
+    def contradicted_polarimeters(self) -> frozenset[str]:
+        """Return the polarimeters that the turns contradict."""
+        checks = () if self.result is None else self.result.polarimeters
+        return frozenset(check.source for check in checks if check.verdict is MotionVerdict.CONTRADICTED)
 
 
 @dataclass(frozen=True, slots=True)

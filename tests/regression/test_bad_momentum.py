@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from driven_world import Flown, shared_world
 
-from service.records.calibration import MomentumVerdict
+from service.records.calibration import MotionVerdict
 from service.records.inputs import TelemetryRecord
 from service.study.estimation.flight.world import Ground, GroundEvent
 
@@ -177,8 +177,8 @@ def test_telemetry_that_the_turns_contradict_is_left_out_to_the_last_bit() -> No
     calibration = world.documents.calibrations[1]
     assert calibration.result is not None
     assert calibration.result.momentum is not None
-    assert calibration.result.momentum.verdict is MomentumVerdict.CONSISTENT
-    refused = replace(calibration.result.momentum, verdict=MomentumVerdict.CONTRADICTED)
+    assert calibration.result.momentum.verdict is MotionVerdict.CONSISTENT
+    refused = replace(calibration.result.momentum, verdict=MotionVerdict.CONTRADICTED)
     spacecraft = world.ground.spacecraft
     none = replace(spacecraft, onboard=replace(spacecraft.onboard, momentum=None))
     world.documents.calibrations[1] = replace(calibration, result=replace(calibration.result, momentum=refused))

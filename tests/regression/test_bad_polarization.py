@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 from driven_world import Flown, shared_world
 
+from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
+from service.records.calibration import MotionVerdict
 from service.records.inputs import PolarizationRecord
+from service.records.journal import SlowInput
+from service.study.estimation.flight.drive import calibrate
 from service.study.estimation.flight.world import GroundEvent
 
 SEED, DAYS = 2, 0.5
@@ -81,6 +85,13 @@ def wild(hour: float, angle_deg: float) -> tuple[float, float]:
     return angle_deg + float((rng.random() < 0.3) * rng.normal(0.0, 5.0)), 0.0
 
 
+def reversed_angle(content: SlowInput) -> SlowInput:
+    """Return a record whose ratio tells the angle of the other sign; other inputs stay."""
+    if not isinstance(content, PolarizationRecord) or content.ratio_db is None:
+        return content
+    return replace(content, ratio_db=ratio_db(10.0, -angle_deg(10.0, content.ratio_db)))
+
+
 #: kind, change, and the advice that must be given; None = nothing need be said
 BAD: dict[str, tuple[Change, str | None]] = {
     "feed moved": (turned(lambda hour, angle: (angle + 0.5 * (hour > 4.0), 0.0)), "polarimeter_moved"),
@@ -141,5 +152,31 @@ def test_a_polarimeter_that_is_not_used_changes_no_bit() -> None:
         plain = world.fly_ground(replace(world.ground, events=silent), until_h=3.0)
     finally:
         world.ground = kept
+    np.testing.assert_array_equal(found.estimate_deg, plain.estimate_deg)
+    np.testing.assert_array_equal(found.sigma_deg, plain.sigma_deg)
+
+
+@pytest.mark.slow
+def test_a_polarimeter_whose_sign_is_wrong_from_the_turns_on_is_refused_to_the_last_bit() -> None:
+    world = shared_world("polarized", SEED, DAYS)
+    kept, calibration = world.ground, world.documents.calibrations[1]
+    assert calibration.result is not None
+    assert [check.verdict for check in calibration.result.polarimeters] == [MotionVerdict.CONSISTENT]
+    wrong = tuple(GroundEvent(one.reported_us, reversed_angle(one.content)) for one in kept.events)
+    try:
+        world.ground = replace(kept, events=wrong)
+        plan, ephemeris = world.documents.plans[1], world.documents.ephemerides[1]
+        world.documents.calibrations[1] = calibrate(world.ground, plan, ephemeris)
+        result = world.documents.calibrations[1].result
+        assert result is not None
+        (check,) = result.polarimeters
+        print(f"seed {SEED}: {check}")
+        assert check.verdict is MotionVerdict.CONTRADICTED
+        found = world.fly_ground(world.ground, until_h=3.0)
+        world.ground = replace(kept, spacecraft=replace(kept.spacecraft, polarimeters=()))
+        plain = world.fly_ground(world.ground, until_h=3.0)
+    finally:
+        world.ground, world.documents.calibrations[1] = kept, calibration
+    assert found.advises("polarimeter_contradicted").all()
     np.testing.assert_array_equal(found.estimate_deg, plain.estimate_deg)
     np.testing.assert_array_equal(found.sigma_deg, plain.sigma_deg)

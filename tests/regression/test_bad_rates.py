@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from driven_world import Flown, shared_world
 
-from service.records.calibration import MomentumVerdict
+from service.records.calibration import MotionVerdict
 from service.records.catalogue import BodyRateSensor
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import Axes
@@ -187,8 +187,8 @@ def test_rates_that_are_refused_or_in_the_loop_change_no_bit() -> None:
     calibration, kept = world.documents.calibrations[1], world.ground
     assert calibration.result is not None
     assert calibration.result.rates is not None
-    assert calibration.result.rates.verdict is MomentumVerdict.CONSISTENT
-    refused = replace(calibration.result.rates, verdict=MomentumVerdict.CONTRADICTED)
+    assert calibration.result.rates.verdict is MotionVerdict.CONSISTENT
+    refused = replace(calibration.result.rates, verdict=MotionVerdict.CONTRADICTED)
 
     def stated(sensor: BodyRateSensor | None) -> Flown:
         world.ground = replace(

@@ -14,7 +14,9 @@ from service.records.calibration import (
     CalibrationResult,
     CarrierCalibration,
     Harmonic,
+    MotionVerdict,
     Observability,
+    PolarimeterCheck,
     Window,
 )
 from service.records.epoch import US_PER_S
@@ -166,7 +168,8 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     While `yaw_sign` is unproven, yaw is not controlled; `common_sign` is that of all axes of the sensors together.
     `momentum` of the wheels by the turns: consistent, contradicted (the filter does not use it), not_checked, or
     not_stated where the catalogue has no `onboard.momentum`; `momentum_response_roll` and others must be 1. `rates`
-    of the body likewise, not_stated without `onboard.rate_sensor` beside the loop; `rate_response_roll` and others."""
+    of the body likewise, not_stated without `onboard.rate_sensor` beside the loop; `rate_response_roll` and others.
+    `polarimeter` is the worst verdict on a polarimeter, `polarimeter_response` its figure."""
     observability: ObservabilityAnswer | None
     carriers: list[CarrierCalibrationAnswer]
     job: str | None
@@ -195,11 +198,21 @@ class CalibrationList(RowList):
     rows: list[CalibrationAnswer]
 
 
+def _worst(checks: tuple[PolarimeterCheck, ...]) -> str:
+    """Return the worst verdict on a polarimeter."""
+    verdicts = {check.verdict for check in checks}
+    for verdict in (MotionVerdict.CONTRADICTED, MotionVerdict.UNCHECKED, MotionVerdict.CONSISTENT):
+        if verdict in verdicts:
+            return verdict.value
+    return "not_stated"
+
+
 def _quality(result: CalibrationResult | None) -> dict[str, float | str | list[str]]:
     """Return the figures of the whole, the signs and the warnings."""
     if result is None:
         return {"warnings": []}
     words = {"yaw_sign": "not_judged", "common_sign": "not_judged", "momentum": "not_stated", "rates": "not_stated"}
+    words["polarimeter"] = _worst(result.polarimeters)
     if result.signs is not None:
         words["yaw_sign"] = "proven" if result.signs.is_yaw_proven else "unproven"
         words["common_sign"] = "proven" if result.signs.is_common_proven else "unproven"

@@ -16,6 +16,11 @@ from service.pipeline.calibration.geometry_rows import GeometryRows, geometry_ro
 from service.pipeline.calibration.geometry_warnings import calibration_warnings
 from service.pipeline.calibration.momentum_check import momentum_check, momentum_quality, momentum_warnings
 from service.pipeline.calibration.paper_calibration import observe, paper_part
+from service.pipeline.calibration.polarimeter_check import (
+    polarimeter_checks,
+    polarimeter_quality,
+    polarimeter_warnings,
+)
 from service.pipeline.calibration.rate_check import rate_check, rate_quality, rate_warnings
 from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
@@ -23,7 +28,13 @@ from service.pipeline.carrier_model.calibrated_arrays import geometry_model
 from service.pipeline.carrier_model.expected_level import daily_error_db
 from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
-from service.records.calibration import CalibrationResult, CarrierCalibration
+from service.records.calibration import (
+    CalibrationResult,
+    CarrierCalibration,
+    MomentumCheck,
+    PolarimeterCheck,
+    RateCheck,
+)
 from service.records.catalogue import Carrier
 from service.records.geometry import GeometryFit, Row, Table
 from service.records.levels.attitude import BoolArray, FloatArray, named_axes
@@ -62,26 +73,35 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     quality = quality_metrics(rows, joint, is_used)
     is_free = is_user_carrier & (joint.group < 0)
     report = report_signs(data, config, rows.positions, joint.fit.free, is_free, quality["yaw_turn_reach_deg"])
-    momentum, rates = momentum_check(data, config), rate_check(data, config)
+    momentum, rates, angles = momentum_check(data, config), rate_check(data, config), polarimeter_checks(data, config)
     sigma_db = np.hypot(white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
     record = geometry_record(data, rows, joint, is_used)
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
         observe(slope[is_user_carrier], sigma_db[is_user_carrier]),
-        {**paper.quality, **quality, **report.quality, **momentum_quality(momentum), **rate_quality(rates)},
+        {**paper.quality, **quality, **report.quality, **_motion_quality(momentum, rates, angles)},
         (
             *calibration_warnings(data, rows, joint, is_used, config),
             *report.warnings,
             *momentum_warnings(momentum),
             *rate_warnings(data, rates),
+            *polarimeter_warnings(angles),
             *_of_paper(paper.warnings),
         ),
         replace(record, daily_error_db=_row(error_db)),
         report.signs,
         momentum,
         rates,
+        angles,
     )
+
+
+def _motion_quality(
+    momentum: MomentumCheck | None, rates: RateCheck | None, angles: tuple[PolarimeterCheck, ...]
+) -> dict[str, float]:
+    """Return the figures of the checks of measured motion, by name."""
+    return {**momentum_quality(momentum), **rate_quality(rates), **polarimeter_quality(angles)}
 
 
 def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> GeometryFit:

@@ -14,7 +14,7 @@ from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
 from service.pipeline.inputs.sensor_angles import angles_at
-from service.records.calibration import MomentumCheck, MomentumVerdict
+from service.records.calibration import MomentumCheck, MotionVerdict
 from service.records.catalogue import Spacecraft, WheelMomentum
 from service.records.epoch import US_PER_S
 from service.records.inputs import TelemetryRecord
@@ -63,9 +63,9 @@ def momentum_warnings(check: MomentumCheck | None) -> tuple[str, ...]:
     """Return the warnings of a check."""
     if check is None or not check.reason:
         return ()
-    if check.verdict is MomentumVerdict.CONTRADICTED:
+    if check.verdict is MotionVerdict.CONTRADICTED:
         return (f"the momentum of the wheels in telemetry is refused: {check.reason}; {_NEXT}",)
-    if check.verdict is MomentumVerdict.UNCHECKED:
+    if check.verdict is MotionVerdict.UNCHECKED:
         return (f"the momentum of the wheels in telemetry was not checked: {check.reason}",)
     return (f"the momentum of the wheels in telemetry was checked in part: {check.reason}",)
 
@@ -117,19 +117,19 @@ def _judged(response: MomentumResponse, stated: WheelMomentum, config: Calibrati
     pitch = float(response.mean_n_m_s[1])
     bias, limit = stated.pitch_bias_n_m_s, config.momentum_bias_share
     if sigmas > _SIGMAS:
-        return _check(response, MomentumVerdict.CONTRADICTED, _contradiction(response, sigmas))
+        return _check(response, MotionVerdict.CONTRADICTED, _contradiction(response, sigmas))
     if bias is not None and abs(bias) >= _LEAST_N_M_S and abs(pitch - bias) > limit * abs(bias):
         reason = f"{pitch:.3g} N m s along pitch on average, onboard.momentum.pitch_bias_n_m_s states {bias:g}"
-        return _check(response, MomentumVerdict.CONTRADICTED, reason)
+        return _check(response, MotionVerdict.CONTRADICTED, reason)
     if not response.is_determined:
-        return _check(response, MomentumVerdict.UNCHECKED, _why_undetermined(response))
+        return _check(response, MotionVerdict.UNCHECKED, _why_undetermined(response))
     if bias is None:
         reason = (
             "a unit or a sign that all axes share stays unproven; state onboard.momentum.pitch_bias_n_m_s, the "
             f"momentum along pitch that unloadings restore (reported {pitch:.3g} N m s)"
         )
-        return _check(response, MomentumVerdict.CONSISTENT, reason)
-    return _check(response, MomentumVerdict.CONSISTENT, "")
+        return _check(response, MotionVerdict.CONSISTENT, reason)
+    return _check(response, MotionVerdict.CONSISTENT, "")
 
 
 def _why_undetermined(response: MomentumResponse) -> str:
@@ -157,11 +157,11 @@ def _contradiction(response: MomentumResponse, sigmas: float) -> str:
     return f"its response to the turns is off by {sigmas:.1f} sigma ({figures}; each must be +1)"
 
 
-def _check(response: MomentumResponse, verdict: MomentumVerdict, reason: str) -> MomentumCheck:
+def _check(response: MomentumResponse, verdict: MotionVerdict, reason: str) -> MomentumCheck:
     roll, pitch, yaw = response.coefficient.tolist()
     roll_sigma, pitch_sigma, yaw_sigma = response.sigma.tolist()
     return MomentumCheck(verdict, reason, (roll, pitch, yaw), (roll_sigma, pitch_sigma, yaw_sigma))
 
 
 def _unchecked(reason: str) -> MomentumCheck:
-    return MomentumCheck(MomentumVerdict.UNCHECKED, reason)
+    return MomentumCheck(MotionVerdict.UNCHECKED, reason)

@@ -13,7 +13,7 @@ from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.catalogue_torque import is_rate_in_loop, rate_sensor_model
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.pipeline.inputs.telemetry_rates import inertial_deg_h
-from service.records.calibration import MomentumVerdict, RateCheck
+from service.records.calibration import MotionVerdict, RateCheck
 
 #: sigmas from which telemetry is contradicted
 _SIGMAS = 3.5
@@ -41,7 +41,7 @@ def rate_check(data: CalibrationInput, config: CalibrationConfig) -> RateCheck |
     records = {one.epoch_us: one.body_rate_deg_s for one in within if one.body_rate_deg_s is not None}
     if len(records) < _LEAST_RECORDS:
         return RateCheck(
-            MomentumVerdict.UNCHECKED, f"{len(records)} records of rates within the turns, {_LEAST_RECORDS} are needed"
+            MotionVerdict.UNCHECKED, f"{len(records)} records of rates within the turns, {_LEAST_RECORDS} are needed"
         )
     epochs_us = np.array(sorted(records), dtype=np.int64)
     response = rate_response(
@@ -70,7 +70,7 @@ def rate_warnings(data: CalibrationInput, check: RateCheck | None) -> tuple[str,
         return (IN_LOOP,)
     if check is None or not check.reason:
         return ()
-    if check.verdict is MomentumVerdict.CONTRADICTED:
+    if check.verdict is MotionVerdict.CONTRADICTED:
         return (f"the rates of the body in telemetry are refused: {check.reason}; {_NEXT}",)
     return (f"the rates of the body in telemetry were not checked: {check.reason}",)
 
@@ -81,11 +81,11 @@ def _judged(response: RateResponse, bias_deg_h: float) -> RateCheck:
     values, sigma = (part.diagonal()[list(_NAMED)].tolist() for part in (response.coefficient, response.sigma))
     figures = (values[0], values[1], values[2]), (sigma[0], sigma[1], sigma[2])
     if sigmas > _SIGMAS:
-        return RateCheck(MomentumVerdict.CONTRADICTED, _contradiction(response, sigmas), *figures)
+        return RateCheck(MotionVerdict.CONTRADICTED, _contradiction(response, sigmas), *figures)
     if not response.is_determined:
         reason = "rates that stand still, or too few turns: the response of an axis is known worse than to 0.2"
-        return RateCheck(MomentumVerdict.UNCHECKED, reason, *figures)
-    return RateCheck(MomentumVerdict.CONSISTENT, "", *figures)
+        return RateCheck(MotionVerdict.UNCHECKED, reason, *figures)
+    return RateCheck(MotionVerdict.CONSISTENT, "", *figures)
 
 
 def _contradiction(response: RateResponse, sigmas: float) -> str:

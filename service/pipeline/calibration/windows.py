@@ -12,7 +12,7 @@ from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import CalibrationRequest
 from service.records.catalogue import CarrierPlan, Ephemeris, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.inputs import Correction, Operation, TelemetryRecord
+from service.records.inputs import Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import FloatArray, IntArray
 from service.records.levels.series import MeasurementSeries, ReferenceSeries
 
@@ -48,6 +48,7 @@ class CalibrationInput:
     quiet_first_dbm: FloatArray | None = None
     #: records of the turns
     telemetry: tuple[TelemetryRecord, ...] = ()
+    polarization: tuple[PolarizationRecord, ...] = ()
 
     @property
     def sensors(self) -> tuple[str, str, str]:

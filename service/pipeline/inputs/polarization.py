@@ -13,9 +13,11 @@ from service.core.estimation.filtering.model.filter_model import PolarimeterMode
 from service.core.estimation.filtering.model.polarimeter import angle_deg, faraday_deg, slope_db_deg
 from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock
 from service.core.geometry.frames import station_direction
-from service.records.catalogue import Polarimeter, Spacecraft
+from service.core.geometry.line_of_sight import PredictedTrack, frame_turn_deg
+from service.records.catalogue import Ephemeris, Polarimeter, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import PolarizationRecord
+from service.records.levels.attitude import FloatArray, IntArray
 
 #: so long records are kept
 KEPT_US = 1800 * US_PER_S
@@ -36,13 +38,18 @@ def with_polarization_record(records: PolarizationRecords, record: PolarizationR
     return {**records, record.source: kept}
 
 
-def used_polarimeters(spacecraft: Spacecraft | None) -> tuple[Polarimeter, ...]:
-    """Return the polarimeters that the filter uses, in the order of the catalogue."""
-    return () if spacecraft is None else tuple(each for each in spacecraft.polarimeters if each.used)
+def used_polarimeters(
+    spacecraft: Spacecraft | None, contradicted: frozenset[str] = frozenset()
+) -> tuple[Polarimeter, ...]:
+    """Return the polarimeters that the filter uses, in the order of the catalogue; not those that turns contradict."""
+    stated = () if spacecraft is None else spacecraft.polarimeters
+    return tuple(each for each in stated if each.used and each.source not in contradicted)
 
 
-def polarimeter_models(spacecraft: Spacecraft | None) -> tuple[PolarimeterModel, ...]:
-    """Return how the polarimeters are read; empty where the catalogue uses none."""
+def polarimeter_models(
+    spacecraft: Spacecraft | None, polarimeters: tuple[Polarimeter, ...]
+) -> tuple[PolarimeterModel, ...]:
+    """Return how polarimeters are read."""
     return tuple(
         PolarimeterModel(
             line_of_sight(spacecraft, each),
@@ -52,7 +59,7 @@ def polarimeter_models(spacecraft: Spacecraft | None) -> tuple[PolarimeterModel,
             each.wander_h,
             each.offset_walk_deg_sqrt_h,
         )
-        for each in used_polarimeters(spacecraft)
+        for each in polarimeters
         if spacecraft is not None
     )
 
@@ -66,6 +73,19 @@ def line_of_sight(spacecraft: Spacecraft, polarimeter: Polarimeter) -> tuple[flo
     return 1.0 / length, x / length, y / length
 
 
+def orbit_turn_deg(
+    ephemeris: Ephemeris | None, spacecraft: Spacecraft, sight: tuple[float, float, float], epochs_us: IntArray
+) -> FloatArray:
+    """Return what the orbit turns a body about a line of sight (T,), deg; 0 without a track, NaN beyond it."""
+    if ephemeris is None or ephemeris.track is None:
+        return np.zeros(len(epochs_us))
+    reported = ephemeris.track
+    track = PredictedTrack(
+        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
+    )
+    return np.asarray(frame_turn_deg(track, epochs_us, spacecraft.longitude_deg) @ np.array(sight))
+
+
 def due_block(
     records: tuple[PolarizationRecord, ...], polarimeter: Polarimeter, after_us: int, epoch_us: int
 ) -> AngleBlock | None:
@@ -74,7 +94,7 @@ def due_block(
     fresh = [each for each in records if since_us < each.epoch_us <= epoch_us]
     if not fresh or fresh[-1].epoch_us - after_us < _BLOCK_US or _stands_still(fresh):
         return None
-    angles_deg = np.array([_angle_deg(each, polarimeter) for each in fresh])
+    angles_deg = np.array([measured_angle_deg(each, polarimeter) for each in fresh])
     variances = np.array([_variance_deg2(each, polarimeter) for each in fresh])
     powers = [each.co_power_dbm for each in fresh if each.co_power_dbm is not None]
     return AngleBlock(
@@ -94,7 +114,7 @@ def _stands_still(records: list[PolarizationRecord]) -> bool:
     )
 
 
-def _angle_deg(record: PolarizationRecord, polarimeter: Polarimeter) -> float:
+def measured_angle_deg(record: PolarizationRecord, polarimeter: Polarimeter) -> float:
     """Return the angle of a record without the Faraday rotation that is known."""
     rotated = faraday_deg(record.tec_tecu or 0.0, polarimeter.field_t, polarimeter.frequency_hz)
     if record.ratio_db is None:

@@ -17,7 +17,7 @@ from service.records.calibration import (
     CalibrationResult,
     CalibrationState,
 )
-from service.records.inputs import Correction, Operation, TelemetryRecord
+from service.records.inputs import Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.operations.job import Job
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
 
@@ -160,6 +160,7 @@ class Calibrator:
             quiet.usual_measurements,
             quiet.first_dbm,
             self._telemetry(spacecraft_id, request),
+            self._polarization(spacecraft_id, request),
         )
 
     def _corrections(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Correction, ...]:
@@ -171,6 +172,11 @@ class Calibrator:
         """Return the records of the turns, the first of them where they are more than a calibration reads."""
         entries = self._storage.archive.inputs(spacecraft_id, "telemetry", request.turns, _MAX_RECORDS, None)
         return tuple(entry.content for entry in entries if isinstance(entry.content, TelemetryRecord))
+
+    def _polarization(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[PolarizationRecord, ...]:
+        """Return the records of the turns, the first of them where they are more than a calibration reads."""
+        entries = self._storage.archive.inputs(spacecraft_id, "polarization", request.turns, _MAX_RECORDS, None)
+        return tuple(entry.content for entry in entries if isinstance(entry.content, PolarizationRecord))
 
     def _operations(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Operation, ...]:
         """Return the declared operations that overlap a window, each once, by number."""

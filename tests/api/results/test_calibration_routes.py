@@ -62,6 +62,7 @@ async def test_figures_of_a_calibration_are_told_by_name(bench, make):
             "yaw_sign": "not_judged",
             "common_sign": "not_judged",
             "momentum": "not_stated",
+            "polarimeter": "not_stated",
             "rates": "not_stated",
             "warnings": ["few turns"],
         },

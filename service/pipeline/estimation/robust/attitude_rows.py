@@ -37,6 +37,8 @@ ADVICE: dict[str, str] = {
     "send records within 15 min, with a value that changes for each wheel of the catalogue",
     "polarimeter_refused": "a polarimeter contradicts the powers and is not used until the next alignment; check the "
     "sign of its angle, its feed offset, its station and its sigma figures in polarimeters",
+    "polarimeter_contradicted": "the calibration turns contradict a polarimeter, and the filter does not use it; read "
+    "the warnings of the calibration, correct the sign of feed_offset_deg, the feed or the ratio, and calibrate again",
     "polarimeter_moved": "the angle of a polarimeter jumped while its co-polar power was quiet: its feed was moved or "
     "its receiver changed; its offset is learned again",
 }

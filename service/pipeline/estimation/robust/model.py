@@ -27,9 +27,9 @@ from service.pipeline.inputs.catalogue_torque import (
 from service.pipeline.inputs.declared_operations import CarrierIndices
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
-from service.pipeline.inputs.polarization import polarimeter_models
+from service.pipeline.inputs.polarization import polarimeter_models, used_polarimeters
 from service.records.calibration import Alignment, Calibration, CalibrationResult
-from service.records.catalogue import Ephemeris, Method, Spacecraft
+from service.records.catalogue import Ephemeris, Method, Polarimeter, Spacecraft
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 
@@ -78,11 +78,12 @@ class RobustModel:
     is_yaw_controllable: bool
     #: whether the catalogue does not state the size of the torque that is not fed forward
     is_torque_unknown: bool
-    #: whether the turns contradict the momentum of the wheels, which the filter would use otherwise
-    is_momentum_contradicted: bool
+    #: advice about measured motion that the filter would use if the turns did not contradict it
+    contradicted: frozenset[str]
+    #: that the filter uses, as its settings have them
+    polarimeters: tuple[Polarimeter, ...]
     #: rate sensor whose records move the angles; None = there is none, or it tells nothing new
     rate_sensor: RateSensorModel | None
-    is_rates_contradicted: bool
     is_rate_in_loop: bool
     calibration_id: int
     alignment_id: int
@@ -148,9 +149,9 @@ def robust_model(
         inertia_kg_m2=None if spacecraft is None else angle_inertia_kg_m2(spacecraft),
         wheel_axes=None if spacecraft is None else np.array(spacecraft.wheels.axes),
         is_torque_unknown=is_torque_unknown(spacecraft),
-        is_momentum_contradicted=calibration.is_momentum_contradicted and momentum_model(spacecraft) is not None,
+        contradicted=_contradicted(spacecraft, calibration),
+        polarimeters=used_polarimeters(spacecraft, calibration.contradicted_polarimeters),
         rate_sensor=rate_sensor_model(spacecraft, is_contradicted=calibration.is_rates_contradicted),
-        is_rates_contradicted=calibration.is_rates_contradicted and rate_sensor_model(spacecraft) is not None,
         is_rate_in_loop=is_rate_in_loop(spacecraft),
         calibration_id=calibration.id,
         alignment_id=alignment.id,
@@ -239,6 +240,18 @@ def _window_levels(arrays: GeometryModel, level: ExpectedLevel, alignment: Align
     return level.mean_dbm(instants) + predict_deviation(attitude, arrays.response)
 
 
+def _contradicted(spacecraft: Spacecraft | None, calibration: Calibration) -> frozenset[str]:
+    """Return the advice about what the catalogue would have used, and the turns contradict."""
+    left_out = {
+        "momentum_contradicted": calibration.is_momentum_contradicted and momentum_model(spacecraft) is not None,
+        "rates_contradicted": calibration.is_rates_contradicted and rate_sensor_model(spacecraft) is not None,
+        "polarimeter_contradicted": any(
+            each.source in calibration.contradicted_polarimeters for each in used_polarimeters(spacecraft)
+        ),
+    }
+    return frozenset(name for name, is_left_out in left_out.items() if is_left_out)
+
+
 def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig, calibration: Calibration) -> FilterSettings:
     """Return the settings of the filter for the spacecraft.
 
@@ -261,7 +274,9 @@ def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig, calibr
         torque_constant_share=constant_share(spacecraft),
         fed_forward=fed_forward(spacecraft),
         momentum=momentum_model(spacecraft, is_contradicted=calibration.is_momentum_contradicted),
-        polarimeters=polarimeter_models(spacecraft),
+        polarimeters=polarimeter_models(
+            spacecraft, used_polarimeters(spacecraft, calibration.contradicted_polarimeters)
+        ),
     )
 
 

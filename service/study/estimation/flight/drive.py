@@ -27,6 +27,7 @@ from service.records.catalogue import CarrierPlan, Ephemeris, Method
 from service.records.inputs import (
     AlignmentSet,
     CalibrationActivation,
+    PolarizationRecord,
     SpacecraftChange,
     TelemetryRecord,
 )
@@ -144,6 +145,7 @@ def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibr
         row_measurements=still.usual_measurements,
         quiet_first_dbm=still.first_dbm,
         telemetry=tuple(e.content for e in ground.events if isinstance(e.content, TelemetryRecord)),
+        polarization=tuple(e.content for e in ground.events if isinstance(e.content, PolarizationRecord)),
     )
     try:
         result = calibrate_geometry(data, CalibrationConfig())

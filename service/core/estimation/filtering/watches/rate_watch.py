@@ -82,15 +82,6 @@ def fresh_rates() -> RateWatch:
     return RateWatch(False, _NEVER_US, nothing, _NEVER_US, nothing, nothing, _NEVER_US, 0.0, 0.0, 0.0, False)
 
 
-def rate_advice(watch: RateWatch, *, is_contradicted: bool, is_in_loop: bool) -> dict[str, bool]:
-    """Return which advice about the rates of the body is given."""
-    return {
-        "rates_contradicted": is_contradicted,
-        "rates_refused": watch.is_refused,
-        "rates_in_loop": is_in_loop,
-    }
-
-
 def commanded_rate(watch: RateWatch, state: MovingState) -> FloatArray:
     """Return the rate (3,) that commands have left, deg/h."""
     return watch.commanded_deg_h if watch.is_measured else state.gaussian.mean[RATE].copy()

@@ -12,7 +12,7 @@ from analyzer_sim.world.scenario.story import WheelTelemetry
 from service.pipeline.calibration.momentum_check import momentum_check, momentum_quality, momentum_warnings
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.records.calibration import CalibrationMethod, CalibrationRequest, MomentumVerdict, Window
+from service.records.calibration import CalibrationMethod, CalibrationRequest, MotionVerdict, Window
 from service.records.catalogue import WheelMomentum
 from service.records.inputs import TelemetryRecord
 from service.records.levels.series import ReferenceSeries
@@ -61,7 +61,7 @@ def test_nothing_is_checked_where_the_catalogue_states_nothing() -> None:
 def test_true_telemetry_passes_in_silence_with_its_figures() -> None:
     check = momentum_check(data(), CONFIG)
     assert check is not None
-    assert check.verdict is MomentumVerdict.CONSISTENT
+    assert check.verdict is MotionVerdict.CONSISTENT
     assert momentum_warnings(check) == ()
     figures = momentum_quality(check)
     assert abs(figures["momentum_response_roll"] - 1.0) < 4.0 * figures["momentum_response_roll_sigma"]
@@ -74,7 +74,7 @@ def test_wrong_telemetry_is_refused_with_the_next_step(name: str, seed: int) -> 
     matrix = WRONG[name] if name in WRONG else ALIKE[name] * np.eye(3)
     check = momentum_check(data(seed, matrix=matrix), CONFIG)
     assert check is not None
-    assert check.verdict is MomentumVerdict.CONTRADICTED
+    assert check.verdict is MotionVerdict.CONTRADICTED
     (text,) = momentum_warnings(check)
     assert "the filter does not use it under this calibration; correct sign, order of axes, unit" in text
 
@@ -82,7 +82,7 @@ def test_wrong_telemetry_is_refused_with_the_next_step(name: str, seed: int) -> 
 def test_what_all_axes_share_stays_open_without_a_stated_bias() -> None:
     check = momentum_check(data(matrix=0.7376 * np.eye(3), stated=WheelMomentum()), CONFIG)
     assert check is not None
-    assert check.verdict is MomentumVerdict.CONSISTENT
+    assert check.verdict is MotionVerdict.CONSISTENT
     assert "state onboard.momentum.pitch_bias_n_m_s" in momentum_warnings(check)[0]
 
 
@@ -97,7 +97,7 @@ def test_what_all_axes_share_stays_open_without_a_stated_bias() -> None:
 def test_what_was_not_checked_is_said_with_its_reason(changes: dict[str, Any], reason: str) -> None:
     check = momentum_check(data(**changes), CONFIG)
     assert check is not None
-    assert check.verdict is MomentumVerdict.UNCHECKED
+    assert check.verdict is MotionVerdict.UNCHECKED
     (text,) = momentum_warnings(check)
     assert text.startswith("the momentum of the wheels in telemetry was not checked: ")
     assert reason in text

@@ -10,7 +10,7 @@ from turned_wheels import MINUTE_US, SCENARIO, turned_deg
 from service.pipeline.calibration.rate_check import IN_LOOP, rate_check, rate_quality, rate_warnings
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.records.calibration import CalibrationMethod, CalibrationRequest, MomentumVerdict, Window
+from service.records.calibration import CalibrationMethod, CalibrationRequest, MotionVerdict, Window
 from service.records.catalogue import BodyRateSensor
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import Axes
@@ -64,7 +64,7 @@ def test_true_rates_pass_in_silence_with_their_figures() -> None:
     given = data()
     check = rate_check(given, CONFIG)
     assert check is not None
-    assert check.verdict is MomentumVerdict.CONSISTENT
+    assert check.verdict is MotionVerdict.CONSISTENT
     assert rate_warnings(given, check) == ()
     figures = rate_quality(check)
     print(f"seed {SEED}", figures)
@@ -87,7 +87,7 @@ def test_wrong_rates_are_refused_with_figures_and_the_next_step(name: str, matri
     given = data(matrix=matrix)
     check = rate_check(given, CONFIG)
     assert check is not None, name
-    assert check.verdict is MomentumVerdict.CONTRADICTED
+    assert check.verdict is MotionVerdict.CONTRADICTED
     (text,) = rate_warnings(given, check)
     assert "sigma (turns about yaw by" in text
     assert "the filter does not use them under this calibration; correct sign, order of axes, unit" in text
@@ -98,7 +98,7 @@ def test_too_few_records_are_not_checked_and_say_why(records: int, reason: str) 
     given = data(records=records)
     check = rate_check(given, CONFIG)
     assert check is not None
-    assert check.verdict is MomentumVerdict.UNCHECKED
+    assert check.verdict is MotionVerdict.UNCHECKED
     (text,) = rate_warnings(given, check)
     assert text.startswith("the rates of the body in telemetry were not checked: ")
     assert reason in text

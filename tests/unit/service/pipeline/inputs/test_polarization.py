@@ -8,7 +8,13 @@ import pytest
 
 from service.core.estimation.filtering.model.polarimeter import faraday_deg, ratio_db
 from service.core.geometry.frames import body_from_nadir
-from service.pipeline.inputs.polarization import due_block, line_of_sight, polarimeter_models, with_polarization_record
+from service.pipeline.inputs.polarization import (
+    due_block,
+    line_of_sight,
+    polarimeter_models,
+    used_polarimeters,
+    with_polarization_record,
+)
 from service.records.catalogue import Polarimeter, Site, Spacecraft
 from service.records.inputs import PolarizationRecord
 
@@ -39,10 +45,11 @@ def test_the_line_of_sight_is_that_of_a_turned_body() -> None:
 
 
 def test_polarimeters_that_are_not_used_and_none_give_no_model() -> None:
-    assert polarimeter_models(None) == polarimeter_models(CRAFT) == ()
+    assert used_polarimeters(None) == used_polarimeters(CRAFT) == polarimeter_models(CRAFT, ()) == ()
     two = replace(CRAFT, polarimeters=(replace(STATED, used=False), replace(STATED, source="q", white_deg=0.2)))
-    (read,) = polarimeter_models(two)
+    (read,) = polarimeter_models(two, used_polarimeters(two))
     assert read.white_deg == 0.2
+    assert used_polarimeters(two, frozenset({"q"})) == ()
 
 
 def test_a_block_is_the_median_of_the_records_since_the_last_and_due_each_five_minutes() -> None:
