@@ -9,6 +9,7 @@ import pytest
 import service.runtime.jobs.calibration_job as calibrating
 from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
+from service.records.inputs import PolarizationRecord, TelemetryRecord
 from service.records.operations.job import JobState
 from service.runtime.jobs.job_runner import JobAbortedError
 
@@ -76,6 +77,25 @@ def test_a_draft_names_its_job_until_that_has_ended(ground, fails):
         calibration, job = run(ground, ground.payload.request)
     assert (calibration.id, named) == (2, [job.id])
     assert ground.calibrator.job_id(ground.id, 2) is None
+
+
+def test_measured_motion_of_the_turns_reaches_the_fit(ground):
+    turns = ground.payload.request.turns
+    inside, outside = turns.start_us + 60_000_000, turns.stop_us
+    ground.storage.archive.append_inputs(ground.id, [TelemetryRecord(at_us, "hold") for at_us in (inside, outside)])
+    told = [PolarizationRecord("p", at_us, angle_deg=0.3, sigma_deg=0.1) for at_us in (inside, outside)]
+    ground.storage.archive.append_inputs(ground.id, told)
+    seen = []
+    fit = calibrating.calibrate_paper
+
+    def fitted(data, config):
+        seen.append(data)
+        return fit(data, config)
+
+    with patch.object(calibrating, "calibrate_paper", side_effect=fitted):
+        run(ground, ground.payload.request)
+    ((telemetry,), (angle,)) = seen[0].telemetry, seen[0].polarization
+    assert (telemetry.epoch_us, angle) == (inside, told[0])
 
 
 def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
