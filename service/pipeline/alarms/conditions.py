@@ -114,6 +114,12 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
             "compare both with a third sensor; align again if the estimate is wrong",
             ConditionLimits(warning=0.15, distress=0.3, deadband=0.03, on_s=600.0, off_s=600.0, latching=True),
         ),
+        _condition(
+            ("measured_motion", Kind.LASTING, "s", "advice", Origin.ROW),
+            "wheels, rates or polarimeter are not used as stated: {thing} for {value}",
+            "see the text of this advice in GET .../status; correct the telemetry, the instrument or the catalogue",
+            ConditionLimits(warning=60.0, off_s=600.0),
+        ),
     )
 
 

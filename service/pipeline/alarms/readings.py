@@ -11,6 +11,7 @@ import numpy as np
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
 from service.pipeline.alarms.limit_sets import AlarmContext, context
 from service.pipeline.estimation.method import CarrierLevels
+from service.pipeline.estimation.robust.attitude_rows import MOTION_ADVICE
 from service.pipeline.estimation.row_evidence import RowEvidence
 from service.records.catalogue import CarrierPlan
 from service.records.epoch import US_PER_S
@@ -153,6 +154,9 @@ class RowReader:
         lost = math.nan if _SETTLING in driving.inhibitions else float(not is_told)
         if not is_settled("attitude_lost", lost):
             yield Readings("attitude_lost", (driving.method.value,), (lost,))
+        is_advised = tuple(float(code in driving.advice) for code in MOTION_ADVICE)
+        if not is_settled("measured_motion", max(is_advised)):
+            yield Readings("measured_motion", MOTION_ADVICE, is_advised)
         apart_deg = facts.disagreement_deg
         if not is_settled("methods_disagree", apart_deg):
             yield Readings("methods_disagree", ("robust, paper",), (apart_deg,))

@@ -42,6 +42,10 @@ ADVICE: dict[str, str] = {
     "polarimeter_moved": "the angle of a polarimeter jumped while its co-polar power was quiet: its feed was moved or "
     "its receiver changed; its offset is learned again",
 }
+#: advice that alarms: what measures motion is left out, or jumped
+MOTION_ADVICE = tuple(
+    code for code in ADVICE if code.startswith(("momentum_", "rates_", "polarimeter_")) and code != "rates_in_loop"
+)
 #: fewest rows of a flagged carrier from which its kind of fault is told
 _INFORMATIVE_ROWS = QUIET_ROWS // 2
 _MIN_GROUP = 3

@@ -58,9 +58,9 @@ def angle_response(epochs_h: FloatArray, measured_deg: FloatArray, expected_deg:
     if not known.any():
         return unknown
     block = np.floor((epochs_h[known] - epochs_h[known][0]) / _BLOCK_H).astype(np.int64)
-    _, place, count = np.unique(block, return_inverse=True, return_counts=True)
+    _, mean_of, count = np.unique(block, return_inverse=True, return_counts=True)
     mean_h, mean_measured, mean_expected = (
-        np.bincount(place, values[known]) / count for values in (epochs_h, measured_deg, expected_deg)
+        np.bincount(mean_of, values[known]) / count for values in (epochs_h, measured_deg, expected_deg)
     )
     span = max(float(np.ptp(mean_h)), _BLOCK_H)
     slow = np.vander((mean_h - mean_h.mean()) / span, _SLOW_DEGREE + 1)

@@ -29,6 +29,7 @@ IDS = PLAN.carrier_ids
 AT_ONCE = {name: {"on_s": 0.0, "off_s": 0.0} for name in CONDITIONS}
 AT_ONCE["carrier_absent"] = {"warning": 0.0, "off_s": 0.0}
 AT_ONCE["attitude_lost"] = {"warning": 0.0, "off_s": 0.0}
+AT_ONCE["measured_motion"] = {"warning": 0.0, "off_s": 0.0}
 
 
 class Rig:
@@ -186,3 +187,13 @@ def test_references_far_from_the_newest_row_or_without_angles_say_nothing():
     assert rig.reader.read_reference(reference(4, roll=1.0)) == []
     assert rig.reader.read_reference(reference(16, roll=1.0)) == []
     assert rig.reader.read_reference(reference(10, attitude_deg=NO_ANGLES)) == []
+
+
+def test_measured_motion_that_is_left_out_or_jumped_alarms_by_its_advice_and_other_advice_does_not():
+    rig = Rig()
+    advised = ("realign", "rates_in_loop", "momentum_jump", "polarimeter_moved")
+    assert rig.alarms(0, rows=(attitude(0),)) == set()
+    raised = rig.alarms(1, rows=(attitude(1, advice=advised),)) | rig.alarms(2, rows=(attitude(2, advice=advised),))
+    assert raised == {("measured_motion", "momentum_jump"), ("measured_motion", "polarimeter_moved")}
+    cleared = rig.alarms(3, rows=(attitude(3),)) | rig.alarms(4, rows=(attitude(4),))
+    assert cleared == raised
