@@ -92,6 +92,17 @@ def test_a_killed_service_is_told_and_its_rows_come_after_the_start_once_each(ne
     expect(page.get_by_role("region", name="Roll", exact=True).locator(".value")).to_have_text(roll_of(ground))
 
 
+def test_rows_of_a_cut_before_the_first_event_are_shown_when_the_stream_begins(new_context, ground):
+    page = new_context().new_page()
+    page.route("**/stream", lambda route: route.abort())
+    page.goto("/console/#/now")
+    expect(page.get_by_text("cut since")).to_be_visible()
+    expect(page.locator("time.row")).not_to_have_text("")
+    ground.rows(1)
+    page.unroute("**/stream")
+    expect(page.locator("time.row")).to_have_text(format_epoch(ground.now_us)[11:19])
+
+
 def test_an_answer_that_comes_late_does_not_hide_a_newer_row(new_context, ground, open_view):
     page = new_context().new_page()
     held = []

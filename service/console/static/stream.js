@@ -80,7 +80,7 @@ export function follow(store, spacecraft) {
     }
   };
 
-  async function read() {
+  async function read(isAgain) {
     const timer = new AbortController();
     let timeout = setTimeout(() => timer.abort(), SILENCE_MS);
     const signal = AbortSignal.any([ending.signal, timer.signal]);
@@ -89,6 +89,7 @@ export function follow(store, spacecraft) {
       const answer = await open(address(`/spacecraft/${spacecraft}/stream`), { headers, signal });
       if (!answer.ok) throw await problemOf(answer);
       setLink("live");
+      if (isAgain && !lastId) refresh(); // a stream without a last id tells nothing of the rows of the cut
       for await (const event of eventsOf(answer.body)) {
         clearTimeout(timeout);
         timeout = setTimeout(() => timer.abort(), SILENCE_MS);
@@ -112,7 +113,7 @@ export function follow(store, spacecraft) {
     for (let failures = 0; !isOver(); failures += 1) {
       const began = performance.now();
       try {
-        await read();
+        await read(failures > 0);
       } catch (error) {
         if (isOver()) return;
         if (performance.now() - began > SILENCE_MS) failures = 0;
