@@ -36,7 +36,7 @@ class Refused(TypedDict):
     code: str
     #: Sentence for people: what is wrong, and with which thing; it may change.
     detail: str
-    #: What to do next; the same for every row of this code.
+    #: Action that the code asks of the sender.
     next_step: str
     #: Number that the source gave the row; null where it numbers none.
     seq: int | None

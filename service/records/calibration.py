@@ -125,25 +125,13 @@ class MotionVerdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class MomentumCheck:
-    """Check of the momentum of the wheels by the turns; order roll, pitch, yaw, NaN = not determined."""
+class AxesCheck:
+    """Check of a sensor of three axes by the turns; order roll, pitch, yaw, NaN = not determined."""
 
     verdict: MotionVerdict
     #: what contradicts it, why it was not checked, or what stays open; empty = nothing
     reason: str
-    #: response of each axis over that of true telemetry, and one standard deviation
-    response: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-    response_sigma: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-
-
-@dataclass(frozen=True, slots=True)
-class RateCheck:
-    """Check of the rates of the body in telemetry by the turns."""
-
-    verdict: MotionVerdict
-    #: what contradicts it, or why it was not checked; empty = nothing
-    reason: str
-    #: of roll, pitch, yaw: response to the own turn, 1 of a true sensor, and one standard deviation
+    #: response of each axis over that of a true sensor, and one standard deviation
     response: tuple[float, float, float] = (math.nan, math.nan, math.nan)
     response_sigma: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
@@ -175,9 +163,9 @@ class CalibrationResult:
     #: None of a calibration made before signs were judged
     signs: SensorSigns | None = None
     #: None where the catalogue stated nothing of the momentum
-    momentum: MomentumCheck | None = None
+    momentum: AxesCheck | None = None
     #: None where the catalogue has no rate sensor beside the loop
-    rates: RateCheck | None = None
+    rates: AxesCheck | None = None
     #: of each polarimeter that the catalogue uses
     polarimeters: tuple[PolarimeterCheck, ...] = ()
 

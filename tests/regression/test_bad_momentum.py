@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from driven_world import Flown, shared_world
+from driven_world import Flown, shared_world, tolerated_deg
 
 from service.records.calibration import MotionVerdict
 from service.records.inputs import TelemetryRecord
@@ -139,23 +139,13 @@ def without() -> Flown:
     return flown(lambda records: [])
 
 
-def tolerated_deg(plain_deg: np.ndarray) -> np.ndarray:
-    """Return the rms that bad telemetry may lead to, by that without any: a quarter more, or what seeds scatter by."""
-    return np.maximum(1.25 * plain_deg, plain_deg + np.array([0.02, 0.003, 0.005]))
-
-
-def wrong_minutes(found: Flown) -> int:
-    """Return the minutes with control allowed while roll or pitch is off by more than 0.15 deg."""
-    return int(np.count_nonzero((np.abs(found.error_deg[:, 1:]) > 0.15).any(axis=1) & found.is_allowed))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ADVISED)
 def test_bad_telemetry_is_reported_and_costs_little(kind: str) -> None:
     change, advice = ADVISED[kind]
     found, plain_deg = flown(change), without().rms_deg(1.0)
     print(f"seed {SEED}, {kind}: {found.rms_deg(1.0).round(4)}, without momentum {plain_deg.round(4)}")
-    assert wrong_minutes(found) == 0
+    assert found.wrong_minutes == 0
     assert (found.rms_deg(1.0) <= tolerated_deg(plain_deg)).all()
     assert found.advises(advice).any()
     assert not found.advises("momentum_contradicted").any()
@@ -167,7 +157,7 @@ def test_disorder_repetition_and_unreported_unloadings_lead_to_no_wrong_torque()
     for change in (disordered, repeated, unmarked):
         found = flown(change)
         print(f"seed {SEED}, {change.__name__}: {found.rms_deg(1.0).round(4)}, without {plain_deg.round(4)}")
-        assert wrong_minutes(found) == 0
+        assert found.wrong_minutes == 0
         assert (found.rms_deg(1.0) <= tolerated_deg(plain_deg)).all()
 
 

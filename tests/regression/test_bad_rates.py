@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from driven_world import Flown, shared_world
+from driven_world import Flown, shared_world, tolerated_deg
 
 from service.records.calibration import MotionVerdict
 from service.records.catalogue import BodyRateSensor
@@ -137,23 +137,13 @@ def without() -> Flown:
     return flown(lambda records: [])
 
 
-def tolerated_deg(plain_deg: np.ndarray) -> np.ndarray:
-    """Return the rms that bad rates may lead to, by that without any: a quarter more, or what seeds scatter by."""
-    return np.maximum(1.25 * plain_deg, plain_deg + np.array([0.02, 0.003, 0.005]))
-
-
-def wrong_minutes(found: Flown) -> int:
-    """Return the minutes with control allowed while roll or pitch is off by more than 0.15 deg."""
-    return int(np.count_nonzero((np.abs(found.error_deg[:, 1:]) > 0.15).any(axis=1) & found.is_allowed))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", REFUSED)
 def test_bad_rates_are_reported_and_cost_little(kind: str) -> None:
     change, advice = REFUSED[kind]
     found, plain_deg = flown(change), without().rms_deg(1.0)
     print(f"seed {SEED}, {kind}: {found.rms_deg(1.0).round(4)}, without rates {plain_deg.round(4)}")
-    assert wrong_minutes(found) == 0
+    assert found.wrong_minutes == 0
     assert (found.rms_deg(1.0) <= tolerated_deg(plain_deg)).all()
     if advice is not None:
         assert found.advises(advice).any()
@@ -165,7 +155,7 @@ def test_bad_rates_are_reported_and_cost_little(kind: str) -> None:
 def test_wrong_signs_after_the_turns_lead_to_no_wrong_torque(kind: str) -> None:
     found, plain_deg = flown(FOUND_LATE[kind]), without().rms_deg(1.0)
     print(f"seed {SEED}, {kind}: {found.rms_deg(1.0).round(4)}, without rates {plain_deg.round(4)}")
-    assert wrong_minutes(found) == 0
+    assert found.wrong_minutes == 0
     assert (found.rms_deg(1.0) <= 1.8 * plain_deg).all()
     # known limit: until the powers find it, sigma is too small
     mean_square = np.mean((found.error_deg / found.sigma_deg)[found.between(1.0)] ** 2, axis=0)
@@ -177,7 +167,7 @@ def test_wrong_signs_after_the_turns_lead_to_no_wrong_torque(kind: str) -> None:
 def test_irregular_records_cost_nothing(kind: str) -> None:
     found, plain_deg = flown(TOLERATED[kind]), without().rms_deg(1.0)
     print(f"seed {SEED}, {kind}: {found.rms_deg(1.0).round(4)}, without rates {plain_deg.round(4)}")
-    assert wrong_minutes(found) == 0
+    assert found.wrong_minutes == 0
     assert (found.rms_deg(1.0) <= tolerated_deg(plain_deg)).all()
 
 
@@ -214,7 +204,7 @@ def test_bias_of_five_times_its_size_widens_and_then_refuses() -> None:
     found = flown(lambda records: [(one.epoch_us, one) for one in records], "rates_biased")
     plain_deg = flown(lambda records: [], "rates_biased").rms_deg(1.0)
     print(f"seed {SEED}: {found.rms_deg(1.0).round(4)}, without rates {plain_deg.round(4)}")
-    assert wrong_minutes(found) == 0
+    assert found.wrong_minutes == 0
     # a bias of 0.05 deg/h is twice the drift about pitch until it is found
     assert (found.rms_deg(1.0) <= 1.5 * plain_deg).all()
     early, later = (found.sigma_deg[found.between(begin, begin + 1.0)].mean(axis=0) for begin in (1.0, 11.0))

@@ -13,7 +13,7 @@ class RefusalAnswer(Answer):
     code: str
     detail: str
     next_step: str
-    """What to do next; the same for every row of this code."""
+    """Action that the code asks of the sender."""
 
     @classmethod
     def of_fault(cls, index: int, fault: tuple[str, str]) -> Self:

@@ -162,7 +162,7 @@ class BodyRateSensorDocument(Document):
     """Rates of the body in telemetry as a measurement of its motion."""
 
     in_loop: bool
-    """Whether the loop on board closes on this sensor: what it holds still tells nothing new, and is not used."""
+    """True: the loop on board closes on this sensor and holds its rates still, so that the filter does not use them."""
     bias_deg_h: Annotated[float, Field(gt=0, le=10)] | None = None
     """One standard deviation of the bias about an axis. The filter learns the bias."""
     bias_tau_h: Annotated[float, Field(ge=0.1, le=1e5)] | None = None

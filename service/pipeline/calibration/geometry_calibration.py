@@ -29,11 +29,10 @@ from service.pipeline.carrier_model.expected_level import daily_error_db
 from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import (
+    AxesCheck,
     CalibrationResult,
     CarrierCalibration,
-    MomentumCheck,
     PolarimeterCheck,
-    RateCheck,
 )
 from service.records.catalogue import Carrier
 from service.records.geometry import GeometryFit, Row, Table
@@ -98,7 +97,7 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
 
 
 def _motion_quality(
-    momentum: MomentumCheck | None, rates: RateCheck | None, angles: tuple[PolarimeterCheck, ...]
+    momentum: AxesCheck | None, rates: AxesCheck | None, angles: tuple[PolarimeterCheck, ...]
 ) -> dict[str, float]:
     """Return the figures of the checks of measured motion, by name."""
     return {**momentum_quality(momentum), **rate_quality(rates), **polarimeter_quality(angles)}

@@ -14,7 +14,7 @@ from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
 from service.pipeline.inputs.sensor_angles import angles_at
-from service.records.calibration import MomentumCheck, MotionVerdict
+from service.records.calibration import AxesCheck, MotionVerdict
 from service.records.catalogue import Spacecraft, WheelMomentum
 from service.records.epoch import US_PER_S
 from service.records.inputs import TelemetryRecord
@@ -33,7 +33,7 @@ _NEXT = (
 )
 
 
-def momentum_check(data: CalibrationInput, config: CalibrationConfig) -> MomentumCheck | None:
+def momentum_check(data: CalibrationInput, config: CalibrationConfig) -> AxesCheck | None:
     """Return the check; None where the catalogue states nothing of the momentum."""
     spacecraft = data.spacecraft
     stated = None if spacecraft is None else spacecraft.onboard.momentum
@@ -47,7 +47,7 @@ def momentum_check(data: CalibrationInput, config: CalibrationConfig) -> Momentu
     return _judged(response, stated, config)
 
 
-def momentum_quality(check: MomentumCheck | None) -> dict[str, float]:
+def momentum_quality(check: AxesCheck | None) -> dict[str, float]:
     """Return the figures of a check, by name."""
     if check is None:
         return {}
@@ -59,7 +59,7 @@ def momentum_quality(check: MomentumCheck | None) -> dict[str, float]:
     }
 
 
-def momentum_warnings(check: MomentumCheck | None) -> tuple[str, ...]:
+def momentum_warnings(check: AxesCheck | None) -> tuple[str, ...]:
     """Return the warnings of a check."""
     if check is None or not check.reason:
         return ()
@@ -111,7 +111,7 @@ def _is_slewing(data: CalibrationInput, epochs_us: IntArray, config: Calibration
     return np.asarray((np.abs(after - before) > _SLEW_DEG).any(axis=1))
 
 
-def _judged(response: MomentumResponse, stated: WheelMomentum, config: CalibrationConfig) -> MomentumCheck:
+def _judged(response: MomentumResponse, stated: WheelMomentum, config: CalibrationConfig) -> AxesCheck:
     """Return what the response says of the telemetry."""
     sigmas = response.deviation(stated.scale_error)
     pitch = float(response.mean_n_m_s[1])
@@ -157,11 +157,11 @@ def _contradiction(response: MomentumResponse, sigmas: float) -> str:
     return f"its response to the turns is off by {sigmas:.1f} sigma ({figures}; each must be +1)"
 
 
-def _check(response: MomentumResponse, verdict: MotionVerdict, reason: str) -> MomentumCheck:
+def _check(response: MomentumResponse, verdict: MotionVerdict, reason: str) -> AxesCheck:
     roll, pitch, yaw = response.coefficient.tolist()
     roll_sigma, pitch_sigma, yaw_sigma = response.sigma.tolist()
-    return MomentumCheck(verdict, reason, (roll, pitch, yaw), (roll_sigma, pitch_sigma, yaw_sigma))
+    return AxesCheck(verdict, reason, (roll, pitch, yaw), (roll_sigma, pitch_sigma, yaw_sigma))
 
 
-def _unchecked(reason: str) -> MomentumCheck:
-    return MomentumCheck(MotionVerdict.UNCHECKED, reason)
+def _unchecked(reason: str) -> AxesCheck:
+    return AxesCheck(MotionVerdict.UNCHECKED, reason)

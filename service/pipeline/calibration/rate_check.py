@@ -13,7 +13,7 @@ from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.catalogue_torque import is_rate_in_loop, rate_sensor_model
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.pipeline.inputs.telemetry_rates import inertial_deg_h
-from service.records.calibration import MotionVerdict, RateCheck
+from service.records.calibration import AxesCheck, MotionVerdict
 
 #: sigmas from which telemetry is contradicted
 _SIGMAS = 3.5
@@ -31,7 +31,7 @@ IN_LOOP = (
 )
 
 
-def rate_check(data: CalibrationInput, config: CalibrationConfig) -> RateCheck | None:
+def rate_check(data: CalibrationInput, config: CalibrationConfig) -> AxesCheck | None:
     """Return the check; None where the catalogue has no rate sensor beside the loop."""
     sensor = rate_sensor_model(data.spacecraft)
     if sensor is None:
@@ -40,7 +40,7 @@ def rate_check(data: CalibrationInput, config: CalibrationConfig) -> RateCheck |
     within = (one for one in data.telemetry if turns.start_us <= one.epoch_us < turns.stop_us)
     records = {one.epoch_us: one.body_rate_deg_s for one in within if one.body_rate_deg_s is not None}
     if len(records) < _LEAST_RECORDS:
-        return RateCheck(
+        return AxesCheck(
             MotionVerdict.UNCHECKED, f"{len(records)} records of rates within the turns, {_LEAST_RECORDS} are needed"
         )
     epochs_us = np.array(sorted(records), dtype=np.int64)
@@ -52,7 +52,7 @@ def rate_check(data: CalibrationInput, config: CalibrationConfig) -> RateCheck |
     return _judged(response, sensor.bias_deg_h)
 
 
-def rate_quality(check: RateCheck | None) -> dict[str, float]:
+def rate_quality(check: AxesCheck | None) -> dict[str, float]:
     """Return the figures of a check, by name."""
     if check is None:
         return {}
@@ -64,7 +64,7 @@ def rate_quality(check: RateCheck | None) -> dict[str, float]:
     }
 
 
-def rate_warnings(data: CalibrationInput, check: RateCheck | None) -> tuple[str, ...]:
+def rate_warnings(data: CalibrationInput, check: AxesCheck | None) -> tuple[str, ...]:
     """Return the warnings of a check."""
     if is_rate_in_loop(data.spacecraft):
         return (IN_LOOP,)
@@ -75,17 +75,17 @@ def rate_warnings(data: CalibrationInput, check: RateCheck | None) -> tuple[str,
     return (f"the rates of the body in telemetry were not checked: {check.reason}",)
 
 
-def _judged(response: RateResponse, bias_deg_h: float) -> RateCheck:
+def _judged(response: RateResponse, bias_deg_h: float) -> AxesCheck:
     """Return what the response says of the telemetry."""
     sigmas = response.deviation(bias_deg_h)
     values, sigma = (part.diagonal()[list(_NAMED)].tolist() for part in (response.coefficient, response.sigma))
     figures = (values[0], values[1], values[2]), (sigma[0], sigma[1], sigma[2])
     if sigmas > _SIGMAS:
-        return RateCheck(MotionVerdict.CONTRADICTED, _contradiction(response, sigmas), *figures)
+        return AxesCheck(MotionVerdict.CONTRADICTED, _contradiction(response, sigmas), *figures)
     if not response.is_determined:
         reason = "rates that stand still, or too few turns: the response of an axis is known worse than to 0.2"
-        return RateCheck(MotionVerdict.UNCHECKED, reason, *figures)
-    return RateCheck(MotionVerdict.CONSISTENT, "", *figures)
+        return AxesCheck(MotionVerdict.UNCHECKED, reason, *figures)
+    return AxesCheck(MotionVerdict.CONSISTENT, "", *figures)
 
 
 def _contradiction(response: RateResponse, sigmas: float) -> str:

@@ -95,11 +95,21 @@ class Flown:
         """Return the root mean square of the errors (3,) in an interval."""
         return np.asarray(np.sqrt(np.mean(self.error_deg[self.between(begin_h, end_h)] ** 2, axis=0)))
 
+    @property
+    def wrong_minutes(self) -> int:
+        """Minutes with control allowed while roll or pitch is off by more than 0.15 deg."""
+        return int(np.count_nonzero((np.abs(self.error_deg[:, 1:]) > 0.15).any(axis=1) & self.is_allowed))
+
     def shift_deg(self, other: "Flown", begin_h: float, end_h: float = np.inf) -> FloatArray:
         """Return by how much (3,) two flights of one noise are apart at most in an interval; both begin together."""
         count = min(len(self.rows), len(other.rows))
         apart_deg = np.abs(self.estimate_deg[:count] - other.estimate_deg[:count])
         return np.asarray(apart_deg[self.between(begin_h, end_h)[:count]].max(axis=0))
+
+
+def tolerated_deg(plain_deg: FloatArray) -> FloatArray:
+    """Return the rms that a bad sensor may lead to, by that without any: a quarter more, or what seeds scatter by."""
+    return np.maximum(1.25 * plain_deg, plain_deg + np.array([0.02, 0.003, 0.005]))
 
 
 class DrivenWorld:

@@ -39,18 +39,6 @@ def rows_of(minutes, powers):
     return {"plan_id": 1, "source": "sa-1", "measurements": rows}
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
-def url(request, tmp_path):
-    """URL of an archive that two services may use."""
-    if request.param == "sqlite":
-        yield f"sqlite:///{tmp_path / 'soo.db'}"
-        return
-    cluster = request.getfixturevalue("durable_postgresql_cluster")
-    made = cluster.new_database()
-    yield made
-    cluster.drop(made)
-
-
 def made_from(url):
     """Return the rows that the archive holds, and those that one run over all of it makes."""
     storage = SqlStorage(url)

@@ -14,18 +14,6 @@ SEED = 23
 KEY = "a-key-for-tests-only"
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
-def url(request, tmp_path):
-    """URL of an archive that two services may use."""
-    if request.param == "sqlite":
-        yield f"sqlite:///{tmp_path / 'soo.db'}"
-        return
-    cluster = request.getfixturevalue("durable_postgresql_cluster")
-    made = cluster.new_database()
-    yield made
-    cluster.drop(made)
-
-
 def test_nothing_is_lost_or_doubled_when_the_leading_one_is_killed(start_service, spacecraft, carriers, url):
     print(f"seed {SEED}")
     options = ("--clock", "data", "--database", url)
