@@ -13,7 +13,7 @@ import httpx
 import pytest
 from geometry_flight import HOUR
 from playwright.sync_api import expect
-from release_ground import ReleaseGround, record, seed_archive
+from release_ground import ReleaseGround, record, seed_archive, until
 from service_process import KEY, PLAIN, ServiceProcess
 
 from service.records.epoch import format_epoch
@@ -100,6 +100,21 @@ def test_rows_of_a_cut_before_the_first_event_are_shown_when_the_stream_begins(n
     expect(page.locator("time.row")).not_to_have_text("")
     ground.rows(1)
     page.unroute("**/stream")
+    expect(page.locator("time.row")).to_have_text(format_epoch(ground.now_us)[11:19])
+
+
+def test_a_row_between_the_first_reading_and_the_begin_of_the_stream_is_shown(new_context, ground):
+    """The stream begins with the present: what was stored between the page's reading and it comes by no event."""
+    page = new_context().new_page()
+    began: list[Any] = []
+    # the first opening waits until the page has read and a row was stored; a second reading must bring it
+    page.route("**/stream", lambda route: began.append(route))
+    with page.expect_response("**/attitude?method=paper"):
+        page.goto("/console/#/now")
+    expect(page.locator("time.row")).not_to_have_text("")
+    ground.rows(1)
+    until(lambda: page.wait_for_timeout(20) is None and len(began) == 1, "the page asks for the stream")
+    began[0].continue_()
     expect(page.locator("time.row")).to_have_text(format_epoch(ground.now_us)[11:19])
 
 

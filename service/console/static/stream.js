@@ -31,6 +31,7 @@ export function follow(store, spacecraft) {
   let isLeading = false;
   let silence = 0;
   let renewal = 0;
+  let refreshes = 0;
 
   const isOver = () => ending.signal.aborted;
   const send = (message) => isOver() || channel.postMessage(message);
@@ -80,7 +81,7 @@ export function follow(store, spacecraft) {
     }
   };
 
-  async function read(isAgain) {
+  async function read() {
     const timer = new AbortController();
     let timeout = setTimeout(() => timer.abort(), SILENCE_MS);
     const signal = AbortSignal.any([ending.signal, timer.signal]);
@@ -89,7 +90,7 @@ export function follow(store, spacecraft) {
       const answer = await open(address(`/spacecraft/${spacecraft}/stream`), { headers, signal });
       if (!answer.ok) throw await problemOf(answer);
       setLink("live");
-      if (isAgain && !lastId) refresh(); // a stream without a last id tells nothing of the rows of the cut
+      if (!lastId) refresh(); // a stream without a last id tells nothing of the rows before it
       for await (const event of eventsOf(answer.body)) {
         clearTimeout(timeout);
         timeout = setTimeout(() => timer.abort(), SILENCE_MS);
@@ -113,7 +114,7 @@ export function follow(store, spacecraft) {
     for (let failures = 0; !isOver(); failures += 1) {
       const began = performance.now();
       try {
-        await read(failures > 0);
+        await read();
       } catch (error) {
         if (isOver()) return;
         if (performance.now() - began > SILENCE_MS) failures = 0;
@@ -129,6 +130,7 @@ export function follow(store, spacecraft) {
   async function refresh() {
     const base = `/spacecraft/${spacecraft}`;
     const before = store.get();
+    const turn = (refreshes += 1);
     const found = await Promise.allSettled([
       get(`${base}/attitude`, { method: "robust" }),
       get(`${base}/attitude`, { method: "paper" }),
@@ -137,7 +139,7 @@ export function follow(store, spacecraft) {
       get(`${base}/alarms`, { state: OPEN_STATES }),
       get(`${base}/status`),
     ]);
-    if (isOver()) return;
+    if (isOver() || turn < refreshes) return; // a later answer is newer
     const [robust, paper, torque, control, alarms, status] = found.map((each) => each.value ?? null);
     // what the service does not hold is an answer; what it refused is asked for again
     const problem = found.find(({ reason }) => reason instanceof Problem && reason.status !== 404)?.reason ?? null;

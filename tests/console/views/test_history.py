@@ -47,7 +47,7 @@ def test_live_span_in_each_theme_and_language(new_page, ground, open_view, scree
     expect(view.locator("canvas")).to_have_count(3)
     expect(view.locator(".lane")).to_have_count(9)
     expect(view.locator(".reading")).to_contain_text("10:15:00")
-    expect(view.locator(".legend > span")).to_have_count(5)
+    expect(view.locator(".legend > span")).to_have_count(6)
     assert axe_violations(page) == []
     screenshot(page, f"history-{theme}-{language}")
 
@@ -105,14 +105,15 @@ def test_exports_of_the_span_are_offered_in_every_format(page, ground, open_view
     span = {"start": ground.epoch(-600), "stop": ground.epoch(1)}
     view = ready(open_view(page, "history", f"?{urllib.parse.urlencode(span)}"))
     links = view.get_by_role("link")
-    expect(links).to_have_count(8)
+    expect(links).to_have_count(12)
     rows = len(ground.get(f"/attitude/history?{urllib.parse.urlencode(span)}")["rows"])
     for link in links.all():
         with page.expect_download() as download:
             link.click()
         content = download.value.path().read_bytes()
-        assert content
-        if "method=robust" in link.get_attribute("href") and "format=csv" in link.get_attribute("href"):
+        # without smoothed rows their NDJSON is empty
+        assert content or "method=robust_smoothed&" in link.get_attribute("href")
+        if "method=robust&" in link.get_attribute("href") and "format=csv" in link.get_attribute("href"):
             assert len(content.splitlines()) - 1 == rows
 
 

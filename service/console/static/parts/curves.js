@@ -1,4 +1,4 @@
-/** @file What the samples of both methods look like: panels of yaw, roll and pitch, and the table of the same figures. */
+/** @file What the samples of both methods and the smoothed angles look like: panels of yaw, roll and pitch, and the table of the same figures. */
 
 import { AXES } from "../api.js";
 import { element } from "../element.js";
@@ -6,6 +6,10 @@ import { number, utc, words } from "../words.js";
 
 /** Asked for of every span. */
 export const QUANTITIES = AXES.flatMap((axis) => [`${axis}_deg`, `${axis}_sigma_deg`, `${axis}_protection_deg`]);
+/** Asked for beside them: the live series of smoothed rows, which is some hours behind. */
+export const SMOOTHED = { quantity: AXES.map((axis) => `${axis}_deg`), method: "robust_smoothed", version: "smoothed" };
+/** Smoothed rows of consecutive five minutes are nearer to each other, s. */
+const JOINED_S = 600;
 /** An interval with more rows is drawn as the span of its values. */
 const ROWS_OF_LINE = 10;
 const SIGMAS = 2;
@@ -18,10 +22,16 @@ const SIGMAS = 2;
  * @property {number} interval s.
  */
 
-/** @param {any} answer Of `GET …/samples`. @returns {Curves} */
-export function curvesOf(answer) {
-  const columns = new Map(answer.series.map(({ quantity, method, n, avg, min, max }) => [`${method} ${quantity}`, { n, avg, min, max }]));
-  return { epochs: answer.epochs.map((epoch) => Date.parse(epoch) / 1000), columns, interval: answer.interval_s };
+/** @param {...any} given Answers of `GET …/samples` on the same intervals; false: was not asked for. @returns {Curves} */
+export function curvesOf(...given) {
+  const answers = given.filter(Boolean);
+  const epochs = [...new Set(answers.flatMap((answer) => answer.epochs))].sort();
+  const columns = answers.flatMap((answer) => {
+    const places = new Map(answer.epochs.map((epoch, place) => [epoch, place]));
+    const placed = (values, nothing = null) => epochs.map((epoch) => values[places.get(epoch)] ?? nothing);
+    return answer.series.map(({ quantity, method, n, avg, min, max }) => [`${method} ${quantity}`, { n: placed(n, 0), avg: placed(avg), min: placed(min), max: placed(max) }]);
+  });
+  return { epochs: epochs.map((epoch) => Date.parse(epoch) / 1000), columns: new Map(columns), interval: answers[0].interval_s };
 }
 
 /**
@@ -62,9 +72,18 @@ function broken({ epochs, interval }, gaps) {
   return { rows, places };
 }
 
+/** Return smoothed angles, undefined where a line goes on from one row to the next. */
+function joined(values, epochs) {
+  let last = -Infinity;
+  return values.map((value, place) => {
+    if (value !== null) last = epochs[place];
+    return value ?? (epochs[place] - last < JOINED_S ? undefined : null);
+  });
+}
+
 /**
  * Return epochs and panels of the axes: lines with sigma and protection level where rows stand close, else their span.
- * @param {Curves} curves @param {{gaps: any[], methods: string[], limits: {value: number, tone: string}[]}} given The driving method first.
+ * @param {Curves} curves @param {{gaps: any[], methods: string[], limits: {value: number, tone: string}[]}} given The driving method first, the smoothed angles last where they are shown.
  * @returns {{epochs: number[], places: number[], panels: import("../chart.js").Panel[]}}
  */
 export function panelsOf(curves, { gaps, methods, limits }) {
@@ -76,7 +95,7 @@ export function panelsOf(curves, { gaps, methods, limits }) {
     return places.map((place) => (place < 0 || !values ? null : values[place]));
   };
   const around = (centre, size, factor) => centre.map((value, place) => (value === null || size[place] === null ? null : value + factor * size[place]));
-  const [driving, other] = methods;
+  const [driving, other, smoothed] = methods;
   const panels = AXES.map((axis) => {
     const angle = (method, part) => column(method, `${axis}_deg`, part);
     const spread = (method, tone) => ({ low: angle(method, "min"), high: angle(method, "max"), tone, share: 0.35 });
@@ -91,6 +110,7 @@ export function panelsOf(curves, { gaps, methods, limits }) {
     const lines = isWide
       ? []
       : [{ name: other, values: angle(other, "avg"), tone: "interactive", isDashed: true }, { name: driving, values: centre, tone: "text" }];
+    if (smoothed) lines.push({ name: smoothed, values: joined(angle(smoothed, "avg"), rows), tone: "smoothed" });
     return { title: words(`app.axis.${axis}`), lines, bands: [...levels, ...near], limits };
   });
   return { epochs: rows, places, panels };
@@ -105,18 +125,19 @@ export function isEnvelope({ columns }) {
 
 /**
  * Return what the curves are, each with a piece of it.
- * @param {string[]} methods The driving one first. @param {boolean} isWide
+ * @param {string[]} methods As they are drawn. @param {boolean} isWide
  */
 export function legendOf(methods, isWide) {
-  const [driving, other] = methods.map((method) => words(`views.history.method.${method}`));
+  const [driving, other, smoothed] = methods.map((method) => words(`views.history.method.${method}`));
   const kinds = isWide
     ? { "band driving": driving, "band other": other, "band protection": words("views.history.legend.protection") }
     : { "line driving": driving, "line other": other, "band sigma": words("views.history.legend.sigma"), "band protection": words("views.history.legend.protection") };
+  if (smoothed) kinds["line smoothed"] = isWide ? words("views.history.legend.mean", { method: smoothed }) : smoothed;
   return Object.entries({ ...kinds, "line limits": words("views.history.legend.limits") }).map(([kind, text]) => element("span", {}, element("span", { class: `key ${kind}`, "aria-hidden": "true" }), text));
 }
 
 /**
- * Return what both methods say in one interval, as text.
+ * Return what the methods say in one interval, as text.
  * @param {Curves} curves @param {number} place Of the interval; a number behind the last stands for none. @param {string[]} methods
  */
 export function readingOf({ epochs, columns }, place, methods) {

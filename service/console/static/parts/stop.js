@@ -47,20 +47,14 @@ export function stopControl(store) {
     fill(panel, element("div", { role, "aria-label": words("app.stop.title") }, children));
   }
 
-  const closing = () => element("button", { type: "button", onclick: () => (hide(), button.focus()) }, words("app.stop.close"));
+  const closing = (key) => element("button", { type: "button", onclick: () => (hide(), button.focus()) }, words(`app.stop.${key}`));
 
   /** Ask for Enter; the spacecraft is the one that was chosen when Stop was asked for, whatever is chosen then. */
   function ask() {
     if (sending) return;
     const { id } = store.get().spacecraft;
     const sure = element("button", { type: "button", class: "danger", onclick: () => send(id) }, words("app.stop.confirm"));
-    show(
-      "alertdialog",
-      symbol("critical"),
-      element("p", {}, words("app.stop.question", { spacecraft: id })),
-      sure,
-      element("button", { type: "button", onclick: () => (hide(), button.focus()) }, words("app.stop.back")),
-    );
+    show("alertdialog", symbol("critical"), element("p", {}, words("app.stop.question", { spacecraft: id })), sure, closing("back"));
     sure.focus();
   }
 
@@ -73,12 +67,12 @@ export function stopControl(store) {
       const control = await post(`/spacecraft/${id}/control:stop`, {}, { signal });
       if (store.get().spacecraft?.id === id) store.set({ control });
       const text = words("app.stop.done", { spacecraft: id, state: meaning("states", control.state), at: utc(control.since) });
-      show("alert", symbol(control.state === "TRIPPED" ? "normal" : "critical"), element("p", {}, text), closing());
+      show("alert", symbol(control.state === "TRIPPED" ? "normal" : "critical"), element("p", {}, text), closing("close"));
     } catch (error) {
       if (mine.signal.aborted) return;
       const problem = error instanceof Problem ? error : new Problem({ detail: String(error) });
       const again = element("button", { type: "button", class: "danger", onclick: () => send(id) }, words("app.stop.again"));
-      show("alert", symbol("critical"), element("p", {}, words("app.stop.failed", { spacecraft: id })), failure(problem), again, closing());
+      show("alert", symbol("critical"), element("p", {}, words("app.stop.failed", { spacecraft: id })), failure(problem), again, closing("close"));
       again.focus();
     } finally {
       if (sending === mine) sending = null;

@@ -1,6 +1,7 @@
 /** @file Carriers: which one lies, since when, and whom it concerns: all, one transponder, one user. */
 
 import { element, fill, setText } from "../element.js";
+import { choice } from "../lists/table.js";
 import { MOST_NAMED, affected } from "./carriers/affected.js";
 import { carrierMap } from "./carriers/map.js";
 import { followCarriers } from "./carriers/model.js";
@@ -41,12 +42,9 @@ function everyCarrier({ spacecraft, parameters, go }) {
   const notice = element("p", { class: "detail" });
   const part = form === "table" ? carrierTable() : carrierMultiples();
   const map = element("figure", { class: "map-side" });
-  const buttons = FORMS.map((each) =>
-    element("button", { type: "button", "aria-pressed": each === form, onclick: () => go(name, { form: each }) }, words(`views.carriers.form.${each}`)),
-  );
+  const forms = choice(words("views.carriers.form.title"), FORMS.map((each) => [each, words(`views.carriers.form.${each}`)]), (each) => go(name, { form: each }), form);
   const node = element("div", { class: "every" }, element("div", { role: "status" }, element("h1", { class: "verdict" }, mark, sentence)),
-    element("div", { class: "chooser", role: "group", "aria-label": words("views.carriers.form.title") }, buttons),
-    element("div", { class: "sides" }, part.node, map), notice,
+    forms, element("div", { class: "sides" }, part.node, map), notice,
   );
   let shownPlan = null;
   let shownMap = "";

@@ -1,9 +1,10 @@
-/** @file History: where the satellite pointed, by both methods, and what happened beside it, from minutes to years. */
+/** @file History: where the satellite pointed, by both methods and smoothed, and what happened beside it, from minutes to years. */
 
 import { AXES, address, get } from "../api.js";
 import { LEFT_PX, canDraw, stack } from "../chart.js";
 import { element, fill, onFrame, setText } from "../element.js";
-import { QUANTITIES, curveTable, curvesOf, isEnvelope, legendOf, panelsOf, readingOf, renewed } from "../parts/curves.js";
+import { soon } from "../lists/newest_first.js";
+import { QUANTITIES, SMOOTHED, curveTable, curvesOf, isEnvelope, legendOf, panelsOf, readingOf, renewed } from "../parts/curves.js";
 import { presentOf } from "../parts/header.js";
 import { drawnLanes, laneTable, lanesOf } from "../parts/lanes.js";
 import { failure } from "../parts/problem.js";
@@ -38,6 +39,7 @@ export function show({ store, spacecraft, parameters, rewrite }) {
   let timeline = null;
   let limits = [];
   let isTable = parameters.get("as") === "table";
+  let isSmoothed = parameters.get("smoothed") !== "0";
   let asking = new AbortController();
   let settling = 0;
   let tailing = 0;
@@ -53,16 +55,11 @@ export function show({ store, spacecraft, parameters, rewrite }) {
   const problem = element("div", {});
   const lanes = element("div", { class: "lanes" });
   const tables = element("div", { class: "history-tables" });
-  const exported = ["robust", "paper"].flatMap((method) => FORMATS.map((format) => ({ method, format, link: element("a", { download: "" }, words("views.history.exportOf", { method: words(`views.history.method.${method}`), format })) })));
+  const exported = ["robust", "paper", SMOOTHED.method].flatMap((method) => FORMATS.map((format) => ({ method, format, link: element("a", { download: "" }, words("views.history.exportOf", { method: words(`views.history.method.${method}`), format })) })));
   const links = element("p", { class: "exports" }, words("views.history.export"), exported.map(({ link }) => link));
   const liveButton = button("live", () => follow(span[1] - span[0]));
-  const tableButton = button("table", () => {
-    isTable = !isTable;
-    tableButton.setAttribute("aria-pressed", String(isTable));
-    draw();
-    write();
-  });
-  tableButton.setAttribute("aria-pressed", String(isTable));
+  const tableButton = switched("table", isTable, (isOn) => ((isTable = isOn), draw(), write()));
+  const smoothedButton = switched("smoothed", isSmoothed, (isOn) => ((isSmoothed = isOn), load()));
   const chart = stack({
     label: words("views.history.chart"),
     panels: AXES.length,
@@ -78,13 +75,14 @@ export function show({ store, spacecraft, parameters, rewrite }) {
     element("div", { class: "history-head" }, heading, status),
     element("div", { class: "toolbar", role: "toolbar", "aria-label": words("views.history.tools") },
       Object.entries(SPANS_S).map(([key, size]) => button(`span.${key}`, () => choose(size))), button("earlier", () => pan(-PAN)),
-      button("later", () => pan(PAN)), button("closer", () => zoom(1 / ZOOM)), button("wider", () => zoom(ZOOM)), liveButton, tableButton,
+      button("later", () => pan(PAN)), button("closer", () => zoom(1 / ZOOM)), button("wider", () => zoom(ZOOM)), liveButton, smoothedButton, tableButton,
     ),
     first.isBad && element("p", { class: "notice", role: "alert" }, words("views.history.badSpan")), problem,
     element("div", { class: "history-head" }, legend, reading), plots, links, tables,
   );
 
   const methods = () => (store.get().status?.method === "paper" ? ["paper", "robust"] : ["robust", "paper"]);
+  const shown = () => (isSmoothed ? [...methods(), SMOOTHED.method] : methods());
   /** The service's present, s; a row may be newer than the last status. */
   const present = () => {
     const { attitude, offsetMs } = store.get();
@@ -97,6 +95,15 @@ export function show({ store, spacecraft, parameters, rewrite }) {
 
   function button(key, onclick) {
     return element("button", { type: "button", onclick }, words(`views.history.${key}`));
+  }
+
+  function switched(key, isOn, change) {
+    const made = button(key, () => {
+      made.setAttribute("aria-pressed", String((isOn = !isOn)));
+      change(isOn);
+    });
+    made.setAttribute("aria-pressed", String(isOn));
+    return made;
   }
 
   /** Look at a span, which is no longer live. */
@@ -150,11 +157,11 @@ export function show({ store, spacecraft, parameters, rewrite }) {
 
   /** Write the span into the address and its links, without a step in the history of the browser. */
   function write() {
-    const shown = isLive ? { span: String(Math.round(span[1] - span[0])) } : ends();
-    rewrite({ ...shown, ...(isTable && { as: "table" }) });
+    const named = isLive ? { span: String(Math.round(span[1] - span[0])) } : ends();
+    rewrite({ ...named, ...(isTable && { as: "table" }), ...(!isSmoothed && { smoothed: "0" }) });
     setText(heading, words("views.history.spanText", { start: utc(span[0] * 1000), stop: utc(span[1] * 1000), length: duration(span[1] - span[0]) }));
     liveButton.disabled = isLive;
-    for (const { link, method, format } of exported) link.href = address(`${base}/archive/attitude:export`, { format, method, ...ends() });
+    for (const { link, method, format } of exported) link.href = address(`${base}/archive/attitude:export`, { format, method, version: method === SMOOTHED.method ? SMOOTHED.version : null, ...ends() });
   }
 
   async function load() {
@@ -168,8 +175,8 @@ export function show({ store, spacecraft, parameters, rewrite }) {
     if (isLive) span = [present() - (span[1] - span[0]), present()];
     write();
     try {
-      const [samples, found] = await Promise.all([ask(ends(), INTERVALS, signal), askTimeline(signal)]);
-      curves = curvesOf(samples);
+      const [samples, smoothed, found] = await Promise.all([ask(ends(), INTERVALS, signal), isSmoothed && ask(ends(), INTERVALS, signal, SMOOTHED), askTimeline(signal)]);
+      curves = curvesOf(samples, smoothed);
       timeline = found;
       timelineAt = performance.now();
       fill(problem);
@@ -182,7 +189,7 @@ export function show({ store, spacecraft, parameters, rewrite }) {
     node.setAttribute("aria-busy", "false");
   }
 
-  const ask = (window_, count, signal) => get(`${base}/samples`, { ...window_, quantity: QUANTITIES, method: methods(), count, extreme_epochs: false }, { signal });
+  const ask = (window_, count, signal, of = { quantity: QUANTITIES, method: methods() }) => get(`${base}/samples`, { ...window_, ...of, count, extreme_epochs: false }, { signal });
   // lanes are those of the driving method, and the rows of both stand beside each other
   const askTimeline = (signal) => get(`${base}/timeline`, { ...ends(), method: methods()[0] }, { signal });
 
@@ -221,15 +228,15 @@ export function show({ store, spacecraft, parameters, rewrite }) {
     const isDrawn = !isTable && (await canDraw());
     chart.node.parentElement.hidden = !isDrawn;
     if (isDrawn) {
-      const drawn = panelsOf(curves, { gaps: timeline.gaps, methods: methods(), limits });
+      const drawn = panelsOf(curves, { gaps: timeline.gaps, methods: shown(), limits });
       places = drawn.places;
       chart.draw(drawn.epochs, drawn.panels, span);
     }
     drawLanes();
-    fill(tables, !isDrawn && [curveTable(curves, methods(), TABLE_ROWS), laneTable(allLanes(), span, EVENT_ROWS)]);
+    fill(tables, !isDrawn && [curveTable(curves, shown(), TABLE_ROWS), laneTable(allLanes(), span, EVENT_ROWS)]);
     setText(status, statusText(isDrawn));
     setText(reading, readingText());
-    fill(legend, legendOf(methods(), isEnvelope(curves)));
+    fill(legend, legendOf(shown(), isEnvelope(curves)));
     node.dataset.rows = String(curves.epochs.length);
   });
 
@@ -253,7 +260,7 @@ export function show({ store, spacecraft, parameters, rewrite }) {
     return said.filter(Boolean).join(" ");
   }
 
-  const readingText = () => (curves ? readingOf(curves, cursor === null ? curves.epochs.length - 1 : places[cursor], methods()) : "");
+  const readingText = () => (curves ? readingOf(curves, cursor === null ? curves.epochs.length - 1 : places[cursor], shown()) : "");
 
   async function readLimits() {
     try {
@@ -273,6 +280,7 @@ export function show({ store, spacecraft, parameters, rewrite }) {
   resized.observe(lanes);
   const finish = [
     store.on("attitude", onRow),
+    store.on("smoothed", soon(() => isLive && load())),
     store.on("dropped", () => isLive && load()),
     store.subscribe((state) => state.link.state, (state) => state === "live" && isLive && load()),
     store.subscribe((state) => state.status?.method, () => (write(), load())),

@@ -122,13 +122,7 @@ export function show({ store, spacecraft }) {
 }
 
 /** Return the content, or null where it cannot be had now: the header says that the service does not answer. */
-async function quiet(asked) {
-  try {
-    return await asked;
-  } catch {
-    return null;
-  }
-}
+const quiet = (asked) => asked.catch(() => null);
 
 function card(title) {
   const body = element("div", { class: "body" });

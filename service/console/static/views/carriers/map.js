@@ -48,13 +48,8 @@ export function carrierMap({ longitudeDeg, carriers, calibration, levelOf, chose
   const greatest = arrows.reduce((most, { rise }) => Math.max(most, Math.hypot(rise.east, rise.north)), 1e-9);
   const count = stations.length;
   const look = lookAt(stations.map(({ at }) => at));
-  return svg("svg",
-    {
-      class: "map",
-      viewBox: `${-WIDTH / 2} ${-WIDTH / 2} ${WIDTH} ${WIDTH}`,
-      role: "img",
-      "aria-label": words("views.carriers.map.label", { count, arrows: arrows.length }),
-    },
+  const label = words("views.carriers.map.label", { count, arrows: arrows.length });
+  return svg("svg", { class: "map", viewBox: `${-WIDTH / 2} ${-WIDTH / 2} ${WIDTH} ${WIDTH}`, role: "img", "aria-label": label },
     svg("circle", { class: "earth", cx: look.x(0), cy: look.y(0), r: LIMB_DEG * look.scale }), graticule(longitudeDeg, look),
     arrows.map((each) => arrow(each, look, LONGEST / greatest)),
     stations.map((each) => station(each, look, levelOf(each.carrier.id), each.carrier.id === chosen, count <= MOST_NAMES)),

@@ -1,6 +1,7 @@
 /** @file One carrier: state and reason, traces with their bands, harmonic, sensitivity, its place on the map. */
 
 import { element, fill, setText } from "../../element.js";
+import { choice } from "../../lists/table.js";
 import { duration, number, utc, words } from "../../words.js";
 import { carrierMap } from "./map.js";
 import { sampled } from "./model.js";
@@ -29,9 +30,7 @@ export function oneCarrier({ store, spacecraft, parameters, go }, id) {
   const traces = element("div", { class: "traces" }, element("p", { class: "detail" }, words("views.carriers.loading")));
   const facts = element("div", { class: "plan-facts" });
   const map = element("figure", { class: "map-side" });
-  const buttons = SPANS_H.map((each) =>
-    element("button", { type: "button", "aria-pressed": each === hours, onclick: () => go("carriers", { carrier: id, hours: each }) }, duration(each * 3600)),
-  );
+  const spans = choice(words("views.carriers.span"), SPANS_H.map((each) => [String(each), duration(each * 3600)]), (each) => go("carriers", { carrier: id, hours: each }), String(hours));
   let sampledAt = -Infinity;
   let shown = "";
 
@@ -48,8 +47,7 @@ export function oneCarrier({ store, spacecraft, parameters, go }, id) {
   }
 
   const node = element("div", { class: "one" }, element("p", {}, element("a", { href: "#/carriers" }, words("views.carriers.back"))),
-    element("h1", {}, mark, title), said,
-    element("div", { class: "chooser", role: "group", "aria-label": words("views.carriers.span") }, buttons),
+    element("h1", {}, mark, title), said, spans,
     element("div", { class: "sides" }, traces, element("div", { class: "map-side" }, map, facts)),
   );
   return {
