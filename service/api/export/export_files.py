@@ -21,13 +21,21 @@ from service.formats.aem import AemWriter, AttitudeMessage
 from service.formats.tabular.joined_table import joined_table
 from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
 from service.formats.tabular.row_text import ready_kernels
-from service.formats.tabular.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, EventRow, plain_value
+from service.formats.tabular.series_tables import (
+    ATTITUDE,
+    EVENTS,
+    POLARIZATION,
+    REFERENCES,
+    TELEMETRY,
+    TORQUES,
+    EventRow,
+    plain_value,
+)
 from service.formats.tabular.table_file import SeriesTable, TableFormat, table_bytes
 from service.formats.tdm import TdmWriter, TrackingMessage
 from service.ports import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.records.inputs import AttitudeReference
 from service.records.journal import KIND_OF, JournalEntry
 from service.records.levels.measurement import Measurement
 from service.records.levels.measurement_block import MeasurementBlock
@@ -48,6 +56,8 @@ OFFERED: dict[str, tuple[FileFormat, ...]] = {
     "attitude": (*_TABLES, "aem"),
     "torques": _TABLES,
     "references": _TABLES,
+    "telemetry": _TABLES,
+    "polarization": _TABLES,
     "events": _TABLES,
     "joined": _TABLES,
 }
@@ -58,7 +68,13 @@ _PARAMETERS = {
     "torques": {"version"},
     "joined": {"plan_id", "method", "version"},
 }
-#: kinds of the journal that are events; references, telemetry and applied commands are series of their own
+#: slow inputs that are series of their own: kind in the journal, and columns
+_OF_INPUTS: dict[str, tuple[str, SeriesTable[Any]]] = {
+    "references": ("reference", REFERENCES),
+    "telemetry": ("telemetry", TELEMETRY),
+    "polarization": ("polarization", POLARIZATION),
+}
+#: kinds of the journal that are events
 EVENT_KINDS = (
     "operation",
     "correction",
@@ -221,14 +237,14 @@ class _Maker:
         label = f"joined_{method.value}_{version}"
         return ArchiveFile(label, parameters, read, self._table(joined_table(columns)))
 
-    def references(self) -> ArchiveFile:
-        """Return the file of attitude references."""
+    def inputs(self) -> ArchiveFile:
+        """Return the file of a kind of slow inputs."""
+        kind, table = _OF_INPUTS[self._order.series]
 
         def read(window: Window) -> Iterator[Chunk]:
-            references = (entry.content for entry in self._entries("reference", window))
-            return _paged(reference for reference in references if isinstance(reference, AttitudeReference))
+            return _paged(entry.content for entry in self._entries(kind, window))
 
-        return ArchiveFile("references", (), read, self._table(REFERENCES))
+        return ArchiveFile(self._order.series, (), read, self._table(table))
 
     def events(self) -> ArchiveFile:
         """Return the file of events that begin in the span, in order of their beginning."""
@@ -315,7 +331,7 @@ _MAKERS: dict[str, Callable[[_Maker], ArchiveFile]] = {
     "measurements": _Maker.measurements,
     "attitude": _Maker.attitude,
     "torques": _Maker.torques,
-    "references": _Maker.references,
+    **dict.fromkeys(_OF_INPUTS, _Maker.inputs),
     "events": _Maker.events,
     "joined": _Maker.joined,
 }

@@ -36,7 +36,8 @@ def export(
     series: Annotated[
         str,
         typer.Option(
-            help="measurements, attitude, torques, references, events, or joined: the first three in one table."
+            help="measurements, attitude, torques, references, telemetry, polarization, events, or joined: "
+            "the first three in one table."
         ),
     ],
     start: Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")],

@@ -1,4 +1,4 @@
-"""Columns of the series that are kept as records: attitude, torques, references, events."""
+"""Columns of the series that are kept as records: attitude, torques, slow inputs, events."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -9,7 +9,7 @@ from typing import Any
 
 from service.formats.tabular.table_file import Column, Kind, SeriesTable
 from service.records.epoch import format_epoch
-from service.records.inputs import AttitudeReference
+from service.records.inputs import AttitudeReference, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import AttitudeRow, Axes
 from service.records.levels.command import Pulse, ScheduleVerdict, TorqueCommand
 from service.records.record_fields import FieldKind, RecordField, record_fields
@@ -80,6 +80,8 @@ def _columns(field: RecordField, axes: tuple[str, ...]) -> tuple[dict[str, Kind]
         return *_EXCEPTIONS[field.name], (field.name,)
     kind, code = _KINDS.get(field.kind, "text"), _CODES.get(field.kind)
     if field.kind in {FieldKind.AXES, FieldKind.AXIS_TRUTHS}:
+        if field.is_optional:
+            code = lambda value: [None if value is None else getattr(value, axis) for axis in axes]  # noqa: E731
         paths = [f"{field.name}.{axis}" for axis in axes] if code is None else [field.name]
         return dict.fromkeys(field.axis_names(axes), kind), code, paths
     name = field.name.removesuffix("_us") if kind == "epoch" else field.name
@@ -131,6 +133,8 @@ JOINED_ATTITUDE: SeriesTable[AttitudeRow] = _table(
     without=("epoch_us", "received_at_us", "number", "rates_deg_s"),
 )
 REFERENCES: SeriesTable[AttitudeReference] = _table(AttitudeReference, first=("epoch_us",))
+TELEMETRY: SeriesTable[TelemetryRecord] = _table(TelemetryRecord)
+POLARIZATION: SeriesTable[PolarizationRecord] = _table(PolarizationRecord, first=("epoch_us",))
 TORQUES: SeriesTable[TorqueCommand] = _table(TorqueCommand, without=("number",), axes=_BODY)
 EVENTS: SeriesTable[EventRow] = _table(EventRow)
 

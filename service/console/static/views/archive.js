@@ -13,7 +13,7 @@ export const name = "archive";
 
 const TABLES = ["csv", "ndjson", "parquet"];
 /** Series, and the formats that each is written in. */
-const FORMATS = { measurements: [...TABLES, "tdm"], attitude: [...TABLES, "aem"], torques: TABLES, references: TABLES, events: TABLES, joined: TABLES };
+const FORMATS = { measurements: [...TABLES, "tdm"], attitude: [...TABLES, "aem"], torques: TABLES, references: TABLES, telemetry: TABLES, polarization: TABLES, events: TABLES, joined: TABLES };
 const METHODS = ["robust", "paper"];
 /** Series of one method, and those that replays write too. */
 const OF_METHOD = ["attitude", "joined"], OF_REPLAYS = [...OF_METHOD, "torques"];

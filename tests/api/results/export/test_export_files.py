@@ -18,7 +18,7 @@ from service.api.export.export_files import OFFERED
 from service.formats.tdm import read_tdm
 from service.ports import Outcome
 from service.records.epoch import format_epoch
-from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord
+from service.records.inputs import AttitudeReference, Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.command import ScheduleVerdict
 from service.records.levels.measurement import CarrierDetails
@@ -61,7 +61,16 @@ def fill(bench, make, *, days: int = 3) -> None:
     references = [AttitudeReference("star_tracker", epoch, Axes(0.1, math.nan, -0.0), NO_ANGLES) for epoch in epochs]
     archive.append_inputs(make.sc, references)
     archive.append_inputs(make.sc, [Correction(epochs[0], epochs[1], Axes(0.0, 0.1, 0.0))])
-    archive.append_inputs(make.sc, [TelemetryRecord(epochs[0], "forecast")])
+    rates = [None, Axes(1e-4, math.nan, -0.0)]
+    telemetry = [
+        TelemetryRecord(epoch, "wheels", (0.25, -1.5, 0.0), body_rate_deg_s=rates[k % 2])
+        for k, epoch in enumerate(epochs[1:])
+    ]
+    archive.append_inputs(make.sc, [TelemetryRecord(epochs[0], "forecast"), *telemetry])
+    polarized = [
+        PolarizationRecord("pol-1", epoch, ratio_db=-15.25, co_power_dbm=-48.5, tec_tecu=20.0) for epoch in epochs
+    ]
+    archive.append_inputs(make.sc, polarized)
     archive.add_operation(make.sc, Operation(0, "eclipse", epochs[3], None, comment='of "Moon", perhaps'))
 
 
@@ -130,7 +139,7 @@ def rows_of(file_format: str, contents: list[bytes]) -> list[object]:
 
 async def test_formats_of_a_table_tell_the_same(bench, make):
     fill(bench, make, days=1)
-    for series in ("attitude", "torques", "references", "events"):
+    for series in ("attitude", "torques", "references", "telemetry", "polarization", "events"):
         lines = table_of((await file_of(bench, series)).text)
         objects = [json.loads(line) for line in (await file_of(bench, series, format="ndjson")).text.splitlines()]
         table = parquet.read_table(io.BytesIO((await file_of(bench, series, format="parquet")).content))
@@ -170,6 +179,20 @@ def as_cell(value: object) -> str:
     if isinstance(value, bool | list | dict):
         return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
     return repr(value) if isinstance(value, float) else str(value)
+
+
+async def test_telemetry_and_polarisation_are_as_they_were_sent(bench, make):
+    fill(bench, make, days=1)
+    first, second, third, _ = table_of((await file_of(bench, "telemetry")).text)
+    assert (first["onboard_mode"], first["wheel_momentum_n_m_s"], first["yaw_body_rate_deg_s"]) == ("forecast", "", "")
+    assert (second["wheel_momentum_n_m_s"], second["yaw_body_rate_deg_s"]) == ("[0.25,-1.5,0.0]", "")
+    assert [third[f"{axis}_body_rate_deg_s"] for axis in ("yaw", "roll", "pitch")] == ["0.0001", "", "-0.0"]
+    rows = table_of((await file_of(bench, "polarization")).text)
+    listed = (await bench.get("/polarization"))["rows"]
+    assert [row["epoch"] for row in rows] == [row["epoch"] for row in listed]
+    for row, known in zip(rows, listed, strict=True):
+        assert (row["source"], row["ratio_db"], row["angle_deg"]) == ("pol-1", "-15.25", "")
+        assert {name: as_cell(known[name]) for name in row} == row
 
 
 async def test_events_tell_what_was_declared_and_decided(bench, make):
