@@ -81,7 +81,7 @@ class TimelineAnswer(Answer):
     calibrations: list[ActivationAnswer]
     alignments: list[TimelineAlignmentAnswer]
     alarms: list[AlarmAnswer]
-    """Raised in the span, and those from before it that stand."""
+    """Active within the span, or raised in it; those closed since are sought among the newest 1000 raised before."""
     notes: list[NoteAnswer]
     cut: list[Cut]
     """Lists of which only the first 1000 are here: ask for a shorter span."""

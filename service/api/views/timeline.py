@@ -110,10 +110,19 @@ class Timeline:
                 yield TimelineCommandAnswer.of(command, id=command.counter)
 
     def _alarms(self) -> Iterator[AlarmAnswer]:
-        alarms = self.context.storage.alarms
-        earlier = (each for each in alarms.open_alarms(self.spacecraft_id) if each.raised_at_us < self.window.start_us)
+        """Yield the alarms that were active within the span, in order of their raising."""
+        alarms, start_us = self.context.storage.alarms, self.window.start_us
+        before = Window(EVERYTHING.start_us, start_us)
+        # of those closed since, the newest: what was raised before so many others is not looked for
+        earlier = {
+            each.id: each for each in alarms.alarms(self.spacecraft_id, (), before, MOST, None, newest_first=True)
+        }
+        for about in (self.spacecraft_id, None):
+            earlier |= {each.id: each for each in alarms.open_alarms(about) if each.raised_at_us < start_us}
+        lasting = [each for each in earlier.values() if each.ended_us is None or each.ended_us >= start_us]
+        lasting.sort(key=lambda each: (each.raised_at_us, each.id))
         raised: list[Alarm] = alarms.alarms(self.spacecraft_id, (), self.window, MOST + 1, None)
-        return (AlarmAnswer.of(each) for each in (*earlier, *raised))
+        return (AlarmAnswer.of(each) for each in (*lasting, *raised))
 
     def _notes(self) -> Iterator[NoteAnswer]:
         found = self.context.storage.notes.notes(self.window, MOST + 1, None, self.spacecraft_id)

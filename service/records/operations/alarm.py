@@ -120,6 +120,13 @@ class Alarm:
         return self.process in (Process.UNACKNOWLEDGED, Process.ACKNOWLEDGED)
 
     @property
+    def ended_us(self) -> int | None:
+        """When the condition went, or an operator closed the alarm before; None while it stands."""
+        if self.returned_at_us is None and not self.is_active:
+            return self.changed_at_us
+        return self.returned_at_us
+
+    @property
     def state(self) -> str:
         """The state as it is told: that of the cover where there is one."""
         return self.process.value if self.cover is Cover.NONE else self.cover.value

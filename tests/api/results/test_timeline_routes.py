@@ -10,9 +10,26 @@ from service.ports import Outcome
 from service.records.epoch import format_epoch
 from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import Axes, Exclusion
+from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 
 pytestmark = pytest.mark.anyio
 MINUTE = 60_000_000
+LEVEL = Alarm(
+    id=0,
+    spacecraft_id=None,
+    condition="carrier_level",
+    thing="",
+    process=Process.UNACKNOWLEDGED,
+    cover=Cover.NONE,
+    severity=Severity.WARNING,
+    since_us=0,
+    raised_at_us=0,
+    changed_at_us=0,
+    value=-4.0,
+    limit=-3.0,
+    unit="dB",
+    detail="4 dB below its level",
+)
 LISTS = ("states", "gaps", "operations", "corrections", "commands", "calibrations", "alignments", "alarms", "notes")
 
 
@@ -65,6 +82,34 @@ async def test_inputs_notes_and_alignments_stand_beside_the_states(story, make):
     assert [each["calibration_id"] for each in found["calibrations"]] == [calibration.id]
     later = await story.get("/timeline", start=epoch(make, 600), stop=epoch(make, 660))
     assert [len(later[name]) for name in LISTS] == [0, 0, 1, 0, 0, 0, 0, 0, 0]
+
+
+async def test_alarms_are_those_that_were_active_within_the_span(bench, make):
+    """Raised before the span, an alarm is in it as long as its condition stood, acknowledged or not."""
+    bench.append([make.now_us])
+    cases = {
+        "gone before, not acknowledged": (-50, -40, Process.RETURNED),
+        "gone before, closed": (-49, -39, Process.NORMAL),
+        "cleared before": (-48, None, Process.NORMAL),
+        "gone within, closed": (-30, 5, Process.NORMAL),
+        "gone within, latched": (-29, 6, Process.LATCHED),
+        "stands": (-20, None, Process.ACKNOWLEDGED),
+        "raised within": (10, 12, Process.NORMAL),
+        "raised behind": (70, None, Process.UNACKNOWLEDGED),
+    }
+    changes = []
+    for thing, (raised, gone, process) in cases.items():
+        raised_us = make.now_us + raised * MINUTE
+        gone_us = None if gone is None else make.now_us + gone * MINUTE
+        about = {"thing": thing, "process": process, "changed_at_us": gone_us or raised_us, "returned_at_us": gone_us}
+        alarm = replace(LEVEL, spacecraft_id=make.sc, since_us=raised_us, raised_at_us=raised_us, **about)
+        changes.append(AlarmChange(ChangeKind.RAISED, alarm, raised_us, is_told=False))
+    service = replace(changes[5].alarm, spacecraft_id=None, thing="of the service", raised_at_us=make.now_us - MINUTE)
+    bench.storage.alarms.save(changes)
+    bench.storage.alarms.save([AlarmChange(ChangeKind.RAISED, service, service.raised_at_us, is_told=False)])
+    found = await bench.get("/timeline", start=epoch(make, 0), stop=epoch(make, 60))
+    expected = ["gone within, closed", "gone within, latched", "stands", "of the service", "raised within"]
+    assert [each["thing"] for each in found["alarms"]] == expected
 
 
 async def test_too_many_runs_are_joined_and_too_long_lists_cut(story, make, monkeypatch):
