@@ -97,11 +97,12 @@ BAD: dict[str, tuple[Change, str | None]] = {
     "feed moved": (turned(lambda hour, angle: (angle + 0.5 * (hour > 4.0), 0.0)), "polarimeter_moved"),
     "feed moved each hour": (turned(lambda hour, angle: (angle + 2.0 * (int(hour) % 2), 0.0)), "polarimeter_refused"),
     "rain": (turned(rain), None),
-    "saturated": (saturated, None),
+    "deep fade": (turned(lambda hour, angle: (angle, -8.0 * (hour > 4.0))), "polarimeter_silent"),
+    "saturated": (saturated, "polarimeter_silent"),
     "wrong sign": (turned(lambda hour, angle: (-angle, 0.0)), None),
     "scale of two": (turned(lambda hour, angle: (2.0 * angle, 0.0)), "polarimeter_refused"),
     "wild records": (turned(wild), None),
-    "stale": (stale, None),
+    "stale": (stale, "polarimeter_silent"),
     "handed over three hours late": (late, None),
     "disordered": (disordered, None),
 }
@@ -127,7 +128,9 @@ def flown(kind: str) -> Flown:
 def test_a_bad_polarimeter_leads_to_no_wrong_torque_and_costs_little(kind: str) -> None:
     advice = BAD[kind][1]
     found, plain_deg = flown(kind), flown("").rms_deg(1.0)
-    said = [one for one in ("polarimeter_moved", "polarimeter_refused") if found.advises(one).any()]
+    said = [
+        one for one in ("polarimeter_moved", "polarimeter_refused", "polarimeter_silent") if found.advises(one).any()
+    ]
     print(f"seed {SEED}, {kind}: {found.rms_deg(1.0).round(4)}, without {plain_deg.round(4)}, advice {said}")
     assert found.wrong_minutes == 0
     assert (found.rms_deg(1.0) <= tolerated_deg(plain_deg)).all()

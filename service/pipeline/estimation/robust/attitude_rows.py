@@ -41,6 +41,9 @@ ADVICE: dict[str, str] = {
     "the warnings of the calibration, correct the sign of feed_offset_deg, the feed or the ratio, and calibrate again",
     "polarimeter_moved": "the angle of a polarimeter jumped while its co-polar power was quiet: its feed was moved or "
     "its receiver changed; its offset is learned again",
+    "polarimeter_silent": "no angle of a polarimeter has been of use for three hours, and yaw is known as without it: "
+    "none came in time, they repeat, or its co-polar power is more than 5 dB off that of clear sky; check receiver, "
+    "feed and link, and align again if the power stays so",
 }
 #: advice that alarms: what measures motion is left out, or jumped
 MOTION_ADVICE = tuple(

@@ -21,7 +21,7 @@ def with_polarization(state: RobustState, model: RobustModel, knowledge: Knowled
         return state
     gaussian = state.filter.gaussian
     first = sensors_first(model.filter, gaussian, settings) + momentum_count(settings)
-    watches = list(state.polarimeters or (PolarimeterWatch(),) * len(settings.polarimeters))
+    watches = list(state.polarimeters or (PolarimeterWatch(epoch_us),) * len(settings.polarimeters))
     for number, stated in enumerate(model.polarimeters):
         read = settings.polarimeters[number]
         block = due_block(knowledge.polarization.get(stated.source, ()), stated, watches[number].newest_us, epoch_us)

@@ -26,8 +26,8 @@ _LEAST_RECORDS = 5.0
 _MISLED_DEG = (0.2, 0.02, 0.02)
 #: a jump is reported for this long, us
 _REPORTED_US = 3_600_000_000
-#: without a new record for this long yaw is known as without telemetry, us; records of each hour may miss one
-_SILENT_US = 3 * 3_600_000_000
+#: without anything of use for this long yaw is known as without the sensor, us; records of each hour may miss one
+SILENT_US = 3 * 3_600_000_000
 _NEVER_US = -(1 << 62)
 
 
@@ -64,7 +64,7 @@ def has_jumped(watch: MomentumWatch, epoch_us: int) -> bool:
 
 def momentum_advice(watch: MomentumWatch, since_us: int, epoch_us: int, *, is_used: bool) -> dict[str, bool]:
     """Return which advice about the telemetry of the wheels is given at an epoch of a filter that began at another."""
-    is_silent = epoch_us - max(watch.newest_us, since_us) > _SILENT_US
+    is_silent = epoch_us - max(watch.newest_us, since_us) > SILENT_US
     return {
         "momentum_refused": watch.is_refused,
         "momentum_jump": has_jumped(watch, epoch_us),

@@ -2,8 +2,9 @@
 
 A block is some minutes of records. Beyond two sigma it counts less, beyond four it is left out; three in a row that are
 left out in quiet co-polar power are a moved feed: the offset is free again. A fade of the co-polar port widens, a deep
-one leaves the block out. Where blocks keep disagreeing the polarimeter is refused until the next alignment, and
-yaw is known as if it had measured nothing for long. The law of this file: blocks in, a verdict and the next watch out.
+one leaves the block out; three hours without a block of use are told. Where blocks keep disagreeing the polarimeter is
+refused until the next alignment, and yaw is known as if it had measured nothing for long. The law of this file: blocks
+in, a verdict and the next watch out.
 """
 
 import math
@@ -14,6 +15,7 @@ import numpy as np
 from service.core.estimation.filtering.model.filter_model import FloatArray, PolarimeterModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
 from service.core.estimation.filtering.model.polarimeter import compared_angle, updated_by_angle, with_moved_feed
+from service.core.estimation.filtering.watches.momentum_watch import SILENT_US
 
 #: sigmas from which a block counts less and is left out
 _TRUSTED, _GATE = 2.0, 4.0
@@ -49,6 +51,8 @@ class AngleBlock(NamedTuple):
 class PolarimeterWatch(NamedTuple):
     """State of the judgement; sums forget."""
 
+    #: newest block out of a deep fade, at first the begin of the watch
+    heard_us: int
     newest_us: int = NEVER_US
     #: blocks left out in a row
     skipped: int = 0
@@ -67,6 +71,7 @@ def polarimeter_advice(watches: tuple[PolarimeterWatch, ...], epoch_us: int) -> 
     return {
         "polarimeter_refused": any(watch.is_refused for watch in watches),
         "polarimeter_moved": any(epoch_us - watch.moved_us < _REPORTED_US for watch in watches),
+        "polarimeter_silent": any(epoch_us - one.heard_us > SILENT_US and not one.is_refused for one in watches),
     }
 
 
@@ -94,6 +99,7 @@ def push_block(
     fade_db = 0.0 if math.isnan(block.co_power_dbm) else max(0.0, abs(clear_dbm - block.co_power_dbm) - _QUIET_DB)
     if fade_db > _DEEP_DB:
         return watch, gaussian
+    watch = watch._replace(heard_us=block.epoch_us)
     variance_deg2 = block.variance_deg2 + (_RAIN_DEG_DB * fade_db) ** 2
     after_h = (block.epoch_us - epoch_us) / 3.6e9
     found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)

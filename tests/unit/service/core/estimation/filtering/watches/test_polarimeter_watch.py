@@ -20,7 +20,7 @@ Judged = tuple[PolarimeterWatch, Gaussian]
 def settled() -> Judged:
     """Return the watch and the state after the first angle, 1 deg at a yaw of 0."""
     sigma = [0.1, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 3.0, 0.05, 0.05, 0.05]
-    return pushed((PolarimeterWatch(), Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
+    return pushed((PolarimeterWatch(0), Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
 
 
 def pushed(judged: Judged, angle_deg: float, power_dbm: float = -55.0, number: int | None = None) -> Judged:
@@ -68,6 +68,25 @@ def test_a_fade_widens_and_a_deep_one_leaves_the_block_out() -> None:
     for _block in range(6):
         judged = pushed(judged, 6.0, -57.0)
     assert advice(judged) == []
+
+
+def test_a_deep_fade_is_told_after_three_hours_until_the_power_is_back() -> None:
+    judged = settled()
+    for _block in range(36):
+        judged = pushed(judged, 1.0, -62.0)
+        assert advice(judged) == []
+    judged = pushed(judged, 1.0, -62.0)
+    assert advice(judged) == ["polarimeter_silent"]
+    assert advice(pushed(judged, 1.0)) == []
+
+
+def test_a_polarimeter_that_never_spoke_is_told_and_a_refused_one_is_not() -> None:
+    watch = PolarimeterWatch(STEP_US)
+    for hours, is_told in ((3.0, False), (3.1, True)):
+        epoch_us = STEP_US + round(hours * 3.6e9)
+        assert polarimeter_advice((watch,), epoch_us)["polarimeter_silent"] is is_told
+        assert not polarimeter_advice((watch._replace(is_refused=True),), epoch_us)["polarimeter_silent"]
+    assert not any(polarimeter_advice((), 10**15).values())
 
 
 def test_blocks_that_are_not_newer_tell_nothing() -> None:
