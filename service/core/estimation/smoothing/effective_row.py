@@ -1,9 +1,10 @@
 """Effective rows of the attitude filter: what each step did to the state, as linear operations, and the way back.
 
 A row holds, in the order in which they acted: how the state came from that of the row before (hidden states come and
-go), the step of time, the update with its weights and without the carriers that were excluded, and the states that
-began again after it. Variance that was added on the way (a freed reference, a step of the chain, a wider drift, a
-jump) is noise and passes. The law of this file: decisions are those of the filter; nothing is decided again.
+go), the records of other sensors taken before the step, the step of time, the update with its weights and without the
+carriers that were excluded, and the states that began again after it. Variance that was added on the way (a freed
+reference, a step of the chain, a wider drift, a jump, an unloading) is noise and passes. The law of this file:
+decisions are those of the filter; nothing is decided again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,6 +23,9 @@ from service.core.estimation.filtering.model.filter_state import (
     core_size,
     hidden_count,
 )
+from service.core.estimation.filtering.model.hidden_motion import sensors_first
+from service.core.estimation.filtering.model.sensor_effect import SensorEffect
+from service.core.estimation.filtering.model.wheel_momentum import momentum_sources, momentum_transition
 from service.core.estimation.smoothing.adjoint import (
     Adjoint,
     LinearStep,
@@ -40,6 +44,15 @@ from service.core.estimation.smoothing.adjoint import (
 _MOVING = RATE.stop
 
 
+class SensedRecord(NamedTuple):
+    """Record of another sensor as it acted on the state between two rows."""
+
+    #: states that began again before the update
+    restarted: IntArray
+    #: None = the record was left out
+    update: WhitenedRow | None
+
+
 class EffectiveRow(NamedTuple):
     """Row of the filter as it acted on a state of D numbers."""
 
@@ -47,6 +60,8 @@ class EffectiveRow(NamedTuple):
     #: (D',) for each number of the state before the step where it stood after the row before, -1 = nowhere;
     #: None = nowhere at all
     origin: IntArray | None
+    #: what records of other sensors did to it
+    sensed: tuple[SensedRecord, ...]
     step: LinearStep
     #: None = no carrier moved the state
     update: WhitenedRow | None
@@ -70,14 +85,16 @@ def effective_row(
     found: FilterStep,
     step: LinearStep,
     origin: IntArray | None,
+    effects: Sequence[SensorEffect] = (),
 ) -> EffectiveRow:
-    """Return a row of the filter from the state before, the result and the step of time."""
+    """Return a row of the filter from the state before, the result, the step of time and records taken before it."""
     after, effective = found.state, found.effective
     is_used = effective is not None and effective.degrees > 0
     return EffectiveRow(
         after.epoch_us,
         origin,
-        step,
+        tuple(SensedRecord(each.restarted, each.update and whitened_row(*each.update)) for each in effects),
+        _with_momentum(model, settings, before, step, after.epoch_us - before.epoch_us),
         _whitened(model, effective) if effective is not None and is_used else None,
         0.0 if effective is None else _rain_push(effective),
         before.rain.is_raining and not after.rain.is_raining,
@@ -88,7 +105,29 @@ def effective_row(
     )
 
 
-def state_origin(model: CarrierModel, before: FloatArray, after: FloatArray, torques: int) -> IntArray | None:
+def _with_momentum(
+    model: CarrierModel, settings: FilterSettings, before: FilterState, step: LinearStep, step_us: int
+) -> LinearStep:
+    """Return the step in which momentum of the wheels moves on too, where it is among the states."""
+    if settings.momentum is None:
+        return step
+    first = sensors_first(model, before.gaussian, settings)
+    effect, turn = momentum_transition(before.epoch_us, step_us, settings, settings.momentum)
+    sources = momentum_sources(first, settings)
+    shares = np.zeros((3, len(step.sources)))
+    shares[:, np.searchsorted(step.sources, sources)] = np.hstack([effect[:, : len(sources) - 3], turn])
+    targets = np.concatenate([step.targets, np.arange(first, first + 3)])
+    return step._replace(targets=targets, shares=np.vstack([step.shares, shares]))
+
+
+def state_origin(
+    model: CarrierModel,
+    before: FloatArray,
+    after: FloatArray,
+    behind: tuple[int, int] = (0, 0),
+    *,
+    is_same: bool = True,
+) -> IntArray | None:
     """Return where each number of a state stood in the one before it, -1 = nowhere; None = they have nothing in common.
 
     Parameters
@@ -97,8 +136,10 @@ def state_origin(model: CarrierModel, before: FloatArray, after: FloatArray, tor
         Carriers of both.
     before, after : ndarray, shape (D,) and (D',)
         State after a row, and the one from which the next row began.
-    torques : int
-        States of torques among the hidden ones, behind the shares of commands.
+    behind : tuple of int
+        Hidden states of torques and of other sensors of both, behind the shares of commands.
+    is_same : bool
+        Whether the other sensors are the same; else their states and those of torques began again.
     """
     former, hidden = (hidden_count(model, len(state)) for state in (before, after))
     if min(former, hidden) < 0:
@@ -107,11 +148,10 @@ def state_origin(model: CarrierModel, before: FloatArray, after: FloatArray, tor
     core, own = core_size(model), model.carriers * (model.components + 1)
     origin[:core] = np.arange(core)
     origin[len(origin) - own :] = np.arange(len(before) - own, len(before))
-    shares = min(former, hidden) - torques
-    kept = np.arange(max(0, shares))
+    kept = np.arange(max(0, min(former - behind[0], hidden - behind[1])))
     origin[core + kept] = core + kept
-    if shares >= 0:
-        origin[core + hidden - torques : core + hidden] = np.arange(core + former - torques, core + former)
+    if is_same and behind[0] == behind[1]:
+        origin[core + hidden - behind[1] : core + hidden] = np.arange(core + former - behind[0], core + former)
     stays = origin >= 0
     return origin if np.array_equal(after[stays], before[origin[stays]]) else None
 
@@ -131,8 +171,17 @@ def smoothed_rows(rows: Sequence[EffectiveRow]) -> Iterator[SmoothedState]:
         yield smoothed_state(row.mean[:_MOVING], row.covariance, adjoint)
         if number:
             states = rows[number - 1].covariance.shape[1]
-            earlier = before_step(_before_update(row, adjoint), row.step)
+            earlier = _before_records(row, before_step(_before_update(row, adjoint), row.step))
             adjoint = None if row.origin is None else before_resize(earlier, row.origin, states)
+
+
+def _before_records(row: EffectiveRow, adjoint: Adjoint) -> Adjoint:
+    """Return the adjoint before the records of other sensors that a row followed."""
+    for record in reversed(row.sensed):
+        adjoint = before_start(
+            adjoint if record.update is None else before_row(adjoint, record.update), record.restarted
+        )
+    return adjoint
 
 
 def _before_update(row: EffectiveRow, adjoint: Adjoint) -> Adjoint:

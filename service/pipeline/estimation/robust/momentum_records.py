@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 
 from service.core.estimation.filtering.model.hidden_motion import sensors_first
+from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.watches.momentum_watch import push_record, with_impossible
 from service.pipeline.estimation.robust.method import RobustState, RobustStep, step_robust
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.robust.polarization_records import with_polarization
 from service.pipeline.estimation.robust.rate_records import with_rates
+from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.inputs.knowledge import Knowledge
 from service.records.levels.measurement import Measurement
 
@@ -25,28 +27,33 @@ def step_with_record(
     knowledge: Knowledge,
     measurement: Measurement,
     is_late: bool,
+    recorder: RowRecorder | None = None,
     **inputs: Any,
 ) -> RobustStep:
     """Take the records of wheels, polarimeters and rates that are due, then a row, as `step_robust` does."""
     if not is_late:
-        sensed = with_polarization(with_record(state, model, knowledge), model, knowledge)
-        state, model = with_rates(sensed, model, knowledge, measurement.epoch_us)
-    return step_robust(state, model, knowledge, measurement, is_late=is_late, **inputs)
+        began = state.filter.gaussian
+        state, of_wheels = with_record(state, model, knowledge)
+        state, of_angles = with_polarization(state, model, knowledge)
+        state, model = with_rates(state, model, knowledge, measurement.epoch_us)
+        if recorder is not None:
+            recorder.sense(began.mean, (of_wheels, *of_angles), None if model.rate_sensor is None else state.filter)
+    return step_robust(state, model, knowledge, measurement, is_late=is_late, recorder=recorder, **inputs)
 
 
-def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) -> RobustState:
-    """Return the state after the newest record of the wheels that is not newer than its row."""
+def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) -> tuple[RobustState, SensorEffect]:
+    """Return the state after the newest record of the wheels that is not newer than its row, and its effect."""
     wheels, epoch_us, record = model.settings.momentum, state.filter.epoch_us, knowledge.telemetry
     reported = knowledge.momentum_n_m_s(epoch_us, _LATE_S)
     if wheels is None or record is None or reported is None or model.wheel_axes is None:
-        return state
+        return state, NO_EFFECT
     if len(reported) != len(model.wheel_axes) or knowledge.spacecraft is None:
-        return state
+        return state, NO_EFFECT
     if max(map(abs, reported)) > knowledge.spacecraft.wheels.momentum_limit_n_m_s:
         # no wheel holds so much: a first record of another unit would be believed, a later one is a wild record
-        return replace(state, momentum=with_impossible(state.momentum))
+        return replace(state, momentum=with_impossible(state.momentum)), NO_EFFECT
     gaussian = state.filter.gaussian
-    watch, gaussian = push_record(
+    watch, gaussian, effect = push_record(
         state.momentum,
         gaussian,
         sensors_first(model.filter, gaussian, model.settings),
@@ -57,4 +64,4 @@ def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) ->
         wheels,
         is_unloading=bool(record.thrusters_active),
     )
-    return replace(state, filter=state.filter._replace(gaussian=gaussian), momentum=watch)
+    return replace(state, filter=state.filter._replace(gaussian=gaussian), momentum=watch), effect

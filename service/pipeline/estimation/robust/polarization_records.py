@@ -7,6 +7,7 @@ import numpy as np
 
 from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensors_first
 from service.core.estimation.filtering.model.polarimeter import POLARIMETER
+from service.core.estimation.filtering.model.sensor_effect import SensorEffect
 from service.core.estimation.filtering.watches.polarimeter_watch import PolarimeterWatch, push_block
 from service.pipeline.estimation.robust.method import RobustState
 from service.pipeline.estimation.robust.model import RobustModel
@@ -14,12 +15,14 @@ from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.polarization import due_block, orbit_turn_deg
 
 
-def with_polarization(state: RobustState, model: RobustModel, knowledge: Knowledge) -> RobustState:
-    """Return the state after the blocks of the polarimeters that are due at its epoch."""
+def with_polarization(
+    state: RobustState, model: RobustModel, knowledge: Knowledge
+) -> tuple[RobustState, list[SensorEffect]]:
+    """Return the state after the blocks of the polarimeters that are due at its epoch, and the effect of each."""
     settings, epoch_us = model.settings, state.filter.epoch_us
     if knowledge.spacecraft is None or not settings.polarimeters:
-        return state
-    gaussian = state.filter.gaussian
+        return state, []
+    gaussian, effects = state.filter.gaussian, []
     first = sensors_first(model.filter, gaussian, settings) + momentum_count(settings)
     watches = list(state.polarimeters or (PolarimeterWatch(epoch_us),) * len(settings.polarimeters))
     for number, stated in enumerate(model.polarimeters):
@@ -31,7 +34,9 @@ def with_polarization(state: RobustState, model: RobustModel, knowledge: Knowled
         turned_deg = orbit_turn_deg(knowledge.ephemeris, knowledge.spacecraft, read.sight, at_us)
         block = block._replace(angle_deg=block.angle_deg - float(turned_deg[0]))
         if math.isfinite(block.angle_deg):
-            watches[number], gaussian = push_block(
+            watches[number], gaussian, effect = push_block(
                 watches[number], gaussian, first + POLARIMETER * number, block, epoch_us, read
             )
-    return replace(state, filter=state.filter._replace(gaussian=gaussian), polarimeters=tuple(watches))
+            effects.append(effect)
+    state = replace(state, filter=state.filter._replace(gaussian=gaussian), polarimeters=tuple(watches))
+    return state, effects

@@ -10,13 +10,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep
+from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.filter_state import DRIFT, RATE
-from service.core.estimation.filtering.model.torque_prior import TORQUES, is_pushed
+from service.core.estimation.filtering.model.hidden_motion import sensor_states
+from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
+from service.core.estimation.filtering.model.torque_prior import TORQUES, has_torque
 from service.core.estimation.filtering.rows.row_kernels import RowKernels
-from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row, state_origin
+from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row, restarted_states, state_origin
 from service.core.estimation.smoothing.row_capture import StepCapture
 from service.pipeline.estimation.robust.model import RobustModel
-from service.records.levels.attitude import IntArray
+from service.records.levels.attitude import FloatArray, IntArray
 
 
 class RowRecorder:
@@ -32,6 +35,9 @@ class RowRecorder:
         self._rows: deque[EffectiveRow] = deque(maxlen=most_rows)
         self._capture: StepCapture | None = None
         self._model: RobustModel | None = None
+        #: mean before the records of other sensors that the next row follows, and what they did
+        self._began: FloatArray | None = None
+        self._effects: tuple[SensorEffect, ...] = ()
 
     @property
     def rows(self) -> Sequence[EffectiveRow]:
@@ -49,33 +55,46 @@ class RowRecorder:
             self._capture = StepCapture(kernels)
         return self._capture.kernels
 
+    def sense(self, began: FloatArray, effects: Sequence[SensorEffect], moved: FilterState | None) -> None:
+        """Keep what records of other sensors did to a mean (D,) before the row that is pushed next.
+
+        `moved` is the state after the rate of the body was put into it, None where no sensor measures one.
+        """
+        if moved is not None:
+            begun = restarted_states(moved.gaussian.covariance)
+            effects = [*effects, SensorEffect(begun[(begun >= DRIFT.start) & (begun < RATE.stop)])]
+        self._began, self._effects = began, tuple(each for each in effects if each is not NO_EFFECT)
+
     def push(self, model: RobustModel, before: FilterState, found: FilterStep) -> None:
         """Keep a row of the filter that was taken with the capturing stages."""
+        effects, began = self._effects, before.gaussian.mean if self._began is None else self._began
+        self._began, self._effects = None, ()
         if found.state is before:
             return
         while self._rows and self._rows[-1].epoch_us >= found.state.epoch_us:
             self._rows.pop()
         if self._capture is None or self._capture.newest is None:
             return
-        origin = self._origin(model, before)
-        self._rows.append(effective_row(model.filter, model.settings, before, found, self._capture.newest, origin))
+        origin = self._origin(model, began)
+        step = self._capture.newest
+        self._rows.append(effective_row(model.filter, model.settings, before, found, step, origin, effects))
         self._model = model
 
-    def _origin(self, model: RobustModel, before: FilterState) -> IntArray | None:
-        """Return where each number of the state before a row stood after the row before, None = nowhere."""
+    def _origin(self, model: RobustModel, mean: FloatArray) -> IntArray | None:
+        """Return where each number of the mean that a row began with stood after the row before, None = nowhere."""
         if not self._rows or self._model is None:
             return None
-        if model.settings.momentum is not None or model.settings.polarimeters:
-            # records of the wheels and of polarimeters act between rows, which a smoother does not take back
-            return None
-        former, mean = self._rows[-1].mean, before.gaussian.mean
+        former = self._rows[-1].mean
         if former is mean:
             return np.arange(len(mean))
-        if model.rate_sensor is not None and len(former) == len(mean):
-            # a measured rate is put into the state before a row, and a bias may have taken the place of the drift
-            stays, moving = former == mean, np.arange(len(mean))
-            return np.where(stays, moving, -1) if stays[: DRIFT.start].all() and stays[RATE.stop :].all() else None
         if (self._model.calibration_id, self._model.carrier_ids) != (model.calibration_id, model.carrier_ids):
             return None
-        torques = TORQUES if is_pushed(model.settings) else 0
-        return state_origin(model.filter, former, mean, torques)
+        kept, now = self._model.settings, model.settings
+        is_same = (kept.momentum, kept.polarimeters) == (now.momentum, now.polarimeters)
+        behind = _behind_shares(kept), _behind_shares(now)
+        return state_origin(model.filter, former, mean, behind, is_same=is_same)
+
+
+def _behind_shares(settings: FilterSettings) -> int:
+    """Return how many hidden states stand behind the shares of commands: torques and other sensors."""
+    return TORQUES * has_torque(settings) + sensor_states(settings)

@@ -16,6 +16,7 @@ import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, PolarimeterModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, Gaussian
+from service.core.estimation.filtering.model.sensor_effect import SensorUpdate
 from service.core.estimation.filtering.model.torque_prior import DAY_US
 
 #: states of one polarimeter: offset, daily cosine and sine, wander
@@ -33,8 +34,19 @@ class ComparedAngle(NamedTuple):
 
     innovation_deg: float
     variance_deg2: float
-    #: (D,) P H'
+    #: (D,) P H' and H
     cross: FloatArray
+    jacobian: FloatArray
+
+    def widened(self, variance_deg2: float) -> "ComparedAngle":
+        """Return the same with a noise whose variance is greater."""
+        return self._replace(variance_deg2=self.variance_deg2 + variance_deg2)
+
+    @property
+    def update(self) -> SensorUpdate:
+        """Return the angle as an update of one measurement."""
+        innovation, variance = np.array([self.innovation_deg]), np.array([[self.variance_deg2]])
+        return SensorUpdate(self.jacobian[None, :], innovation, variance, self.cross[None, :])
 
 
 def ratio_db(feed_offset_deg: float, angle_deg: float, leakage: float = 0.0) -> float:
@@ -109,12 +121,13 @@ def compared_angle(
     jacobian[DRIFT] = jacobian[RATE] = after_h * sight
     jacobian[first : first + POLARIMETER] = 1.0, math.cos(phase), math.sin(phase), 1.0
     cross = gaussian.covariance @ jacobian
-    return ComparedAngle(measured_deg - float(jacobian @ gaussian.mean), float(jacobian @ cross) + variance_deg2, cross)
+    innovation_deg = measured_deg - float(jacobian @ gaussian.mean)
+    return ComparedAngle(innovation_deg, float(jacobian @ cross) + variance_deg2, cross, jacobian)
 
 
-def updated_by_angle(gaussian: Gaussian, found: ComparedAngle, added_deg2: float) -> Gaussian:
-    """Return the state after an angle whose variance is greater by `added_deg2`."""
-    gain = found.cross / (found.variance_deg2 + added_deg2)
+def updated_by_angle(gaussian: Gaussian, found: ComparedAngle) -> Gaussian:
+    """Return the state after an angle."""
+    gain = found.cross / found.variance_deg2
     covariance = gaussian.covariance - np.multiply.outer(gain, found.cross)
     return Gaussian(gaussian.mean + gain * found.innovation_deg, 0.5 * (covariance + covariance.T))
 

@@ -10,13 +10,13 @@ this file: momentum moves nothing else; a record of telemetry has one weight.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, IntArray, MomentumModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, Gaussian
 from service.core.estimation.filtering.model.hidden_motion import momentum_count
+from service.core.estimation.filtering.model.sensor_effect import SensorUpdate
 from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
     gathered_prior_deg_h2,
@@ -34,16 +34,6 @@ _PANEL_H = 1.0 / 6.0
 _BODY = np.array([1, 2, 0])
 #: one sigma of a momentum of which nothing is known, N m s
 FREE_N_M_S = 1.0
-
-
-class ReportedMomentum(NamedTuple):
-    """Record of telemetry compared with the state."""
-
-    #: (3,) and (3, 3) N m s, of roll, pitch, yaw
-    innovation: FloatArray
-    covariance: FloatArray
-    #: (3, D) H P
-    cross: FloatArray
 
 
 def momentum_covariance(settings: FilterSettings, wheels: MomentumModel) -> FloatArray:
@@ -82,9 +72,8 @@ def moved_momentum(
 ) -> Gaussian:
     """Return the state whose momentum, from a place on, has moved on."""
     effect, turn = momentum_transition(from_us, step_us, settings, wheels)
-    torques, states = _torque_states(first, settings), np.arange(first, first + 3)
-    positions = np.concatenate([torques, states])
-    step = np.hstack([effect[:, : len(torques)], turn])
+    positions = momentum_sources(first, settings)
+    step = np.hstack([effect[:, : len(positions) - 3], turn])
     mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
     own = slice(first, first + 3)
     moved = step @ covariance[positions]
@@ -97,15 +86,15 @@ def moved_momentum(
     return Gaussian(mean, covariance)
 
 
-def _torque_states(first: int, settings: FilterSettings) -> IntArray:
-    """Return the positions (9,) of the torque that moves the momentum, (0,) where none is among the states.
+def momentum_sources(first: int, settings: FilterSettings) -> IntArray:
+    """Return the positions of what the momentum after a step is made of: (9,) of the torque if any, (3,) its own.
 
-    One of its own stands behind the momentum, misalignment and scales; that which also pushes the body before them.
+    A torque of its own stands behind momentum, misalignment and scales; that which also pushes the body before them.
     """
     own = momentum_count(settings) - TORQUES
-    if own > 0:
-        return np.arange(first + own, first + own + TORQUES)
-    return np.arange(first - TORQUES * has_torque(settings), first)
+    torque = first + own if own > 0 else first - TORQUES * has_torque(settings)
+    behind = torque + TORQUES if own > 0 else first
+    return np.concatenate([np.arange(torque, behind), np.arange(first, first + 3)])
 
 
 def compared(
@@ -115,17 +104,17 @@ def compared(
     after_h: float,
     settings: FilterSettings,
     wheels: MomentumModel,
-) -> ReportedMomentum:
-    """Return a record (3,), N m s, against the state; `after_h` <= 0 is its age."""
+) -> SensorUpdate:
+    """Return a record (3,), N m s, of roll, pitch, yaw against the state; `after_h` <= 0 is its age."""
     expected, jacobian = _expected(gaussian.mean, first, after_h, settings, wheels)
     cross = jacobian @ gaussian.covariance
     noise = wheels.sigma_n_m_s**2 * np.eye(3)
-    return ReportedMomentum(reported - expected, cross @ jacobian.T + noise, cross)
+    return SensorUpdate(jacobian, reported - expected, cross @ jacobian.T + noise, cross)
 
 
-def updated_by(gaussian: Gaussian, found: ReportedMomentum, added: float) -> Gaussian:
-    """Return the state after a record whose noise variance is greater by `added`, (N m s)^2."""
-    factor = np.linalg.cholesky(found.covariance + added * np.eye(3))
+def updated_by(gaussian: Gaussian, found: SensorUpdate) -> Gaussian:
+    """Return the state after a record."""
+    factor = np.linalg.cholesky(found.covariance)
     solved = np.linalg.solve(factor, np.column_stack([found.cross, found.innovation]))
     whitened, residual = solved[:, :-1], solved[:, -1]
     return Gaussian(gaussian.mean + residual @ whitened, gaussian.covariance - whitened.T @ whitened)

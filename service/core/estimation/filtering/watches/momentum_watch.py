@@ -12,6 +12,7 @@ import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, MomentumModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
+from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.model.wheel_momentum import compared, updated_by, with_free_momentum
 
 #: sigmas from which a record counts less, is left out, and is a jump when it comes twice
@@ -83,13 +84,13 @@ def push_record(
     wheels: MomentumModel,
     *,
     is_unloading: bool,
-) -> tuple[MomentumWatch, Gaussian]:
-    """Return watch and state after a record (3,) of an epoch; the state is that of another, not earlier one.
+) -> tuple[MomentumWatch, Gaussian, SensorEffect]:
+    """Return watch and state after a record (3,) of an epoch, and its effect; the state is of a not earlier epoch.
 
     Records that are not newer than the newest, or repeat it to the last digit, tell nothing.
     """
     if watch.is_refused or record_us <= watch.newest_us or np.array_equal(reported, watch.newest):
-        return watch, gaussian
+        return watch, gaussian, NO_EFFECT
     is_first = watch.newest_us == _NEVER_US
     keep = 0.0 if is_first else math.exp(-(record_us - watch.newest_us) / (_MEMORY_H * 3.6e9))
     watch = watch._replace(
@@ -99,19 +100,21 @@ def push_record(
         squares=keep * watch.squares,
         jumps=keep * watch.jumps,
     )
+    effect = SensorEffect(np.arange(first, first + 3)) if is_first else NO_EFFECT
     if is_first or is_unloading:
         gaussian = with_free_momentum(gaussian, first, reported if is_first else None)
     found = compared(gaussian, first, reported, (record_us - epoch_us) / 3.6e9, settings, wheels)
     excess = float(np.abs(found.innovation / np.sqrt(found.covariance.diagonal())).max())
     if excess > GATE:
         if excess <= JUMP or not watch.skipped:
-            return _judged(watch._replace(skipped=watch.skipped + 1), gaussian, excess**2)
+            return *_judged(watch._replace(skipped=watch.skipped + 1), gaussian, excess**2), effect
         watch = watch._replace(jumps=watch.jumps + 1.0, jumped_us=record_us)
         gaussian = with_free_momentum(gaussian, first)
         found, excess = compared(gaussian, first, reported, (record_us - epoch_us) / 3.6e9, settings, wheels), 0.0
     mean_square = float(found.innovation @ np.linalg.solve(found.covariance, found.innovation)) / 3.0
-    added = wheels.sigma_n_m_s**2 * (max(excess / TRUSTED, 1.0) ** 2 - 1.0)
-    return _judged(watch._replace(skipped=0), updated_by(gaussian, found, added), mean_square)
+    found = found.widened(wheels.sigma_n_m_s**2 * (max(excess / TRUSTED, 1.0) ** 2 - 1.0))
+    judged = _judged(watch._replace(skipped=0), updated_by(gaussian, found), mean_square)
+    return *judged, effect._replace(update=found)
 
 
 def _judged(watch: MomentumWatch, gaussian: Gaussian, mean_square: float) -> tuple[MomentumWatch, Gaussian]:

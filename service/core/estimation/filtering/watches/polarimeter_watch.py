@@ -15,6 +15,7 @@ import numpy as np
 from service.core.estimation.filtering.model.filter_model import FloatArray, PolarimeterModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
 from service.core.estimation.filtering.model.polarimeter import compared_angle, updated_by_angle, with_moved_feed
+from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.watches.momentum_watch import SILENT_US
 
 #: sigmas from which a block counts less and is left out
@@ -82,10 +83,13 @@ def push_block(
     block: AngleBlock,
     epoch_us: int,
     polarimeter: PolarimeterModel,
-) -> tuple[PolarimeterWatch, Gaussian]:
-    """Return watch and state after a block; the state is that of an epoch not earlier, its offset stands at `first`."""
+) -> tuple[PolarimeterWatch, Gaussian, SensorEffect]:
+    """Return watch and state after a block, and its effect.
+
+    The state is that of an epoch not earlier, its offset stands at `first`.
+    """
     if watch.is_refused or block.epoch_us <= watch.newest_us:
-        return watch, gaussian
+        return watch, gaussian, NO_EFFECT
     hours = 0.0 if watch.newest_us == NEVER_US else (block.epoch_us - watch.newest_us) / 3.6e9
     keep, clear_dbm = math.exp(-hours / _MEMORY_H), _clear_dbm(watch.clear_dbm, block.co_power_dbm, hours)
     watch = watch._replace(
@@ -98,20 +102,21 @@ def push_block(
     gaussian = with_moved_feed(gaussian, first, polarimeter.offset_walk_deg_sqrt_h * math.sqrt(hours))
     fade_db = 0.0 if math.isnan(block.co_power_dbm) else max(0.0, abs(clear_dbm - block.co_power_dbm) - _QUIET_DB)
     if fade_db > _DEEP_DB:
-        return watch, gaussian
+        return watch, gaussian, NO_EFFECT
     watch = watch._replace(heard_us=block.epoch_us)
     variance_deg2 = block.variance_deg2 + (_RAIN_DEG_DB * fade_db) ** 2
     after_h = (block.epoch_us - epoch_us) / 3.6e9
     found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
     excess = abs(found.innovation_deg) / math.sqrt(found.variance_deg2)
     if excess <= _GATE:
-        added_deg2 = variance_deg2 * (max(excess / _TRUSTED, 1.0) ** 2 - 1.0)
-        return _judged(watch._replace(skipped=0), updated_by_angle(gaussian, found, added_deg2), excess**2)
+        found = found.widened(variance_deg2 * (max(excess / _TRUSTED, 1.0) ** 2 - 1.0))
+        judged = _judged(watch._replace(skipped=0), updated_by_angle(gaussian, found), excess**2)
+        return *judged, NO_EFFECT._replace(update=found.update)
     watch = watch._replace(skipped=watch.skipped + 1)
     if watch.skipped < _MOVED_BLOCKS or fade_db > 0.0:
-        return _judged(watch, gaussian, excess**2)
+        return *_judged(watch, gaussian, excess**2), NO_EFFECT
     moved = watch._replace(skipped=0, moves=watch.moves + 1.0, moved_us=block.epoch_us, blocks=0.0, squares=0.0)
-    return _judged(moved, with_moved_feed(gaussian, first), 0.0)
+    return *_judged(moved, with_moved_feed(gaussian, first), 0.0), NO_EFFECT
 
 
 def _clear_dbm(clear_dbm: float, power_dbm: float, hours: float) -> float:

@@ -119,14 +119,14 @@ def test_hidden_states_come_and_go(model):
     mean = start(model, 0, filter_models.aligned(model)).gaussian.mean
     core = len(mean) - CARRIERS * (model.components + 1)
     wider = np.insert(mean, core, [0.0, 7.0])
-    origin = state_origin(model, mean, wider, torques=0)
+    origin = state_origin(model, mean, wider)
     assert origin[core : core + 2].tolist() == [-1, -1]
     assert np.delete(origin, [core, core + 1]).tolist() == list(range(len(mean)))
-    np.testing.assert_array_equal(state_origin(model, wider, mean, torques=0), np.flatnonzero(origin >= 0))
+    np.testing.assert_array_equal(state_origin(model, wider, mean), np.flatnonzero(origin >= 0))
 
 
 def test_a_state_that_was_moved_in_between_has_no_past(model):
     mean = start(model, 0, filter_models.aligned(model)).gaussian.mean
     moved = mean.copy()
     moved[0] += 0.1
-    assert state_origin(model, mean, moved, torques=0) is None
+    assert state_origin(model, mean, moved) is None

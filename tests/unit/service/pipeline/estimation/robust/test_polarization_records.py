@@ -25,7 +25,7 @@ def read(angles_deg: dict[int, float], *, is_used: bool = True) -> tuple[RobustS
         records.append(PolarizationRecord("p", ALIGNED_US + minute * MINUTE, angle_deg=angle_deg, sigma_deg=0.01))
         knowledge = replace(flight.knowledge, polarization={"p": tuple(records)})
         state = replace(state, filter=state.filter._replace(epoch_us=ALIGNED_US + minute * MINUTE))
-        state = with_polarization(state, flight.model, knowledge)
+        state, _ = with_polarization(state, flight.model, knowledge)
     return flight.state, state
 
 

@@ -64,11 +64,11 @@ def test_the_measurement_follows_attitude_and_its_own_states(epoch_h: float, aft
 def test_a_first_angle_sets_the_offset_and_leaves_yaw() -> None:
     before = state()
     found = compared_angle(before, FIRST, 2.0, 0.005, 0, 0.0, READ)
-    after = updated_by_angle(before, found, 0.0)
+    after = updated_by_angle(before, found)
     assert after.mean[0] == pytest.approx(before.mean[0], abs=2e-3)
     assert after.covariance[0, 0] == pytest.approx(before.covariance[0, 0], rel=2e-3)
     # a change is of yaw, as far as the wander allows: 0.1 deg of yaw beside some hundredths
-    again = updated_by_angle(after, compared_angle(after, FIRST, 2.1, 0.0005, 0, 0.0, READ), 0.0)
+    again = updated_by_angle(after, compared_angle(after, FIRST, 2.1, 0.0005, 0, 0.0, READ))
     assert again.covariance[0, 0] < after.covariance[0, 0]
     np.testing.assert_array_equal(again.covariance, again.covariance.T)
 

@@ -20,7 +20,8 @@ from service.core.estimation.filtering.watches.momentum_watch import (
 def fed(watch: MomentumWatch, gaussian: Gaussian, minute: int, value: np.ndarray, **flags: Any) -> Any:
     epoch_us = minute * MINUTE_US
     is_unloading = bool(flags.get("is_unloading"))
-    return push_record(watch, gaussian, FIRST, epoch_us, value, epoch_us, SETTINGS, WHEELS, is_unloading=is_unloading)
+    pushed = push_record(watch, gaussian, FIRST, epoch_us, value, epoch_us, SETTINGS, WHEELS, is_unloading=is_unloading)
+    return pushed[:2]
 
 
 def records(values: list[np.ndarray], **flags: Any) -> tuple[MomentumWatch, Gaussian]:

@@ -29,7 +29,7 @@ def pushed(judged: Judged, angle_deg: float, power_dbm: float = -55.0, number: i
     gaussian = Gaussian(gaussian.mean, gaussian.covariance + np.diag([0.05**2, *(0.0,) * (SIZE - 1)]))
     epoch_us = max(watch.newest_us, 0) + STEP_US if number is None else number * STEP_US
     block = AngleBlock(epoch_us, angle_deg, 0.001, power_dbm)
-    return push_block(watch, gaussian, FIRST, block, epoch_us, READ)
+    return push_block(watch, gaussian, FIRST, block, epoch_us, READ)[:2]
 
 
 def advice(judged: Judged) -> list[str]:
