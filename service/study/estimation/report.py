@@ -155,7 +155,10 @@ def _smoothed(campaign: Campaign) -> ReportTable:
             _angles(statistics, f"{name}.over_sigma", 2),
             _angles(statistics, f"{name}.large_near_events", 4),
             _angles(statistics, f"{name}.filter_large_near_events", 4),
-            _angles(statistics, f"{name}.dark_deg", 3) if f"{name}.dark_deg.yaw" in statistics else _DASH,
+            *(
+                _angles(statistics, f"{name}.{kind}", 3) if f"{name}.{kind}.yaw" in statistics else _DASH
+                for kind in ("dark_deg", "filter_dark_deg")
+            ),
         )
         for scenario, _, statistics in _answers(campaign, ("robust",))
         for name, answer in (("smoothed", "whole span"), ("smoothed_2h", "2 h of lag"))
@@ -170,6 +173,7 @@ def _smoothed(campaign: Campaign) -> ReportTable:
         "beyond 3 sigma near events",
         "the same, filter",
         "largest without carriers",
+        "the same, filter",
     )
     return ReportTable("Smoothed angles", columns, rows)
 

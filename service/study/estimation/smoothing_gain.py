@@ -3,7 +3,7 @@
     ratio = sqrt(mean of the smoothed answer's squared errors / mean of the filter's), axis by axis, pooled over seeds
 
 Beside it stand the smoothed answer's own sigma, the share of its errors beyond three sigma within ten minutes of an
-event, and its largest error while no carrier is on the air.
+event, and its largest error while no carrier is on the air, the filter's beside.
 """
 
 from collections.abc import Sequence
@@ -37,6 +37,7 @@ class SmoothingGain(NamedTuple):
     smoothed_large: FloatArray
     #: largest error of a row without any carrier, NaN = there is none
     dark_deg: FloatArray
+    filter_dark_deg: FloatArray
 
 
 def measure_gain(world: World, driven: Driven, series: MethodSeries, past: PastSeries) -> SmoothingGain:
@@ -50,7 +51,6 @@ def measure_gain(world: World, driven: Driven, series: MethodSeries, past: PastS
     smoothed, sigma = past.estimate_deg[chosen] - truth_deg, past.sigma_deg[chosen]
     is_near = _near_events(world)[driven.rows[position]]
     is_dark = world.truth.has_flag("off")[driven.rows[position]].all(axis=1)
-    dark = np.abs(smoothed[is_dark])
     return SmoothingGain(
         len(position),
         np.sum(filtered**2, axis=0),
@@ -59,8 +59,14 @@ def measure_gain(world: World, driven: Driven, series: MethodSeries, past: PastS
         int(is_near.sum()),
         np.count_nonzero(np.abs(filtered[is_near]) > LARGE_SIGMAS * series.sigma_deg[position][is_near], axis=0),
         np.count_nonzero(np.abs(smoothed[is_near]) > LARGE_SIGMAS * sigma[is_near], axis=0),
-        dark.max(axis=0) if len(dark) else np.full(3, np.nan),
+        _largest(smoothed[is_dark]),
+        _largest(filtered[is_dark]),
     )
+
+
+def _largest(errors_deg: FloatArray) -> FloatArray:
+    """Return the largest error (3,) of rows (T, 3), NaN without one."""
+    return np.abs(errors_deg).max(axis=0) if len(errors_deg) else np.full(3, np.nan)
 
 
 def _near_events(world: World) -> BoolArray:
@@ -89,7 +95,8 @@ def gain_statistics(name: str, seeds: Sequence[SmoothingGain]) -> Statistics:
     if near:
         by_axis["large_near_events"] = np.sum([seed.smoothed_large for seed in seeds], axis=0) / near
         by_axis["filter_large_near_events"] = np.sum([seed.filter_large for seed in seeds], axis=0) / near
-    dark = np.array([seed.dark_deg for seed in seeds])
-    if np.isfinite(dark).any():
-        by_axis["dark_deg"] = np.nanmax(dark, axis=0)
+    for kind in ("dark_deg", "filter_dark_deg"):
+        dark = np.array([getattr(seed, kind) for seed in seeds])
+        if np.isfinite(dark).any():
+            by_axis[kind] = np.nanmax(dark, axis=0)
     return {f"{name}.{kind}.{axis}": float(of[k]) for kind, of in by_axis.items() for k, axis in enumerate(AXES)}

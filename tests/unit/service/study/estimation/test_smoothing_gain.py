@@ -52,6 +52,7 @@ def test_rows_without_carriers_give_the_largest_error(gained, toured_world):
     toured_world.truth.flags[1000:1200] = 2
     found = gain_statistics("smoothed", [gained(0.02, -0.03)])
     assert found["smoothed.dark_deg.pitch"] == pytest.approx(0.03, rel=1e-9)
+    assert found["smoothed.filter_dark_deg.pitch"] == pytest.approx(0.02, rel=1e-9)
 
 
 def test_no_row_no_figure(gained, toured_world):
