@@ -4,10 +4,13 @@ Run ``python -m bench.bench_chain``. The payload is synthetic (``tests/fakes``):
 white noise of 0.05 dB. The robust method runs alone without torques, then both methods with torques; the step of the
 robust filter alone follows, with both sets of kernels. Times are processor times, in milliseconds and as a ratio to a
 yardstick of the same run, a linear system of 91 unknowns solved for 91 right sides by numpy, because the machine's
-speed changes from minute to minute. The mean holds what one row in ten costs more. Figures only; no goal hangs on them.
+speed changes from minute to minute. The mean holds what one row in ten costs more. What momentum of the wheels, rates
+of the body and a polarimeter add to a row of the robust method is the ratio of two chains that take the same rows in
+turns. Figures only; no goal hangs on them.
 """
 
 import argparse
+import math
 import statistics
 import time
 from collections.abc import Sequence
@@ -21,8 +24,17 @@ from service.core.estimation.filtering.model.filter_model import FilterSettings,
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, RowKernels, compiled_kernels
 from service.pipeline.chain import METHODS, Chain
 from service.pipeline.config import ChainConfig
-from service.records.catalogue import Method
-from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, PlanChange, SpacecraftChange
+from service.records.catalogue import BodyRateSensor, Method, Polarimeter, Spacecraft, WheelMomentum
+from service.records.inputs import (
+    AlignmentSet,
+    CalibrationActivation,
+    EphemerisChange,
+    PlanChange,
+    PolarizationRecord,
+    SpacecraftChange,
+    TelemetryRecord,
+)
+from service.records.levels.attitude import Axes
 from tests.fakes.worlds.filter_models import aligned, carrier_model
 from tests.fakes.worlds.geometry_flight import HOUR, MINUTE, START_US, FlightDocuments, FlightPayload
 
@@ -62,6 +74,10 @@ def main() -> bool:
     for name, kernels in sets.items():
         for carriers in (16, 32):
             _show(f"{carriers} carriers, {name}", measure_filter(carriers, options.steps, kernels))
+    print("one row of the robust method with wheels, rates and a polarimeter over the same without")
+    for choice in _CHOICES:
+        median, mean = measured_motion_ratio(32, options.steps, choice)
+        print(f"  32 carriers, {choice}: median {median:.2f}, mean {mean:.2f}")
     return True
 
 
@@ -109,6 +125,63 @@ def _figures(taken: list[float]) -> StepTimes:
     return StepTimes(statistics.median(timed), statistics.fmean(timed), p99_s, yardstick_s())
 
 
+def measured_motion_ratio(
+    carriers: int, steps: int, kernels: Literal["numpy", "numba"], seed: int = 5
+) -> tuple[float, float]:
+    """Return the median and the mean time of a row with all sensors over those without; records are part of the row."""
+    payload, rng = FlightPayload.make(carriers, seed), np.random.default_rng(seed)
+    plain, sensed = (_chain(payload, craft, kernels) for craft in (payload.spacecraft(), _sensed(payload.spacecraft())))
+    taken: dict[bool, list[float]] = {False: [], True: []}
+    yaw_deg = {False: math.nan, True: math.nan}
+    for row in range(1, _SETTLING + steps + 1):
+        at_us = START_US + HOUR + row * MINUTE
+        exact = payload.measurement(at_us, np.zeros(3), number=row)
+        noisy = (exact.power_dbm + rng.normal(0.0, 0.05, carriers)).astype(np.float32).astype(np.float64)
+        exact, records = replace(exact, power_dbm=noisy), _records(row, at_us, rng)
+        for is_sensed in (True, False) if row % 2 else (False, True):
+            began = time.thread_time()
+            for record in records if is_sensed else ():
+                sensed.update(record)
+            outcome = (sensed if is_sensed else plain).step(exact)
+            taken[is_sensed].append(time.thread_time() - began)
+            assert outcome is not None
+            yaw_deg[is_sensed] = outcome.rows[0].sigma_deg.yaw
+    assert yaw_deg[True] < 0.7 * yaw_deg[False], f"the sensors are not used: sigma of yaw {yaw_deg} deg"
+    figures = _figures(taken[True]), _figures(taken[False])
+    return figures[0].median_s / figures[1].median_s, figures[0].mean_s / figures[1].mean_s
+
+
+def _sensed(craft: Spacecraft) -> Spacecraft:
+    """Return a spacecraft that states its wheels, a rate sensor outside of the loop, and a polarimeter."""
+    onboard = replace(craft.onboard, momentum=WheelMomentum(), rate_sensor=BodyRateSensor(False, 0.01, 8.0, 0.003))
+    return replace(craft, onboard=onboard, polarimeters=(Polarimeter("p", 10.0, 11e9),))
+
+
+def _records(row: int, at_us: int, rng: np.random.Generator) -> list[TelemetryRecord | PolarizationRecord]:
+    """Return what the sensors tell before a row: momentum each five minutes, the others each minute."""
+    wheels = tuple((np.array([0.2, -8.0, 0.1]) + rng.normal(0.0, 0.01, 3)).tolist()) if row % 5 == 0 else None
+    rate = Axes(*(np.array([0.0, 0.0, -15.0411 / 3600.0]) + rng.normal(0.0, 1e-6, 3)).tolist())
+    angle = PolarizationRecord("p", at_us - MINUTE // 2, angle_deg=1.0 + rng.normal(0.0, 0.05), sigma_deg=0.05)
+    return [TelemetryRecord(at_us - MINUTE // 2, wheel_momentum_n_m_s=wheels, body_rate_deg_s=rate), angle]
+
+
+def _chain(
+    payload: FlightPayload,
+    craft: Spacecraft,
+    kernels: Literal["numpy", "numba"],
+    methods: Sequence[Method] = (Method.ROBUST,),
+    *,
+    has_commands: bool = False,
+) -> Chain:
+    """Return a chain that is aligned an hour after the start."""
+    documents = FlightDocuments(payload, START_US + HOUR, (0.0, 0.0, 0.0))
+    chain = Chain(documents, ChainConfig(kernels=kernels), None, methods, has_commands=has_commands)
+    changes = (PlanChange(1), EphemerisChange(1), CalibrationActivation(1, 1), AlignmentSet(1))
+    for content in (SpacecraftChange(craft, 1), *changes):
+        chain.update(content)
+    return chain
+
+
 def measure(
     carriers: int,
     steps: int,
@@ -121,11 +194,7 @@ def measure(
     """Return the time of one step of a chain."""
     payload = FlightPayload.make(carriers, seed)
     aligned_us = START_US + HOUR
-    documents = FlightDocuments(payload, aligned_us, (0.0, 0.0, 0.0))
-    chain = Chain(documents, ChainConfig(kernels=kernels), None, methods, has_commands=has_commands)
-    changes = (PlanChange(1), EphemerisChange(1), CalibrationActivation(1, 1), AlignmentSet(1))
-    for content in (SpacecraftChange(payload.spacecraft(), 1), *changes):
-        chain.update(content)
+    chain = _chain(payload, payload.spacecraft(), kernels, methods, has_commands=has_commands)
     noise = 0.05 * np.random.default_rng(seed).normal(size=(_SETTLING + steps, carriers))
     taken, fixes = [], 0
     for row, noise_db in enumerate(noise, start=1):
