@@ -17,7 +17,7 @@ from service.errors import InvalidInputError
 from service.records.catalogue import Spacecraft
 
 if TYPE_CHECKING:
-    from service.core.estimation.momentum_bound import WheelStatistics
+    from service.core.estimation.attitude_bound import WheelStatistics
     from service.pipeline.planning.rehearsal import Rehearsal
 
 _BEAM_FORM = "[TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] in deg"

@@ -1,4 +1,4 @@
 """Harmonic, octants, sensitivity, snapshot fix, observability.
 
-Public: calibration_turns, carrier_sets, design, momentum_bound, noise_identification, noise_model, observability.
+Public: attitude_bound, calibration_turns, carrier_sets, design, noise_identification, noise_model, observability.
 """

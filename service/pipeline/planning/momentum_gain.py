@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.attitude_bound import WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
-from service.core.estimation.momentum_bound import WheelStatistics, attitude_bound_deg
 from service.pipeline.planning.candidates import Candidates
 from service.records.catalogue import AxisTorques, FedForwardTorque, WheelMomentum
 from service.records.levels.attitude import Axes, IntArray, named_axes

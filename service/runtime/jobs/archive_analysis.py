@@ -6,7 +6,7 @@ Nothing is stored: an operator looks before deciding on a calibration or on whic
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from service.core.estimation.momentum_bound import WheelStatistics
+from service.core.estimation.attitude_bound import WheelStatistics
 from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.pipeline.calibration.minute_rows import minute_rows
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics

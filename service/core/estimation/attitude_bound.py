@@ -1,9 +1,12 @@
-"""Bound of the attitude by powers and by the momentum of the wheels: covariance of a filter with true statistics.
+"""Bound of the attitude by powers and by measured motion: covariance of a filter with true statistics.
 
     yaw' = -w roll + d,  roll' = w yaw + d,  pitch' = d         w = orbital rate, d drift of first order
     P_i = s_i (yaw, roll, pitch) + c + r_i + n_i + white        c chain (walk), r reference (constant), n correlated
     Hx' = w Hz + Tx,  Hz' = -w Hx + Tz                          T = error of the stated torque, constant and daily wave
     hx = Hx + Hy (yaw + bx),  hz = Hz - Hy (roll + bz)          b misalignment
+    p = sight (yaw, roll, pitch) + b + c cos t + s sin t + a    a polarimeter: offset (walk), daily wave, wander
+
+A rate sensor outside of the loop on board has its bias in the place of the drift, and its noise moves the angles.
 
 Riccati's equation over two days in steps of five minutes from an alignment; means over the second day. The law of this
 file: covariances alone, no measurement; what carriers do not determine stays as wide as it grows.
@@ -16,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.filtering.model.filter_model import PolarimeterModel
 
 FloatArray = NDArray[np.float64]
 
@@ -30,13 +34,18 @@ _ROW_H = 1.0 / 60.0
 _ANGLES, _DRIFT, _CHAIN, _FIRST = slice(0, 3), slice(3, 6), 6, 7
 #: Hx, Hz, bx, bz, and constant, cosine and sine of Tx and Tz
 _MOMENTUM = 10
+#: offset, daily cosine and sine, wander; the offset before the first angle, deg
+_POLARIMETER, _FREE_OFFSET_DEG = 4, 3.0
 
 
 class DriftStatistics(NamedTuple):
-    """Drift of the inertial model: sigma of yaw, roll, pitch, deg/h, and correlation time, h."""
+    """Drift of the inertial model, or bias of the sensor that measures the rate in its place."""
 
+    #: sigma of yaw, roll, pitch, deg/h, and correlation time, h
     sigma_deg_h: tuple[float, float, float] = (0.04, 0.025, 0.025)
     tau_h: float = 8.0
+    #: random walk of each angle, deg/sqrt(h)
+    walk_deg_sqrt_h: float = 0.0
 
 
 class WheelStatistics(NamedTuple):
@@ -57,6 +66,7 @@ def attitude_bound_deg(
     noise: ColouredNoise,
     wheels: WheelStatistics | None = None,
     drift: DriftStatistics | None = None,
+    polarimeters: tuple[PolarimeterModel, ...] = (),
 ) -> FloatArray:
     """Return the smallest sigma (3,) of yaw, roll, pitch that a filter can have over a day, deg.
 
@@ -69,23 +79,33 @@ def attitude_bound_deg(
     wheels : WheelStatistics, optional
         Momentum of the wheels as a measurement; None: powers alone.
     drift : DriftStatistics, optional
-        Of the inertial model.
+        Of the inertial model, or of the rate sensor in its place.
+    polarimeters : tuple of PolarimeterModel
+        Angles of the polarisation as measurements, one each five minutes.
     """
     drift = drift or DriftStatistics()
+    first, states = _size(noise, wheels), _POLARIMETER * len(polarimeters)
     rows = _power_rows(sensitivity, noise, wheels)
     momentum = None if wheels is None else _momentum_rows(rows.shape[1], wheels)
     power_db2 = np.square(noise.white_db) * _ROW_H / _STEP_H
     every = 0 if wheels is None else max(1, round(wheels.period_s / 3600.0 / _STEP_H))
-    covariance = _aligned(noise, wheels, drift)
+    rows = np.hstack([rows, np.zeros((len(rows), states))])
+    momentum = None if momentum is None else np.hstack([momentum, np.zeros((2, states))])
+    kept, grown, angles_deg2 = _wander(polarimeters)
+    covariance = _beside(_aligned(noise, wheels, drift), np.diag(angles_deg2))
     steps, variances = round(_SPAN_H / _STEP_H), []
     transition, added = _transition(noise, wheels, drift)
+    transition, added = _beside(transition, np.diag(kept)), _beside(added, np.diag(grown))
+    white_deg2 = np.array([one.white_deg**2 for one in polarimeters]) * _ROW_H / _STEP_H
     for step in range(1, steps + 1):
         covariance = transition @ covariance @ transition.T + added
         if wheels is not None:
-            covariance = _pushed(covariance, step * _STEP_H)
+            covariance = _pushed(covariance, first, step * _STEP_H)
         covariance = _updated(covariance, rows, power_db2)
         if wheels is not None and momentum is not None and step % every == 0:
             covariance = _updated(covariance, momentum, np.full(2, wheels.sigma_n_m_s**2))
+        if polarimeters:
+            covariance = _updated(covariance, _angle_rows(first, polarimeters, step * _STEP_H), white_deg2)
         variances.append(np.diagonal(covariance)[_ANGLES].copy())
     return np.asarray(np.sqrt(np.mean(variances[-round(_JUDGED_H / _STEP_H) :], axis=0)))
 
@@ -138,6 +158,7 @@ def _transition(
     transition[_ANGLES, _DRIFT] = _STEP_H * np.eye(3)
     keep = math.exp(-_STEP_H / drift.tau_h)
     transition[_DRIFT, _DRIFT] = keep * np.eye(3)
+    added[_ANGLES] = drift.walk_deg_sqrt_h**2 * _STEP_H
     added[_DRIFT] = np.square(drift.sigma_deg_h) * (1.0 - keep**2)
     added[_CHAIN] = _CHAIN_WALK_DB**2 * _STEP_H
     coloured = slice(_FIRST + carriers, _FIRST + carriers + noise.sigma_db.size)
@@ -151,9 +172,44 @@ def _transition(
     return transition, np.diag(added)
 
 
-def _pushed(covariance: FloatArray, hours: float) -> FloatArray:
-    """Return the covariance after the torque of a step has acted on the momentum; torques in N m s an hour."""
-    first = len(covariance) - _MOMENTUM
+def _beside(matrix: FloatArray, other: FloatArray) -> FloatArray:
+    """Return two square matrices (D, D) and (E, E) as blocks of one."""
+    size = len(matrix)
+    both = np.zeros((size + len(other), size + len(other)))
+    both[:size, :size], both[size:, size:] = matrix, other
+    return both
+
+
+def _wander(polarimeters: tuple[PolarimeterModel, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what a step keeps of the states of polarimeters and adds, and their variance before it, (4 P,) each."""
+    kept, grown, variance = [], [], []
+    for one in polarimeters:
+        keep = math.exp(-_STEP_H / one.wander_h)
+        kept += [1.0, 1.0, 1.0, keep]
+        grown += [one.offset_walk_deg_sqrt_h**2 * _STEP_H, 0.0, 0.0, one.wander_deg**2 * (1.0 - keep**2)]
+        variance += [_FREE_OFFSET_DEG**2, one.daily_deg**2, one.daily_deg**2, one.wander_deg**2]
+    return np.array(kept), np.array(grown), np.array(variance)
+
+
+def _angle_rows(first: int, polarimeters: tuple[PolarimeterModel, ...], hours: float) -> FloatArray:
+    """Return the rows (P, D) of angles; the states of polarimeters are the last ones, from a place on."""
+    phase, rows = (
+        2.0 * math.pi * hours / _DAY_H,
+        np.zeros((len(polarimeters), first + _POLARIMETER * len(polarimeters))),
+    )
+    for number, one in enumerate(polarimeters):
+        own = first + _POLARIMETER * number
+        rows[number, _ANGLES] = one.sight
+        rows[number, own : own + _POLARIMETER] = 1.0, math.cos(phase), math.sin(phase), 1.0
+    return rows
+
+
+def _pushed(covariance: FloatArray, states: int, hours: float) -> FloatArray:
+    """Return the covariance after the torque of a step has acted on the momentum, the last of some states.
+
+    Torques in N m s an hour.
+    """
+    first = states - _MOMENTUM
     phase = 2.0 * math.pi * hours / _DAY_H
     push = np.eye(len(covariance))
     for axis in range(2):
