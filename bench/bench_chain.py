@@ -130,7 +130,9 @@ def measured_motion_ratio(
 ) -> tuple[float, float]:
     """Return the median and the mean time of a row with all sensors over those without; records are part of the row."""
     payload, rng = FlightPayload.make(carriers, seed), np.random.default_rng(seed)
-    plain, sensed = (_chain(payload, craft, kernels) for craft in (payload.spacecraft(), _sensed(payload.spacecraft())))
+    plain, sensed = (
+        _chain(payload, spacecraft, kernels) for spacecraft in (payload.spacecraft(), _sensed(payload.spacecraft()))
+    )
     taken: dict[bool, list[float]] = {False: [], True: []}
     yaw_deg = {False: math.nan, True: math.nan}
     for row in range(1, _SETTLING + steps + 1):
@@ -151,10 +153,10 @@ def measured_motion_ratio(
     return figures[0].median_s / figures[1].median_s, figures[0].mean_s / figures[1].mean_s
 
 
-def _sensed(craft: Spacecraft) -> Spacecraft:
+def _sensed(spacecraft: Spacecraft) -> Spacecraft:
     """Return a spacecraft that states its wheels, a rate sensor outside of the loop, and a polarimeter."""
-    onboard = replace(craft.onboard, momentum=WheelMomentum(), rate_sensor=BodyRateSensor(False, 0.01, 8.0, 0.003))
-    return replace(craft, onboard=onboard, polarimeters=(Polarimeter("p", 10.0, 11e9),))
+    onboard = replace(spacecraft.onboard, momentum=WheelMomentum(), rate_sensor=BodyRateSensor(False, 0.01, 8.0, 0.003))
+    return replace(spacecraft, onboard=onboard, polarimeters=(Polarimeter("p", 10.0, 11e9),))
 
 
 def _records(row: int, at_us: int, rng: np.random.Generator) -> list[TelemetryRecord | PolarizationRecord]:
@@ -167,7 +169,7 @@ def _records(row: int, at_us: int, rng: np.random.Generator) -> list[TelemetryRe
 
 def _chain(
     payload: FlightPayload,
-    craft: Spacecraft,
+    spacecraft: Spacecraft,
     kernels: Literal["numpy", "numba"],
     methods: Sequence[Method] = (Method.ROBUST,),
     *,
@@ -177,7 +179,7 @@ def _chain(
     documents = FlightDocuments(payload, START_US + HOUR, (0.0, 0.0, 0.0))
     chain = Chain(documents, ChainConfig(kernels=kernels), None, methods, has_commands=has_commands)
     changes = (PlanChange(1), EphemerisChange(1), CalibrationActivation(1, 1), AlignmentSet(1))
-    for content in (SpacecraftChange(craft, 1), *changes):
+    for content in (SpacecraftChange(spacecraft, 1), *changes):
         chain.update(content)
     return chain
 

@@ -32,7 +32,7 @@ def get_carrier_selection(
     wheel_period_s: Annotated[float, Query(ge=60, le=86_400, description="Time between two records")] = WHEEL_PERIOD_S,
 ) -> CarrierSelectionAnswer:
     """Recommend carriers by the active calibration by geometry, else by the newest with figures; nothing is stored."""
-    stated = context.storage.catalogue.spacecraft(spacecraft_id).onboard.momentum
-    wheels = stated_wheels(stated, wheels_n_m_s, wheel_sigma_n_m_s, wheel_period_s)
+    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
+    wheels = stated_wheels(spacecraft.onboard.momentum, wheels_n_m_s, wheel_sigma_n_m_s, wheel_period_s)
     found = recommend_carriers(context.storage, spacecraft_id, count, rule, context.calibration)
-    return CarrierSelectionAnswer.of(found.with_wheels(wheels), turns)
+    return CarrierSelectionAnswer.of(found.with_motion(spacecraft, wheels), turns)

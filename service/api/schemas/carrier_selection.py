@@ -8,7 +8,7 @@ from pydantic import BeforeValidator
 
 from service.api.schemas.base import AnglesAnswer, Answer, Figure
 from service.pipeline.planning.candidates import Candidates
-from service.pipeline.planning.momentum_gain import MomentumGain
+from service.pipeline.planning.momentum_gain import MomentumGain, MotionGain
 from service.pipeline.planning.planning import (
     AVERAGING_SPANS_S,
     CarrierSet,
@@ -227,6 +227,24 @@ class MomentumGainAnswer(Answer):
         return super().of(gain, **gain.wheels._asdict())
 
 
+class MotionGainAnswer(Answer):
+    """Smallest sigma of a filter over a day by powers, and with what the catalogue states to measure motion."""
+
+    powers_deg: _Angles
+    """By powers alone."""
+    rates_deg: _Angles | None
+    """By powers and `onboard.rate_sensor`; null where none outside of the loop on board is stated."""
+    polarization_deg: _Angles | None
+    """By powers and the `polarimeters` in use; null where there is none."""
+    all_deg: _Angles
+    """By powers and all of these, the momentum of the wheels included."""
+
+    @classmethod
+    def of(cls, gain: MotionGain) -> Self:
+        """Return the answer for a gain."""
+        return super().of(gain)
+
+
 class CarrierSelectionAnswer(Answer):
     """A recommended subset of the carriers of a calibration."""
 
@@ -254,6 +272,8 @@ class CarrierSelectionAnswer(Answer):
     """At most three that were left out of the chosen set, in the order of their effect."""
     momentum: MomentumGainAnswer | None
     """Bounds with and without the momentum of the wheels; null where neither query nor catalogue states one."""
+    measured_motion: MotionGainAnswer | None
+    """Bounds with rate sensor and polarimeters of the catalogue; null where it states neither."""
     turns: TurnsAnswer | None
 
     @classmethod
@@ -279,5 +299,6 @@ class CarrierSelectionAnswer(Answer):
             sets=CarrierSetsAnswer(**sets),
             further=[FurtherCarrierAnswer.of(one) for one in recommendation.further],
             momentum=None if found.momentum is None else MomentumGainAnswer.of(found.momentum),
+            measured_motion=None if found.measured_motion is None else MotionGainAnswer.of(found.measured_motion),
             turns=None if turns is Turns.NONE else TurnsAnswer.of(turns),
         )

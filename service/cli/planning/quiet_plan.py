@@ -88,7 +88,7 @@ def planned_by_quiet_days(
     if suspected:
         notes += (_turns_note(suspected),)
     found = CarrierRecommendation(None, None, count, recommendation, notes)
-    found = found.with_wheels(request.wheels(spacecraft))
+    found = found.with_motion(spacecraft, request.wheels(spacecraft))
     document = json.loads(CarrierSelectionAnswer.of(found, Turns(request.turns)).model_dump_json())
     document["quiet"] = {
         "file": quiet_path.name,

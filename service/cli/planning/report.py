@@ -39,6 +39,8 @@ def planning_parts(planning: CarrierPlanning) -> Iterator[str | Table]:
     yield _averages_table(document)
     if document.get("momentum") is not None:
         yield _momentum_table(document["momentum"])
+    if document.get("measured_motion") is not None:
+        yield _motion_table(document["measured_motion"])
     yield _chosen_table(document)
     left = [row for row in document["carriers"] if not row["selected"]]
     if left:
@@ -130,6 +132,21 @@ def _momentum_table(gain: dict[str, Any]) -> Table:
     table = Table("by", *_AXES, title=title, title_justify="left")
     table.add_row("powers", *(_angle(gain["without_deg"][axis]) for axis in _AXES))
     table.add_row("powers and momentum", *(_angle(gain["with_deg"][axis]) for axis in _AXES))
+    return table
+
+
+def _motion_table(gain: dict[str, Any]) -> Table:
+    """Return what the rate sensor and the polarimeters of the catalogue would give."""
+    title = "Bound over a day, one sigma, deg; what measures motion by the catalogue"
+    table = Table("by", *_AXES, title=title, title_justify="left")
+    for name, field in (
+        ("powers", "powers_deg"),
+        ("powers and rates", "rates_deg"),
+        ("powers and polarisation", "polarization_deg"),
+        ("all, wheels included", "all_deg"),
+    ):
+        if gain[field] is not None:
+            table.add_row(name, *(_angle(gain[field][axis]) for axis in _AXES))
     return table
 
 

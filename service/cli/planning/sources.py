@@ -156,7 +156,7 @@ def _assumed_document(payload: Any, request: PlanRequest, spacecraft: Spacecraft
     offered = offered_sites(payload, payload.candidates)
     recommendation = recommend(payload.candidates, count, Rule(request.rule), offered=offered)
     found = CarrierRecommendation(None, None, count, recommendation, payload.assumptions)
-    found = found.with_wheels(request.wheels(spacecraft))
+    found = found.with_motion(spacecraft, request.wheels(spacecraft))
     document: dict[str, Any] = json.loads(CarrierSelectionAnswer.of(found, Turns(request.turns)).model_dump_json())
     return document
 

@@ -92,10 +92,10 @@ def attitude_bound_deg(
     rows = np.hstack([rows, np.zeros((len(rows), states))])
     momentum = None if momentum is None else np.hstack([momentum, np.zeros((2, states))])
     kept, grown, angles_deg2 = _wander(polarimeters)
-    covariance = _beside(_aligned(noise, wheels, drift), np.diag(angles_deg2))
+    covariance = _as_blocks(_aligned(noise, wheels, drift), np.diag(angles_deg2))
     steps, variances = round(_SPAN_H / _STEP_H), []
     transition, added = _transition(noise, wheels, drift)
-    transition, added = _beside(transition, np.diag(kept)), _beside(added, np.diag(grown))
+    transition, added = _as_blocks(transition, np.diag(kept)), _as_blocks(added, np.diag(grown))
     white_deg2 = np.array([one.white_deg**2 for one in polarimeters]) * _ROW_H / _STEP_H
     for step in range(1, steps + 1):
         covariance = transition @ covariance @ transition.T + added
@@ -172,7 +172,7 @@ def _transition(
     return transition, np.diag(added)
 
 
-def _beside(matrix: FloatArray, other: FloatArray) -> FloatArray:
+def _as_blocks(matrix: FloatArray, other: FloatArray) -> FloatArray:
     """Return two square matrices (D, D) and (E, E) as blocks of one."""
     size = len(matrix)
     both = np.zeros((size + len(other), size + len(other)))

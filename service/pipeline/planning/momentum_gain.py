@@ -1,15 +1,17 @@
-"""Gain by the momentum of the wheels in telemetry: bounds of the attitude with and without it."""
+"""Gain by measured motion: bounds of the attitude by powers, and with wheels, a rate sensor and polarimeters beside."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.attitude_bound import WheelStatistics, attitude_bound_deg
+from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.pipeline.inputs.catalogue_torque import rate_sensor_model
+from service.pipeline.inputs.polarization import polarimeter_models, used_polarimeters
 from service.pipeline.planning.candidates import Candidates
-from service.records.catalogue import AxisTorques, FedForwardTorque, WheelMomentum
-from service.records.levels.attitude import Axes, IntArray, named_axes
+from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft, WheelMomentum
+from service.records.levels.attitude import Axes, FloatArray, IntArray, named_axes
 
 #: time between records where none is stated, s
 WHEEL_PERIOD_S = 300.0
@@ -22,6 +24,19 @@ class MomentumGain(NamedTuple):
     #: deg; NaN = the carriers do not determine it
     without_deg: Axes
     with_deg: Axes
+
+
+class MotionGain(NamedTuple):
+    """Bounds of a filter over a day, one sigma, deg, by a set of carriers and what the catalogue states beside them.
+
+    NaN = the carriers do not determine it; None = nothing is stated.
+    """
+
+    powers_deg: Axes
+    rates_deg: Axes | None
+    polarization_deg: Axes | None
+    #: wheels, rates and polarimeters together
+    all_deg: Axes
 
 
 def stated_wheels(
@@ -38,11 +53,35 @@ def stated_wheels(
 
 def momentum_gain(candidates: Candidates, chosen: IntArray, wheels: WheelStatistics) -> MomentumGain:
     """Return the bounds by some carriers; their noise is that of a row a minute."""
-    sensitivity = candidates.sensitivity_db_per_deg[chosen]
-    noise = ColouredNoise(*(part[chosen] for part in candidates.noise))
-    bounds = (attitude_bound_deg(sensitivity, noise, one) for one in (None, wheels))
+    powers = _powers(candidates, chosen)
+    bounds = (attitude_bound_deg(*powers, one) for one in (None, wheels))
     without_deg, with_deg = (named_axes(bound) for bound in bounds)
     return MomentumGain(wheels, without_deg, with_deg)
+
+
+def motion_gain(
+    candidates: Candidates, chosen: IntArray, spacecraft: Spacecraft, wheels: WheelStatistics | None
+) -> MotionGain | None:
+    """Return the bounds by some carriers; None where neither a rate sensor nor a polarimeter is stated and used."""
+    sensor, stated = rate_sensor_model(spacecraft), used_polarimeters(spacecraft)
+    if sensor is None and not stated:
+        return None
+    powers, read = _powers(candidates, chosen), polarimeter_models(spacecraft, stated)
+    bias = None if sensor is None else (sensor.bias_deg_h, sensor.bias_deg_h, sensor.bias_deg_h)
+    drift = (
+        None if sensor is None or bias is None else DriftStatistics(bias, sensor.bias_tau_h, sensor.noise_deg_sqrt_h)
+    )
+    return MotionGain(
+        named_axes(attitude_bound_deg(*powers)),
+        None if drift is None else named_axes(attitude_bound_deg(*powers, drift=drift)),
+        named_axes(attitude_bound_deg(*powers, polarimeters=read)) if read else None,
+        named_axes(attitude_bound_deg(*powers, wheels, drift, read)),
+    )
+
+
+def _powers(candidates: Candidates, chosen: IntArray) -> tuple[FloatArray, ColouredNoise]:
+    """Return slopes and noise of some carriers."""
+    return candidates.sensitivity_db_per_deg[chosen], ColouredNoise(*(part[chosen] for part in candidates.noise))
 
 
 def _error_n_m(profile: FedForwardTorque) -> float:

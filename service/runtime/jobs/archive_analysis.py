@@ -12,7 +12,7 @@ from service.pipeline.calibration.minute_rows import minute_rows
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning.candidates import MIN_USABLE, Candidates, candidates_of
-from service.pipeline.planning.momentum_gain import MomentumGain, momentum_gain
+from service.pipeline.planning.momentum_gain import MomentumGain, MotionGain, momentum_gain, motion_gain
 from service.pipeline.planning.planning import Recommendation, Rule, recommend
 from service.ports import LIVE, Storage
 from service.records.calibration import (
@@ -22,7 +22,7 @@ from service.records.calibration import (
     CalibrationState,
     Window,
 )
-from service.records.catalogue import LIVE_METHODS, CarrierPlan, Method
+from service.records.catalogue import LIVE_METHODS, CarrierPlan, Method, Spacecraft
 
 #: fewest carriers that a choice may be asked for: three angles, a common level and one that checks them
 MIN_COUNT = 5
@@ -53,13 +53,18 @@ class CarrierRecommendation:
     notes: tuple[str, ...]
     #: None where no momentum is stated
     momentum: MomentumGain | None = None
+    #: None where neither a rate sensor nor a polarimeter is stated
+    measured_motion: MotionGain | None = None
 
-    def with_wheels(self, wheels: WheelStatistics | None) -> "CarrierRecommendation":
-        """Return the recommendation with what wheels would give the chosen carriers."""
-        if wheels is None:
-            return self
+    def with_motion(self, spacecraft: Spacecraft, wheels: WheelStatistics | None) -> "CarrierRecommendation":
+        """Return the recommendation with what wheels and stated sensors would give the chosen carriers."""
         chosen = self.recommendation.sets[self.recommendation.rule.value].chosen
-        return replace(self, momentum=momentum_gain(self.recommendation.candidates, chosen, wheels))
+        candidates = self.recommendation.candidates
+        return replace(
+            self,
+            momentum=None if wheels is None else momentum_gain(candidates, chosen, wheels),
+            measured_motion=motion_gain(candidates, chosen, spacecraft, wheels),
+        )
 
 
 def window_harmonics(
