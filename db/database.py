@@ -4,13 +4,12 @@ The journal of a spacecraft is gap-free and in the order of commits, because a n
 ``head`` of the spacecraft in the transaction that uses it: the row stays locked until that transaction ends.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from typing import Any, NamedTuple, TypeVar
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, or_, select, true, update
-from sqlalchemy.dialects import postgresql, sqlite
 
 from db.audit_chain import accompanied
 from db.connection.engines import open_engines, translated_faults
@@ -164,15 +163,6 @@ def next_id(connection: Connection, table: Table, column: str, key: int) -> int:
     """Return the next id of a spacecraft's table; the caller holds the head, and rows are never removed."""
     newest = connection.scalar(select(func.max(table.c[column])).where(table.c.spacecraft_key == key))
     return 1 + (newest or 0)
-
-
-def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
-    """Insert rows and return how many were new; those whose primary key exists stay as they are."""
-    if not rows:
-        return 0
-    insert = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
-    statement = insert(table).on_conflict_do_nothing().execution_options(preserve_rowcount=True)
-    return connection.execute(statement, rows).rowcount
 
 
 def beyond(

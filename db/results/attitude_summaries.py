@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, and_, delete, select
 
-from db.database import Database, insert_new, lock_head
+from db.connection.row_insertion import insert_new
+from db.database import Database, lock_head
 from db.encoding.segments import DAY_US, day_of
 from db.encoding.stored_summaries import ATTITUDE, READ_AT_ONCE, Stored
 from db.encoding.summary_codec import SummaryBlobs, pack_day

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, Row, Table, select, tuple_, update
 
-from db.database import insert_new, lock_head
+from db.connection.row_insertion import insert_new
+from db.database import lock_head
 from db.encoding.carrier_codec import pack_carriers
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs

@@ -64,12 +64,12 @@ def checksum_of(table: Any, values: Mapping[str, Any]) -> bytes:
     A column that is added later, and is null in older rows, leaves their checksums as they are. The number that a
     database gives a row does not count.
     """
-    content = {}
-    for name, plain in _plain_columns(table):
-        value = values.get(name)
-        # NaN is null in the table
-        if value is not None and value == value:
-            content[name] = plain(value)
+    # NaN is null in the table
+    content = {
+        name: plain(value)
+        for name, plain in _plain_columns(table)
+        if (value := values.get(name)) is not None and value == value
+    }
     return _bytes_of(zlib.crc32(json.dumps(content).encode()))
 
 
