@@ -101,7 +101,7 @@ def fed_forward_line(world: World) -> Line | None:
     if world.scenario.keeping.residual is not None:
         return None
     reported = fed_forward(world.scenario, world.seed)
-    parts = {"constant_n_m": np.zeros(3), "cosine_n_m": reported.cosine_n_m, "sine_n_m": reported.sine_n_m}
+    parts = {"constant_n_m": reported.constant_n_m, "cosine_n_m": reported.cosine_n_m, "sine_n_m": reported.sine_n_m}
     torques = {name: dict(zip(_AXES, part.tolist(), strict=True)) for name, part in parts.items()}
     return {"epoch": rfc3339(reported.epoch_us), "period_s": reported.period_s, **torques}
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
 
-from service.records.geometry import GeometryFit
+from service.records.geometry import GeometryFit, Row, Table
 from service.records.levels.attitude import Axes
 from service.records.noise import NoiseComponent
 
@@ -150,6 +150,20 @@ class PolarimeterCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class GatheredTorque:
+    """Torque from outside that gathered in the wheels on the quiet days, and what their telemetry had wrong."""
+
+    #: (13,) constant, cosine, sine of the torque, each yaw, roll, pitch, N m, its phase that of the solar day;
+    #: misalignments about roll and yaw, deg; errors of the scale along roll and yaw
+    mean: Row
+    #: (13, 13)
+    covariance: Table
+    #: records it is made from, and the end of their days
+    records: int
+    stop_us: int
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrationResult:
     """Outcome of a fit."""
 
@@ -168,6 +182,8 @@ class CalibrationResult:
     rates: AxesCheck | None = None
     #: of each polarimeter that the catalogue uses
     polarimeters: tuple[PolarimeterCheck, ...] = ()
+    #: None where the catalogue does not use the momentum, the turns contradict it, or quiet days do not tell it
+    gathered: GatheredTorque | None = None
 
 
 @dataclass(frozen=True, slots=True)

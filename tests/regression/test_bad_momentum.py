@@ -185,6 +185,29 @@ def test_telemetry_that_the_turns_contradict_is_left_out_to_the_last_bit() -> No
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.0, -1.0, 0.8, 1.3])
+def test_a_torque_that_changed_after_the_quiet_days_misleads_no_more_than_its_sigma(factor: float) -> None:
+    world = shared_world("wheels", SEED, 1.0)
+    calibration = world.documents.calibrations[1]
+    assert calibration.result is not None
+    gathered = calibration.result.gathered
+    assert gathered is not None
+    changed_n_m = (*(factor * part for part in gathered.mean[:9]), *gathered.mean[9:])
+    other = replace(calibration.result, gathered=replace(gathered, mean=changed_n_m))
+    world.documents.calibrations[1] = replace(calibration, result=other)
+    try:
+        found = world.fly_ground(world.ground)
+    finally:
+        world.documents.calibrations[1] = calibration
+    off = np.abs(found.error_deg / found.sigma_deg)[60:].max(axis=0)
+    print(f"seed {SEED}, learned torque times {factor:g}: {found.rms_deg(1.0).round(4)}, {off.round(1)} sigma")
+    assert found.wrong_minutes == 0
+    assert (off < 3.5).all()
+    # a quite other torque is refused, a part of one is learned
+    assert found.advises("momentum_refused").any() == (factor <= 0.0)
+
+
+@pytest.mark.slow
 def test_momentum_helps_where_nobody_states_the_torque_that_gathers_in_the_wheels() -> None:
     world = shared_world("wheels", SEED, 1.0)
     kept, spacecraft = world.ground, world.ground.spacecraft

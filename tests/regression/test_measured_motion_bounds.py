@@ -45,7 +45,7 @@ def test_the_bound_is_that_of_the_study(case, sensitivity):
 
 
 def test_a_sensor_of_a_hundredth_of_a_degree_an_hour_has_the_yaw_that_the_filter_reaches(sensitivity):
-    # ten worlds `rates`: 0.043/0.0116/0.0125 deg rms; the study's 0.035 of yaw belongs to a bias of 0.008 in roll
+    # ten worlds `rates`: 0.043/0.0116/0.0125 deg rms; the yaw of 0.035 of the study is not reproduced
     sensor = DriftStatistics((0.01, 0.01, 0.01), walk_deg_sqrt_h=0.003)
     bound_deg = attitude_bound_deg(sensitivity, NOISE, drift=sensor)
     print(f"rates of 0.01 deg/h: {bound_deg.round(4)} deg")

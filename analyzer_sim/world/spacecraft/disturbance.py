@@ -15,11 +15,14 @@ from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit.orbit import EpochArray
 from analyzer_sim.world.scenario.story import ResidualTorque, Scenario
+from analyzer_sim.world.spacecraft.stored_momentum import true_profile
 
 #: torque of the Sun's light, N m, order yaw, roll, pitch, and the share of it that is fed forward
 SOLAR_TORQUE_N_M = (0.8e-5, 1.36e-5, 0.72e-5)
 FED_FORWARD_SHARE = 0.95
 AXES = ("yaw", "roll", "pitch")
+#: positions of yaw, roll, pitch among roll, pitch, yaw
+_YAW_FIRST = [2, 0, 1]
 
 
 class Disturbance(NamedTuple):
@@ -32,19 +35,29 @@ class Disturbance(NamedTuple):
 
 
 class FedForward(NamedTuple):
-    """Torque that the loop on board feeds forward, N m, order yaw, roll, pitch: cosine cos(p) + sine sin(p)."""
+    """Torque that the loop on board feeds forward, N m, yaw, roll, pitch: constant + cosine cos(p) + sine sin(p)."""
 
     #: where p is zero
     epoch_us: int
     period_s: float
+    constant_n_m: FloatArray
     cosine_n_m: FloatArray
     sine_n_m: FloatArray
 
 
 def fed_forward(scenario: Scenario, seed: int) -> FedForward:
     """Return what the loop on board feeds forward; the ground wrote it, so it is known there."""
-    size, phase = FED_FORWARD_SHARE * np.array(SOLAR_TORQUE_N_M), _solar_phase_rad(seed)
-    return FedForward(scenario.start_us, US_PER_DAY / US_PER_S, size * np.cos(phase), -size * np.sin(phase))
+    profile = (FED_FORWARD_SHARE * part for part in _solar_profile(scenario, seed))
+    return FedForward(scenario.start_us, US_PER_DAY / US_PER_S, *profile)
+
+
+def _solar_profile(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return constant, cosine and sine (3,) of the Sun's torque; in a story with wheels it is what gathers in them."""
+    if scenario.wheels is not None:
+        constant, cosine, sine = (part[_YAW_FIRST] for part in true_profile(scenario.wheels, seed))
+        return constant, cosine, sine
+    size, phase = np.array(SOLAR_TORQUE_N_M), _solar_phase_rad(seed)
+    return np.zeros(3), size * np.cos(phase), -size * np.sin(phase)
 
 
 def _solar_phase_rad(seed: int) -> FloatArray:
@@ -64,8 +77,9 @@ def disturbance(scenario: Scenario, seed: int, epochs_us: EpochArray) -> Disturb
     ]
     # of the middle of the step
     days = (epochs_us - scenario.start_us + 0.5 * scenario.row_period_us) / US_PER_DAY
-    wave = np.cos(2.0 * np.pi * days[:, None] + _solar_phase_rad(seed))
-    solar_n_m = np.asarray(np.array(SOLAR_TORQUE_N_M) * wave)
+    constant, cosine, sine = _solar_profile(scenario, seed)
+    phase = 2.0 * np.pi * days[:, None]
+    solar_n_m = np.asarray(constant + cosine * np.cos(phase) + sine * np.sin(phase))
     drift_deg_s = np.stack(drift_deg_h, axis=1) / 3600.0
     if figures.residual is None:
         return Disturbance(drift_deg_s, solar_n_m, (1.0 - FED_FORWARD_SHARE) * solar_n_m)

@@ -155,7 +155,8 @@ class WheelMomentumDocument(Document):
     """Use by the filter; false: the record is stored alone."""
     torque: FedForwardDocument | None = None
     """Torque from outside that gathers in the wheels and moves nothing else, with the error of its profile; null: that
-    of `fed_forward_torque`, whose error also moves the body; neither stated: 2e-5 N m of unknown constant and wave."""
+    of `fed_forward_torque`, whose error also moves the body; neither stated: 2e-5 N m of unknown constant and wave.
+    What the quiet days of a calibration tell takes the place of this profile and of an unknown one."""
 
 
 class BodyRateSensorDocument(Document):

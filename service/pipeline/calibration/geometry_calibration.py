@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.pipeline.calibration.gathered_torque import gathered_quality, gathered_torque, gathered_warnings
 from service.pipeline.calibration.geometry_fit import JointFit, fit_rows
 from service.pipeline.calibration.geometry_quality import quality_metrics
 from service.pipeline.calibration.geometry_rows import GeometryRows, geometry_rows
@@ -32,6 +33,7 @@ from service.records.calibration import (
     AxesCheck,
     CalibrationResult,
     CarrierCalibration,
+    GatheredTorque,
     PolarimeterCheck,
 )
 from service.records.catalogue import Carrier
@@ -73,17 +75,19 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     is_free = is_user_carrier & (joint.group < 0)
     report = report_signs(data, config, rows.positions, joint.fit.free, is_free, quality["yaw_turn_reach_deg"])
     momentum, rates, angles = momentum_check(data, config), rate_check(data, config), polarimeter_checks(data, config)
+    gathered = gathered_torque(data, momentum, rows.angles.sensor_sigma_deg, config)
     sigma_db = np.hypot(white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
     record = geometry_record(data, rows, joint, is_used)
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
         observe(slope[is_user_carrier], sigma_db[is_user_carrier]),
-        {**paper.quality, **quality, **report.quality, **_motion_quality(momentum, rates, angles)},
+        {**paper.quality, **quality, **report.quality, **_motion_quality(momentum, rates, angles, gathered)},
         (
             *calibration_warnings(data, rows, joint, is_used, config),
             *report.warnings,
             *momentum_warnings(momentum),
+            *gathered_warnings(data, momentum, gathered),
             *rate_warnings(data, rates),
             *polarimeter_warnings(angles),
             *_of_paper(paper.warnings),
@@ -93,14 +97,19 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
         momentum,
         rates,
         angles,
+        gathered,
     )
 
 
 def _motion_quality(
-    momentum: AxesCheck | None, rates: AxesCheck | None, angles: tuple[PolarimeterCheck, ...]
+    momentum: AxesCheck | None,
+    rates: AxesCheck | None,
+    angles: tuple[PolarimeterCheck, ...],
+    gathered: GatheredTorque | None,
 ) -> dict[str, float]:
-    """Return the figures of the checks of measured motion, by name."""
-    return {**momentum_quality(momentum), **rate_quality(rates), **polarimeter_quality(angles)}
+    """Return the figures of measured motion, by name."""
+    checks = {**momentum_quality(momentum), **rate_quality(rates), **polarimeter_quality(angles)}
+    return {**checks, **gathered_quality(gathered)}
 
 
 def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> GeometryFit:

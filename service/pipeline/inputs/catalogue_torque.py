@@ -9,14 +9,27 @@ import math
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FedForward, MomentumModel, RateSensorModel
+from service.core.estimation.filtering.model.filter_model import (
+    FedForward,
+    FilterSettings,
+    LearnedMomentum,
+    MomentumModel,
+    RateSensorModel,
+)
+from service.core.estimation.filtering.model.torque_prior import DAY_US, TORQUES, scale_covariance
 from service.pipeline.inputs.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
+from service.records.calibration import Calibration, GatheredTorque
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import FloatArray
 
 #: torque from outside where no profile is stated, N m: light of the Sun on the arrays of a large comsat
 _UNKNOWN_GATHERED_N_M = 2e-5
+#: share by which a torque may have changed since it was learned, of all axes together and of each one: it costs yaw
+#: nothing, and a torque that changed by 0.3 misleads it by three sigmas in place of seven
+_CHANGED_SHARES = (0.1, 0.01)
+#: size of the wander of a torque that was learned, as a share of it: 1 % in two days, what the Sun's seasons make
+_WANDER_SHARE = 0.2
 #: of a torque whose size is stated; it is that of the Sun's light, nearly all wave
 _STATED_CONSTANT_SHARE = 0.2
 
@@ -50,20 +63,57 @@ def fed_forward(spacecraft: Spacecraft | None) -> FedForward | None:
     return None if spacecraft is None or reported is None else _profile(reported, spacecraft)
 
 
-def momentum_model(spacecraft: Spacecraft | None, *, is_contradicted: bool = False) -> MomentumModel | None:
-    """Return how the momentum of the wheels is read; None where the catalogue does not use it, or turns contradict."""
+def momentum_model(
+    spacecraft: Spacecraft | None, calibration: Calibration | None = None, epoch_us: int = 0
+) -> MomentumModel | None:
+    """Return how the momentum of the wheels is read; None where the catalogue does not use it, or turns contradict.
+
+    What the quiet days of the calibration told of the torque takes the place of what the catalogue states; it is known
+    less well by the time until an epoch. Where the error of a profile that is fed forward also moves the body, the
+    catalogue alone says how large it is.
+    """
     stated = None if spacecraft is None else spacecraft.onboard.momentum
-    if spacecraft is None or stated is None or not stated.used or is_contradicted:
+    if spacecraft is None or stated is None or not stated.used:
+        return None
+    if calibration is not None and calibration.is_momentum_contradicted:
         return None
     is_profile_known = stated.torque is not None or spacecraft.onboard.fed_forward_torque is not None
+    profile = None if stated.torque is None else _profile(stated.torque, spacecraft)
+    unknown = None if is_profile_known else _accelerations(AxisTorques(*[_UNKNOWN_GATHERED_N_M] * 3), spacecraft)
+    learned, result = None, None if calibration is None else calibration.result
+    gathered = None if result is None else result.gathered
+    if gathered is not None and spacecraft.onboard.fed_forward_torque is None:
+        learned = _learned(gathered, spacecraft, epoch_us)
+        profile, unknown = None, _WANDER_SHARE * _size(learned)
     return MomentumModel(
         stated.sigma_n_m_s,
         stated.scale_error,
         stated.misalignment_deg,
         angle_inertia_kg_m2(spacecraft),
-        None if stated.torque is None else _profile(stated.torque, spacecraft),
-        None if is_profile_known else _triple(_accelerations(AxisTorques(*[_UNKNOWN_GATHERED_N_M] * 3), spacecraft)),
+        profile,
+        None if unknown is None else _triple(unknown),
+        learned=learned,
     )
+
+
+def _size(learned: LearnedMomentum) -> FloatArray:
+    """Return the size (3,) of a torque that was learned, constant and wave together."""
+    return np.asarray(np.linalg.norm(np.array(learned.mean[:TORQUES]).reshape(3, 3), axis=0))
+
+
+def _learned(gathered: GatheredTorque, spacecraft: Spacecraft, epoch_us: int) -> LearnedMomentum:
+    """Return what quiet days told as accelerations; it ages as every torque that the filter learns."""
+    scale = np.ones(len(gathered.mean))
+    scale[:TORQUES] = 1.0 / np.tile(DEG_H2_N_M * np.array(angle_inertia_kg_m2(spacecraft)), 3)
+    mean = scale * np.array(gathered.mean)
+    covariance = scale[:, None] * np.array(gathered.covariance) * scale
+    days_h = max(0.0, (epoch_us - gathered.stop_us) / US_PER_S / 3600.0)
+    lost = -math.expm1(-2.0 * days_h / FilterSettings().torque_tau_h)
+    fresh = LearnedMomentum(tuple(mean.tolist()), tuple(map(tuple, covariance.tolist())))
+    constant, cosine, sine = map(_triple, mean[:TORQUES].reshape(3, 3))
+    changed = scale_covariance(FedForward(constant, cosine, sine, *_CHANGED_SHARES, DAY_US))
+    covariance[:TORQUES, :TORQUES] += lost * np.diag(np.tile(_size(fresh) ** 2, 3)) + changed
+    return fresh._replace(covariance=tuple(map(tuple, covariance.tolist())))
 
 
 def rate_sensor_model(spacecraft: Spacecraft | None, *, is_contradicted: bool = False) -> RateSensorModel | None:

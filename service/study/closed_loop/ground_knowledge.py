@@ -21,7 +21,7 @@ from service.study.estimation.flight.catalogue_lines import (
     read_spacecraft,
     read_telemetry,
 )
-from service.study.estimation.flight.world import AXES, Ground
+from service.study.estimation.flight.world import AXES, Ground, GroundEvent
 
 _SOURCE = "sa-1"
 _NAN = float("nan")
@@ -42,7 +42,7 @@ def ground_of(opening: Opening) -> Ground:
         spacecraft=_spacecraft(bodies["spacecraft"], opening.fed_forward),
         carriers=read_carriers(bodies["carriers"]),
         ephemeris=read_ephemeris(bodies["ephemeris"]),
-        events=(),
+        events=tuple(_telemetry(opening.ground)),
         corrections=(),
         phases=windows,
         carrier_ids=opening.carrier_ids,
@@ -53,6 +53,13 @@ def ground_of(opening: Opening) -> Ground:
         source_names=(_SOURCE,),
         references=_references(opening),
     )
+
+
+def _telemetry(lines: tuple[Line, ...]) -> Iterator[GroundEvent]:
+    """Yield the records of telemetry before operation."""
+    for line in lines:
+        if line["kind"] == "telemetry":
+            yield from (GroundEvent(record.epoch_us, record) for record in read_telemetry(line["body"]))
 
 
 def _spacecraft(body: Line, fed_forward: Line | None) -> Spacecraft:

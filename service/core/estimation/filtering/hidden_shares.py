@@ -25,7 +25,7 @@ from service.core.estimation.filtering.model.torque_prior import (
     torque_covariance,
     torque_prior_deg_h2,
 )
-from service.core.estimation.filtering.model.wheel_momentum import momentum_covariance
+from service.core.estimation.filtering.model.wheel_momentum import momentum_covariance, with_learned_momentum
 from service.core.estimation.filtering.watches.command_watch import executed_commands
 
 
@@ -50,8 +50,7 @@ def without_shares(model: CarrierModel, state: FilterState, shares: int) -> Filt
 
 def with_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings) -> Gaussian:
     """Return the state at an alignment, which has no hidden states, with those of the torque that is stated, if any."""
-    gaussian = _with_sensors(gaussian, core_size(model), settings)
-    return inserted(gaussian, core_size(model), torque_covariance(settings)) if has_torque(settings) else gaussian
+    return _begun(gaussian, core_size(model), settings)
 
 
 def with_stated_torque(
@@ -76,15 +75,16 @@ def with_stated_torque(
     return state._replace(gaussian=gaussian, command=command)
 
 
-def _with_sensors(gaussian: Gaussian, position: int, settings: FilterSettings) -> Gaussian:
-    """Return the state with the states of the wheels and of polarimeters at a place, where they are used."""
+def _begun(gaussian: Gaussian, position: int, settings: FilterSettings) -> Gaussian:
+    """Return the state with the states of torque, wheels and polarimeters at a place, where there are any."""
     if settings.polarimeters:
         gaussian = inserted(gaussian, position, polarimeter_covariance(settings))
-    return (
-        gaussian
-        if settings.momentum is None
-        else inserted(gaussian, position, momentum_covariance(settings, settings.momentum))
-    )
+    if settings.momentum is not None:
+        gaussian = inserted(gaussian, position, momentum_covariance(settings, settings.momentum))
+    if not has_torque(settings):
+        return gaussian
+    gaussian = inserted(gaussian, position, torque_covariance(settings))
+    return with_learned_momentum(gaussian, position + TORQUES, settings)
 
 
 def _with_stated_sensors(
@@ -93,8 +93,6 @@ def _with_stated_sensors(
     """Return the state after the catalogue states other wheels or polarimeters: they and torques begin again."""
     first = core_size(model, shares)
     known = (TORQUES if has_torque(before) else 0) + sensor_states(before)
-    gaussian = _with_sensors(dropped(state.gaussian, slice(first, first + known)), first, after)
-    if has_torque(after):
-        gaussian = inserted(gaussian, first, torque_covariance(after))
+    gaussian = _begun(dropped(state.gaussian, slice(first, first + known)), first, after)
     command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
     return state._replace(gaussian=gaussian, command=command)

@@ -15,7 +15,7 @@ from service.core.estimation.filtering.carry_over import carry_over, without_rat
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
 from service.core.estimation.filtering.model.declared import Declared
-from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion
+from service.core.estimation.filtering.model.filter_model import KnownMotion
 from service.core.estimation.filtering.model.filter_state import (
     FREE_REFERENCE_DB2,
     initial_gaussian,
@@ -31,7 +31,7 @@ from service.pipeline.estimation.method import CarrierLevels
 from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row, rates_deg_s
 from service.pipeline.estimation.robust.frozen_readings import LastReadings, frozen, no_readings, push_readings
 from service.pipeline.estimation.robust.model import RobustModel, signals
-from service.pipeline.estimation.robust.residual_torque import is_torque_shown
+from service.pipeline.estimation.robust.residual_torque import is_torque_shown, sensors_of, torque_of
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.telemetry_advice import telemetry_advice
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
@@ -104,12 +104,12 @@ def initial_state(
 
 def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> RobustState:
     """Return the state under another calibration; what is known of spacecraft and remaining carriers is kept."""
-    if _torque_of(old.settings) != _torque_of(new.settings):
+    if torque_of(old.settings) != torque_of(new.settings):
         pushed = with_stated_torque(old.filter, state.filter, len(state.released), old.settings, new.settings)
         state = replace(state, filter=pushed)
     # the sensors' states begin again together
-    before, after = ((each.settings.momentum, each.settings.polarimeters) for each in (old, new))
-    state = state if before == after else replace(state, momentum=fresh_watch(), polarimeters=())
+    is_same = sensors_of(old.settings) == sensors_of(new.settings)
+    state = state if is_same else replace(state, momentum=fresh_watch(), polarimeters=())
     if old.rate_sensor != new.rate_sensor:
         state = replace(state, filter=without_rates(state.filter, state.rates), rates=fresh_rates())
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
@@ -133,11 +133,6 @@ def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
     watch = found.state.filter.anchor
     hypothesis = np.where(np.isnan(watch.probability), 0, watch.hypothesis + 1)
     return CarrierLevels(model.carrier_ids, found.deviation_db, found.residual_db, model.is_used, hypothesis)
-
-
-def _torque_of(settings: FilterSettings) -> tuple[object, ...]:
-    sensors = settings.momentum, settings.polarimeters
-    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, *sensors
 
 
 def step_robust(

@@ -128,7 +128,7 @@ def robust_model(
     groups = member_groups(fit.alc_group, is_used)
     grown_db = _grown_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us))
     carriers = centred_model(carrier_model(arrays, fit, result.carriers, config.robust), groups)
-    settings = _filter_settings(spacecraft, config.robust, calibration)
+    settings = _filter_settings(spacecraft, config.robust, calibration, alignment.epoch_us)
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(carriers, grown_db),
@@ -252,7 +252,9 @@ def _contradicted(spacecraft: Spacecraft | None, calibration: Calibration) -> fr
     return frozenset(name for name, is_left_out in left_out.items() if is_left_out)
 
 
-def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig, calibration: Calibration) -> FilterSettings:
+def _filter_settings(
+    spacecraft: Spacecraft | None, config: RobustConfig, calibration: Calibration, aligned_us: int
+) -> FilterSettings:
     """Return the settings of the filter for the spacecraft.
 
     An exchange of roll and yaw that nobody knows of is drift of either by what the usual angle of the other makes.
@@ -273,7 +275,7 @@ def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig, calibr
         torque_deg_h2=residual_deg_h2(spacecraft, config.unknown_torque_n_m),
         torque_constant_share=constant_share(spacecraft),
         fed_forward=fed_forward(spacecraft),
-        momentum=momentum_model(spacecraft, is_contradicted=calibration.is_momentum_contradicted),
+        momentum=momentum_model(spacecraft, calibration, aligned_us),
         polarimeters=polarimeter_models(
             spacecraft, used_polarimeters(spacecraft, calibration.contradicted_polarimeters)
         ),

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState
+from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
 from service.core.estimation.filtering.model.torque_prior import is_pushed, wave_period_us
 from service.pipeline.estimation.robust.model import RobustModel
@@ -41,3 +42,16 @@ def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Di
     return Disturbance(
         epoch_us, period_us / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
     )
+
+
+def torque_of(settings: FilterSettings) -> tuple[object, ...]:
+    """Return what the states of torque and sensors begin with."""
+    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, *sensors_of(settings)
+
+
+def sensors_of(settings: FilterSettings) -> tuple[object, ...]:
+    """Return what the states of sensors begin with; a filter that runs knows more than new quiet days tell."""
+    wheels = settings.momentum
+    if wheels is not None and wheels.learned is not None:
+        wheels = wheels._replace(learned=None, unknown_torque_deg_h2=None)
+    return wheels, settings.polarimeters

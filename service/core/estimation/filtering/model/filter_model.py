@@ -73,6 +73,16 @@ class FedForward(NamedTuple):
     period_us: int
 
 
+class LearnedMomentum(NamedTuple):
+    """Torque that gathers in the wheels, and errors of their telemetry, as quiet days tell them."""
+
+    #: (13,) constant, cosine, sine of the torque, each yaw, roll, pitch, deg/h^2, its phase that of the solar day;
+    #: misalignments b about roll and yaw, deg; errors s of the scale along roll and yaw
+    mean: tuple[float, ...]
+    #: (13, 13)
+    covariance: tuple[tuple[float, ...], ...]
+
+
 class MomentumModel(NamedTuple):
     """Telemetry of the wheels' momentum and what it follows from."""
 
@@ -88,6 +98,8 @@ class MomentumModel(NamedTuple):
     unknown_torque_deg_h2: tuple[float, float, float] | None = None
     #: N m s/sqrt(s), walk of the momentum by torques of which nobody knows
     walk_n_m_s_sqrt_s: float = 2e-5
+    #: None = nothing was learned; else its torque has no profile beside the states
+    learned: LearnedMomentum | None = None
 
 
 class RateSensorModel(NamedTuple):

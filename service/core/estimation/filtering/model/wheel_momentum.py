@@ -32,6 +32,8 @@ _DEG_H2_N_M = math.radians(1.0) / 3600.0**2
 _PANEL_H = 1.0 / 6.0
 #: positions of roll, pitch, yaw among yaw, roll, pitch
 _BODY = np.array([1, 2, 0])
+#: states of momentum, misalignment and scales
+_ERRORS = 7
 #: one sigma of a momentum of which nothing is known, N m s
 FREE_N_M_S = 1.0
 
@@ -83,6 +85,24 @@ def moved_momentum(
     known = wheels.profile or settings.fed_forward
     push = 0.0 if known is None else effect @ np.concatenate(known[:3])
     mean[own] = step @ mean[positions] + push
+    return Gaussian(mean, covariance)
+
+
+def learned_positions(first: int, settings: FilterSettings) -> IntArray:
+    """Return the positions (13,) of what quiet days tell, in the order of `LearnedMomentum`."""
+    return np.concatenate([momentum_sources(first, settings)[:-3], np.arange(first + 3, first + _ERRORS)])
+
+
+def with_learned_momentum(gaussian: Gaussian, first: int, settings: FilterSettings) -> Gaussian:
+    """Return the state with what quiet days tell of torque and telemetry, where they told something."""
+    wheels = settings.momentum
+    if wheels is None or wheels.learned is None:
+        return gaussian
+    mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
+    own = learned_positions(first, settings)
+    mean[own] = np.array(wheels.learned.mean)
+    covariance[own, :] = covariance[:, own] = 0.0
+    covariance[np.ix_(own, own)] = np.array(wheels.learned.covariance)
     return Gaussian(mean, covariance)
 
 

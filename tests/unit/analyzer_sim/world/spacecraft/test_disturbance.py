@@ -7,22 +7,37 @@ import pytest
 
 from analyzer_sim.plant.plant_lines import fed_forward_line
 from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft.disturbance import FED_FORWARD_SHARE, disturbance, fed_forward
+from analyzer_sim.world.spacecraft.stored_momentum import true_profile
 from analyzer_sim.world.world import World
 
-STORY = scenario_named("nominal")
+STORY, WHEELS = scenario_named("nominal"), scenario_named("wheels")
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_profile_is_the_share_that_is_fed_forward_of_the_torque_that_acts(seed: int) -> None:
-    reported = fed_forward(STORY, seed)
-    epochs_us = STORY.operation_start_us + 3_600_000_000 * np.arange(48)
-    acts = disturbance(STORY, seed, epochs_us).external_n_m
+@pytest.mark.parametrize("story", [STORY, WHEELS], ids=["nominal", "wheels"])
+def test_the_profile_is_the_share_that_is_fed_forward_of_the_torque_that_acts(story: Scenario, seed: int) -> None:
+    reported = fed_forward(story, seed)
+    epochs_us = story.operation_start_us + 3_600_000_000 * np.arange(48)
+    acts = disturbance(story, seed, epochs_us).external_n_m
     # the torque of a row is that of the middle of the step after it
-    turns = (epochs_us + 0.5 * STORY.row_period_us - reported.epoch_us) / (reported.period_s * 1e6)
+    turns = (epochs_us + 0.5 * story.row_period_us - reported.epoch_us) / (reported.period_s * 1e6)
     phase = 2.0 * np.pi * turns[:, None]
-    profile = np.cos(phase) * reported.cosine_n_m + np.sin(phase) * reported.sine_n_m
-    np.testing.assert_allclose(profile, FED_FORWARD_SHARE * acts, atol=1e-16)
+    wave = np.cos(phase) * reported.cosine_n_m + np.sin(phase) * reported.sine_n_m
+    np.testing.assert_allclose(reported.constant_n_m + wave, FED_FORWARD_SHARE * acts, atol=1e-16)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_torque_that_gathers_in_wheels_is_the_same_before_operation_and_in_it(seed: int) -> None:
+    assert WHEELS.wheels is not None
+    profile = true_profile(WHEELS.wheels, seed)
+    epochs_us = WHEELS.operation_start_us + 600_000_000 * np.arange(144)
+    acts = disturbance(WHEELS, seed, epochs_us).external_n_m
+    phase = 2.0 * np.pi * (epochs_us + WHEELS.row_period_us // 2 - WHEELS.start_us)[:, None] / 86_400_000_000
+    gathered = profile.constant_n_m + profile.cosine_n_m * np.cos(phase) + profile.sine_n_m * np.sin(phase)
+    # yaw, roll, pitch of roll, pitch, yaw
+    np.testing.assert_allclose(acts, gathered[:, [2, 0, 1]], atol=1e-16)
 
 
 def test_the_line_says_nothing_of_what_is_wrong_with_it() -> None:

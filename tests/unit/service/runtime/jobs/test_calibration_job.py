@@ -98,6 +98,28 @@ def test_measured_motion_of_the_turns_reaches_the_fit(ground):
     assert (telemetry.epoch_us, angle) == (inside, told[0])
 
 
+def test_of_quiet_days_it_is_given_telemetry_a_minute_apart_and_unloadings(ground):
+    quiet = ground.payload.request.quiet
+    told = [TelemetryRecord(quiet.start_us + 20_000_000 * k, "hold", thrusters_active=k == 4) for k in range(25)]
+    ground.storage.archive.append_inputs(ground.id, told)
+    seen = []
+    fit = calibrating.calibrate_paper
+
+    def fitted(data, config):
+        seen.append(data)
+        return fit(data, config)
+
+    # four records a page: pages end within a minute and between minutes
+    with (
+        patch.object(calibrating, "_MAX_RECORDS", 4),
+        patch.object(calibrating, "calibrate_paper", side_effect=fitted),
+    ):
+        run(ground, ground.payload.request)
+    seconds = [(one.epoch_us - quiet.start_us) // 1_000_000 for one in seen[0].telemetry]
+    # the unloading at 80 s begins the next minute
+    assert seconds == [0, 60, 80, 140, 200, 260, 320, 380, 440]
+
+
 def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
     with patch.object(calibrating, "calibrate_paper", side_effect=JobAbortedError("the service is stopping")):
         calibration, job = run(ground, ground.payload.request)

@@ -49,7 +49,7 @@ def flown(model):
     rng, capture = np.random.default_rng(20261126), StepCapture(ARRAYS)
     gaussian = with_torque(model, filter_models.aligned(model), SETTINGS)
     first = sensors_first(model, gaussian, SETTINGS)
-    state, wheels, port, taken = start(model, 0, gaussian), fresh_watch(), PolarimeterWatch(), []
+    state, wheels, port, taken = start(model, 0, gaussian), fresh_watch(), PolarimeterWatch(0), []
     for number in range(ROWS):
         gaussian, at_us = state.gaussian, state.epoch_us
         records = []
