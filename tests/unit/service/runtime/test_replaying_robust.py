@@ -1,21 +1,32 @@
 """Live operation, restart and replay with both methods: the same rows bit for bit, commanded motion included."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from unittest.mock import Mock
 
+import numpy as np
 import pytest
 from busy_station import BOTH, PAYLOAD, SC, Station, at, morning, text
 
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.errors import InvalidInputError
 from service.records.calibration import CalibrationMethod
-from service.records.catalogue import ControlLaw, GyroOrbitantGains, Method
-from service.records.inputs import PlanChange, TelemetryRecord
+from service.records.catalogue import (
+    BodyRateSensor,
+    ControlLaw,
+    GyroOrbitantGains,
+    Method,
+    Polarimeter,
+    WheelMomentum,
+)
+from service.records.inputs import PlanChange, PolarizationRecord, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
 from service.records.levels.command import AppliedCommand
 from service.runtime.live.journal_consumer import update_before
+
+RATE_ERRORS = {"bias_deg_h": 0.01, "bias_tau_h": 8.0, "noise_deg_sqrt_h": 0.003}
 
 
 def test_the_morning_holds_what_its_pieces_promise(busy):
@@ -178,3 +189,58 @@ def test_a_window_that_the_track_does_not_reach_is_refused_with_the_reason(opene
     with pytest.raises(InvalidInputError, match=r"the ephemeris reaches from") as caught:
         station.align(-30, 0)
     assert caught.value.code == "alignment.no_powers"
+
+
+def sensed(minutes: Sequence[int]) -> list[tuple[TelemetryRecord, PolarizationRecord]]:
+    """Return what wheels, rate sensor and polarimeter tell of a spacecraft that stands still, a minute each."""
+    told = []
+    for minute in minutes:
+        noise, turn = np.random.default_rng(minute).normal(size=7).tolist(), GEOSTATIONARY_RATE_RAD_S * 60.0 * minute
+        momentum = 0.4 * math.cos(turn) + 0.01 * noise[0], -8.0 + 0.01 * noise[1], -0.4 * math.sin(turn)
+        rate = Axes(*(1e-6 * one for one in noise[2:4]), 1e-6 * noise[4] - math.degrees(GEOSTATIONARY_RATE_RAD_S))
+        record = TelemetryRecord(at(minute), wheel_momentum_n_m_s=momentum, body_rate_deg_s=rate)
+        told.append((record, PolarizationRecord("pol", at(minute), angle_deg=0.07 * noise[6], sigma_deg=0.07)))
+    return told
+
+
+def test_measured_motion_is_the_same_live_after_restarts_and_in_a_replay(opened_archive, new_station):
+    """Momentum of the wheels, rates beside the loop and a polarimeter: every row to the last bit."""
+    station = new_station(opened_archive)
+    record = station.storage.catalogue.spacecraft(SC)
+    onboard = replace(
+        record.onboard, momentum=WheelMomentum(), rate_sensor=BodyRateSensor(in_loop=False, **RATE_ERRORS)
+    )
+    polarimeter = Polarimeter("pol", feed_offset_deg=10.0, frequency_hz=11.2e9)
+    station.storage.catalogue.replace_spacecraft(replace(record, onboard=onboard, polarimeters=(polarimeter,)))
+    station.align(-30, 0)
+    for first in (1, 21, 41):
+        told = sensed(range(first, first + 20))
+        # some of the records come after rows that are newer, and one comes twice
+        for pairs, minutes in ((told[:5] + told[9:14], range(14)), (told[5:9] + told[:1] + told[14:], range(14, 20))):
+            station.tell(*(one for pair in pairs for one in pair))
+            station.send([first + minute for minute in minutes])
+            with station.supervised() as settle:
+                settle()
+    live = station.rows(Method.ROBUST)
+    assert len(live) == 60
+    version = station.replay(1, 61, smooth=True)
+    assert text(station.rows(Method.ROBUST, version)) == text(live)
+    assert text(station.commands(version)) == text(station.commands())
+    assert [row.epoch_us for row in station.rows(Method.ROBUST_SMOOTHED, version)] == [row.epoch_us for row in live]
+    # each sensor counts: without its records rows are others
+    for name in ("momentum", "rate_sensor"):
+        without = replace(record, onboard=replace(onboard, **{name: None}), polarimeters=(polarimeter,))
+        assert others(new_station(opened_archive), without, live)
+    assert others(new_station(opened_archive), replace(record, onboard=onboard), live)
+
+
+def others(station, record, live) -> bool:
+    """Return whether a spacecraft that is stated otherwise has other rows of the same inputs."""
+    station.storage.catalogue.replace_spacecraft(record)
+    station.align(-30, 0)
+    told = sensed(range(1, 21))
+    station.tell(*(one for pair in told[:5] + told[9:14] for one in pair))
+    station.send(range(1, 15))
+    with station.supervised() as settle:
+        settle()
+    return text(station.rows(Method.ROBUST)) != text(live[:14])
