@@ -110,7 +110,7 @@ ADVISED: dict[str, tuple[Change, str]] = {
     "stale": (stale, "momentum_silent"),
     "handed over three hours late": (late, "momentum_silent"),
     "none": (lambda records: [], "momentum_silent"),
-    "zero": (mapped(np.zeros((3, 3))), "momentum_silent"),
+    "zero": (mapped(np.zeros((3, 3))), "momentum_refused"),
     "about zero": (mapped(0.001 * np.eye(3)), "momentum_refused"),
 }
 

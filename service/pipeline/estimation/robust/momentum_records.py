@@ -14,8 +14,12 @@ from service.pipeline.estimation.robust.polarization_records import with_polariz
 from service.pipeline.estimation.robust.rate_records import with_rates
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.inputs.knowledge import Knowledge
+from service.records.catalogue import WheelMomentum
 from service.records.levels.measurement import Measurement
 
+#: a momentum along pitch that is off the stated one by more than this share of it is of other wheels or another unit;
+#: a stated one below the limit, N m s, tells nothing
+_BIAS_SHARE, _LEAST_N_M_S = 0.5, 1.0
 #: a record older than the newest row by more than this tells nothing, s
 _LATE_S = 900.0
 
@@ -49,8 +53,10 @@ def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) ->
         return state, NO_EFFECT
     if len(reported) != len(model.wheel_axes) or knowledge.spacecraft is None:
         return state, NO_EFFECT
-    if max(map(abs, reported)) > knowledge.spacecraft.wheels.momentum_limit_n_m_s:
-        # no wheel holds so much: a first record of another unit would be believed, a later one is a wild record
+    momentum_n_m_s = np.array(reported) @ model.wheel_axes
+    too_much = max(map(abs, reported)) > knowledge.spacecraft.wheels.momentum_limit_n_m_s
+    if too_much or _is_off_bias(float(momentum_n_m_s[1]), knowledge.spacecraft.onboard.momentum):
+        # a first record of another unit, sign or spacecraft would be believed, a later one is a wild record
         return replace(state, momentum=with_impossible(state.momentum)), NO_EFFECT
     gaussian = state.filter.gaussian
     watch, gaussian, effect = push_record(
@@ -58,10 +64,16 @@ def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) ->
         gaussian,
         sensors_first(model.filter, gaussian, model.settings),
         record.epoch_us,
-        np.array(reported) @ model.wheel_axes,
+        momentum_n_m_s,
         epoch_us,
         model.settings,
         wheels,
         is_unloading=bool(record.thrusters_active),
     )
     return replace(state, filter=state.filter._replace(gaussian=gaussian), momentum=watch), effect
+
+
+def _is_off_bias(pitch_n_m_s: float, stated: WheelMomentum | None) -> bool:
+    """Return whether a momentum along pitch cannot be that of the spacecraft, by what the catalogue states."""
+    bias = None if stated is None else stated.pitch_bias_n_m_s
+    return bias is not None and abs(bias) >= _LEAST_N_M_S and abs(pitch_n_m_s - bias) > _BIAS_SHARE * abs(bias)
