@@ -108,12 +108,15 @@ def test_exports_of_the_span_are_offered_in_every_format(page, ground, open_view
     expect(links).to_have_count(12)
     rows = len(ground.get(f"/attitude/history?{urllib.parse.urlencode(span)}")["rows"])
     for link in links.all():
+        href = link.get_attribute("href")
+        if "method=robust_smoothed&" in href:
+            # this span has no smoothed rows; their files stand in the test of the smoothed curve
+            continue
         with page.expect_download() as download:
             link.click()
         content = download.value.path().read_bytes()
-        # without smoothed rows their NDJSON is empty
-        assert content or "method=robust_smoothed&" in link.get_attribute("href")
-        if "method=robust&" in link.get_attribute("href") and "format=csv" in link.get_attribute("href"):
+        assert content
+        if "method=robust&" in href and "format=csv" in href:
             assert len(content.splitlines()) - 1 == rows
 
 
