@@ -1,4 +1,4 @@
-"""What smoothing gains where wheels, polarimeters or rates are used, and inside a gap of three hours.
+"""Smoothed angles against the filter's where wheels, polarimeters or rates are used, and in a gap of three hours.
 
 `soo study estimation --scenario wheels` prints the same figures; the table stands in docs/evidence/estimation.md.
 """

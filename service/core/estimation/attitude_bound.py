@@ -193,10 +193,8 @@ def _wander(polarimeters: tuple[PolarimeterModel, ...]) -> tuple[FloatArray, Flo
 
 def _angle_rows(first: int, polarimeters: tuple[PolarimeterModel, ...], hours: float) -> FloatArray:
     """Return the rows (P, D) of angles; the states of polarimeters are the last ones, from a place on."""
-    phase, rows = (
-        2.0 * math.pi * hours / _DAY_H,
-        np.zeros((len(polarimeters), first + _POLARIMETER * len(polarimeters))),
-    )
+    phase = 2.0 * math.pi * hours / _DAY_H
+    rows = np.zeros((len(polarimeters), first + _POLARIMETER * len(polarimeters)))
     for number, one in enumerate(polarimeters):
         own = first + _POLARIMETER * number
         rows[number, _ANGLES] = one.sight

@@ -13,8 +13,7 @@ from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.torque_prior import TORQUES
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.catalogue_torque import momentum_model
-from service.pipeline.inputs.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
+from service.pipeline.inputs.catalogue_torque import learned_units, momentum_model
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import AxesCheck, GatheredTorque, MotionVerdict
 from service.records.catalogue import Spacecraft
@@ -52,8 +51,7 @@ def gathered_torque(
     )
     if found is None or found.records < _LEAST_RECORDS:
         return None
-    scale = np.ones(len(found.mean))
-    scale[:TORQUES] = np.tile(DEG_H2_N_M * np.array(angle_inertia_kg_m2(spacecraft)), 3)
+    scale = learned_units(spacecraft)
     covariance = scale[:, None] * found.covariance * scale
     return GatheredTorque(
         tuple((scale * found.mean).tolist()),
@@ -81,8 +79,7 @@ def gathered_warnings(
         return (f"the torque that gathers in the wheels was not learned: {reason}; {_NEXT}",)
     if wheels.profile is None:
         return ()
-    scale = np.tile(DEG_H2_N_M * np.array(angle_inertia_kg_m2(spacecraft)), 3)
-    stated = scale * np.concatenate(wheels.profile[:3])
+    stated = learned_units(spacecraft)[:TORQUES] * np.concatenate(wheels.profile[:3])
     sigma = np.sqrt(np.trace(np.array(gathered.covariance)[:TORQUES, :TORQUES]))
     off, size = float(np.linalg.norm(np.array(gathered.mean[:TORQUES]) - stated)), float(np.linalg.norm(stated))
     if off <= _SIGMAS * (wheels.profile.relative_error + wheels.profile.axis_relative_error) * size + _SIGMAS * sigma:

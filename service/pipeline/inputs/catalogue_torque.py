@@ -96,6 +96,12 @@ def momentum_model(
     )
 
 
+def learned_units(spacecraft: Spacecraft) -> FloatArray:
+    """Return the factors (13,) from `LearnedMomentum` to `GatheredTorque`: N m per deg/h^2, then 1 of the errors."""
+    torques_n_m = np.tile(DEG_H2_N_M * np.array(angle_inertia_kg_m2(spacecraft)), TORQUES // 3)
+    return np.concatenate([torques_n_m, np.ones(4)])
+
+
 def _size(learned: LearnedMomentum) -> FloatArray:
     """Return the size (3,) of a torque that was learned, constant and wave together."""
     return np.asarray(np.linalg.norm(np.array(learned.mean[:TORQUES]).reshape(3, 3), axis=0))
@@ -103,8 +109,7 @@ def _size(learned: LearnedMomentum) -> FloatArray:
 
 def _learned(gathered: GatheredTorque, spacecraft: Spacecraft, epoch_us: int) -> LearnedMomentum:
     """Return what quiet days told as accelerations; it ages as every torque that the filter learns."""
-    scale = np.ones(len(gathered.mean))
-    scale[:TORQUES] = 1.0 / np.tile(DEG_H2_N_M * np.array(angle_inertia_kg_m2(spacecraft)), 3)
+    scale = 1.0 / learned_units(spacecraft)
     mean = scale * np.array(gathered.mean)
     covariance = scale[:, None] * np.array(gathered.covariance) * scale
     days_h = max(0.0, (epoch_us - gathered.stop_us) / US_PER_S / 3600.0)

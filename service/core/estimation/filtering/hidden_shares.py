@@ -62,7 +62,7 @@ def with_stated_torque(
     What was learned under another profile is learned again: its shares and its wave are not those of the new one.
     """
     gaussian, positions = state.gaussian, torque_states(model, state.gaussian, shares, sensor_states(before))
-    if (before.momentum, before.polarimeters) != (after.momentum, after.polarimeters):
+    if sensors_of(before) != sensors_of(after):
         return _with_stated_sensors(model, state, shares, before, after)
     if positions is not None and (before.fed_forward != after.fed_forward or not is_pushed(after)):
         gaussian, positions = dropped(gaussian, positions), None
@@ -73,6 +73,14 @@ def with_stated_torque(
         gaussian = inserted(gaussian, core_size(model, shares), torque_covariance(after))
     command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
     return state._replace(gaussian=gaussian, command=command)
+
+
+def sensors_of(settings: FilterSettings) -> tuple[object, ...]:
+    """Return what the states of sensors begin with; a filter that runs knows more than new quiet days tell."""
+    wheels = settings.momentum
+    if wheels is not None and wheels.learned is not None:
+        wheels = wheels._replace(learned=None, unknown_torque_deg_h2=None)
+    return wheels, settings.polarimeters
 
 
 def _begun(gaussian: Gaussian, position: int, settings: FilterSettings) -> Gaussian:

@@ -13,7 +13,7 @@ import numpy as np
 from service.core.estimation.filtering.attitude_filter import FilterState, FilterStep, start, step
 from service.core.estimation.filtering.carry_over import carry_over, without_rates
 from service.core.estimation.filtering.filter_update import site_db
-from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
+from service.core.estimation.filtering.hidden_shares import sensors_of, with_stated_torque, with_torque
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import KnownMotion
 from service.core.estimation.filtering.model.filter_state import (
@@ -31,7 +31,7 @@ from service.pipeline.estimation.method import CarrierLevels
 from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row, rates_deg_s
 from service.pipeline.estimation.robust.frozen_readings import LastReadings, frozen, no_readings, push_readings
 from service.pipeline.estimation.robust.model import RobustModel, signals
-from service.pipeline.estimation.robust.residual_torque import is_torque_shown, sensors_of, torque_of
+from service.pipeline.estimation.robust.residual_torque import is_torque_shown, torque_of
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.telemetry_advice import telemetry_advice
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step

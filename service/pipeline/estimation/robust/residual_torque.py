@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState
+from service.core.estimation.filtering.hidden_shares import sensors_of
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
 from service.core.estimation.filtering.model.torque_prior import is_pushed, wave_period_us
@@ -47,11 +48,3 @@ def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Di
 def torque_of(settings: FilterSettings) -> tuple[object, ...]:
     """Return what the states of torque and sensors begin with."""
     return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, *sensors_of(settings)
-
-
-def sensors_of(settings: FilterSettings) -> tuple[object, ...]:
-    """Return what the states of sensors begin with; a filter that runs knows more than new quiet days tell."""
-    wheels = settings.momentum
-    if wheels is not None and wheels.learned is not None:
-        wheels = wheels._replace(learned=None, unknown_torque_deg_h2=None)
-    return wheels, settings.polarimeters

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep
+from service.core.estimation.filtering.hidden_shares import sensors_of
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.filter_state import DRIFT, RATE
 from service.core.estimation.filtering.model.hidden_motion import sensor_states
@@ -90,7 +91,7 @@ class RowRecorder:
         if (self._model.calibration_id, self._model.carrier_ids) != (model.calibration_id, model.carrier_ids):
             return None
         kept, now = self._model.settings, model.settings
-        is_same = (kept.momentum, kept.polarimeters) == (now.momentum, now.polarimeters)
+        is_same = sensors_of(kept) == sensors_of(now)
         behind = _behind_shares(kept), _behind_shares(now)
         return state_origin(model.filter, former, mean, behind, is_same=is_same)
 

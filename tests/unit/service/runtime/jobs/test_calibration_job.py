@@ -20,6 +20,19 @@ def ground(new_ground):
     return new_ground()
 
 
+@pytest.fixture
+def seen():
+    """What the fits are given, while they are made as ever."""
+    found, fit = [], calibrating.calibrate_paper
+
+    def fitted(data, config):
+        found.append(data)
+        return fit(data, config)
+
+    with patch.object(calibrating, "calibrate_paper", side_effect=fitted):
+        yield found
+
+
 def run(ground, request):
     draft, job = ground.calibrator.start(ground.id, request, "engineer")
     assert (draft.state, draft.created_by) == (CalibrationState.DRAFT, "engineer")
@@ -79,41 +92,23 @@ def test_a_draft_names_its_job_until_that_has_ended(ground, fails):
     assert ground.calibrator.job_id(ground.id, 2) is None
 
 
-def test_measured_motion_of_the_turns_reaches_the_fit(ground):
+def test_measured_motion_of_the_turns_reaches_the_fit(ground, seen):
     turns = ground.payload.request.turns
     inside, outside = turns.start_us + 60_000_000, turns.stop_us
     ground.storage.archive.append_inputs(ground.id, [TelemetryRecord(at_us, "hold") for at_us in (inside, outside)])
     told = [PolarizationRecord("p", at_us, angle_deg=0.3, sigma_deg=0.1) for at_us in (inside, outside)]
     ground.storage.archive.append_inputs(ground.id, told)
-    seen = []
-    fit = calibrating.calibrate_paper
-
-    def fitted(data, config):
-        seen.append(data)
-        return fit(data, config)
-
-    with patch.object(calibrating, "calibrate_paper", side_effect=fitted):
-        run(ground, ground.payload.request)
+    run(ground, ground.payload.request)
     ((telemetry,), (angle,)) = seen[0].telemetry, seen[0].polarization
     assert (telemetry.epoch_us, angle) == (inside, told[0])
 
 
-def test_of_quiet_days_it_is_given_telemetry_a_minute_apart_and_unloadings(ground):
+def test_of_quiet_days_it_is_given_telemetry_a_minute_apart_and_unloadings(ground, seen):
     quiet = ground.payload.request.quiet
     told = [TelemetryRecord(quiet.start_us + 20_000_000 * k, "hold", thrusters_active=k == 4) for k in range(25)]
     ground.storage.archive.append_inputs(ground.id, told)
-    seen = []
-    fit = calibrating.calibrate_paper
-
-    def fitted(data, config):
-        seen.append(data)
-        return fit(data, config)
-
     # four records a page: pages end within a minute and between minutes
-    with (
-        patch.object(calibrating, "_MAX_RECORDS", 4),
-        patch.object(calibrating, "calibrate_paper", side_effect=fitted),
-    ):
+    with patch.object(calibrating, "_MAX_RECORDS", 4):
         run(ground, ground.payload.request)
     seconds = [(one.epoch_us - quiet.start_us) // 1_000_000 for one in seen[0].telemetry]
     # the unloading at 80 s begins the next minute

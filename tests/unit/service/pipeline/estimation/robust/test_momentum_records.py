@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
+from service.core.estimation.filtering.model.filter_state import core_size
+from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.momentum_records import with_record
+from service.records.calibration import Calibration, GatheredTorque
 from service.records.catalogue import WheelMomentum
 from service.records.inputs import TelemetryRecord
 
@@ -49,3 +52,28 @@ def test_a_later_one_is_left_out_alone() -> None:
     after, _ = with_record(state, wild.model, wild.knowledge)
     assert not after.momentum.is_refused
     assert after.filter is state.filter
+
+
+def learned(number: int, factor: float) -> Calibration:
+    """Return a calibration whose quiet days told a torque."""
+    made = PAYLOAD.calibration()
+    assert made.result is not None
+    mean = (*(factor * 1e-6 * part for part in range(1, 10)), 0.01, -0.01, 1e-3, 2e-3)
+    gathered = GatheredTorque(mean, tuple(map(tuple, (1e-16 * np.eye(13)).tolist())), 800, 0)
+    return replace(made, id=number, result=replace(made.result, gathered=gathered))
+
+
+def test_a_calibration_with_another_torque_changes_nothing_in_a_filter_that_runs() -> None:
+    spacecraft = PAYLOAD.spacecraft()
+    stated = replace(spacecraft, onboard=replace(spacecraft.onboard, momentum=WheelMomentum()))
+    old, new = (
+        Stepped(spacecraft=stated, calibration=learned(number, factor)) for number, factor in ((1, 1.0), (2, 3.0))
+    )
+    assert old.model.settings.momentum != new.model.settings.momentum
+    carried = carried_state(old.state, old.model, new.model)
+    own = slice(core_size(new.model.filter), core_size(new.model.filter, 16))
+    assert np.abs(old.state.filter.gaussian.mean[own]).max() > 0.0
+    np.testing.assert_array_equal(carried.filter.gaussian.mean[own], old.state.filter.gaussian.mean[own])
+    # a filter that begins under it has its torque
+    began = new.state.filter.gaussian.mean[own][:9]
+    np.testing.assert_allclose(began, 3.0 * old.state.filter.gaussian.mean[own][:9], rtol=1e-9)
