@@ -60,7 +60,8 @@ def test_the_program_is_named_by_a_path_that_another_terminal_can_run(monkeypatc
     assert program() == f"'{tmp_path}/a venv/soo'"
 
 
-def test_no_bar_stays_above_the_operation(tmp_path):
+def test_no_bar_stays_above_the_operation(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")  # a dumb terminal erases nothing
     printed = io.StringIO()
     presenter = Presenter(Console(file=printed, width=80, force_terminal=True), 0.0, with_table=True)
     presenter.open()
