@@ -130,7 +130,8 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
         if not client.ncores():
             message = f"the scheduler at {scheduler} has no worker: start `dask worker {scheduler} --nthreads 1`"
             raise ClusterError(message)
-        yield _ClusterExecutor(client.get_executor(pure=False), distributed.KilledWorker)
+        lost = distributed.KilledWorker, import_module("distributed.scheduler").NoWorkerError
+        yield _ClusterExecutor(client.get_executor(pure=False), lost)
     finally:
         # what no worker has begun is cancelled with the client
         client.close()
@@ -139,9 +140,9 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
 class _ClusterExecutor(Executor):
     """Executor whose workers compute only with the programs of this process, and whose failures are told in words."""
 
-    def __init__(self, executor: Executor, killed: type[Exception]) -> None:
+    def __init__(self, executor: Executor, lost: tuple[type[Exception], type[Exception]]) -> None:
         self._executor = executor
-        self._killed = killed
+        self._killed, self._unserved = lost
         self._programs = _programs()
 
     def submit(self, run: Callable[..., _Result], /, *args: Any, **kwargs: Any) -> Future[_Result]:
@@ -151,6 +152,9 @@ class _ClusterExecutor(Executor):
         def report(done: Future[_Result]) -> None:
             try:
                 reported.set_result(done.result())
+            except self._unserved as error:
+                message = f"no worker is left, for {error.args[1]:g} s: see the log of `dask worker` and start it again"
+                reported.set_exception(ClusterError(message))
             except (CancelledError, ModuleNotFoundError, self._killed) as error:
                 reported.set_exception(ClusterError(_reason(error)))
             except BaseException as error:  # noqa: BLE001 - whatever the work raises is the caller's
