@@ -98,7 +98,7 @@ def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
 
 def fed_forward_line(world: World) -> Line | None:
     """Return the profile that the loop on board feeds forward, as the catalogue states one; None = it is not known."""
-    if world.scenario.keeping.residual is not None:
+    if not world.scenario.is_torque_stated:
         return None
     reported = fed_forward(world.scenario, world.seed)
     parts = {"constant_n_m": reported.constant_n_m, "cosine_n_m": reported.cosine_n_m, "sine_n_m": reported.sine_n_m}

@@ -14,8 +14,8 @@ from analyzer_sim.world.payload.effects import Operation
 from analyzer_sim.world.payload.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
 from analyzer_sim.world.polarimeter import FIELD_T, FREQUENCY_HZ, SOURCE, PolarizationReport
 from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
+from analyzer_sim.world.spacecraft.disturbance import stated_profile
 from analyzer_sim.world.spacecraft.spacecraft import Correction
-from analyzer_sim.world.spacecraft.stored_momentum import stated_profile
 from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord
 from analyzer_sim.world.world import LONGITUDE_DEG, World
 
@@ -74,7 +74,7 @@ def spacecraft_body(world: World, *, is_flown: bool = False) -> Line:
     """Return the body of the spacecraft."""
     site, keeping = world.plan.receiving_site, world.scenario.keeping
     # null: an operator who knows of no torque states none
-    residual_n_m = 0.0 if keeping.residual is None else None
+    residual_n_m = 0.0 if world.scenario.is_torque_stated else None
     body: Line = {
         "id": SPACECRAFT_ID,
         "name": "Yamal-202 (simulated)",
@@ -124,8 +124,8 @@ def _momentum(world: World, *, is_flown: bool) -> Line:
     errors = {"sigma_n_m_s": figures.noise_n_m_s, "scale_error": figures.scale_error}
     # three times as wrong as stated where the story says so
     stated = {**errors, "misalignment_deg": 0.05, "pitch_bias_n_m_s": figures.bias_n_m_s, "used": True}
-    if is_flown:
-        # what acts on it moves the body too: it is the profile that is fed forward
+    if is_flown or not figures.is_profile_stated:
+        # what acts on a flown body moves it too: it is the profile that is fed forward
         return {"momentum": stated}
     profile = stated_profile(figures, world.seed)
     parts = zip(("constant_n_m", "cosine_n_m", "sine_n_m"), profile, strict=True)

@@ -30,6 +30,11 @@ MOTION: tuple[Scenario, ...] = (
         "As wheels, their axes wrong by three times as much.",
         wheels=WheelTelemetry(misalignment_deg=0.15),
     ),
+    Scenario(
+        "wheels_unstated",
+        "As wheels; the Sun's torque alone gathers in them, and the catalogue states no profile of it.",
+        wheels=WheelTelemetry(torque_n_m=None, is_profile_stated=False),
+    ),
     Scenario("wheels_zero", "As wheels, without momentum along pitch.", wheels=WheelTelemetry(bias_n_m_s=0.0)),
     Scenario(
         "rates",

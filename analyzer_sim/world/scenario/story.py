@@ -132,8 +132,11 @@ class WheelTelemetry:
     #: errors of the axes and of the scale, one sigma
     misalignment_deg: float = 0.05
     scale_error: float = 0.005
-    #: torque from outside about each axis: sizes of its constant part and of its daily wave, N m
-    torque_n_m: float = 1e-5
+    #: torque from outside about each axis: sizes of its constant part and of its daily wave, N m; none = the Sun's, as
+    #: it acts in stories without wheels
+    torque_n_m: float | None = 1e-5
+    #: whether the catalogue states a profile of this torque, and in closed loop the one that is fed forward
+    is_profile_stated: bool = True
     #: one sigma of what the stated profile of this torque has wrong: one share of all axes, a smaller one of each
     profile_error: float = 0.05
     axis_profile_error: float = 0.01
@@ -221,6 +224,11 @@ class Scenario:
     rates: RateTelemetry | None = None
     #: polarimeter at the receiving site; none = nobody measures polarisation
     polarimeter: PolarimeterFigures | None = None
+
+    @property
+    def is_torque_stated(self) -> bool:
+        """Return whether the catalogue states the torque from outside."""
+        return self.keeping.residual is None and (self.wheels is None or self.wheels.is_profile_stated)
 
     @property
     def row_period_us(self) -> int:

@@ -14,15 +14,14 @@ from analyzer_sim.epochs import US_PER_DAY, US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit.orbit import EpochArray
-from analyzer_sim.world.scenario.story import ResidualTorque, Scenario
-from analyzer_sim.world.spacecraft.stored_momentum import true_profile
+from analyzer_sim.world.scenario.story import ResidualTorque, Scenario, WheelTelemetry
 
 #: torque of the Sun's light, N m, order yaw, roll, pitch, and the share of it that is fed forward
 SOLAR_TORQUE_N_M = (0.8e-5, 1.36e-5, 0.72e-5)
 FED_FORWARD_SHARE = 0.95
 AXES = ("yaw", "roll", "pitch")
-#: positions of yaw, roll, pitch among roll, pitch, yaw
-_YAW_FIRST = [2, 0, 1]
+#: positions of yaw, roll, pitch among roll, pitch, yaw, and the other way round
+_YAW_FIRST, _ROLL_FIRST = [2, 0, 1], [1, 2, 0]
 
 
 class Disturbance(NamedTuple):
@@ -32,6 +31,14 @@ class Disturbance(NamedTuple):
     #: whole external torque, before any of it is fed forward, and the part that is not
     external_n_m: FloatArray
     unseen_n_m: FloatArray
+
+
+class TorqueProfile(NamedTuple):
+    """Torque of (3,) N m: constant + cosine cos(p) + sine sin(p), p zero where the story begins, once round a day."""
+
+    constant_n_m: FloatArray
+    cosine_n_m: FloatArray
+    sine_n_m: FloatArray
 
 
 class FedForward(NamedTuple):
@@ -47,17 +54,45 @@ class FedForward(NamedTuple):
 
 def fed_forward(scenario: Scenario, seed: int) -> FedForward:
     """Return what the loop on board feeds forward; the ground wrote it, so it is known there."""
-    profile = (FED_FORWARD_SHARE * part for part in _solar_profile(scenario, seed))
+    profile = (FED_FORWARD_SHARE * part for part in _acting_profile(scenario, seed))
     return FedForward(scenario.start_us, US_PER_DAY / US_PER_S, *profile)
 
 
-def _solar_profile(scenario: Scenario, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return constant, cosine and sine (3,) of the Sun's torque; in a story with wheels it is what gathers in them."""
-    if scenario.wheels is not None:
-        constant, cosine, sine = (part[_YAW_FIRST] for part in true_profile(scenario.wheels, seed))
-        return constant, cosine, sine
+def _acting_profile(scenario: Scenario, seed: int) -> TorqueProfile:
+    """Return the torque about yaw, roll, pitch; in a story with wheels it is what gathers in them."""
+    if scenario.wheels is None:
+        return _solar_profile(seed)
+    return TorqueProfile(*(part[_YAW_FIRST] for part in gathered_profile(scenario.wheels, seed)))
+
+
+def _solar_profile(seed: int) -> TorqueProfile:
+    """Return the Sun's torque about yaw, roll, pitch."""
     size, phase = np.array(SOLAR_TORQUE_N_M), _solar_phase_rad(seed)
-    return np.zeros(3), size * np.cos(phase), -size * np.sin(phase)
+    return TorqueProfile(np.zeros(3), size * np.cos(phase), -size * np.sin(phase))
+
+
+def wave_size_n_m(figures: WheelTelemetry) -> FloatArray:
+    """Return the size (3,) of the daily wave that gathers in wheels along roll, pitch, yaw."""
+    if figures.torque_n_m is None:
+        return np.array(SOLAR_TORQUE_N_M)[_ROLL_FIRST]
+    return np.full(3, figures.torque_n_m)
+
+
+def gathered_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
+    """Return the torque about roll, pitch, yaw that gathers in wheels, without what no profile states."""
+    if figures.torque_n_m is None:
+        return TorqueProfile(*(part[_ROLL_FIRST] for part in _solar_profile(seed)))
+    rng = stream(seed, "wheel torque")
+    constant = figures.torque_n_m * rng.uniform(0.5, 1.0, 3) * rng.choice([-1.0, 1.0], 3)
+    phase = rng.uniform(0.0, 2.0 * np.pi, 3)
+    return TorqueProfile(constant, figures.torque_n_m * np.cos(phase), figures.torque_n_m * np.sin(phase))
+
+
+def stated_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
+    """Return the torque about roll, pitch, yaw that the ground believes to gather in wheels."""
+    rng = stream(seed, "wheel torque stated")
+    share = 1.0 + figures.profile_error * rng.normal() + figures.axis_profile_error * rng.normal(size=3)
+    return TorqueProfile(*(part / share for part in gathered_profile(figures, seed)))
 
 
 def _solar_phase_rad(seed: int) -> FloatArray:
@@ -77,7 +112,7 @@ def disturbance(scenario: Scenario, seed: int, epochs_us: EpochArray) -> Disturb
     ]
     # of the middle of the step
     days = (epochs_us - scenario.start_us + 0.5 * scenario.row_period_us) / US_PER_DAY
-    constant, cosine, sine = _solar_profile(scenario, seed)
+    constant, cosine, sine = _acting_profile(scenario, seed)
     phase = 2.0 * np.pi * days[:, None]
     solar_n_m = np.asarray(constant + cosine * np.cos(phase) + sine * np.sin(phase))
     drift_deg_s = np.stack(drift_deg_h, axis=1) / 3600.0

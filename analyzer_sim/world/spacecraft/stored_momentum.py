@@ -8,8 +8,6 @@ With z = Hx + i Hz the first two are z' = -i w0 z + T. Twice a day thrusters tak
 x roll, y pitch, z yaw; N m s.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from analyzer_sim.epochs import US_PER_H, US_PER_S
@@ -18,6 +16,7 @@ from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, EpochArray
 from analyzer_sim.world.scenario.story import Scenario, WheelTelemetry
 from analyzer_sim.world.spacecraft.body_dynamics import orbit_normal_in_body
+from analyzer_sim.world.spacecraft.disturbance import gathered_profile, wave_size_n_m
 from analyzer_sim.world.spacecraft.wheels import AXES, ROTOR_KG_M2
 
 #: time between two unloadings, h
@@ -25,29 +24,6 @@ UNLOADING_H = 12
 #: momentum of one rpm of a rotor
 QUANTUM_N_M_S = ROTOR_KG_M2 * np.pi / 30.0
 _DAY_RAD_US = 2.0 * np.pi / (24 * US_PER_H)
-
-
-class TorqueProfile(NamedTuple):
-    """Torque of (3,) N m: constant + cosine cos(p) + sine sin(p), p zero where the story begins, once round a day."""
-
-    constant_n_m: FloatArray
-    cosine_n_m: FloatArray
-    sine_n_m: FloatArray
-
-
-def true_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
-    """Return the torque that acts, without what no profile states."""
-    rng = stream(seed, "wheel torque")
-    constant = figures.torque_n_m * rng.uniform(0.5, 1.0, 3) * rng.choice([-1.0, 1.0], 3)
-    phase = rng.uniform(0.0, 2.0 * np.pi, 3)
-    return TorqueProfile(constant, figures.torque_n_m * np.cos(phase), figures.torque_n_m * np.sin(phase))
-
-
-def stated_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
-    """Return the torque that the ground believes to act."""
-    rng = stream(seed, "wheel torque stated")
-    share = 1.0 + figures.profile_error * rng.normal() + figures.axis_profile_error * rng.normal(size=3)
-    return TorqueProfile(*(part / share for part in true_profile(figures, seed)))
 
 
 def unloadings_us(scenario: Scenario) -> EpochArray:
@@ -114,11 +90,11 @@ def _whole_momentum(scenario: Scenario, figures: WheelTelemetry, seed: int, epoc
 
 def _torque_n_m(scenario: Scenario, figures: WheelTelemetry, seed: int, epochs_us: EpochArray) -> FloatArray:
     """Return the torque (T, 3) that acts."""
-    profile = true_profile(figures, seed)
+    profile = gathered_profile(figures, seed)
     angle = _DAY_RAD_US * (epochs_us - scenario.start_us)[:, None]
     known = profile.constant_n_m + profile.cosine_n_m * np.cos(angle) + profile.sine_n_m * np.sin(angle)
     phase = stream(seed, "wheel torque half day").uniform(0.0, 2.0 * np.pi, 3)
-    half = figures.half_day_share * figures.torque_n_m * np.cos(2.0 * angle + phase)
+    half = figures.half_day_share * wave_size_n_m(figures) * np.cos(2.0 * angle + phase)
     unknown = [
         first_order(
             stream(seed, "wheel torque unknown", axis),

@@ -19,7 +19,7 @@ COLUMNS = (
     "(all)",
     "impulse yaw/roll/pitch, N m s (50 %)",
     "inhibited, h (50 %, all; longest)",
-    "fade or unknown torque survived",
+    "limits of its own kept",
     "back after h",
     "verdict",
 )

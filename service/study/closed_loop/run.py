@@ -140,11 +140,11 @@ def controller_of(unit: LoopUnit, ground: Ground, documents: JournalDocuments, p
 def flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
     """Return the catalogue's spacecraft under a way of release.
 
-    Over the link a spacecraft whose torque is stated has commands as quick as delay, report and envelope allow; one
-    whose torque nobody knows has the defaults of the catalogue.
+    Over the link a spacecraft whose torque is stated, or gathers in wheels that are reported, has commands as quick as
+    delay, report and envelope allow; one whose torque nobody knows has the defaults of the catalogue.
     """
-    control = replace(spacecraft.control, release=release)
-    if release is Release.TWO_STEP and spacecraft.onboard.residual_torque_n_m is not None:
+    control, onboard = replace(spacecraft.control, release=release), spacecraft.onboard
+    if release is Release.TWO_STEP and (onboard.residual_torque_n_m is not None or onboard.momentum is not None):
         control = replace(control, period_s=LOOP_PERIOD_S, command_period_s=COMMAND_PERIOD_S)
     return replace(spacecraft, control=control)
 

@@ -47,7 +47,7 @@ _MISMATCH = (
 _SOURCES = ("beacons", "sensors", "prime_backup", "replan", "blackout", "few3", "corrections_late", "antenna_wave")
 _WEATHER = ("weather_far", "weather_near", "weather_turns", "weather_alignment", "weather_wet_season")
 _MOTION = (
-    *("wheels", "wheels_hourly", "wheels_unmarked", "wheels_misaligned", "wheels_zero"),
+    *("wheels", "wheels_hourly", "wheels_unstated", "wheels_unmarked", "wheels_misaligned", "wheels_zero"),
     *("rates", "rates_biased"),
 )
 _POLARIZATION = ("polarized", "polarized_storm", "feed_turned", "leak_drift")

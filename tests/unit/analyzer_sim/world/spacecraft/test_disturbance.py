@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from analyzer_sim.plant.plant_lines import fed_forward_line
+from analyzer_sim.world.ground.ground_bodies import spacecraft_body
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.scenario.story import Scenario
-from analyzer_sim.world.spacecraft.disturbance import FED_FORWARD_SHARE, disturbance, fed_forward
-from analyzer_sim.world.spacecraft.stored_momentum import true_profile
+from analyzer_sim.world.spacecraft.disturbance import FED_FORWARD_SHARE, disturbance, fed_forward, gathered_profile
 from analyzer_sim.world.world import World
 
-STORY, WHEELS = scenario_named("nominal"), scenario_named("wheels")
+STORY, WHEELS, UNSTATED = (scenario_named(name) for name in ("nominal", "wheels", "wheels_unstated"))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("story", [STORY, WHEELS], ids=["nominal", "wheels"])
+@pytest.mark.parametrize("story", [STORY, WHEELS, UNSTATED], ids=["nominal", "wheels", "wheels_unstated"])
 def test_the_profile_is_the_share_that_is_fed_forward_of_the_torque_that_acts(story: Scenario, seed: int) -> None:
     reported = fed_forward(story, seed)
     epochs_us = story.operation_start_us + 3_600_000_000 * np.arange(48)
@@ -31,13 +31,25 @@ def test_the_profile_is_the_share_that_is_fed_forward_of_the_torque_that_acts(st
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_torque_that_gathers_in_wheels_is_the_same_before_operation_and_in_it(seed: int) -> None:
     assert WHEELS.wheels is not None
-    profile = true_profile(WHEELS.wheels, seed)
+    profile = gathered_profile(WHEELS.wheels, seed)
     epochs_us = WHEELS.operation_start_us + 600_000_000 * np.arange(144)
     acts = disturbance(WHEELS, seed, epochs_us).external_n_m
     phase = 2.0 * np.pi * (epochs_us + WHEELS.row_period_us // 2 - WHEELS.start_us)[:, None] / 86_400_000_000
     gathered = profile.constant_n_m + profile.cosine_n_m * np.cos(phase) + profile.sine_n_m * np.sin(phase)
     # yaw, roll, pitch of roll, pitch, yaw
     np.testing.assert_allclose(acts, gathered[:, [2, 0, 1]], atol=1e-16)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_wheels_without_a_stated_profile_gather_the_torque_of_stories_without_wheels(seed: int) -> None:
+    epochs_us = UNSTATED.operation_start_us + 600_000_000 * np.arange(144)
+    for acts, expected in zip(disturbance(UNSTATED, seed, epochs_us), disturbance(STORY, seed, epochs_us), strict=True):
+        np.testing.assert_allclose(acts, expected, atol=1e-20)
+    world = World(UNSTATED, seed)
+    assert fed_forward_line(world) is None
+    for is_flown in (False, True):
+        onboard = spacecraft_body(world, is_flown=is_flown)["onboard"]
+        assert (onboard["residual_torque_n_m"], "torque" in onboard["momentum"]) == (None, False)
 
 
 def test_the_line_says_nothing_of_what_is_wrong_with_it() -> None:

@@ -8,10 +8,10 @@ import pytest
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.scenario.story import Scenario, WheelTelemetry
 from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
+from analyzer_sim.world.spacecraft.disturbance import gathered_profile
 from analyzer_sim.world.spacecraft.stored_momentum import (
     QUANTUM_N_M_S,
     reported_momentum,
-    true_profile,
     unloadings_us,
 )
 from analyzer_sim.world.world import World
@@ -49,7 +49,7 @@ def test_a_constant_torque_gathers_along_pitch_until_it_is_unloaded() -> None:
         noise_n_m_s=0.0, misalignment_deg=0.0, scale_error=0.0, unknown_n_m=0.0, half_day_share=0.0
     )
     reported = reported_of(figures, np.zeros((13 * 60, 3)))[:, 1]
-    profile = true_profile(figures, 1)
+    profile = gathered_profile(figures, 1)
     angle = 2.0 * np.pi / 24.0 * np.arange(660) / 60.0
     torque = profile.constant_n_m[1] + profile.cosine_n_m[1] * np.cos(angle) + profile.sine_n_m[1] * np.sin(angle)
     np.testing.assert_allclose(np.diff(reported[[0, 659]]), 60.0 * torque.sum(), atol=0.01)

@@ -10,7 +10,7 @@ import pytest
 from service.study.closed_loop.campaign import LoopCampaign, LoopPlan
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.figures import draw_campaign
-from service.study.closed_loop.merit import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
+from service.study.closed_loop.merit import MEASURED_SCENARIO, UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
 from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown, verdict
 from service.study.closed_loop.run import FlownRun, LoopResult, LoopUnit
 
@@ -137,3 +137,10 @@ def test_table_document_and_figure_hold_every_group(tmp_path):
     drawn = draw_campaign(campaign, tmp_path)
     assert [path.stem for path in drawn] == [f"closed-loop-nominal{kind}" for kind in ("", "-run", "-percentiles")]
     assert all(path.stat().st_size > 10_000 for path in drawn)
+
+
+def test_yaw_by_reported_wheels_is_held_in_19_of_20_runs():
+    good, odd = flight((0.25, 0.1, 0.1)), flight((0.26, 0.1, 0.1))
+    assert group_merit(results([good] * 19 + [odd], MEASURED_SCENARIO)).is_met
+    assert not group_merit(results([good] * 18 + [odd] * 2, MEASURED_SCENARIO)).is_met
+    assert not group_merit(results([good] * 18 + [flight((0.1, 0.21, 0.1))] * 2, MEASURED_SCENARIO)).is_met
