@@ -12,6 +12,7 @@ eccentricity of a kept satellite (2e-4) this changes m by less than 1e-5 deg and
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -179,7 +180,7 @@ def frame_turn_deg(track: PredictedTrack, epoch_us: IntArray, nominal_longitude_
         Small turns about z, x, y of the frame, as yaw, roll, pitch turn the body; NaN within 5 minutes of the ends of
         the track.
     """
-    frame, nominal = _nadir_frame(*_moving(track, epoch_us)), _nadir_frame(*_at_rest(nominal_longitude_deg))[0]
+    frame, nominal = _nadir_frame(*_moving(track, epoch_us)), _nominal_frame(nominal_longitude_deg)
     turn = nominal @ np.swapaxes(frame, 1, 2)
     pairs = ((1, 0), (2, 1), (0, 2))
     return np.degrees(0.5 * np.stack([turn[:, j, k] - turn[:, k, j] for j, k in pairs], axis=1))
@@ -187,10 +188,9 @@ def frame_turn_deg(track: PredictedTrack, epoch_us: IntArray, nominal_longitude_
 
 def _moving(track: PredictedTrack, epoch_us: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return place and inertial velocity (T, 3) of the satellite, m and m/s."""
-    ahead, behind = (
-        _satellite_vectors(track_position_deg(track, epoch_us + step)) for step in (_RATE_STEP_US, -_RATE_STEP_US)
-    )
-    here = _satellite_vectors(track_position_deg(track, epoch_us))
+    steps_us = np.array([[-_RATE_STEP_US], [0], [_RATE_STEP_US]])
+    positions_deg = track_position_deg(track, (epoch_us + steps_us).ravel())
+    behind, here, ahead = _satellite_vectors(positions_deg).reshape(3, -1, 3)
     seconds = 2.0 * _RATE_STEP_US / 1e6
     return here, (ahead - behind) / seconds + EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), here)
 
@@ -199,6 +199,12 @@ def _at_rest(longitude_deg: float) -> tuple[FloatArray, FloatArray]:
     """Return place and inertial velocity (1, 3) of a satellite that stands still over the equator, m and m/s."""
     nominal = _satellite_vectors(np.array([[0.0, longitude_deg]]))
     return nominal, EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), nominal)
+
+
+@lru_cache(maxsize=64)
+def _nominal_frame(longitude_deg: float) -> FloatArray:
+    """Return the axes (3, 3), one a row, of the nadir frame of a satellite that stands still over the equator."""
+    return _nadir_frame(*_at_rest(longitude_deg))[0]
 
 
 def _nadir_frame(satellite_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:

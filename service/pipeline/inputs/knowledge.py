@@ -168,14 +168,15 @@ def _with_word(
         return replace(knowledge, weather=with_report(knowledge.weather, reported))
     if isinstance(reported, InterlockHold):
         return replace(knowledge, hold=reported)
-    if reported.wheel_momentum_n_m_s is not None and _is_newest(reported, knowledge.telemetry):
-        knowledge = replace(knowledge, telemetry=reported)
-    if not has_body_rate(reported):
-        return knowledge
-    sensor = None if knowledge.spacecraft is None else knowledge.spacecraft.onboard.rate_sensor
-    if sensor is not None and not sensor.in_loop:
-        knowledge = replace(knowledge, rates=_with_rate(knowledge.rates, reported))
-    return replace(knowledge, rated=reported) if _is_newest(reported, knowledge.rated) else knowledge
+    telemetry, rates, rated = knowledge.telemetry, knowledge.rates, knowledge.rated
+    if reported.wheel_momentum_n_m_s is not None and _is_newest(reported, telemetry):
+        telemetry = reported
+    if has_body_rate(reported):
+        sensor = None if knowledge.spacecraft is None else knowledge.spacecraft.onboard.rate_sensor
+        if sensor is not None and not sensor.in_loop:
+            rates = _with_rate(rates, reported)
+        rated = reported if _is_newest(reported, rated) else rated
+    return replace(knowledge, telemetry=telemetry, rates=rates, rated=rated)
 
 
 def _with_rate(rates: tuple[TelemetryRecord, ...], reported: TelemetryRecord) -> tuple[TelemetryRecord, ...]:

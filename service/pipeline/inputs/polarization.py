@@ -90,6 +90,8 @@ def due_block(
     records: tuple[PolarizationRecord, ...], polarimeter: Polarimeter, after_us: int, epoch_us: int
 ) -> AngleBlock | None:
     """Return the block that is due at an epoch, of records later than `after_us`; None before, or without any."""
+    if not records or records[-1].epoch_us - after_us < _BLOCK_US:
+        return None
     since_us = max(after_us, epoch_us - _LATE_US)
     fresh = [each for each in records if since_us < each.epoch_us <= epoch_us]
     if not fresh or fresh[-1].epoch_us - after_us < _BLOCK_US or _stands_still(fresh):

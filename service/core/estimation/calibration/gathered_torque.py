@@ -72,7 +72,7 @@ def gathered_torque(
     newest_us = int(epochs_us[known][0]) if known.any() else 0
     for k in np.flatnonzero(known).tolist():
         epoch_us = int(epochs_us[k])
-        moved = moved_momentum(gaussian, _FIRST, newest_us, epoch_us - newest_us, settings, wheels)
+        moved = moved_momentum(gaussian, _FIRST, newest_us, epoch_us - newest_us, settings)
         watch, gaussian, _ = push_record(
             watch,
             _at_attitude(moved, attitude_deg[k], attitude_sigma_deg),

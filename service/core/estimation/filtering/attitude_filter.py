@@ -13,11 +13,7 @@ from service.core.estimation.filtering.anchor.anchor_watch import ask_anchor, is
 from service.core.estimation.filtering.causes.carrier_return import release_quiet
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Chooser, choose_cause
 from service.core.estimation.filtering.declared_effects import with_declared
-from service.core.estimation.filtering.filter_predict import (
-    Weather,
-    predict,
-    with_moved_momentum,
-)
+from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.model.declared import Declared
@@ -102,7 +98,9 @@ def step(
     row = _row(state, deviation_db, passed.step.minutes, declared, reported_wet)
     is_enough = len(row.present) >= MIN_CARRIERS
     if is_enough and declared is None:
-        found = _ordinary(model, settings, state, passed, row, kernels)
+        found = kernels.ordinary_row(
+            model, state, passed.step, passed.command, settings.drift_deg_h, row.deviation_db, row.present
+        )
         if found.is_ordinary:
             return _judged(model, found, row, None, limits, kernels)
     ahead = _ahead(model, passed, state, declared, kernels)
@@ -146,22 +144,6 @@ def _passed(
     followed = state.motion.is_followed
     step = step_inputs(model, now, hidden, step_us, believed, followed, is_raining=is_raining, from_us=from_us)
     return _Passed(now, believed, step, command)
-
-
-def _ordinary(
-    model: CarrierModel,
-    settings: FilterSettings,
-    state: FilterState,
-    passed: _Passed,
-    row: JudgedRow,
-    kernels: RowKernels,
-) -> OrdinaryRow:
-    """Return a row without declarations, as it is if nothing is found in it."""
-    if settings.momentum is not None:
-        moved = with_moved_momentum(model, passed.settings, state.gaussian, passed.step.step_us, state.epoch_us)
-        state = state._replace(gaussian=moved)
-    drift_deg_h = settings.drift_deg_h
-    return kernels.ordinary_row(model, state, passed.step, passed.command, drift_deg_h, row.deviation_db, row.present)
 
 
 def _ahead(

@@ -22,9 +22,7 @@ from service.core.estimation.filtering.model.filter_state import (
     hidden_count,
     reference_states,
 )
-from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.core.estimation.filtering.model.step_inputs import StepInputs, step_inputs
-from service.core.estimation.filtering.model.wheel_momentum import moved_momentum
 
 _S_PER_H = 3600.0
 
@@ -58,7 +56,9 @@ def move_state(
     mean, covariance, factor = state_kernels.fade(
         state.mean, state.covariance, step.rain_factor, step.seconds, step.common_tau_s, model.coloured_tau_s
     )
-    state_kernels.turn(mean, covariance, step.transition, step.noise, step.push, core_size(model))
+    if step.is_rate_measured:
+        state_kernels.know_rate(covariance)
+    state_kernels.turn(mean, covariance, step.transition, step.noise, step.push, core_size(model), step.momentum_first)
     variance = model_variance_db2(model.coefficient_covariance, mean[ATTITUDE])
     state_kernels.add_process_noise(
         covariance,
@@ -77,16 +77,6 @@ def move_state(
     if behind > first:
         covariance[first:behind, first:behind] += step.torque_noise
     return Gaussian(mean, covariance), variance
-
-
-def with_moved_momentum(
-    model: CarrierModel, settings: FilterSettings, state: Gaussian, step_us: int, from_us: int
-) -> Gaussian:
-    """Return the state whose momentum of the wheels, where it is known by telemetry, has moved on over a step."""
-    if settings.momentum is None:
-        return state
-    first = sensors_first(model, state, settings)
-    return moved_momentum(state, first, from_us, step_us, settings, settings.momentum)
 
 
 def predict(
@@ -122,7 +112,6 @@ def predict(
     hidden = hidden_count(model, len(state.mean))
     is_unannounced, is_raining = weather.is_unannounced, weather.is_raining
     step = step_inputs(model, settings, hidden, step_us, known, is_unannounced, is_raining=is_raining, from_us=from_us)
-    state = with_moved_momentum(model, settings, state, step_us, from_us)
     moved, variance = mover(model, state, step, weather.slow_scale, weather.model_variance_db2)
     if weather.declared is not None:
         size, hours = len(moved.mean), step.seconds / _S_PER_H

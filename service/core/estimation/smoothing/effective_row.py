@@ -23,9 +23,7 @@ from service.core.estimation.filtering.model.filter_state import (
     core_size,
     hidden_count,
 )
-from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.core.estimation.filtering.model.sensor_effect import SensorEffect
-from service.core.estimation.filtering.model.wheel_momentum import momentum_sources, momentum_transition
 from service.core.estimation.smoothing.adjoint import (
     Adjoint,
     LinearStep,
@@ -94,7 +92,7 @@ def effective_row(
         after.epoch_us,
         origin,
         tuple(SensedRecord(each.restarted, each.update and whitened_row(*each.update)) for each in effects),
-        _with_momentum(model, settings, before, step, after.epoch_us - before.epoch_us),
+        step,
         _whitened(model, effective) if effective is not None and is_used else None,
         0.0 if effective is None else _rain_push(effective),
         before.rain.is_raining and not after.rain.is_raining,
@@ -103,21 +101,6 @@ def effective_row(
         after.gaussian.covariance[:_MOVING].copy(),
         settings.coupling_per_h,
     )
-
-
-def _with_momentum(
-    model: CarrierModel, settings: FilterSettings, before: FilterState, step: LinearStep, step_us: int
-) -> LinearStep:
-    """Return the step in which momentum of the wheels moves on too, where it is among the states."""
-    if settings.momentum is None:
-        return step
-    first = sensors_first(model, before.gaussian, settings)
-    effect, turn = momentum_transition(before.epoch_us, step_us, settings, settings.momentum)
-    sources = momentum_sources(first, settings)
-    shares = np.zeros((3, len(step.sources)))
-    shares[:, np.searchsorted(step.sources, sources)] = np.hstack([effect[:, : len(sources) - 3], turn])
-    targets = np.concatenate([step.targets, np.arange(first, first + 3)])
-    return step._replace(targets=targets, shares=np.vstack([step.shares, shares]))
 
 
 def state_origin(

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray
-from service.core.estimation.filtering.model.filter_state import FIRST_COMMON, RAIN, Gaussian, core_size
+from service.core.estimation.filtering.model.filter_state import FIRST_COMMON, RAIN, RATE, Gaussian, core_size
 from service.core.estimation.filtering.model.step_inputs import StepInputs
 from service.core.estimation.filtering.rows.row_kernels import RowKernels
 from service.core.estimation.filtering.rows.row_stages import OrdinaryRow
@@ -37,12 +37,13 @@ class StepCapture:
 
 
 def _linear_step(model: CarrierModel, step: StepInputs) -> LinearStep:
-    """Return the step of a state whose first nine numbers move by a transition (9, 9 + E)."""
+    """Return the step of a state whose first nine numbers, and the momentum of the wheels, move by a transition."""
     core, transition = np.ones(FIRST_COMMON), step.transition
     core[RAIN] = step.rain_factor
     decays = [np.exp(-step.seconds / step.common_tau_s), np.exp(-step.seconds / model.coloured_tau_s).T.ravel()]
     factor = np.concatenate([core, *decays, np.ones(model.carriers)])
-    moving = np.arange(len(transition))
-    hidden = core_size(model) + np.arange(transition.shape[1] - len(transition))
+    moving = np.arange(RATE.stop)
+    hidden = core_size(model) + np.arange(transition.shape[1] - len(moving))
     sources = np.concatenate([moving, hidden])
-    return LinearStep(factor, moving, sources, transition * factor[sources])
+    targets = np.concatenate([moving, step.momentum_first + np.arange(len(transition) - len(moving))])
+    return LinearStep(factor, targets, sources, transition * factor[sources])

@@ -15,12 +15,11 @@ from service.core.estimation.filtering.carry_over import carry_over, without_rat
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.hidden_shares import sensors_of, with_stated_torque, with_torque
 from service.core.estimation.filtering.model.declared import Declared
-from service.core.estimation.filtering.model.filter_model import KnownMotion
+from service.core.estimation.filtering.model.filter_model import KnownMotion, no_motion
 from service.core.estimation.filtering.model.filter_state import (
     FREE_REFERENCE_DB2,
     initial_gaussian,
 )
-from service.core.estimation.filtering.model.measured_motion import measured_known
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch
 from service.core.estimation.filtering.watches.polarimeter_watch import PolarimeterWatch, polarimeter_advice
 from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates
@@ -162,8 +161,9 @@ def step_robust(
     declared = _declared(state, model, knowledge, measurement, config)
     if released:
         known = known._replace(unreported=unreported)
-    if state.rates.is_measured and model.rate_sensor is not None:
-        known = measured_known(model.rate_sensor)
+    if state.rates.is_measured:
+        # the measured rate holds all of it
+        known = no_motion()
     found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, config, recorder)
     is_without_orbit = not np.isfinite(expected_dbm).any()
     residual_db = found.residual_db

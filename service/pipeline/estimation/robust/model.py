@@ -49,7 +49,7 @@ _REDERIVE_INSTANTS = 60
 Signal = tuple[str, str, str]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RobustModel:
     """Model of a step of the robust method; N carriers in the calibration's order."""
 

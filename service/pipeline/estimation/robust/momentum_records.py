@@ -41,26 +41,28 @@ def step_with_record(
         state, of_angles = with_polarization(state, model, knowledge)
         state, model = with_rates(state, model, knowledge, measurement.epoch_us)
         if recorder is not None:
-            recorder.sense(began.mean, (of_wheels, *of_angles), None if model.rate_sensor is None else state.filter)
+            moved = None if model.rate_sensor is None else state.filter
+            recorder.sense(began.mean, (of_wheels, *of_angles), moved, is_measured=state.rates.is_measured)
     return step_robust(state, model, knowledge, measurement, is_late=is_late, recorder=recorder, **inputs)
 
 
 def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) -> tuple[RobustState, SensorEffect]:
     """Return the state after the newest record of the wheels that is not newer than its row, and its effect."""
-    wheels, epoch_us, record = model.settings.momentum, state.filter.epoch_us, knowledge.telemetry
+    wheels, watch = model.settings.momentum, state.momentum
+    epoch_us, record = state.filter.epoch_us, knowledge.telemetry
     reported = knowledge.momentum_n_m_s(epoch_us, _LATE_S)
     if wheels is None or record is None or reported is None or model.wheel_axes is None:
         return state, NO_EFFECT
-    if len(reported) != len(model.wheel_axes) or knowledge.spacecraft is None:
+    if len(reported) != len(model.wheel_axes) or knowledge.spacecraft is None or record.epoch_us <= watch.newest_us:
         return state, NO_EFFECT
     momentum_n_m_s = np.array(reported) @ model.wheel_axes
     too_much = max(map(abs, reported)) > knowledge.spacecraft.wheels.momentum_limit_n_m_s
     if too_much or _is_off_bias(float(momentum_n_m_s[1]), knowledge.spacecraft.onboard.momentum):
         # a first record of another unit, sign or spacecraft would be believed, a later one is a wild record
-        return replace(state, momentum=with_impossible(state.momentum)), NO_EFFECT
+        return replace(state, momentum=with_impossible(watch)), NO_EFFECT
     gaussian = state.filter.gaussian
     watch, gaussian, effect = push_record(
-        state.momentum,
+        watch,
         gaussian,
         sensors_first(model.filter, gaussian, model.settings),
         record.epoch_us,

@@ -38,5 +38,6 @@ def with_polarization(
                 watches[number], gaussian, first + POLARIMETER * number, block, epoch_us, read
             )
             effects.append(effect)
-    state = replace(state, filter=state.filter._replace(gaussian=gaussian), polarimeters=tuple(watches))
+    if effects or not state.polarimeters:
+        state = replace(state, filter=state.filter._replace(gaussian=gaussian), polarimeters=tuple(watches))
     return state, effects

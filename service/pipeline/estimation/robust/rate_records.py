@@ -1,6 +1,7 @@
 """Records of the rate of the body on their way to the filter: each is used once, with the first row after it."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -41,7 +42,14 @@ def with_rates(
     state = replace(state, filter=state.filter._replace(**moved._asdict()), rates=watch)
     if not watch.is_measured:
         return state, model
-    return state, replace(model, settings=measured_settings(model.settings, sensor))
+    return state, _under_rates(model)
+
+
+@lru_cache(maxsize=64)
+def _under_rates(model: RobustModel) -> RobustModel:
+    """Return the model of a step whose rate is measured."""
+    sensor = model.rate_sensor
+    return model if sensor is None else replace(model, settings=measured_settings(model.settings, sensor))
 
 
 def _fresh(rates: tuple[TelemetryRecord, ...], after_us: int, to_us: int) -> list[TelemetryRecord]:

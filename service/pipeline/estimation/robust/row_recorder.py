@@ -56,14 +56,20 @@ class RowRecorder:
             self._capture = StepCapture(kernels)
         return self._capture.kernels
 
-    def sense(self, began: FloatArray, effects: Sequence[SensorEffect], moved: FilterState | None) -> None:
+    def sense(
+        self, began: FloatArray, effects: Sequence[SensorEffect], moved: FilterState | None, *, is_measured: bool
+    ) -> None:
         """Keep what records of other sensors did to a mean (D,) before the row that is pushed next.
 
-        `moved` is the state after the rate of the body was put into it, None where no sensor measures one.
+        `moved` is the state after the rate of the body was put into it, None where no sensor measures one; the step
+        knows a rate that is measured.
         """
         if moved is not None:
             begun = restarted_states(moved.gaussian.covariance)
-            effects = [*effects, SensorEffect(begun[(begun >= DRIFT.start) & (begun < RATE.stop)])]
+            begun = begun[(begun >= DRIFT.start) & (begun < RATE.stop)]
+            if is_measured:
+                begun = np.union1d(begun, np.arange(RATE.start, RATE.stop))
+            effects = [*effects, SensorEffect(begun)]
         self._began, self._effects = began, tuple(each for each in effects if each is not NO_EFFECT)
 
     def push(self, model: RobustModel, before: FilterState, found: FilterStep) -> None:

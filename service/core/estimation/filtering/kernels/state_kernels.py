@@ -12,7 +12,14 @@ from service.core.estimation.filtering.model.filter_model import (
     IntArray,
     model_error_component,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, FIRST_COMMON, RAIN
+from service.core.estimation.filtering.model.filter_state import (
+    ATTITUDE,
+    CHAIN,
+    FIRST_COMMON,
+    RAIN,
+    RATE,
+    RATE_FLOOR_DEG_H,
+)
 
 #: attitude, drifts and rates move into one another
 _MOVING = 9
@@ -34,6 +41,14 @@ def fade(
     return mean * factor, factor.reshape(-1, 1) * factor * covariance, factor
 
 
+def know_rate(covariance: FloatArray) -> None:
+    """Let the rate be known and correlated with nothing, in place."""
+    covariance[RATE, :] = 0.0
+    covariance[:, RATE] = 0.0
+    for position in range(RATE.start, RATE.stop):
+        covariance[position, position] = RATE_FLOOR_DEG_H**2
+
+
 def turn(
     mean: FloatArray,
     covariance: FloatArray,
@@ -41,20 +56,23 @@ def turn(
     drift_noise: FloatArray,
     push: FloatArray,
     first_hidden: int,
+    first_momentum: int,
 ) -> None:
     """Move the first nine states: mean to ``T x + push``, covariance to ``T P T' + noise``, in place.
 
-    T (9, 9 + E) takes the first nine states and the E hidden ones, which stand from `first_hidden` on and stay.
+    T (9, 9 + E) takes the first nine states and the E hidden ones, which stand from `first_hidden` on and stay; where
+    it has three rows more they move the hidden ones from `first_momentum` on.
     """
     hidden = first_hidden + np.arange(transition.shape[1] - _MOVING)
     positions = np.concatenate((np.arange(_MOVING), hidden))
+    targets = np.concatenate((np.arange(_MOVING), first_momentum + np.arange(len(transition) - _MOVING)))
     moved = transition @ covariance[positions]
     own = moved[:, positions] @ transition.T
-    moved[:, :_MOVING] = 0.5 * (own + own.T) + drift_noise
+    moved[:, targets] = 0.5 * (own + own.T) + drift_noise
     # one product serves both sides: symmetric to the last bit
-    covariance[:_MOVING] = moved
-    covariance[:, :_MOVING] = moved.T
-    mean[:_MOVING] = transition @ mean[positions] + push
+    covariance[targets] = moved
+    covariance[:, targets] = moved.T
+    mean[targets] = transition @ mean[positions] + push
 
 
 def add_process_noise(

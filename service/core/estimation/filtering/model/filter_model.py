@@ -157,6 +157,8 @@ class FilterSettings(NamedTuple):
     fed_forward: FedForward | None = None
     #: telemetry of the wheels; None = it is not used
     momentum: MomentumModel | None = None
+    #: noise of the rate sensor by whose rates the body moves, deg/sqrt(h); None = it moves by the inertial model
+    rate_noise_deg_sqrt_h: float | None = None
     polarimeters: tuple[PolarimeterModel, ...] = ()
 
 
@@ -171,8 +173,6 @@ class KnownMotion(NamedTuple):
     rate_change_deg_h: FloatArray
     #: (n, 2, 3) turns of n unreported commands if executed, deg, and their rates at the end, deg/h
     unreported: FloatArray = np.zeros((0, 2, 3))
-    #: random walk of the angles by the noise of a rate sensor, deg/sqrt(h)
-    walk_deg_sqrt_h: float = 0.0
 
 
 @lru_cache(maxsize=1)

@@ -24,7 +24,7 @@ FIRST_COMMON = 11
 #: variance that a freed reference gets, dB^2
 FREE_REFERENCE_DB2 = 9.0
 #: floor that keeps the covariance positive definite where nothing moves
-_RATE_FLOOR_DEG_H = 1e-4
+RATE_FLOOR_DEG_H = 1e-4
 _RAIN_FLOOR_DB = 1e-3
 
 
@@ -99,7 +99,7 @@ def initial_gaussian(
     core = [
         attitude_sigma_deg**2,
         np.array(drift_deg_h) ** 2,
-        np.full(3, _RATE_FLOOR_DEG_H**2),
+        np.full(3, RATE_FLOOR_DEG_H**2),
         np.array([chain_sigma_db**2, _RAIN_FLOOR_DB**2]),
         model.common_sigma_db**2,
     ]

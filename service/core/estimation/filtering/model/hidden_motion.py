@@ -154,8 +154,12 @@ def hidden_transition(
     return matrix
 
 
+@lru_cache(maxsize=64)
 def hidden_noise(hidden: int, shares: int, settings: FilterSettings) -> tuple[FloatArray, FloatArray]:
-    """Return sigma (E,) and correlation time (E,), s, of the noise that keeps the hidden states alive."""
+    """Return sigma (E,) and correlation time (E,), s, of the noise that keeps the hidden states alive.
+
+    Nobody may write to the arrays, here and in what follows.
+    """
     sensors = sensor_states(settings)
     sigma, tau_s = np.zeros(hidden), np.full(hidden, np.inf)
     if hidden - shares - sensors >= TORQUES:
@@ -179,6 +183,7 @@ def sensors_first(model: CarrierModel, gaussian: Gaussian, settings: FilterSetti
     return core_size(model, hidden_count(model, len(gaussian.mean))) - sensor_states(settings)
 
 
+@lru_cache(maxsize=64)
 def scale_noise(settings: FilterSettings, hours: float) -> FloatArray:
     """Return the covariance that a step adds to the torque states to keep the shares of a known profile alive.
 

@@ -13,34 +13,30 @@ import numpy as np
 from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     FloatArray,
-    KnownMotion,
     RateSensorModel,
-    no_motion,
 )
-from service.core.estimation.filtering.model.filter_state import DRIFT, RATE, Gaussian
+from service.core.estimation.filtering.model.filter_state import DRIFT, RATE, RATE_FLOOR_DEG_H, Gaussian
 
 #: exchange of roll and yaw in the orbital frame, 1/h
 ORBITAL_RATE_PER_H = 0.2625162
-#: commanded rate that is known exactly, deg/h
-_KNOWN_DEG_H = 1e-4
 
 
 def measured_settings(settings: FilterSettings, sensor: RateSensorModel) -> FilterSettings:
     """Return the settings of a step whose rate is measured: bias in place of drift, the true exchange."""
     bias = sensor.bias_deg_h
     return settings._replace(
-        coupling_per_h=ORBITAL_RATE_PER_H, drift_deg_h=(bias, bias, bias), drift_tau_h=sensor.bias_tau_h
+        coupling_per_h=ORBITAL_RATE_PER_H,
+        drift_deg_h=(bias, bias, bias),
+        drift_tau_h=sensor.bias_tau_h,
+        rate_noise_deg_sqrt_h=sensor.noise_deg_sqrt_h,
     )
 
 
-def measured_known(sensor: RateSensorModel) -> KnownMotion:
-    """Return the known motion of a step whose rate is measured: the noise of the sensor alone."""
-    return no_motion()._replace(walk_deg_sqrt_h=sensor.noise_deg_sqrt_h)
-
-
 def with_measured_rate(gaussian: Gaussian, measured_deg_h: FloatArray) -> Gaussian:
-    """Return the state whose rate (3,) is the measured one, known exactly but for the bias."""
-    return _with_block(gaussian, RATE, measured_deg_h, np.full(3, _KNOWN_DEG_H))
+    """Return the state whose rate (3,) is the measured one; the step by it makes it known exactly but for the bias."""
+    mean = gaussian.mean.copy()
+    mean[RATE] = measured_deg_h
+    return Gaussian(mean, gaussian.covariance)
 
 
 def with_sensor_bias(gaussian: Gaussian, bias_deg_h: float) -> Gaussian:
@@ -52,13 +48,13 @@ def with_inertial_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, residua
     """Return the state that goes on by the inertial model; its drift is what was beside the commanded rate (3,)."""
     mean = gaussian.mean.copy()
     mean[DRIFT] += residual_deg_h
-    return _with_block(Gaussian(mean, gaussian.covariance), RATE, commanded_deg_h, np.full(3, _KNOWN_DEG_H))
+    return _with_block(Gaussian(mean, gaussian.covariance), RATE, commanded_deg_h, np.full(3, RATE_FLOOR_DEG_H))
 
 
 def with_unknown_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, drift_deg_h: FloatArray) -> Gaussian:
     """Return the state that goes on by the inertial model, of whose drift (3,) nothing is known."""
     drifting = _with_block(gaussian, DRIFT, np.zeros(3), drift_deg_h)
-    return _with_block(drifting, RATE, commanded_deg_h, np.full(3, _KNOWN_DEG_H))
+    return _with_block(drifting, RATE, commanded_deg_h, np.full(3, RATE_FLOOR_DEG_H))
 
 
 def _with_block(gaussian: Gaussian, positions: slice, value: FloatArray, sigma: FloatArray) -> Gaussian:

@@ -30,6 +30,7 @@ from service.core.estimation.filtering.model.hidden_motion import (
     sensor_states,
 )
 from service.core.estimation.filtering.model.torque_prior import TORQUES
+from service.core.estimation.filtering.model.wheel_momentum import momentum_rows, walked_variance
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 #: below this product of rate and time the quotients of exponentials lose digits
@@ -108,10 +109,12 @@ class StepInputs(NamedTuple):
     seconds: float
     #: minutes for which the row behind the step stands, at most 1
     minutes: float
-    #: (9, 9 + E) transition of the first states, hidden ones behind them, and (9, 9) noise of the drifts
+    #: (9, 9 + E) transition of the first states, hidden ones behind them, and (9, 9) noise of the drifts; three rows
+    #: more where the momentum of the wheels is a state
     transition: FloatArray
     noise: FloatArray
-    #: (9,) and (11,) what commands add to the first states, and variance beside the noise of the drifts
+    #: (9,) and (11,) what commands add to the first states, and variance beside the noise of the drifts; three numbers
+    #: more of the momentum
     push: FloatArray
     core_variance: FloatArray
     #: (G + E,) dB and s, common parts, hidden states behind them
@@ -121,6 +124,10 @@ class StepInputs(NamedTuple):
     #: (E', E') covariance that grows on the hidden states from a place on; empty = none
     torque_noise: FloatArray
     torque_first: int
+    #: place of the momentum
+    momentum_first: int
+    #: whether a sensor measured the rate, which is known then
+    is_rate_measured: bool
 
 
 def step_inputs(
@@ -158,7 +165,8 @@ def step_inputs(
     motion = motion_over(step_us, settings)
     seconds = step_us / 1e6
     hours = seconds / _S_PER_H
-    transition, common_sigma, common_tau_s = motion.transition, model.common_sigma_db, model.common_tau_s
+    transition, noise = motion
+    common_sigma, common_tau_s = model.common_sigma_db, model.common_tau_s
     shares, torque_noise = len(known.unreported), _NO_NOISE
     push, core_variance = (
         _of_no_commands(settings, hours, is_unannounced, is_raining)
@@ -168,6 +176,9 @@ def step_inputs(
     if hidden:
         # beside the common parts: they fade and grow as those do
         transition = np.hstack([transition, hidden_transition(hidden, from_us, step_us, settings, known)])
+        if settings.momentum is not None:
+            noise, rows = _wide_noise(step_us, settings), momentum_rows(hidden, from_us, step_us, settings)
+            transition, push = np.concatenate((transition, rows[:, :-1])), np.concatenate((push, rows[:, -1]))
         hidden_sigma, hidden_tau_s = hidden_noise(hidden, shares, settings)
         common_sigma = np.concatenate([common_sigma, hidden_sigma])
         common_tau_s = np.concatenate([common_tau_s, hidden_tau_s])
@@ -178,7 +189,7 @@ def step_inputs(
         seconds,
         min(step_us / 60e6, 1.0),
         transition,
-        motion.noise,
+        noise,
         push,
         core_variance,
         common_sigma,
@@ -186,7 +197,17 @@ def step_inputs(
         1.0 if is_raining else math.exp(-seconds / settings.rain_dry_tau_s),
         torque_noise,
         core_size(model) + shares,
+        core_size(model, hidden) - sensor_states(settings),
+        settings.rate_noise_deg_sqrt_h is not None,
     )
+
+
+@lru_cache(maxsize=64)
+def _wide_noise(step_us: int, settings: FilterSettings) -> FloatArray:
+    """Return the noise (12, 12) of a step of a state with the momentum of the wheels; nobody may write to it."""
+    noise, drifts = walked_variance(step_us, settings) * np.eye(12), motion_over(step_us, settings).noise
+    noise[: len(drifts), : len(drifts)] = drifts
+    return noise
 
 
 def _of_commands(
@@ -242,7 +263,7 @@ def _core_variance(
         + late**2
         + (0.5 * hours * rate) ** 2
         + (walk**2 * hours if is_followed else 0.0)
-        + known.walk_deg_sqrt_h**2 * hours
+        + (settings.rate_noise_deg_sqrt_h or 0.0) ** 2 * hours
         for correction, late, rate, (walk, is_followed) in zip(
             known.correction_deg.tolist(), known.late_correction_deg.tolist(), rates, walks, strict=True
         )

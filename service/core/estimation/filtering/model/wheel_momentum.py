@@ -10,12 +10,13 @@ this file: momentum moves nothing else; a record of telemetry has one weight.
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, IntArray, MomentumModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, Gaussian
-from service.core.estimation.filtering.model.hidden_motion import momentum_count
+from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensor_states
 from service.core.estimation.filtering.model.sensor_effect import SensorUpdate
 from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
@@ -46,44 +47,58 @@ def momentum_covariance(settings: FilterSettings, wheels: MomentumModel) -> Floa
     return np.diag(np.square(sigma))
 
 
-def momentum_transition(
-    from_us: int, step_us: int, settings: FilterSettings, wheels: MomentumModel
-) -> tuple[FloatArray, FloatArray]:
-    """Return the effect (3, 9) of the torque states on H over a step, and the turn (3, 3) of H."""
-    hours, period_us = step_us / 3.6e9, wave_period_us(settings)
+def momentum_rows(hidden: int, from_us: int, step_us: int, settings: FilterSettings) -> FloatArray:
+    """Return three rows (3, 9 + E + 1) of a transition: effect of the states on H over a step, last what is added."""
+    period_us = wave_period_us(settings)
+    phase = 2.0 * math.pi * (from_us % period_us) / period_us
+    constant, by_cosine, by_sine = _momentum_waves(hidden, step_us, settings)
+    rows: FloatArray = constant + math.cos(phase) * by_cosine + math.sin(phase) * by_sine
+    return rows
+
+
+@lru_cache(maxsize=64)
+def _momentum_waves(hidden: int, step_us: int, settings: FilterSettings) -> FloatArray:
+    """Return the parts (3, 3, 9 + E + 1) of `momentum_rows`: constant, by cosine and by sine of the phase at the begin.
+
+    Nobody may write to them.
+    """
+    wheels, hours, period_h = settings.momentum, step_us / 3.6e9, wave_period_us(settings) / 3.6e9
+    parts, effect = np.zeros((3, 3, RATE.stop + hidden + 1)), np.zeros((3, 3, TORQUES))
+    if wheels is None:
+        return parts
     panels = max(1, math.ceil(hours / _PANEL_H))
-    span_h, effect = hours / panels, np.zeros((3, TORQUES))
-    inertia = np.array(wheels.inertia_kg_m2)
-    unit = np.zeros((3, 3))
-    unit[np.arange(3), _BODY] = inertia[_BODY] * _DEG_H2_N_M * 3600.0
-    for panel in range(panels):
-        elapsed_h = (panel + 0.5) * span_h
-        phase = 2.0 * math.pi * ((from_us + round(elapsed_h * 3.6e9)) % period_us) / period_us
-        pushed = _turn(hours - elapsed_h) @ unit * span_h
-        effect += np.hstack([pushed, math.cos(phase) * pushed, math.sin(phase) * pushed])
-    return effect, _turn(hours)
+    span_h, unit = hours / panels, np.zeros((3, 3))
+    unit[np.arange(3), _BODY] = np.array(wheels.inertia_kg_m2)[_BODY] * _DEG_H2_N_M * 3600.0
+    for elapsed_h in ((panel + 0.5) * span_h for panel in range(panels)):
+        pushed, turned = _turn(hours - elapsed_h) @ unit * span_h, 2.0 * math.pi * elapsed_h / period_h
+        cosine, sine, nothing = math.cos(turned) * pushed, math.sin(turned) * pushed, np.zeros((3, 3))
+        effect[0] += np.hstack([pushed, nothing, nothing])
+        effect[1] += np.hstack([nothing, cosine, sine])
+        effect[2] += np.hstack([nothing, -sine, cosine])
+    sources = momentum_sources(RATE.stop + hidden - sensor_states(settings), settings)
+    parts[:, :, sources[:-3]] = effect[:, :, : len(sources) - 3]
+    parts[0][:, sources[-3:]] = _turn(hours)
+    known = wheels.profile or settings.fed_forward
+    if known is not None:
+        parts[:, :, -1] = effect @ np.concatenate(known[:3])
+    return parts
 
 
-def moved_momentum(
-    gaussian: Gaussian,
-    first: int,
-    from_us: int,
-    step_us: int,
-    settings: FilterSettings,
-    wheels: MomentumModel,
-) -> Gaussian:
-    """Return the state whose momentum, from a place on, has moved on."""
-    effect, turn = momentum_transition(from_us, step_us, settings, wheels)
-    positions = momentum_sources(first, settings)
-    step = np.hstack([effect[:, : len(positions) - 3], turn])
+def walked_variance(step_us: int, settings: FilterSettings) -> float:
+    """Return the variance that a step adds to H by torques of which nobody knows, (N m s)^2."""
+    return 0.0 if settings.momentum is None else settings.momentum.walk_n_m_s_sqrt_s**2 * step_us / 1e6
+
+
+def moved_momentum(gaussian: Gaussian, first: int, from_us: int, step_us: int, settings: FilterSettings) -> Gaussian:
+    """Return the state whose momentum, from a place on, has moved on, and nothing else."""
+    rows = momentum_rows(first + sensor_states(settings), from_us, step_us, settings)
+    positions, own = momentum_sources(first, settings), slice(first, first + 3)
+    step, push = rows[:, RATE.stop + positions], rows[:, -1]
     mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
-    own = slice(first, first + 3)
     moved = step @ covariance[positions]
     block = moved[:, positions] @ step.T
-    moved[:, own] = 0.5 * (block + block.T) + wheels.walk_n_m_s_sqrt_s**2 * step_us / 1e6 * np.eye(3)
+    moved[:, own] = 0.5 * (block + block.T) + walked_variance(step_us, settings) * np.eye(3)
     covariance[own], covariance[:, own] = moved, moved.T
-    known = wheels.profile or settings.fed_forward
-    push = 0.0 if known is None else effect @ np.concatenate(known[:3])
     mean[own] = step @ mean[positions] + push
     return Gaussian(mean, covariance)
 

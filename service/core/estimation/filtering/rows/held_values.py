@@ -10,6 +10,7 @@ from typing import Any
 from numba.core import types
 from numba.experimental import structref
 
+from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.rows.row_stages import ordinary_row
 
 
@@ -37,14 +38,39 @@ def held(value: Any) -> Any:
 def row_of_held(digest: str) -> Callable[..., Any]:
     """Return, to be compiled, `ordinary_row` of a model and a state that are held; it also returns a handle after it.
 
+    What records of other sensors change of a state, Gaussian and drift, is given beside it, like the watch on commands.
     The digest of the sources counts among the marks of kept machine code. Arguments are named one by one: in a tuple
     of all a handle would have the types of the others found out in Python, at every call.
     """
 
-    def run(model: Any, state: Any, step: Any, command: Any, drift_deg_h: Any, deviation_db: Any, present: Any) -> Any:
+    def run(
+        model: Any,
+        state: Any,
+        gaussian: Any,
+        drift: Any,
+        step: Any,
+        command: Any,
+        drift_deg_h: Any,
+        deviation_db: Any,
+        present: Any,
+    ) -> Any:
         if not digest:
             return None
-        row = ordinary_row(model.value, state.value, step, command, drift_deg_h, deviation_db, present)
+        kept = state.value
+        sensed = FilterState(
+            kept.epoch_us,
+            gaussian,
+            kept.carriers,
+            kept.rain,
+            kept.noise,
+            kept.minute,
+            kept.motion,
+            kept.model_variance_db2,
+            kept.anchor,
+            drift,
+            command,
+        )
+        row = ordinary_row(model.value, sensed, step, command, drift_deg_h, deviation_db, present)
         return row, Held(row.state)
 
     return run

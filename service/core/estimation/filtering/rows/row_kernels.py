@@ -6,6 +6,7 @@ gives the same bits for the same row: no sum is reordered, nothing runs in paral
 """
 
 import hashlib
+import operator
 from collections.abc import Callable
 from functools import lru_cache
 from types import FunctionType, ModuleType
@@ -164,14 +165,22 @@ class _HeldRows:
         """Return the row as `ordinary_row` does."""
         found = self._kept.get(id(model))
         held_model = found[1] if found is not None else self._hold_model(_plain(model))
-        is_newest = found is not None and found[2] is state
+        is_newest = found is not None and _is_followed(found[2], state)
         held_state = found[3] if found is not None and is_newest else self._hold_state(state)
         row: row_stages.OrdinaryRow
-        row, handle = self._taken(held_model, held_state, step, *rest)
+        row, handle = self._taken(held_model, held_state, state.gaussian, state.drift, step, *rest)
         if found is None and len(self._kept) >= _MOST_MODELS:
             self._kept.clear()
         self._kept[id(model)] = model, held_model, row.state, handle
         return row
+
+
+def _is_followed(held: FilterState, state: FilterState) -> bool:
+    """Return whether a state is the one held, but for what is given beside it."""
+    if held is state:
+        return True
+    given = state._replace(gaussian=held.gaussian, drift=held.drift, command=held.command)
+    return all(map(operator.is_, given, held))
 
 
 def _plain(value: Any) -> Any:

@@ -184,8 +184,9 @@ def _judged(
     """Return the watch after some records, and the mean (3,) of those that count, None without one."""
     if not len(epochs_us):
         return watch, None
-    before = np.vstack([watch.newest_deg_h, rates_deg_h[:-1]])
-    spans_h = np.diff(epochs_us, prepend=max(watch.newest_us, int(epochs_us[0]) - HELD_US)) / _US_PER_H
+    before = np.concatenate((watch.newest_deg_h[None], rates_deg_h[:-1]))
+    former_us = np.concatenate(((max(watch.newest_us, int(epochs_us[0]) - HELD_US),), epochs_us[:-1]))
+    spans_h = (epochs_us - former_us) / _US_PER_H
     is_new = (rates_deg_h != before).any(axis=1)
     noise = _NOISES * sensor.noise_deg_sqrt_h / np.sqrt(spans_h)
     tolerated = _DRIFTS * drift_deg_h + np.abs(commanded_deg_h) + noise[:, None]

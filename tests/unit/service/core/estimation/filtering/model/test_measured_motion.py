@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from service.core.estimation.filtering.kernels.state_kernels import know_rate
 from service.core.estimation.filtering.model.filter_model import FilterSettings, RateSensorModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, Gaussian
 from service.core.estimation.filtering.model.measured_motion import (
     ORBITAL_RATE_PER_H,
-    measured_known,
     measured_settings,
     with_inertial_drift,
     with_measured_rate,
@@ -44,9 +44,8 @@ def test_a_measured_step_has_the_bias_for_the_drift_and_the_noise_of_the_sensor_
     settings = measured_settings(FilterSettings(coupling_per_h=0.0), SENSOR)
     assert (settings.drift_deg_h, settings.drift_tau_h) == ((0.01, 0.01, 0.01), 8.0)
     assert settings.coupling_per_h == ORBITAL_RATE_PER_H
-    known = measured_known(SENSOR)
-    assert known.walk_deg_sqrt_h == 0.003
-    assert not known.correction_deg.any()
+    assert settings.rate_noise_deg_sqrt_h == 0.003
+    assert FilterSettings().rate_noise_deg_sqrt_h is None
 
 
 def test_the_measured_rate_and_a_fresh_bias_stand_by_themselves() -> None:
@@ -54,7 +53,10 @@ def test_the_measured_rate_and_a_fresh_bias_stand_by_themselves() -> None:
     measured = with_measured_rate(before, RATE_DEG_H)
     np.testing.assert_array_equal(measured.mean[RATE], RATE_DEG_H)
     same(measured, before, ATTITUDE, DRIFT, REST)
-    alone(measured, RATE, 1e-4)
+    known = Gaussian(measured.mean, measured.covariance.copy())
+    know_rate(known.covariance)
+    same(known, before, ATTITUDE, DRIFT, REST)
+    alone(known, RATE, 1e-4)
     biased = with_sensor_bias(before, 0.02)
     assert not biased.mean[DRIFT].any()
     same(biased, before, ATTITUDE, RATE, REST)

@@ -38,12 +38,10 @@ def test_the_measurement_is_linearised_as_it_is(after_h: float) -> None:
 
 @pytest.mark.parametrize("settings", [SETTINGS, UNKNOWN])
 def test_momentum_of_many_short_steps_is_that_of_a_long_one(settings: FilterSettings) -> None:
-    wheels = settings.momentum
-    assert wheels is not None
     gaussian = with_own_torque() if settings is UNKNOWN else state()
-    one, many = moved_momentum(gaussian, FIRST, 0, 120 * MINUTE_US, settings, wheels), gaussian
+    one, many = moved_momentum(gaussian, FIRST, 0, 120 * MINUTE_US, settings), gaussian
     for minute in range(120):
-        many = moved_momentum(many, FIRST, minute * MINUTE_US, MINUTE_US, settings, wheels)
+        many = moved_momentum(many, FIRST, minute * MINUTE_US, MINUTE_US, settings)
     np.testing.assert_allclose(one.mean, many.mean, atol=2e-4)
     # a torque counts as constant for ten minutes, in which roll and yaw exchange by 0.04
     np.testing.assert_allclose(one.covariance, many.covariance, rtol=5e-3, atol=1e-6)
@@ -52,13 +50,13 @@ def test_momentum_of_many_short_steps_is_that_of_a_long_one(settings: FilterSett
 
 def test_a_torque_of_its_own_moves_the_momentum_and_that_of_the_body_does_not() -> None:
     gaussian = with_own_torque()
-    rested = moved_momentum(gaussian, FIRST, 0, 60 * MINUTE_US, UNKNOWN, GATHERED)
+    rested = moved_momentum(gaussian, FIRST, 0, 60 * MINUTE_US, UNKNOWN)
     momentum = slice(FIRST, FIRST + 3)
     for place, is_moving in ((FIRST - TORQUES + 2, False), (SIZE + 2, True)):
         # of pitch, which exchanges with nothing: 1 deg/h^2 is inertia 1400 kg m^2 times 1.35e-9 N m
         mean = gaussian.mean.copy()
         mean[place] += 1.0
-        pushed = moved_momentum(Gaussian(mean, gaussian.covariance), FIRST, 0, 60 * MINUTE_US, UNKNOWN, GATHERED)
+        pushed = moved_momentum(Gaussian(mean, gaussian.covariance), FIRST, 0, 60 * MINUTE_US, UNKNOWN)
         moved = (pushed.mean - rested.mean)[momentum]
         expected_n_m_s = 1400.0 * np.radians(1.0) / 3600.0**2 * 3600.0 * is_moving
         np.testing.assert_allclose(moved, [0.0, expected_n_m_s, 0.0], atol=1e-12)
