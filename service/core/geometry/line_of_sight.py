@@ -128,8 +128,8 @@ def sight_motion_deg(position_deg: FloatArray, stations: Positions, nominal_long
     nominal_m = _satellite_vectors(np.array([[0.0, nominal_longitude_deg]]))[0]
     boresight = _unit(nominal_m - positions_m)
     # the nominal place is on the equator, so the pole is never along a boresight
-    along = _unit(np.cross(np.array([0.0, 0.0, 1.0]), boresight))
-    across = np.cross(boresight, along)
+    along = _unit(_cross(np.array([0.0, 0.0, 1.0]), boresight))
+    across = _cross(boresight, along)
     sight = _satellite_vectors(position_deg)[:, np.newaxis] - positions_m
     depth = np.vecdot(sight, boresight)
     angles = [np.arctan2(np.vecdot(sight, axis), depth) for axis in (along, across)]
@@ -192,13 +192,13 @@ def _moving(track: PredictedTrack, epoch_us: IntArray) -> tuple[FloatArray, Floa
     positions_deg = track_position_deg(track, (epoch_us + steps_us).ravel())
     behind, here, ahead = _satellite_vectors(positions_deg).reshape(3, -1, 3)
     seconds = 2.0 * _RATE_STEP_US / 1e6
-    return here, (ahead - behind) / seconds + EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), here)
+    return here, (ahead - behind) / seconds + EARTH_RATE_RAD_S * _cross(np.array([0.0, 0.0, 1.0]), here)
 
 
 def _at_rest(longitude_deg: float) -> tuple[FloatArray, FloatArray]:
     """Return place and inertial velocity (1, 3) of a satellite that stands still over the equator, m and m/s."""
     nominal = _satellite_vectors(np.array([[0.0, longitude_deg]]))
-    return nominal, EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), nominal)
+    return nominal, EARTH_RATE_RAD_S * _cross(np.array([0.0, 0.0, 1.0]), nominal)
 
 
 @lru_cache(maxsize=64)
@@ -210,8 +210,8 @@ def _nominal_frame(longitude_deg: float) -> FloatArray:
 def _nadir_frame(satellite_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
     """Return the axes (T, 3, 3), one a row, of the nadir frame of a moving satellite."""
     nadir = -_unit(satellite_m)
-    south = -_unit(np.cross(satellite_m, velocity_m_s))
-    return np.stack([np.cross(south, nadir), south, nadir], axis=1)
+    south = -_unit(_cross(satellite_m, velocity_m_s))
+    return np.stack([_cross(south, nadir), south, nadir], axis=1)
 
 
 def _antenna_angles_deg(satellite_m: FloatArray, velocity_m_s: FloatArray, positions_m: FloatArray) -> FloatArray:
@@ -236,6 +236,12 @@ def _station_vectors(stations: Positions) -> FloatArray:
     across = (prime_vertical + stations.height_m) * np.cos(latitude)
     north = (prime_vertical * (1.0 - eccentricity_2) + stations.height_m) * np.sin(latitude)
     return np.stack([across * np.cos(longitude), across * np.sin(longitude), north], axis=-1)
+
+
+def _cross(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the product of vectors (..., 3), which numpy's takes thrice the time for."""
+    (a, b, c), (x, y, z) = np.moveaxis(one, -1, 0), np.moveaxis(other, -1, 0)
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

@@ -124,9 +124,10 @@ def push_rates(
     )
     torque_us = to_us if is_pushed else watch.torque_us
     is_covered = _is_covered(epochs_us, state.epoch_us, to_us)
+    known_us, residual_deg_h = watch.known_us, watch.residual_deg_h
     if mean is not None:
-        watch = watch._replace(known_us=int(epochs_us[-1]), residual_deg_h=mean - commanded_deg_h)
-    watch = watch._replace(torque_us=torque_us)
+        known_us, residual_deg_h = int(epochs_us[-1]), mean - commanded_deg_h
+    watch = watch._replace(known_us=known_us, residual_deg_h=residual_deg_h, torque_us=torque_us)
     is_worse = 3.0 * (bias * sensor.bias_deg_h) ** 2 > float(inertial @ inertial)
     if is_worse or (watch.records >= _LEAST_RECORDS and watch.wild > _WILD_SHARE * watch.records):
         return refused(watch, state, inertial)
@@ -184,22 +185,25 @@ def _judged(
     """Return the watch after some records, and the mean (3,) of those that count, None without one."""
     if not len(epochs_us):
         return watch, None
-    before = np.concatenate((watch.newest_deg_h[None], rates_deg_h[:-1]))
-    former_us = np.concatenate(((max(watch.newest_us, int(epochs_us[0]) - HELD_US),), epochs_us[:-1]))
-    spans_h = (epochs_us - former_us) / _US_PER_H
-    is_new = (rates_deg_h != before).any(axis=1)
-    noise = _NOISES * sensor.noise_deg_sqrt_h / np.sqrt(spans_h)
-    tolerated = _DRIFTS * drift_deg_h + np.abs(commanded_deg_h) + noise[:, None]
-    is_near = (np.abs(rates_deg_h - commanded_deg_h) <= tolerated).all(axis=1)
+    # mostly one record: numbers cost a tenth of arrays
+    former_us, former = max(watch.newest_us, int(epochs_us[0]) - HELD_US), watch.newest_deg_h.tolist()
+    sent, drifted = commanded_deg_h.tolist(), (_DRIFTS * drift_deg_h + np.abs(commanded_deg_h)).tolist()
+    taken, wild = [], 0
+    for epoch_us, rate in zip(epochs_us.tolist(), rates_deg_h.tolist(), strict=True):
+        noise = _NOISES * sensor.noise_deg_sqrt_h / math.sqrt((epoch_us - former_us) / _US_PER_H)
+        if any(abs(one - known) > most + noise for one, known, most in zip(rate, sent, drifted, strict=True)):
+            wild += 1
+        elif rate != former:
+            taken.append(rate)
+        former_us, former = epoch_us, rate
     keep = math.exp(-(int(epochs_us[-1]) - max(watch.newest_us, 0)) / (_MEMORY_H * _US_PER_H))
     watch = watch._replace(
         newest_us=int(epochs_us[-1]),
         newest_deg_h=rates_deg_h[-1],
         records=keep * watch.records + len(epochs_us),
-        wild=keep * watch.wild + float(np.count_nonzero(~is_near)),
+        wild=keep * watch.wild + wild,
     )
-    taken = is_new & is_near
-    return watch, rates_deg_h[taken].mean(axis=0) if taken.any() else None
+    return watch, np.add.reduce(taken) / len(taken) if taken else None
 
 
 def _is_covered(epochs_us: IntArray, from_us: int, to_us: int) -> bool:
