@@ -7,6 +7,7 @@ from filter_models import aligned, carrier_model
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion
 from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
+from service.core.estimation.filtering.watches.drift_watch import DriftWatch
 
 MINUTE_US = 60_000_000
 CARRIERS = 8
@@ -79,3 +80,18 @@ def test_models_that_are_no_longer_used_are_let_go(flown):
     for each in made:
         assert bits(taken(each, settings, states[0], rows[0])) == bits(states[1])
     assert bits(taken(model, settings, states[-2], rows[-1])) == bits(states[-1])
+
+
+def test_a_state_that_a_sensor_changed_goes_on_from_the_held_one_with_the_same_bits(flown, monkeypatch):
+    model, settings, rows, states = flown
+    newest = taken(model, settings, states[22], rows[22])
+    gaussian = newest.gaussian._replace(mean=newest.gaussian.mean + 0.01)
+    sensed = newest._replace(gaussian=gaussian, drift=DriftWatch(0.5))
+    row, brought_in = compiled_kernels().ordinary_row, []
+    hold = row._hold_state
+    monkeypatch.setattr(row, "_hold_state", lambda state: brought_in.append(state) or hold(state))
+    found = taken(model, settings, sensed, rows[23])
+    assert not brought_in
+    assert bits(found) == bits(taken(model, settings, copied(sensed), rows[23]))
+    assert len(brought_in) == 1
+    assert bits(found) != bits(states[24])
