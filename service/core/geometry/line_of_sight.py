@@ -88,7 +88,8 @@ def track_position_deg(track: PredictedTrack, epoch_us: IntArray) -> FloatArray:
     if count < 4:
         return np.full((len(epoch_us), 2), math.nan)
     points = np.stack([track.latitude_deg, track.longitude_deg], axis=1)
-    first = np.clip(np.searchsorted(track.epoch_us, epoch_us, side="right") - 2, 0, count - 4)
+    behind = np.searchsorted(track.epoch_us, epoch_us, side="right") - 2
+    first = np.minimum(np.maximum(behind, 0), count - 4)
     nodes = first[:, np.newaxis] + np.arange(4)
     # microseconds are subtracted as integers; seconds since the first node are exact enough for a cubic
     offset = (track.epoch_us[nodes] - epoch_us[:, np.newaxis]) / 1e6
@@ -238,8 +239,8 @@ def _station_vectors(stations: Positions) -> FloatArray:
 
 
 def _cross(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the cross product of vectors (..., 3); for a few of them numpy's own takes thrice the time."""
-    (a, b, c), (x, y, z) = np.moveaxis(one, -1, 0), np.moveaxis(other, -1, 0)
+    """Return the cross product of vectors (3,) or (n, 3); for a few of them numpy's own takes thrice the time."""
+    (a, b, c), (x, y, z) = one.T, other.T
     return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
 
 

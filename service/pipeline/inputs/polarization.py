@@ -5,7 +5,9 @@ the noise. A block whose ratios are all the same to the last digit measured noth
 """
 
 import math
+import statistics
 from bisect import insort
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,7 +16,7 @@ from service.core.estimation.filtering.model.polarimeter import angle_deg, farad
 from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import PredictedTrack, frame_turn_deg
-from service.records.catalogue import Ephemeris, Polarimeter, Spacecraft
+from service.records.catalogue import Ephemeris, Polarimeter, Spacecraft, Track
 from service.records.epoch import US_PER_S
 from service.records.inputs import PolarizationRecord
 from service.records.levels.attitude import FloatArray, IntArray
@@ -79,11 +81,15 @@ def orbit_turn_deg(
     """Return what the orbit turns a body about a line of sight (T,), deg; 0 without a track, NaN beyond it."""
     if ephemeris is None or ephemeris.track is None:
         return np.zeros(len(epochs_us))
-    reported = ephemeris.track
-    track = PredictedTrack(
-        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
-    )
+    track = _predicted(ephemeris.track)
     return np.asarray(frame_turn_deg(track, epochs_us, spacecraft.longitude_deg) @ np.array(sight))
+
+
+@lru_cache(maxsize=64)
+def _predicted(track: Track) -> PredictedTrack:
+    """Return a track as arrays; nobody may write to them."""
+    epochs_us = np.array(track.epochs_us, dtype=np.int64)
+    return PredictedTrack(epochs_us, np.array(track.latitude_deg), np.array(track.longitude_deg))
 
 
 def due_block(
@@ -96,16 +102,21 @@ def due_block(
     fresh = [each for each in records if since_us < each.epoch_us <= epoch_us]
     if not fresh or fresh[-1].epoch_us - after_us < _BLOCK_US or _stands_still(fresh):
         return None
-    angles_deg = np.array([measured_angle_deg(each, polarimeter) for each in fresh])
+    angles_deg = [measured_angle_deg(each, polarimeter) for each in fresh]
     variances = np.array([_variance_deg2(each, polarimeter) for each in fresh])
     powers = [each.co_power_dbm for each in fresh if each.co_power_dbm is not None]
     return AngleBlock(
         fresh[-1].epoch_us,
-        float(np.median(angles_deg)),
+        _median(angles_deg),
         # of a median of some records
         0.5 * math.pi * float(variances.mean()) / len(fresh),
-        float(np.median(powers)) if powers else math.nan,
+        _median(powers) if powers else math.nan,
     )
+
+
+def _median(numbers: list[float]) -> float:
+    """Return the median, NaN where one of the numbers is not finite."""
+    return statistics.median(numbers) if all(map(math.isfinite, numbers)) else math.nan
 
 
 def _stands_still(records: list[PolarizationRecord]) -> bool:

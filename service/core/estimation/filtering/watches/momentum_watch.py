@@ -112,7 +112,8 @@ def push_record(
         gaussian = with_free_momentum(gaussian, first)
         found, excess = compared(gaussian, first, reported, (record_us - epoch_us) / 3.6e9, settings, wheels), 0.0
     mean_square = float(found.innovation @ np.linalg.solve(found.covariance, found.innovation)) / 3.0
-    found = found.widened(wheels.sigma_n_m_s**2 * (max(excess / TRUSTED, 1.0) ** 2 - 1.0))
+    if excess > TRUSTED:
+        found = found.widened(wheels.sigma_n_m_s**2 * ((excess / TRUSTED) ** 2 - 1.0))
     judged = _judged(watch._replace(skipped=0), updated_by(gaussian, found), mean_square)
     return *judged, effect._replace(update=found)
 
