@@ -204,7 +204,8 @@ def _at_rest(longitude_deg: float) -> tuple[FloatArray, FloatArray]:
 @lru_cache(maxsize=64)
 def _nominal_frame(longitude_deg: float) -> FloatArray:
     """Return the axes (3, 3), one a row, of the nadir frame of a satellite that stands still over the equator."""
-    return _nadir_frame(*_at_rest(longitude_deg))[0]
+    frame: FloatArray = _nadir_frame(*_at_rest(longitude_deg))[0]
+    return frame
 
 
 def _nadir_frame(satellite_m: FloatArray, velocity_m_s: FloatArray) -> FloatArray:
