@@ -137,16 +137,34 @@ class AxesCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class FeedFit:
+    """Feed of a polarimeter by its ratios on the quiet days and turns, while sensors told the angles."""
+
+    #: turn of the feed at zero attitude with its leakage taken for a turn, cosine and sine of a daily wave (phase that
+    #: of the solar day), deg
+    mean: Row
+    #: (3, 3) deg^2
+    covariance: Table
+    #: real part of the leakage, as the turn that it looks like, and one standard deviation, deg
+    leakage_deg: float
+    leakage_sigma_deg: float
+    #: end of the quiet days and turns
+    stop_us: int
+
+
+@dataclass(frozen=True, slots=True)
 class PolarimeterCheck:
     """Check of one polarimeter by the turns."""
 
     source: str
     verdict: MotionVerdict
-    #: what contradicts it, or why it was not checked; empty = nothing
+    #: what contradicts it or the catalogue's turn of its feed, or why it was not checked; empty = nothing
     reason: str
     #: response to a turn about the line of sight, 1 of a true instrument, and one standard deviation
     response: float = math.nan
     response_sigma: float = math.nan
+    #: None = its records are no ratios, or they contradict one another
+    feed: FeedFit | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -169,7 +169,9 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     `momentum` of the wheels by the turns: consistent, contradicted (the filter does not use it), not_checked, or
     not_stated where the catalogue has no `onboard.momentum`; `momentum_response_roll` and others must be 1. `rates`
     of the body likewise, not_stated without `onboard.rate_sensor` beside the loop; `rate_response_roll` and others.
-    `polarimeter` is the worst verdict on a polarimeter, `polarimeter_response` its figure. `gathered_constant_yaw_n_m`,
+    `polarimeter` is the worst verdict on a polarimeter, `polarimeter_response` its figure; `polarimeter_feed_turn_deg`
+    (turn of its feed, leakage taken for a turn, with which the filter begins), `polarimeter_leakage_deg`, each with its
+    sigma, and `polarimeter_daily_deg` (amplitude) where ratios tell them. `gathered_constant_yaw_n_m`,
     `gathered_daily_yaw_n_m` (amplitude), `gathered_yaw_sigma_n_m`, the same of roll and pitch, and
     `gathered_torque_records`: torque from outside that gathered in the wheels on the quiet days."""
     observability: ObservabilityAnswer | None

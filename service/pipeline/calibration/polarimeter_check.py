@@ -5,20 +5,33 @@ its reason.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from service.core.estimation.calibration.checks.angle_response import AngleResponse, angle_response
+from service.core.estimation.calibration.checks.feed_turn import feed_leakage, feed_turn
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.polarization import line_of_sight, measured_angle_deg, orbit_turn_deg, used_polarimeters
+from service.pipeline.inputs.polarization import (
+    every_block,
+    line_of_sight,
+    measured_angle_deg,
+    noise_deg,
+    orbit_turn_deg,
+    polarimeter_models,
+    used_polarimeters,
+)
 from service.pipeline.inputs.sensor_angles import angles_at
-from service.records.calibration import MotionVerdict, PolarimeterCheck
+from service.records.calibration import FeedFit, MotionVerdict, PolarimeterCheck, Window
 from service.records.catalogue import Polarimeter, Spacecraft
+from service.records.inputs import PolarizationRecord
 from service.records.levels.attitude import FloatArray, IntArray
 
 #: sigmas from which an instrument is contradicted
 _SIGMAS = 3.5
+#: sigmas from which the catalogue's turn of a feed is contradicted
+_FEED_SIGMAS = 5.0
 _LEAST_RECORDS = 20
 _US_PER_H = 3.6e9
 _NEXT = (
@@ -40,17 +53,27 @@ def polarimeter_quality(checks: tuple[PolarimeterCheck, ...]) -> dict[str, float
     if not known:
         return {}
     worst = max(known, key=lambda check: abs(check.response - 1.0) / check.response_sigma)
-    return {"polarimeter_response": worst.response, "polarimeter_response_sigma": worst.response_sigma}
+    figures = {"polarimeter_response": worst.response, "polarimeter_response_sigma": worst.response_sigma}
+    if worst.feed is None:
+        return figures
+    return figures | {
+        "polarimeter_feed_turn_deg": worst.feed.mean[0],
+        "polarimeter_feed_turn_sigma_deg": math.sqrt(worst.feed.covariance[0][0]),
+        "polarimeter_leakage_deg": worst.feed.leakage_deg,
+        "polarimeter_leakage_sigma_deg": worst.feed.leakage_sigma_deg,
+        "polarimeter_daily_deg": math.hypot(*worst.feed.mean[1:]),
+    }
 
 
 def polarimeter_warnings(checks: tuple[PolarimeterCheck, ...]) -> tuple[str, ...]:
     """Return the warnings of the checks."""
+    texts = {
+        MotionVerdict.CONTRADICTED: f"is refused: {{}}; {_NEXT}",
+        MotionVerdict.UNCHECKED: "was not checked: {}",
+        MotionVerdict.CONSISTENT: "is used: {}",
+    }
     return tuple(
-        f"polarimeter {check.source} is refused: {check.reason}; {_NEXT}"
-        if check.verdict is MotionVerdict.CONTRADICTED
-        else f"polarimeter {check.source} was not checked: {check.reason}"
-        for check in checks
-        if check.reason
+        f"polarimeter {check.source} {texts[check.verdict].format(check.reason)}" for check in checks if check.reason
     )
 
 
@@ -58,18 +81,75 @@ def _check(
     data: CalibrationInput, config: CalibrationConfig, spacecraft: Spacecraft, polarimeter: Polarimeter
 ) -> PolarimeterCheck:
     """Return the check of one polarimeter."""
-    source, turns = polarimeter.source, data.request.turns
-    records = sorted(
-        (one for one in data.polarization if one.source == source and turns.start_us <= one.epoch_us < turns.stop_us),
-        key=lambda one: one.epoch_us,
-    )
+    source, records = polarimeter.source, _records(data, polarimeter, data.request.turns)
     if len(records) < _LEAST_RECORDS:
         reason = f"{len(records)} records within the turns, {_LEAST_RECORDS} are needed"
         return PolarimeterCheck(source, MotionVerdict.UNCHECKED, reason)
     epochs_us = np.array([one.epoch_us for one in records], dtype=np.int64)
     measured = np.array([measured_angle_deg(one, polarimeter) for one in records])
     expected = _expected_deg(data, config, spacecraft, polarimeter, epochs_us)
-    return _judged(source, angle_response((epochs_us - epochs_us[0]) / _US_PER_H, measured, expected))
+    response = angle_response((epochs_us - epochs_us[0]) / _US_PER_H, measured, expected)
+    check = _judged(source, response)
+    if check.verdict is MotionVerdict.CONTRADICTED:
+        return check
+    feed = _feed(data, config, spacecraft, polarimeter, response)
+    return replace(check, reason=check.reason or _about_feed(feed, polarimeter.feed_offset_deg), feed=feed)
+
+
+def _feed(
+    data: CalibrationInput,
+    config: CalibrationConfig,
+    spacecraft: Spacecraft,
+    polarimeter: Polarimeter,
+    response: AngleResponse,
+) -> FeedFit | None:
+    """Return what quiet days and turns tell of the feed; None where its records are no ratios or contradict."""
+    windows = data.request.quiet, data.request.turns
+    records = _records(data, polarimeter, *windows)
+    if any(one.ratio_db is None or one.feed_offset_deg is not None for one in records):
+        return None
+    epochs_us = np.array([one.epoch_us for one in records], dtype=np.int64)
+    expected = _expected_deg(data, config, spacecraft, polarimeter, epochs_us)
+    left = [
+        _less(one, polarimeter, angle_deg)
+        for one, angle_deg in zip(records, expected.tolist(), strict=True)
+        if math.isfinite(angle_deg)
+    ]
+    (read,) = polarimeter_models(spacecraft, (polarimeter,))
+    learned = feed_turn(every_block(left, polarimeter), read)
+    if learned is None:
+        return None
+    offset_deg, cosine_deg, sine_deg = learned.mean
+    turn_deg = polarimeter.feed_offset_deg + offset_deg
+    leakage, stop_us = feed_leakage(response, turn_deg), max(window.stop_us for window in windows)
+    return FeedFit((turn_deg, cosine_deg, sine_deg), learned.covariance, *leakage, stop_us)
+
+
+def _less(record: PolarizationRecord, polarimeter: Polarimeter, expected_deg: float) -> PolarizationRecord:
+    """Return a ratio as the angle that it is beside an expected one."""
+    left_deg, sigma_deg = measured_angle_deg(record, polarimeter) - expected_deg, noise_deg(record, polarimeter)
+    return replace(record, ratio_db=None, noise_db=None, tec_tecu=None, angle_deg=left_deg, sigma_deg=sigma_deg)
+
+
+def _about_feed(feed: FeedFit | None, stated_deg: float) -> str:
+    """Return what contradicts the turn of the feed that the catalogue states; empty = nothing."""
+    if feed is None:
+        return ""
+    turn_deg = feed.mean[0] - feed.leakage_deg
+    sigma_deg = math.hypot(math.sqrt(feed.covariance[0][0]), feed.leakage_sigma_deg)
+    if abs(turn_deg - stated_deg) <= _FEED_SIGMAS * sigma_deg:
+        return ""
+    return (
+        f"its feed is turned by {turn_deg:.1f} +- {sigma_deg:.1f} deg, the catalogue states {stated_deg:g}; the filter "
+        "takes what the ratios tell: measure the feed, its gain and its isolation, and correct feed_offset_deg"
+    )
+
+
+def _records(data: CalibrationInput, polarimeter: Polarimeter, *windows: Window) -> list[PolarizationRecord]:
+    """Return the records of a polarimeter within some windows, in order of epoch."""
+    own = (one for one in data.polarization if one.source == polarimeter.source)
+    within = (one for one in own if any(window.start_us <= one.epoch_us < window.stop_us for window in windows))
+    return sorted(within, key=lambda one: one.epoch_us)
 
 
 def _expected_deg(

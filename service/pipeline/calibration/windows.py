@@ -46,7 +46,7 @@ class CalibrationInput:
     row_measurements: float = 1.0
     #: (T, N) dBm, of each row of the quiet window its first measurement; None = the row is the measurement
     quiet_first_dbm: FloatArray | None = None
-    #: records of the quiet days and of the turns; of polarimeters, those of the turns
+    #: records of the quiet days and of the turns
     telemetry: tuple[TelemetryRecord, ...] = ()
     polarization: tuple[PolarizationRecord, ...] = ()
 

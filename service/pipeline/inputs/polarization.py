@@ -7,15 +7,17 @@ the noise. A block whose ratios are all the same to the last digit measured noth
 import math
 import statistics
 from bisect import insort
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import PolarimeterModel
-from service.core.estimation.filtering.model.polarimeter import angle_deg, faraday_deg, slope_db_deg
+from service.core.estimation.filtering.model.filter_model import LearnedFeed, PolarimeterModel
+from service.core.estimation.filtering.model.polarimeter import angle_deg, faraday_deg, slope_db_deg, turned_deg
 from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import PredictedTrack, frame_turn_deg
+from service.records.calibration import Calibration, FeedFit
 from service.records.catalogue import Ephemeris, Polarimeter, Spacecraft, Track
 from service.records.epoch import US_PER_S
 from service.records.inputs import PolarizationRecord
@@ -25,6 +27,10 @@ from service.records.levels.attitude import FloatArray, IntArray
 KEPT_US = 1800 * US_PER_S
 #: time between two blocks, and age beyond which a record tells nothing
 _BLOCK_US, _LATE_US = 300 * US_PER_S, 900 * US_PER_S
+#: turn of a feed below which its ratio is no steeper
+_STEEP_DEG = 0.5
+#: share of a daily wave that changes from day to day, and time in which it becomes another, h
+_CHANGED_SHARE, _CHANGED_H = 0.5, 720.0
 #: records of one polarimeter that are kept
 _MOST = 120
 
@@ -49,9 +55,15 @@ def used_polarimeters(
 
 
 def polarimeter_models(
-    spacecraft: Spacecraft | None, polarimeters: tuple[Polarimeter, ...]
+    spacecraft: Spacecraft | None,
+    polarimeters: tuple[Polarimeter, ...],
+    calibration: Calibration | None = None,
+    epoch_us: int = 0,
 ) -> tuple[PolarimeterModel, ...]:
-    """Return how polarimeters are read."""
+    """Return how polarimeters are read; what a calibration told of a feed is known less well by an epoch."""
+    result = None if calibration is None else calibration.result
+    checks = () if result is None else result.polarimeters
+    feeds = {check.source: check.feed for check in checks if check.feed is not None}
     return tuple(
         PolarimeterModel(
             line_of_sight(spacecraft, each),
@@ -60,10 +72,32 @@ def polarimeter_models(
             each.wander_deg,
             each.wander_h,
             each.offset_walk_deg_sqrt_h,
+            _learned(feeds[each.source], each, epoch_us) if each.source in feeds else None,
         )
         for each in polarimeters
         if spacecraft is not None
     )
+
+
+def _learned(feed: FeedFit, polarimeter: Polarimeter, epoch_us: int) -> LearnedFeed:
+    """Return the offset and the daily wave that a filter begins with at an epoch: no two days have one wave."""
+    turn_deg, cosine_deg, sine_deg = feed.mean
+    hours = max(0.0, (epoch_us - feed.stop_us) / US_PER_S / 3600.0)
+    changed = _CHANGED_SHARE**2 - math.expm1(-2.0 * hours / _CHANGED_H)
+    grown_deg2 = [polarimeter.offset_walk_deg_sqrt_h**2 * hours, *[changed * polarimeter.daily_deg**2] * 2]
+    covariance = np.array(feed.covariance) + np.diag(grown_deg2)
+    mean = turn_deg - polarimeter.feed_offset_deg, cosine_deg, sine_deg
+    return LearnedFeed(mean, tuple(map(tuple, covariance.tolist())))
+
+
+def every_block(records: Sequence[PolarizationRecord], polarimeter: Polarimeter) -> list[AngleBlock]:
+    """Return the blocks of records in order of epoch, one after another."""
+    blocks: list[AngleBlock] = []
+    for k, one in enumerate(records):
+        after_us = blocks[-1].epoch_us if blocks else records[0].epoch_us - 1
+        block = due_block(tuple(records[max(0, k + 1 - _MOST) : k + 1]), polarimeter, after_us, one.epoch_us)
+        blocks += [] if block is None else [block]
+    return blocks
 
 
 def line_of_sight(spacecraft: Spacecraft, polarimeter: Polarimeter) -> tuple[float, float, float]:
@@ -103,7 +137,7 @@ def due_block(
     if not fresh or fresh[-1].epoch_us - after_us < _BLOCK_US or _stands_still(fresh):
         return None
     angles_deg = [measured_angle_deg(each, polarimeter) for each in fresh]
-    variances = np.array([_variance_deg2(each, polarimeter) for each in fresh])
+    variances = np.square([noise_deg(each, polarimeter) for each in fresh])
     powers = [each.co_power_dbm for each in fresh if each.co_power_dbm is not None]
     return AngleBlock(
         fresh[-1].epoch_us,
@@ -135,13 +169,13 @@ def measured_angle_deg(record: PolarizationRecord, polarimeter: Polarimeter) -> 
     return angle_deg(_offset_deg(record, polarimeter), record.ratio_db) - rotated
 
 
-def _variance_deg2(record: PolarizationRecord, polarimeter: Polarimeter) -> float:
-    """Return the variance of the white noise of a record."""
+def noise_deg(record: PolarizationRecord, polarimeter: Polarimeter) -> float:
+    """Return one sigma of the white noise of a record; the slope is that of the ratio, whatever the catalogue says."""
     if record.ratio_db is None:
-        return (polarimeter.white_deg if record.sigma_deg is None else record.sigma_deg) ** 2
+        return polarimeter.white_deg if record.sigma_deg is None else record.sigma_deg
     if record.noise_db is None:
-        return polarimeter.white_deg**2
-    return (record.noise_db / slope_db_deg(_offset_deg(record, polarimeter))) ** 2
+        return polarimeter.white_deg
+    return record.noise_db / slope_db_deg(min(max(turned_deg(record.ratio_db), _STEEP_DEG), 90.0 - _STEEP_DEG))
 
 
 def _offset_deg(record: PolarizationRecord, polarimeter: Polarimeter) -> float:

@@ -19,14 +19,16 @@ from service.records.calibration import (
 )
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation, PolarizationRecord, TelemetryRecord
+from service.records.journal import SlowInput
+from service.records.levels.measurement import Measurement
 from service.records.operations.job import Job
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
 
 #: operations and corrections that a calibration looks at, at most of each
 _MAX_INPUTS = 1000
-#: records of telemetry that it looks at: three hours of one a second, the whole turns of one in five
+#: records of telemetry, or of polarimeters, that it looks at: three hours of one a second, whole turns of one in five
 _MAX_RECORDS = 10_000
-#: records of the momentum of quiet days need not stand closer
+#: records of quiet days need not stand closer
 _SPACED_US = 60 * US_PER_S
 
 
@@ -172,28 +174,37 @@ class Calibrator:
         return tuple(entry.content for entry in entries if isinstance(entry.content, Correction))
 
     def _telemetry(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[TelemetryRecord, ...]:
-        """Return the records of the turns, the first of them where they are more than a calibration reads, and before.
-
-        Of records of the quiet days that stand closer than a minute the first is enough, and those of unloadings.
-        """
-        archive = self._storage.archive
-        read = {
-            each.number: each for each in archive.inputs(spacecraft_id, "telemetry", request.turns, _MAX_RECORDS, None)
-        }
-        next_us, after = request.quiet.start_us, None
-        while page := archive.inputs(spacecraft_id, "telemetry", request.quiet, _MAX_RECORDS, after):
-            for entry in page:
-                one = entry.content
-                if isinstance(one, TelemetryRecord):
-                    after = one.epoch_us, entry.number
-                    if one.thrusters_active or one.epoch_us >= next_us:
-                        read[entry.number], next_us = entry, one.epoch_us + _SPACED_US
-        return tuple(each.content for each in read.values() if isinstance(each.content, TelemetryRecord))
+        """Return the records of the turns and of the quiet days."""
+        found = self._reported(spacecraft_id, "telemetry", request)
+        return tuple(one for one in found if isinstance(one, TelemetryRecord))
 
     def _polarization(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[PolarizationRecord, ...]:
-        """Return the records of the turns, the first of them where they are more than a calibration reads."""
-        entries = self._storage.archive.inputs(spacecraft_id, "polarization", request.turns, _MAX_RECORDS, None)
-        return tuple(entry.content for entry in entries if isinstance(entry.content, PolarizationRecord))
+        """Return the records of the turns and of the quiet days."""
+        found = self._reported(spacecraft_id, "polarization", request)
+        return tuple(one for one in found if isinstance(one, PolarizationRecord))
+
+    def _reported(
+        self, spacecraft_id: str, kind: str, request: CalibrationRequest
+    ) -> tuple[Measurement | SlowInput, ...]:
+        """Return the records of the turns, the first of them where they are more than a calibration reads, and before.
+
+        Of records of the quiet days that stand closer than a minute the first of a source is enough, and those of
+        unloadings.
+        """
+        archive = self._storage.archive
+        read = {each.number: each for each in archive.inputs(spacecraft_id, kind, request.turns, _MAX_RECORDS, None)}
+        next_us: dict[str, int] = {}
+        after = None
+        while page := archive.inputs(spacecraft_id, kind, request.quiet, _MAX_RECORDS, after):
+            for entry in page:
+                one = entry.content
+                if isinstance(one, TelemetryRecord | PolarizationRecord):
+                    after = one.epoch_us, entry.number
+                    source = one.source if isinstance(one, PolarizationRecord) else ""
+                    is_unloading = isinstance(one, TelemetryRecord) and one.thrusters_active
+                    if is_unloading or one.epoch_us >= next_us.get(source, one.epoch_us):
+                        read[entry.number], next_us[source] = entry, one.epoch_us + _SPACED_US
+        return tuple(each.content for each in read.values())
 
     def _operations(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Operation, ...]:
         """Return the declared operations that overlap a window, each once, by number."""

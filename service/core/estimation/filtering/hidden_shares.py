@@ -17,7 +17,7 @@ from service.core.estimation.filtering.model.hidden_motion import (
     torque_states,
     with_wider_torque,
 )
-from service.core.estimation.filtering.model.polarimeter import polarimeter_covariance
+from service.core.estimation.filtering.model.polarimeter import polarimeter_covariance, with_learned_feeds
 from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
     has_torque,
@@ -80,13 +80,14 @@ def sensors_of(settings: FilterSettings) -> tuple[object, ...]:
     wheels = settings.momentum
     if wheels is not None and wheels.learned is not None:
         wheels = wheels._replace(learned=None, unknown_torque_deg_h2=None)
-    return wheels, settings.polarimeters
+    return wheels, tuple(each._replace(learned=None) for each in settings.polarimeters)
 
 
 def _begun(gaussian: Gaussian, position: int, settings: FilterSettings) -> Gaussian:
     """Return the state with the states of torque, wheels and polarimeters at a place, where there are any."""
     if settings.polarimeters:
         gaussian = inserted(gaussian, position, polarimeter_covariance(settings))
+        gaussian = with_learned_feeds(gaussian, position, settings)
     if settings.momentum is not None:
         gaussian = inserted(gaussian, position, momentum_covariance(settings, settings.momentum))
     if not has_torque(settings):

@@ -277,7 +277,7 @@ def _filter_settings(
         fed_forward=fed_forward(spacecraft),
         momentum=momentum_model(spacecraft, calibration, aligned_us),
         polarimeters=polarimeter_models(
-            spacecraft, used_polarimeters(spacecraft, calibration.contradicted_polarimeters)
+            spacecraft, used_polarimeters(spacecraft, calibration.contradicted_polarimeters), calibration, aligned_us
         ),
     )
 

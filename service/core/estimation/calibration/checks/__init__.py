@@ -1,4 +1,4 @@
 """Checks of a calibration: axes of the sensors, places of the stations.
 
-Public: angle_response, free_response, momentum_response, rate_response, sensor_axes, station_check.
+Public: angle_response, feed_turn, free_response, momentum_response, rate_response, sensor_axes, station_check.
 """

@@ -112,6 +112,15 @@ class RateSensorModel(NamedTuple):
     noise_deg_sqrt_h: float
 
 
+class LearnedFeed(NamedTuple):
+    """Feed of a polarimeter as quiet days and turns tell it."""
+
+    #: (3,) deg, offset of the angle, cosine and sine of its daily wave, the phase that of the solar day
+    mean: tuple[float, ...]
+    #: (3, 3) deg^2
+    covariance: tuple[tuple[float, ...], ...]
+
+
 class PolarimeterModel(NamedTuple):
     """Polarimeter that looks at the spacecraft from the ground."""
 
@@ -124,6 +133,8 @@ class PolarimeterModel(NamedTuple):
     wander_h: float = 4.0
     #: walk of the offset
     offset_walk_deg_sqrt_h: float = 0.003
+    #: None = calibration tells nothing
+    learned: LearnedFeed | None = None
 
 
 class FilterSettings(NamedTuple):

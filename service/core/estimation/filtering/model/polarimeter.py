@@ -21,6 +21,8 @@ from service.core.estimation.filtering.model.torque_prior import DAY_US
 
 #: states of one polarimeter: offset, daily cosine and sine, wander
 POLARIMETER = 4
+#: place of the wander among them
+WANDER = 3
 #: one sigma of the offset of a feed that was moved, deg
 FREE_OFFSET_DEG = 3.0
 #: slope of the ratio at 45 deg, dB/deg
@@ -43,6 +45,11 @@ class ComparedAngle(NamedTuple):
         return self._replace(variance_deg2=self.variance_deg2 + variance_deg2)
 
     @property
+    def excess(self) -> float:
+        """Return the size of the innovation, sigmas."""
+        return abs(self.innovation_deg) / math.sqrt(self.variance_deg2)
+
+    @property
     def update(self) -> SensorUpdate:
         """Return the angle as an update of one measurement."""
         innovation, variance = np.array([self.innovation_deg]), np.array([[self.variance_deg2]])
@@ -54,6 +61,11 @@ def ratio_db(feed_offset_deg: float, angle_deg: float, leakage: float = 0.0) -> 
     return 20.0 * math.log10(abs(math.tan(math.radians(feed_offset_deg + angle_deg)) + leakage))
 
 
+def turned_deg(measured_db: float) -> float:
+    """Return the turn of the feed against the polarisation, 0..90 deg, at a ratio of the ports."""
+    return math.degrees(math.atan(10.0 ** (measured_db / 20.0)))
+
+
 def angle_deg(feed_offset_deg: float, measured_db: float) -> float:
     """Return the angle of the polarisation at a ratio of the ports, for a feed turned by -90..90 deg, not 0.
 
@@ -62,8 +74,7 @@ def angle_deg(feed_offset_deg: float, measured_db: float) -> float:
     >>> round(angle_deg(10.0, ratio_db(10.0, 0.3)), 6), round(angle_deg(-10.0, ratio_db(-10.0, 0.3)), 6)
     (0.3, 0.3)
     """
-    turned = math.degrees(math.atan(10.0 ** (measured_db / 20.0)))
-    return math.copysign(turned, feed_offset_deg) - feed_offset_deg
+    return math.copysign(turned_deg(measured_db), feed_offset_deg) - feed_offset_deg
 
 
 def slope_db_deg(feed_offset_deg: float) -> float:
@@ -103,6 +114,18 @@ def polarimeter_covariance(settings: FilterSettings) -> FloatArray:
         for one in (FREE_OFFSET_DEG, each.daily_deg, each.daily_deg, each.wander_deg)
     ]
     return np.diag(np.square(sigma))
+
+
+def with_learned_feeds(gaussian: Gaussian, first: int, settings: FilterSettings) -> Gaussian:
+    """Return the state with what quiet days and turns tell of the feeds, where they told something."""
+    if all(each.learned is None for each in settings.polarimeters):
+        return gaussian
+    mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
+    for number, each in enumerate(settings.polarimeters):
+        if each.learned is not None:
+            own = slice(first + POLARIMETER * number, first + POLARIMETER * number + WANDER)
+            mean[own], covariance[own, own] = np.array(each.learned.mean), np.array(each.learned.covariance)
+    return Gaussian(mean, covariance)
 
 
 def compared_angle(

@@ -3,8 +3,9 @@
 A block is some minutes of records. Beyond two sigma it counts less, beyond four it is left out; three in a row that are
 left out in quiet co-polar power are a moved feed: the offset is free again. A fade of the co-polar port widens, a deep
 one leaves the block out; three hours without a block of use are told. Where blocks keep disagreeing the polarimeter is
-refused until the next alignment, and yaw is known as if it had measured nothing for long. The law of this file: blocks
-in, a verdict and the next watch out.
+refused until the next alignment, and yaw is known as if it had measured nothing for long. At an alignment yaw is known:
+a first block beyond two sigma says that a feed does not stand where the calibration saw it, and its offset is free. The
+law of this file: blocks in, a verdict and the next watch out.
 """
 
 import math
@@ -90,7 +91,8 @@ def push_block(
     """
     if watch.is_refused or block.epoch_us <= watch.newest_us:
         return watch, gaussian, NO_EFFECT
-    hours = 0.0 if watch.newest_us == NEVER_US else (block.epoch_us - watch.newest_us) / 3.6e9
+    is_first = watch.newest_us == NEVER_US
+    hours = 0.0 if is_first else (block.epoch_us - watch.newest_us) / 3.6e9
     keep, clear_dbm = math.exp(-hours / _MEMORY_H), _clear_dbm(watch.clear_dbm, block.co_power_dbm, hours)
     watch = watch._replace(
         newest_us=block.epoch_us,
@@ -107,7 +109,11 @@ def push_block(
     variance_deg2 = block.variance_deg2 + (_RAIN_DEG_DB * fade_db) ** 2
     after_h = (block.epoch_us - epoch_us) / 3.6e9
     found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
-    excess = abs(found.innovation_deg) / math.sqrt(found.variance_deg2)
+    if is_first and polarimeter.learned is not None and found.excess > _TRUSTED:
+        watch = watch._replace(moved_us=block.epoch_us) if found.excess > _GATE else watch
+        gaussian = with_moved_feed(gaussian, first)
+        found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
+    excess = found.excess
     if excess <= _GATE:
         found = found.widened(variance_deg2 * (max(excess / _TRUSTED, 1.0) ** 2 - 1.0))
         judged = _judged(watch._replace(skipped=0), updated_by_angle(gaussian, found), excess**2)

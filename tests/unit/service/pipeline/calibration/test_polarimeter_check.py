@@ -8,7 +8,7 @@ import pytest
 from geometry_payload import GeometryPayload
 from turned_wheels import MINUTE_US, SCENARIO, turned_deg
 
-from service.core.estimation.filtering.model.polarimeter import ratio_db
+from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
 from service.pipeline.calibration.polarimeter_check import polarimeter_checks, polarimeter_quality, polarimeter_warnings
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
@@ -84,3 +84,36 @@ def test_too_little_is_not_checked_and_says_why(records: int, reason: str) -> No
     checks = polarimeter_checks(data(records=records), CONFIG)
     assert [check.verdict for check in checks] == [MotionVerdict.UNCHECKED]
     assert reason in polarimeter_warnings(checks)[0]
+
+
+def test_the_feed_is_told_with_its_leakage_whatever_the_catalogue_states() -> None:
+    (check,), (other,) = (
+        polarimeter_checks(data(stated=(replace(STATED, feed_offset_deg=at),)), CONFIG) for at in (10, 9)
+    )
+    assert check.feed is not None
+    assert other.feed is not None
+    sigma_deg = math.sqrt(check.feed.covariance[0][0])
+    print(f"seed {SEED}", check.feed)
+    assert check.feed.mean[0] == pytest.approx(10.8, abs=4.0 * sigma_deg)
+    assert other.feed.mean == pytest.approx(check.feed.mean, abs=1e-3)
+    figures = polarimeter_quality((check,))
+    assert figures["polarimeter_feed_turn_deg"] == check.feed.mean[0]
+    assert figures["polarimeter_feed_turn_sigma_deg"] == sigma_deg
+    assert figures["polarimeter_leakage_sigma_deg"] == pytest.approx(0.72, abs=0.02)
+    assert figures["polarimeter_daily_deg"] == pytest.approx(math.hypot(*check.feed.mean[1:]))
+
+
+def test_a_feed_far_from_where_the_catalogue_puts_it_is_named_and_used() -> None:
+    checks = polarimeter_checks(data(stated=(replace(STATED, feed_offset_deg=5.0),)), CONFIG)
+    assert [check.verdict for check in checks] == [MotionVerdict.CONSISTENT]
+    (text,) = polarimeter_warnings(checks)
+    assert text.startswith("polarimeter p is used: its feed is turned by 11.0 +- 0.7 deg, the catalogue states 5;")
+
+
+def test_angles_and_ratios_with_a_feed_of_their_own_tell_nothing_of_a_feed() -> None:
+    made = data()
+    own = tuple(replace(one, feed_offset_deg=10.0) for one in made.polarization)
+    angles = tuple(replace(one, ratio_db=None, angle_deg=angle_deg(10.0, one.ratio_db or 0.0)) for one in own)
+    for records in (own, angles):
+        (check,) = polarimeter_checks(replace(made, polarization=records), CONFIG)
+        assert (check.verdict, check.feed) == (MotionVerdict.CONSISTENT, None)

@@ -6,14 +6,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.model.polarimeter import faraday_deg, ratio_db
+from service.core.estimation.filtering.model.polarimeter import faraday_deg, ratio_db, slope_db_deg
 from service.core.geometry.frames import body_from_nadir
 from service.pipeline.inputs.polarization import (
     due_block,
+    every_block,
     line_of_sight,
     polarimeter_models,
     used_polarimeters,
     with_polarization_record,
+)
+from service.records.calibration import (
+    Calibration,
+    CalibrationMethod,
+    CalibrationRequest,
+    CalibrationResult,
+    CalibrationState,
+    FeedFit,
+    MotionVerdict,
+    PolarimeterCheck,
+    Window,
 )
 from service.records.catalogue import Polarimeter, Site, Spacecraft
 from service.records.inputs import PolarizationRecord
@@ -85,4 +97,35 @@ def test_a_record_states_its_own_feed_and_noise() -> None:
     block = due_block((row,), STATED, -(1 << 62), 0)
     assert block is not None
     assert block.angle_deg == pytest.approx(0.3)
-    assert block.variance_deg2 == pytest.approx(0.5 * math.pi * 0.01, rel=0.01)
+    # by the slope where the ratio stands
+    assert block.variance_deg2 == pytest.approx(0.5 * math.pi * (0.175 / slope_db_deg(4.7)) ** 2)
+    for steepest_db in (-300.0, 300.0):
+        told = due_block((replace(row, ratio_db=steepest_db),), STATED, -(1 << 62), 0)
+        assert told is not None
+        assert told.variance_deg2 == pytest.approx(0.5 * math.pi * (0.175 / slope_db_deg(0.5)) ** 2)
+
+
+def test_what_a_calibration_told_of_a_feed_counts_from_the_catalogue_and_ages() -> None:
+    told = FeedFit(
+        (10.6, 0.02, -0.01), ((4e-4, 1e-5, 0.0), (1e-5, 1e-4, 0.0), (0.0, 0.0, 1e-4)), 0.1, 0.7, 3_600_000_000
+    )
+    check = PolarimeterCheck("p", MotionVerdict.CONSISTENT, "", 1.0, 0.02, told)
+    request = CalibrationRequest(Window(0, 1), Window(0, 1), CalibrationMethod.GEOMETRY)
+    result = CalibrationResult((), None, {}, (), polarimeters=(check,))
+    made = Calibration(1, 1, 1, CalibrationState.ACTIVE, request, 0, "test", result)
+    stated = replace(STATED, daily_deg=0.04, offset_walk_deg_sqrt_h=0.01)
+    read = [polarimeter_models(CRAFT, (stated,), made, (1 + hours) * 3_600_000_000)[0] for hours in (0, 9, 10_000)]
+    fresh, later, last = (np.array(one.learned.covariance) for one in read if one.learned is not None)
+    assert all(one.learned is not None and one.learned.mean == pytest.approx((0.6, 0.02, -0.01)) for one in read)
+    assert fresh == pytest.approx(np.array(told.covariance) + np.diag([0.0, 4e-4, 4e-4]))
+    assert (later - fresh)[0, 0] == pytest.approx(9e-4)
+    assert last[1, 1] == pytest.approx(1e-4 + 1.25 * 0.04**2)
+    assert polarimeter_models(CRAFT, (replace(stated, source="q"),), made)[0].learned is None
+
+
+def test_blocks_follow_one_another_without_a_record_twice() -> None:
+    rows = [PolarizationRecord("p", minute * MINUTE_US, ratio_db(10.0, 0.1 + 0.01 * minute)) for minute in range(22)]
+    found = every_block(rows, STATED)
+    assert [one.epoch_us // MINUTE_US for one in found] == [5, 10, 15, 20]
+    assert found[1].angle_deg == pytest.approx(0.18)
+    assert every_block([], STATED) == []

@@ -115,6 +115,18 @@ def test_of_quiet_days_it_is_given_telemetry_a_minute_apart_and_unloadings(groun
     assert seconds == [0, 60, 80, 140, 200, 260, 320, 380, 440]
 
 
+def test_of_quiet_days_it_is_given_angles_of_each_polarimeter_a_minute_apart(ground, seen):
+    quiet = ground.payload.request.quiet
+    told = [
+        PolarizationRecord(source, quiet.start_us + 20_000_000 * k, ratio_db=-15.0) for k in range(7) for source in "pq"
+    ]
+    ground.storage.archive.append_inputs(ground.id, told)
+    with patch.object(calibrating, "_MAX_RECORDS", 4):
+        run(ground, ground.payload.request)
+    seconds = [(one.source, (one.epoch_us - quiet.start_us) // 1_000_000) for one in seen[0].polarization]
+    assert seconds == [(source, second) for second in (0, 60, 120) for source in "pq"]
+
+
 def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
     with patch.object(calibrating, "calibrate_paper", side_effect=JobAbortedError("the service is stopping")):
         calibration, job = run(ground, ground.payload.request)

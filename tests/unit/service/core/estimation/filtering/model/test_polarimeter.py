@@ -5,7 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings, MomentumModel, PolarimeterModel
+from service.core.estimation.filtering.model.filter_model import (
+    FilterSettings,
+    LearnedFeed,
+    MomentumModel,
+    PolarimeterModel,
+)
 from service.core.estimation.filtering.model.filter_state import Gaussian
 from service.core.estimation.filtering.model.hidden_motion import hidden_noise, momentum_count, sensor_states
 from service.core.estimation.filtering.model.polarimeter import (
@@ -16,6 +21,7 @@ from service.core.estimation.filtering.model.polarimeter import (
     ratio_db,
     slope_db_deg,
     updated_by_angle,
+    with_learned_feeds,
 )
 
 READ = PolarimeterModel((0.99, -0.09, -0.13))
@@ -84,3 +90,16 @@ def test_states_of_polarimeters_stand_behind_those_of_the_wheels_and_only_the_wa
     np.testing.assert_array_equal(np.flatnonzero(sigma), [2 + own + 3, 2 + own + 7])
     np.testing.assert_array_equal(tau_s[np.isfinite(tau_s)], [4 * 3600.0, 2 * 3600.0])
     assert polarimeter_covariance(settings).diagonal()[[3, 7]] == pytest.approx([0.05**2, 0.1**2])
+
+
+def test_a_filter_begins_with_what_quiet_days_told_of_each_feed() -> None:
+    told = LearnedFeed((0.6, 0.02, -0.01), ((4e-4, 1e-5, 0.0), (1e-5, 1e-4, 0.0), (0.0, 0.0, 1e-4)))
+    settings = FilterSettings(polarimeters=(READ, READ._replace(learned=told)))
+    covariance = polarimeter_covariance(settings)
+    begun = with_learned_feeds(Gaussian(np.zeros(8), covariance), 0, settings)
+    np.testing.assert_array_equal(begun.mean, [0.0, 0.0, 0.0, 0.0, 0.6, 0.02, -0.01, 0.0])
+    np.testing.assert_array_equal(begun.covariance[4:7, 4:7], told.covariance)
+    np.testing.assert_array_equal(begun.covariance[:4, :4], covariance[:4, :4])
+    assert begun.covariance[7, 7] == covariance[7, 7]
+    unknown = Gaussian(np.zeros(4), covariance[:4, :4])
+    assert with_learned_feeds(unknown, 0, FilterSettings(polarimeters=(READ,))) is unknown

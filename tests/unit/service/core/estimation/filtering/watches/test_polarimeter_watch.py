@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.model.filter_model import PolarimeterModel
+from service.core.estimation.filtering.model.filter_model import LearnedFeed, PolarimeterModel
 from service.core.estimation.filtering.model.filter_state import Gaussian
 from service.core.estimation.filtering.watches.polarimeter_watch import (
     AngleBlock,
@@ -103,3 +103,20 @@ def test_a_polarimeter_that_keeps_disagreeing_is_refused_and_yaw_known_less() ->
     assert "polarimeter_refused" in advice(judged)
     assert judged[1].covariance[0, 0] >= 0.2**2
     assert pushed(judged, 1.0)[0] is judged[0]
+
+
+@pytest.mark.parametrize(
+    ("moved_deg", "is_free", "is_reported"), [(0.1, False, False), (0.25, True, False), (0.6, True, True)]
+)
+def test_a_first_angle_off_what_the_calibration_saw_frees_the_offset(
+    moved_deg: float, is_free: bool, is_reported: bool
+) -> None:
+    sigma = [0.02, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 0.02, 0.03, 0.03, 0.05]
+    begun, block = Gaussian(np.zeros(SIZE), np.diag(np.square(sigma))), AngleBlock(STEP_US, moved_deg, 0.002, -55.0)
+    learned = READ._replace(learned=LearnedFeed((0.0,) * 3, tuple(map(tuple, np.diag([4e-4, 9e-4, 9e-4]).tolist()))))
+    watch, gaussian, _ = push_block(PolarimeterWatch(0), begun, FIRST, block, STEP_US, learned)
+    assert advice((watch, gaussian)) == ["polarimeter_moved"] * is_reported
+    assert bool(gaussian.mean[FIRST] > 0.9 * moved_deg) is is_free
+    # without a calibration of the feed nothing of the kind is asked
+    free = push_block(PolarimeterWatch(0), begun, FIRST, block, STEP_US, READ)[1]
+    assert free.mean[FIRST] < 0.5 * moved_deg
