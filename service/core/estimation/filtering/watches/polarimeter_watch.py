@@ -15,7 +15,12 @@ import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import FloatArray, PolarimeterModel
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
-from service.core.estimation.filtering.model.polarimeter import compared_angle, updated_by_angle, with_moved_feed
+from service.core.estimation.filtering.model.polarimeter import (
+    WANDER,
+    compared_angle,
+    updated_by_angle,
+    with_moved_feed,
+)
 from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.watches.momentum_watch import SILENT_US
 
@@ -111,7 +116,7 @@ def push_block(
     found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
     if is_first and polarimeter.learned is not None and found.excess > _TRUSTED:
         watch = watch._replace(moved_us=block.epoch_us) if found.excess > _GATE else watch
-        gaussian = with_moved_feed(gaussian, first)
+        gaussian = _with_other_feed(gaussian, first, polarimeter)
         found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
     excess = found.excess
     if excess <= _GATE:
@@ -122,7 +127,17 @@ def push_block(
     if watch.skipped < _MOVED_BLOCKS or fade_db > 0.0:
         return *_judged(watch, gaussian, excess**2), NO_EFFECT
     moved = watch._replace(skipped=0, moves=watch.moves + 1.0, moved_us=block.epoch_us, blocks=0.0, squares=0.0)
-    return *_judged(moved, with_moved_feed(gaussian, first), 0.0), NO_EFFECT
+    return *_judged(moved, _with_other_feed(gaussian, first, polarimeter), 0.0), NO_EFFECT
+
+
+def _with_other_feed(gaussian: Gaussian, first: int, polarimeter: PolarimeterModel) -> Gaussian:
+    """Return the state whose offset is free; what a calibration learned of the wave may hold no more."""
+    if polarimeter.learned is not None:
+        wave = np.arange(first + 1, first + WANDER)
+        covariance = gaussian.covariance.copy()
+        covariance[wave, wave] += polarimeter.daily_deg**2
+        gaussian = Gaussian(gaussian.mean, covariance)
+    return with_moved_feed(gaussian, first)
 
 
 def _clear_dbm(clear_dbm: float, power_dbm: float, hours: float) -> float:

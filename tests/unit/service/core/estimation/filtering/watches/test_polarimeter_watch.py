@@ -117,6 +117,8 @@ def test_a_first_angle_off_what_the_calibration_saw_frees_the_offset(
     watch, gaussian, _ = push_block(PolarimeterWatch(0), begun, FIRST, block, STEP_US, learned)
     assert advice((watch, gaussian)) == ["polarimeter_moved"] * is_reported
     assert bool(gaussian.mean[FIRST] > 0.9 * moved_deg) is is_free
+    # what was learned of the wave was learned of another feed
+    assert bool(gaussian.covariance[FIRST + 1, FIRST + 1] > 0.05**2) is is_free
     # without a calibration of the feed nothing of the kind is asked
     free = push_block(PolarimeterWatch(0), begun, FIRST, block, STEP_US, READ)[1]
     assert free.mean[FIRST] < 0.5 * moved_deg
