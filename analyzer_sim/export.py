@@ -38,6 +38,8 @@ drift_sigma_deg_h           (3,)       truth, drift of the inertial model, order
 drift_tau_s                 ()         truth, its correlation time
 is_coupled                  ()         truth, whether roll and yaw exchange
 correction_scale_sigma      ()         truth, error of the effect of corrections, relative
+motion_json                 ()         truth, statistics of wheels, rates and polarimeter (`motion_statistics.py`)
+polarimeter_turn_deg        (T,)       truth, turn of the body that a polarimeter follows; (0,) = there is none
 phase_name                  (P,)       quiet, turns, perhaps pause, alignment, operation
 phase_start_us, _stop_us    (P,)       start inclusive, stop exclusive
 reference_epoch_us          (R,)       references of all sensors, in order of epoch, until operation begins
@@ -74,11 +76,13 @@ import numpy as np
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.ground.ground import catalogue_lines, events
+from analyzer_sim.world.motion_statistics import motion_statistics
 from analyzer_sim.world.orbit.orbit import predicted_track
 from analyzer_sim.world.payload.carriers import ROLLOFF
 from analyzer_sim.world.payload.effects import SOURCES
 from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from analyzer_sim.world.payload.user_noise import carrier_noise, sweep_sigma_db
+from analyzer_sim.world.polarimeter import body_turn_deg
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world.sensors import References
@@ -192,7 +196,17 @@ def _statistics(world: World, sweep_noise: float) -> dict[str, Any]:
         "drift_tau_s": keeping.drift_tau_s,
         "is_coupled": keeping.is_coupled,
         "correction_scale_sigma": keeping.scale_error,
+        "motion_json": json.dumps(motion_statistics(world), allow_nan=False),
+        "polarimeter_turn_deg": _polarimeter_turn_deg(world),
     }
+
+
+def _polarimeter_turn_deg(world: World) -> FloatArray:
+    """Return the turn (T,) that the polarimeter follows, (0,) where there is none."""
+    if world.scenario.polarimeter is None:
+        return np.empty(0)
+    rows = world.rows
+    return body_turn_deg(world.orbit, world.plan.receiving_site, rows.epochs_us, rows.attitude_deg)
 
 
 def _ground_events(world: World) -> dict[str, Any]:

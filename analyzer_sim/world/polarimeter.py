@@ -23,6 +23,8 @@ from analyzer_sim.world.scenario.story import PolarimeterFigures, Scenario
 SOURCE = "polarimeter-1"
 FREQUENCY_HZ = 11.2e9
 FIELD_T = 4.0e-5
+#: turn by 3 dB of rain at the site, deg, either way, and correlation time of the wander of the leakage, s
+RAIN_DEG, WANDER_TAU_S = (0.1, 0.3), 4 * 3600.0
 #: co-polar power in clear sky, dBm, and its noise, dB
 _CLEAR_DBM, _POWER_NOISE_DB = -55.0, 0.1
 _TECU = 1e16
@@ -56,7 +58,7 @@ def polarization_reports(
     storm = np.where(hours >= figures.storm_from_h, figures.storm_factor, 1.0)
     rotation_deg = _rotation_deg(storm * tec_tecu)
     rng = stream(seed, "polarimeter")
-    rain_deg = rng.choice([-1.0, 1.0]) * rng.uniform(0.1, 0.3) / 3.0 * fade_db
+    rain_deg = rng.choice([-1.0, 1.0]) * rng.uniform(*RAIN_DEG) / 3.0 * fade_db
     step_deg = np.where(hours >= figures.feed_turn_from_h, figures.feed_turn_deg, 0.0)
     turn_deg = body_turn_deg(orbit, site, epochs_us, attitude_deg)
     white_deg = figures.white_deg * stream(seed, "polarimeter white").normal(size=len(epochs_us))
@@ -95,7 +97,7 @@ def _leakage_deg(
     rng = stream(seed, "polarimeter leakage")
     constant = figures.leakage_deg * np.cos(rng.uniform(0.0, 2.0 * np.pi))
     wave = daily_wave(rng, (epochs_us - scenario.start_us) / US_PER_S, figures.daily_deg)
-    wander = first_order(rng, len(epochs_us), scenario.row_period_s, figures.wander_deg, 4 * 3600.0)
+    wander = first_order(rng, len(epochs_us), scenario.row_period_s, figures.wander_deg, WANDER_TAU_S)
     return np.asarray(constant + wave + wander + figures.leak_drift_deg_h * np.maximum(0.0, hours))
 
 

@@ -23,6 +23,8 @@ from analyzer_sim.world.spacecraft.wheels import AXES, ROTOR_KG_M2
 UNLOADING_H = 12
 #: momentum of one rpm of a rotor
 QUANTUM_N_M_S = ROTOR_KG_M2 * np.pi / 30.0
+#: greatest momentum along roll and yaw after an unloading, share of its size
+UNLOADED_SHARE = 0.3
 _DAY_RAD_US = 2.0 * np.pi / (24 * US_PER_H)
 
 
@@ -63,7 +65,7 @@ def with_errors(figures: WheelTelemetry, seed: int, stored: FloatArray, noise: F
 def unloaded(figures: WheelTelemetry, seed: int, number: int) -> FloatArray:
     """Return the momentum (3,) that an unloading leaves."""
     rng = stream(seed, "unloading", str(number))
-    x, z = rng.uniform(-0.3, 0.3, 2) * figures.unloading_n_m_s
+    x, z = rng.uniform(-UNLOADED_SHARE, UNLOADED_SHARE, 2) * figures.unloading_n_m_s
     return np.array([x, figures.bias_n_m_s, z])
 
 

@@ -35,6 +35,7 @@ from service.study.estimation.flight.catalogue_lines import (
     read_spacecraft,
     read_telemetry,
 )
+from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED, MotionStatistics, read_motion_statistics
 
 AXES = ("yaw", "roll", "pitch")
 
@@ -136,6 +137,8 @@ class TrueStatistics:
     is_coupled: bool
     #: relative error of the effect of corrections
     correction_scale_sigma: float
+    #: of what is measured beside powers
+    motion: MotionStatistics = NOTHING_MEASURED
 
 
 @dataclass(frozen=True)
@@ -290,7 +293,10 @@ def _truth(arrays: Arrays) -> Truth:
         stations=tuple(str(name) for name in arrays["station_name"]),
         station_loss_db=arrays["uplink_fade_db"],
         witnesses=_references(arrays, "witness"),
-        statistics=TrueStatistics(**{field.name: _value(arrays[field.name]) for field in fields(TrueStatistics)}),
+        statistics=TrueStatistics(
+            **{field.name: _value(arrays[field.name]) for field in fields(TrueStatistics) if field.name != "motion"},
+            motion=read_motion_statistics(str(arrays["motion_json"]), arrays["polarimeter_turn_deg"]),
+        ),
     )
 
 

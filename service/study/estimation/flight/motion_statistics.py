@@ -1,0 +1,102 @@
+"""True statistics of measured motion, as the simulator states them beside a world; sizes are one standard deviation."""
+
+import json
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from service.records.levels.attitude import FloatArray
+
+
+@dataclass(frozen=True)
+class WheelStatistics:
+    """Reports of the wheels' momentum, and the torque that gathers in them."""
+
+    #: momentum along pitch that an unloading restores, and what it leaves along roll and yaw
+    bias_n_m_s: float
+    unloaded_n_m_s: float
+    unloading_us: tuple[int, ...]
+    #: of a report: noise, momentum of a step of its digits, misalignment and relative scale of each axis
+    noise_n_m_s: float
+    quantum_n_m_s: float
+    misalignment_deg: float
+    scale_error: float
+    #: share of the stated profile that all axes have wrong, and that of each axis
+    profile_error: float
+    axis_profile_error: float
+    #: size of the daily wave, and the amplitude of that of half a day as a share of it
+    torque_n_m: float
+    half_day_share: float
+    #: torque of first order
+    unknown_n_m: float
+    unknown_tau_s: float
+
+
+@dataclass(frozen=True)
+class RateStatistics:
+    """Rate sensor beside the loop."""
+
+    #: bias of first order as stated, and how many times as large it is
+    bias_deg_h: float
+    bias_tau_h: float
+    bias_factor: float
+    #: angle random walk
+    noise_deg_sqrt_h: float
+
+
+@dataclass(frozen=True)
+class PolarimeterStatistics:
+    """Polarimeter at the receiving site."""
+
+    #: (3,) turn that it follows by yaw, roll, pitch, deg/deg
+    sight: tuple[float, float, float]
+    feed_offset_deg: float
+    white_deg: float
+    #: amplitudes of the constant leakage and of its daily wave; its wander, and its drift in operation
+    leakage_deg: float
+    daily_deg: float
+    wander_deg: float
+    wander_tau_s: float
+    leak_drift_deg_h: float
+    #: of the reported electron content, relative; the true one is so many times as large from an epoch on
+    map_error: float
+    storm_factor: float
+    storm_from_us: int
+    #: turn by rain at the site, either way
+    rain_deg_db: float
+    #: turn of the feed at an epoch
+    feed_turn_deg: float
+    feed_turn_from_us: int
+
+
+class MotionStatistics(NamedTuple):
+    """What is measured of the motion beside powers; None = nothing."""
+
+    wheels: WheelStatistics | None = None
+    rates: RateStatistics | None = None
+    polarimeter: PolarimeterStatistics | None = None
+    #: (T,) deg, turn of the body that the polarimeter follows; (0,) = there is none
+    polarimeter_turn_deg: FloatArray = np.empty(0)
+
+
+#: powers alone
+NOTHING_MEASURED = MotionStatistics()
+
+
+def read_motion_statistics(text: str, polarimeter_turn_deg: FloatArray) -> MotionStatistics:
+    """Return the statistics of a world by its keys ``motion_json`` and ``polarimeter_turn_deg``."""
+    stated = json.loads(text)
+    wheels, rates, polarimeter = (stated[name] for name in ("wheels", "rates", "polarimeter"))
+    return MotionStatistics(
+        None if wheels is None else WheelStatistics(**_known(WheelStatistics, wheels)),
+        None if rates is None else RateStatistics(**_known(RateStatistics, rates)),
+        None if polarimeter is None else PolarimeterStatistics(**_known(PolarimeterStatistics, polarimeter)),
+        polarimeter_turn_deg,
+    )
+
+
+def _known(kind: type[Any], stated: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures that a kind knows by their names."""
+    named = {field.name: stated[field.name] for field in fields(kind)}
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in named.items()}
