@@ -1,4 +1,4 @@
 """Simulated world: spacecraft, orbit, beams, carriers, weather, scenarios, and the ground that measures.
 
-Public: scenario_table, sensors, world.
+Public: motion_statistics, polarimeter, scenario_table, sensors, world.
 """

@@ -13,7 +13,7 @@ from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
 from service.study.estimation.flight.baselines import BASELINES, UNINFORMED
 from service.study.estimation.flight.drive import UndrivenError
-from service.study.estimation.flight.oracle import ORACLE
+from service.study.estimation.flight.oracle.filter import ORACLE
 from service.study.estimation.measures import statistics_of
 from service.study.estimation.nights import night_statistics
 from service.study.estimation.scenarios import SNAPSHOT

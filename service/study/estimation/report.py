@@ -14,7 +14,7 @@ from service.study.estimation.accuracy import AXES, Statistics
 from service.study.estimation.bounds import Judged, Mark
 from service.study.estimation.campaign import METHODS, Campaign, versions
 from service.study.estimation.flight.baselines import BASELINES
-from service.study.estimation.flight.oracle import ORACLE
+from service.study.estimation.flight.oracle.filter import ORACLE
 
 MARKER_BEGIN = "<!-- soo study estimation: begin -->"
 MARKER_END = "<!-- soo study estimation: end -->"

@@ -17,7 +17,7 @@ from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import Accuracy, measure_accuracy
 from service.study.estimation.flight.baselines import baseline_answers
 from service.study.estimation.flight.drive import Driven, UndrivenError, drive
-from service.study.estimation.flight.oracle import ORACLE, oracle_series
+from service.study.estimation.flight.oracle.filter import ORACLE, oracle_series
 from service.study.estimation.flight.world import World, export_world, read_world
 from service.study.estimation.measures import Measures, judged_rows, measure_method
 from service.study.estimation.smoothing_gain import SmoothingGain, measure_gain

@@ -1,4 +1,4 @@
 """Flight of the chain over one simulated world of the estimation study.
 
-Public: baselines, catalogue_lines, drive, episodes, motion_statistics, oracle, past, world.
+Public: baselines, catalogue_lines, drive, episodes, past, world.
 """

@@ -10,7 +10,7 @@ from service.records.levels.attitude import FloatArray
 
 
 @dataclass(frozen=True)
-class WheelStatistics:
+class TrueWheels:
     """Reports of the wheels' momentum, and the torque that gathers in them."""
 
     #: momentum along pitch that an unloading restores, and what it leaves along roll and yaw
@@ -34,7 +34,7 @@ class WheelStatistics:
 
 
 @dataclass(frozen=True)
-class RateStatistics:
+class TrueRates:
     """Rate sensor beside the loop."""
 
     #: bias of first order as stated, and how many times as large it is
@@ -46,7 +46,7 @@ class RateStatistics:
 
 
 @dataclass(frozen=True)
-class PolarimeterStatistics:
+class TruePolarimeter:
     """Polarimeter at the receiving site."""
 
     #: (3,) turn that it follows by yaw, roll, pitch, deg/deg
@@ -70,28 +70,28 @@ class PolarimeterStatistics:
     feed_turn_from_us: int
 
 
-class MotionStatistics(NamedTuple):
-    """What is measured of the motion beside powers; None = nothing."""
+class TrueMotion(NamedTuple):
+    """Measurements of the motion beside powers; None = there is none."""
 
-    wheels: WheelStatistics | None = None
-    rates: RateStatistics | None = None
-    polarimeter: PolarimeterStatistics | None = None
+    wheels: TrueWheels | None = None
+    rates: TrueRates | None = None
+    polarimeter: TruePolarimeter | None = None
     #: (T,) deg, turn of the body that the polarimeter follows; (0,) = there is none
     polarimeter_turn_deg: FloatArray = np.empty(0)
 
 
 #: powers alone
-NOTHING_MEASURED = MotionStatistics()
+NOTHING_MEASURED = TrueMotion()
 
 
-def read_motion_statistics(text: str, polarimeter_turn_deg: FloatArray) -> MotionStatistics:
+def read_motion_statistics(text: str, polarimeter_turn_deg: FloatArray) -> TrueMotion:
     """Return the statistics of a world by its keys ``motion_json`` and ``polarimeter_turn_deg``."""
     stated = json.loads(text)
     wheels, rates, polarimeter = (stated[name] for name in ("wheels", "rates", "polarimeter"))
-    return MotionStatistics(
-        None if wheels is None else WheelStatistics(**_known(WheelStatistics, wheels)),
-        None if rates is None else RateStatistics(**_known(RateStatistics, rates)),
-        None if polarimeter is None else PolarimeterStatistics(**_known(PolarimeterStatistics, polarimeter)),
+    return TrueMotion(
+        None if wheels is None else TrueWheels(**_known(TrueWheels, wheels)),
+        None if rates is None else TrueRates(**_known(TrueRates, rates)),
+        None if polarimeter is None else TruePolarimeter(**_known(TruePolarimeter, polarimeter)),
         polarimeter_turn_deg,
     )
 

@@ -35,7 +35,7 @@ from service.study.estimation.flight.catalogue_lines import (
     read_spacecraft,
     read_telemetry,
 )
-from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED, MotionStatistics, read_motion_statistics
+from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED, TrueMotion, read_motion_statistics
 
 AXES = ("yaw", "roll", "pitch")
 
@@ -138,7 +138,7 @@ class TrueStatistics:
     #: relative error of the effect of corrections
     correction_scale_sigma: float
     #: of what is measured beside powers
-    motion: MotionStatistics = NOTHING_MEASURED
+    motion: TrueMotion = NOTHING_MEASURED
 
 
 @dataclass(frozen=True)

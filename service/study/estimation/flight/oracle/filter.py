@@ -25,9 +25,9 @@ from service.study.estimation.flight.oracle.flown_rows import (
     DRIFTS,
     MOTION,
     FlownRows,
-    Gaussian,
     MeasuredStates,
-    Reading,
+    OracleMeasurement,
+    OracleState,
     flown_rows,
 )
 from service.study.estimation.flight.oracle.polarimeter import PolarimeterStates
@@ -130,7 +130,7 @@ class _Flight:
         """Correct the filter by what is measured of the motion from a row to a later one, and carry it along."""
         for one in self._measured:
             self._update(one.during(last, row, len(self._state)))
-            one.move(Gaussian(self._state, self._covariance), last, row)
+            one.move(OracleState(self._state, self._covariance), last, row)
 
     def _know(self, row: int) -> None:
         """Take the true attitude for what the sensor tells."""
@@ -175,9 +175,9 @@ class _Flight:
         white = np.diag(self._statistics.white_db[used] ** 2) + self._rain_db[row] ** 2
         # slopes are those at the true attitude, so that powers are linear in the error of the angles
         measured = self._residual_db[row, used] + slopes @ self._attitude_deg[row]
-        self._update(Reading(design, measured, white))
+        self._update(OracleMeasurement(design, measured, white))
 
-    def _update(self, reading: Reading | None) -> None:
+    def _update(self, reading: OracleMeasurement | None) -> None:
         """Correct the filter by measurements, if there are any."""
         if reading is None:
             return

@@ -1,4 +1,4 @@
-"""What the oracle's parts share: rows as they were flown, and a measurement of its states."""
+"""Rows as they were flown, and measurements of the oracle's states: the parts that filter and sensors share."""
 
 from typing import NamedTuple
 
@@ -33,14 +33,14 @@ class FlownRows(NamedTuple):
         return np.vstack([np.zeros(3), np.cumsum(gained, axis=0)])
 
 
-class Gaussian(NamedTuple):
+class OracleState(NamedTuple):
     """Mean (D,) and covariance (D, D) of the states; both are changed in place."""
 
     mean: FloatArray
     covariance: FloatArray
 
 
-class Reading(NamedTuple):
+class OracleMeasurement(NamedTuple):
     """M measurements of D states."""
 
     #: (M, D), (M,) and the covariance (M, M) of the noise
@@ -53,16 +53,16 @@ class MeasuredStates:
     """States of what is measured beside powers; they stand together behind those of the noise."""
 
     #: at the first row, and correlation times (E,), h; infinite = constant
-    beginning: Gaussian
+    beginning: OracleState
     tau_h: FloatArray
 
-    def during(self, last: int, row: int, states: int) -> Reading | None:
+    def during(self, last: int, row: int, states: int) -> OracleMeasurement | None:
         """Return what is measured of the motion from a row to a later one by `states` in all."""
 
-    def move(self, gaussian: Gaussian, last: int, row: int) -> None:
+    def move(self, gaussian: OracleState, last: int, row: int) -> None:
         """Carry the states from a row to a later one, in place, beside their own decay."""
 
-    def at(self, row: int, states: int) -> Reading | None:
+    def at(self, row: int, states: int) -> OracleMeasurement | None:
         """Return what is measured at a row by `states` in all."""
 
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from service.records.inputs import PolarizationRecord
 from service.records.levels.attitude import FloatArray
-from service.study.estimation.flight.motion_statistics import PolarimeterStatistics
+from service.study.estimation.flight.motion_statistics import TruePolarimeter
 from service.study.estimation.flight.oracle.flown_rows import (
     ANGLES,
     FlownRows,
-    Gaussian,
     MeasuredStates,
-    Reading,
+    OracleMeasurement,
+    OracleState,
 )
 from service.study.estimation.flight.world import Ground, Truth
 
@@ -38,7 +38,7 @@ class PolarimeterStates(MeasuredStates):
         ground: Ground,
         truth: Truth,
         flown: FlownRows,
-        statistics: PolarimeterStatistics,
+        statistics: TruePolarimeter,
         turn_deg: FloatArray,
         first: int,
     ) -> None:
@@ -56,17 +56,17 @@ class PolarimeterStates(MeasuredStates):
         offset, wander = leak * statistics.leakage_deg / math.sqrt(2.0), leak * statistics.wander_deg
         drift = leak * statistics.leak_drift_deg_h
         sigma = [offset, daily, daily, wander, statistics.map_error, statistics.rain_deg_db, drift]
-        self.beginning = Gaussian(np.zeros(_STATES), np.diag(np.square(sigma)))
+        self.beginning = OracleState(np.zeros(_STATES), np.diag(np.square(sigma)))
         self.tau_h = np.full(_STATES, np.inf)
         self.tau_h[3] = statistics.wander_tau_s / 3600.0
 
-    def move(self, gaussian: Gaussian, last: int, row: int) -> None:
+    def move(self, gaussian: OracleState, last: int, row: int) -> None:
         """Free the offset where the feed turns, in place."""
         from_us, to_us = self._flown.epochs_us[last], self._flown.epochs_us[row]
         if from_us < self._statistics.feed_turn_from_us <= to_us:
             gaussian.covariance[self._first, self._first] += self._statistics.feed_turn_deg**2
 
-    def at(self, row: int, states: int) -> Reading | None:
+    def at(self, row: int, states: int) -> OracleMeasurement | None:
         """Return the angle of a row, None without one."""
         epoch_us = int(self._flown.epochs_us[row])
         record = self._records.get(epoch_us)
@@ -89,7 +89,7 @@ class PolarimeterStates(MeasuredStates):
         )
         angle_deg = math.degrees(math.atan(10.0 ** (record.ratio_db / 20.0))) - true.feed_offset_deg
         measured = np.array([angle_deg - rotation_deg + self._other_deg[row]])
-        return Reading(design, measured, np.array([[true.white_deg**2]]))
+        return OracleMeasurement(design, measured, np.array([[true.white_deg**2]]))
 
 
 def _records(ground: Ground) -> dict[int, PolarizationRecord]:

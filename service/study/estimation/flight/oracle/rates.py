@@ -9,14 +9,14 @@ import numpy as np
 
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import FloatArray
-from service.study.estimation.flight.motion_statistics import RateStatistics
+from service.study.estimation.flight.motion_statistics import TrueRates
 from service.study.estimation.flight.oracle.flown_rows import (
     DRIFTS,
     SCALES,
     FlownRows,
-    Gaussian,
     MeasuredStates,
-    Reading,
+    OracleMeasurement,
+    OracleState,
 )
 from service.study.estimation.flight.world import Ground
 
@@ -29,14 +29,14 @@ _FASTEST_DEG_H, _LONGEST_H = 1.0, 1.0
 class RateStates(MeasuredStates):
     """Bias of the sensor: three states from a place on."""
 
-    def __init__(self, ground: Ground, flown: FlownRows, statistics: RateStatistics, first: int) -> None:
+    def __init__(self, ground: Ground, flown: FlownRows, statistics: TrueRates, first: int) -> None:
         self._flown, self._statistics, self._own = flown, statistics, slice(first, first + 3)
         self._known_deg, self._reported_deg = flown.inertial_deg, _reported_deg(ground, flown)
         sigma = statistics.bias_factor * statistics.bias_deg_h
-        self.beginning = Gaussian(np.zeros(3), sigma**2 * np.eye(3))
+        self.beginning = OracleState(np.zeros(3), sigma**2 * np.eye(3))
         self.tau_h = np.full(3, statistics.bias_tau_h)
 
-    def during(self, last: int, row: int, states: int) -> Reading | None:
+    def during(self, last: int, row: int, states: int) -> OracleMeasurement | None:
         """Return the mean rate of a step, None where it tells nothing."""
         is_known = last < self._flown.operation_row
         hours = self._flown.hours[row] - self._flown.hours[last]
@@ -50,7 +50,7 @@ class RateStates(MeasuredStates):
         design[:, self._own] = np.eye(3)
         if not is_known:
             design[:, DRIFTS], design[:, SCALES] = np.eye(3), np.diag(known)
-        return Reading(design, reported - known, self._statistics.noise_deg_sqrt_h**2 / hours * np.eye(3))
+        return OracleMeasurement(design, reported - known, self._statistics.noise_deg_sqrt_h**2 / hours * np.eye(3))
 
 
 def _reported_deg(ground: Ground, flown: FlownRows) -> FloatArray:

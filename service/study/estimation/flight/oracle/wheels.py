@@ -19,15 +19,15 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import FloatArray
 from service.study.estimation.flight.baselines import COUPLING_RAD_H
-from service.study.estimation.flight.motion_statistics import WheelStatistics
+from service.study.estimation.flight.motion_statistics import TrueWheels
 from service.study.estimation.flight.oracle.flown_rows import (
     ANGLES,
     DRIFTS,
     SCALES,
     FlownRows,
-    Gaussian,
     MeasuredStates,
-    Reading,
+    OracleMeasurement,
+    OracleState,
 )
 from service.study.estimation.flight.world import Ground
 
@@ -44,7 +44,7 @@ _DEGREE = math.radians(1.0)
 class WheelStates(MeasuredStates):
     """Momentum and errors of its report: 21 states from a place on."""
 
-    def __init__(self, ground: Ground, flown: FlownRows, statistics: WheelStatistics, first: int) -> None:
+    def __init__(self, ground: Ground, flown: FlownRows, statistics: TrueWheels, first: int) -> None:
         stated = ground.spacecraft.onboard.momentum
         self._flown, self._statistics, self._first = flown, statistics, first
         self._profile = None if stated is None else stated.torque
@@ -65,7 +65,7 @@ class WheelStates(MeasuredStates):
         left = self._statistics.unloaded_n_m_s
         return np.array([0.0, self._statistics.bias_n_m_s, 0.0]), np.array([left, 0.0, left])
 
-    def _beginning(self) -> Gaussian:
+    def _beginning(self) -> OracleState:
         """Return the states at the first row."""
         true, wave = self._statistics, self._statistics.half_day_share * self._statistics.torque_n_m / math.sqrt(2.0)
         mean, covariance = np.zeros(_STATES), np.zeros((_STATES, _STATES))
@@ -76,9 +76,9 @@ class WheelStates(MeasuredStates):
         covariance[_UNKNOWN, _UNKNOWN] = true.unknown_n_m**2 * np.eye(3)
         covariance[_MISALIGNMENT, _MISALIGNMENT] = (_DEGREE * true.misalignment_deg) ** 2 * np.eye(3)
         covariance[_SCALE, _SCALE] = true.scale_error**2 * np.eye(3)
-        return Gaussian(mean, covariance)
+        return OracleState(mean, covariance)
 
-    def move(self, gaussian: Gaussian, last: int, row: int) -> None:
+    def move(self, gaussian: OracleState, last: int, row: int) -> None:
         """Carry the momentum from one row to a later one, in place."""
         mean, covariance = gaussian
         own, momentum = (slice(self._first, self._first + count) for count in (_UNKNOWN.stop, _MOMENTUM.stop))
@@ -114,7 +114,7 @@ class WheelStates(MeasuredStates):
         grown = 2.0 * ratio - 3.0 + 4.0 * math.exp(-ratio) - math.exp(-2.0 * ratio)
         return step, push, (self._statistics.unknown_n_m * self._statistics.unknown_tau_s) ** 2 * max(0.0, grown)
 
-    def at(self, row: int, states: int) -> Reading | None:
+    def at(self, row: int, states: int) -> OracleMeasurement | None:
         """Return the report of a row, None without one."""
         is_known = row < self._flown.operation_row
         reported = self._reports.get(int(self._flown.epochs_us[row]))
@@ -138,7 +138,7 @@ class WheelStates(MeasuredStates):
             design[:, SCALES] = -np.diag(inertia * rate)[:, np.argsort(_BODY)]
         measured = reported + by_angle @ attitude + inertia * rate - spin
         variance = self._statistics.noise_n_m_s**2 + self._statistics.quantum_n_m_s**2 / 12.0
-        return Reading(design, measured, variance * np.eye(3))
+        return OracleMeasurement(design, measured, variance * np.eye(3))
 
 
 def _profile_n_m(profile: FedForwardTorque | None, epoch_us: int) -> FloatArray:

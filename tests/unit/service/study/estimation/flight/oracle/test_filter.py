@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.records.calibration import Window
-from service.study.estimation.flight.oracle import oracle_series
+from service.study.estimation.flight.oracle.filter import oracle_series
 from service.study.estimation.flight.world import TrueStatistics, World
 
 ROWS, CARRIERS, BEFORE = 1500, 12, 60

@@ -9,7 +9,7 @@ from analyzer_sim.export import export_npz
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World as SimulatedWorld
 from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED
-from service.study.estimation.flight.oracle import oracle_series
+from service.study.estimation.flight.oracle.filter import oracle_series
 from service.study.estimation.flight.world import read_world
 
 SEEDS = (1, 2, 3, 4)
