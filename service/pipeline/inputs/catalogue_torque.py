@@ -11,7 +11,6 @@ import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
     FedForward,
-    FilterSettings,
     LearnedMomentum,
     MomentumModel,
     RateSensorModel,
@@ -28,6 +27,8 @@ _UNKNOWN_GATHERED_N_M = 2e-5
 #: share by which a torque may have changed since it was learned, of all axes together and of each one: it costs yaw
 #: nothing, and a torque that changed by 0.3 misleads it by three sigmas in place of seven
 _CHANGED_SHARES = (0.1, 0.01)
+#: and share by which it changes with its age, a day: twice what the Sun's seasons make
+_CHANGED_SHARE_DAY = 0.01
 #: size of the wander of a torque that was learned, as a share of it: 1 % in two days, what the Sun's seasons make
 _WANDER_SHARE = 0.2
 #: of a torque whose size is stated; it is that of the Sun's light, nearly all wave
@@ -108,12 +109,12 @@ def _size(learned: LearnedMomentum) -> FloatArray:
 
 
 def _learned(gathered: GatheredTorque, spacecraft: Spacecraft, epoch_us: int) -> LearnedMomentum:
-    """Return what quiet days told as accelerations; it ages as every torque that the filter learns."""
+    """Return what quiet days told as accelerations; each part of the torque may have changed with its age."""
     scale = 1.0 / learned_units(spacecraft)
     mean = scale * np.array(gathered.mean)
     covariance = scale[:, None] * np.array(gathered.covariance) * scale
-    days_h = max(0.0, (epoch_us - gathered.stop_us) / US_PER_S / 3600.0)
-    lost = -math.expm1(-2.0 * days_h / FilterSettings().torque_tau_h)
+    days = max(0.0, (epoch_us - gathered.stop_us) / US_PER_S / 86_400.0)
+    lost = min(1.0, _CHANGED_SHARE_DAY * days) ** 2
     fresh = LearnedMomentum(tuple(mean.tolist()), tuple(map(tuple, covariance.tolist())))
     constant, cosine, sine = map(_triple, mean[:TORQUES].reshape(3, 3))
     changed = scale_covariance(FedForward(constant, cosine, sine, *_CHANGED_SHARES, DAY_US))
