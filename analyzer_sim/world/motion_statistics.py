@@ -2,7 +2,8 @@
 
 Each is the figures of the story by their names, null where the story has none, and beside them
 
-    wheels       quantum_n_m_s of a report, unloading_us (U,) epochs of the unloadings, unloaded_n_m_s what each leaves
+    wheels       torque_n_m, constant_n_m (3,) amplitude of the daily wave and constant torque along roll, pitch, yaw;
+                 quantum_n_m_s of a report, unloading_us (U,) epochs of the unloadings, unloaded_n_m_s what each leaves
                  along roll and yaw
     polarimeter  sight (3,) turn that it follows by yaw, roll, pitch, deg/deg; storm_from_us, feed_turn_from_us;
                  rain_deg_db turn by rain, wander_tau_s
@@ -19,6 +20,7 @@ import numpy as np
 from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.world.polarimeter import RAIN_DEG, WANDER_TAU_S, body_turn_deg
 from analyzer_sim.world.scenario.story import PolarimeterFigures, WheelTelemetry
+from analyzer_sim.world.spacecraft.disturbance import CONSTANT_SHARE, wave_size_n_m
 from analyzer_sim.world.spacecraft.stored_momentum import QUANTUM_N_M_S, UNLOADED_SHARE, unloadings_us
 from analyzer_sim.world.world import World
 
@@ -38,8 +40,13 @@ def motion_statistics(world: World) -> dict[str, dict[str, Any] | None]:
 
 def _of_wheels(world: World, figures: WheelTelemetry) -> dict[str, Any]:
     """Return the figures of the wheels with their unloadings."""
+    # the light of the Sun has no constant part
+    constant = 0.0 if figures.torque_n_m is None else _uniform_rms(*CONSTANT_SHARE)
+    wave_n_m = wave_size_n_m(figures)
     return {
         **asdict(figures),
+        "torque_n_m": wave_n_m.tolist(),
+        "constant_n_m": (constant * wave_n_m).tolist(),
         "quantum_n_m_s": QUANTUM_N_M_S,
         "unloaded_n_m_s": figures.unloading_n_m_s * _uniform_rms(-UNLOADED_SHARE, UNLOADED_SHARE),
         "unloading_us": unloadings_us(world.scenario).tolist(),

@@ -19,6 +19,8 @@ from analyzer_sim.world.scenario.story import ResidualTorque, Scenario, WheelTel
 #: torque of the Sun's light, N m, order yaw, roll, pitch, and the share of it that is fed forward
 SOLAR_TORQUE_N_M = (0.8e-5, 1.36e-5, 0.72e-5)
 FED_FORWARD_SHARE = 0.95
+#: constant torque that gathers in wheels, share of the daily wave
+CONSTANT_SHARE = (0.5, 1.0)
 AXES = ("yaw", "roll", "pitch")
 #: positions of yaw, roll, pitch among roll, pitch, yaw, and the other way round
 _YAW_FIRST, _ROLL_FIRST = [2, 0, 1], [1, 2, 0]
@@ -83,7 +85,7 @@ def gathered_profile(figures: WheelTelemetry, seed: int) -> TorqueProfile:
     if figures.torque_n_m is None:
         return TorqueProfile(*(part[_ROLL_FIRST] for part in _solar_profile(seed)))
     rng = stream(seed, "wheel torque")
-    constant = figures.torque_n_m * rng.uniform(0.5, 1.0, 3) * rng.choice([-1.0, 1.0], 3)
+    constant = figures.torque_n_m * rng.uniform(*CONSTANT_SHARE, 3) * rng.choice([-1.0, 1.0], 3)
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
     return TorqueProfile(constant, figures.torque_n_m * np.cos(phase), figures.torque_n_m * np.sin(phase))
 

@@ -25,8 +25,9 @@ class TrueWheels:
     #: share of the stated profile that all axes have wrong, and that of each axis
     profile_error: float
     axis_profile_error: float
-    #: size of the daily wave, and the amplitude of that of half a day as a share of it
-    torque_n_m: float
+    #: (3,) along roll, pitch, yaw: constant torque and amplitude of the daily wave; that of half a day as a share of it
+    constant_n_m: tuple[float, float, float]
+    torque_n_m: tuple[float, float, float]
     half_day_share: float
     #: torque of first order
     unknown_n_m: float

@@ -24,7 +24,10 @@ def test_wheels_state_their_unloadings_and_what_these_leave():
     world, found = stated("wheels")
     wheels = found["wheels"]
     figures = asdict(world.scenario.wheels)
+    size_n_m = figures.pop("torque_n_m")
     assert {name: wheels[name] for name in figures} == figures
+    assert wheels["torque_n_m"] == [size_n_m] * 3
+    assert 0.5 * size_n_m < wheels["constant_n_m"][0] < size_n_m
     assert wheels["unloading_us"] == [world.scenario.start_us + 12 * 3_600_000_000]
     left = np.array([unloaded(world.scenario.wheels, seed, number) for seed in range(200) for number in range(5)])
     # a thousand draws of two axes: the standard error of their rms is a percent

@@ -4,9 +4,10 @@
     reported = h + e x h + s h + noise,   h = C H - J w              of the wheels, in the body
 
 T is the profile that the ground states, c the share of each axis that it has wrong, most of it common; q, r the wave of
-half a day, a phase of the day, n a torque of first order; e misalignment, s scale, C the true turn of the body, w its
-rate. In operation w follows from corrections and drift; before it is known. Vectors x roll, y pitch, z yaw. An
-unloading is known when it happens. Reports count at rows of powers.
+half a day, a phase of the day (constant and wave of a day too where no profile is stated), n a torque of first order; e
+misalignment, s scale, C the true turn of the body, w its rate. In operation w follows from corrections and drift;
+before it is known. Vectors x roll, y pitch, z yaw. An unloading is known when it happens. Reports count at rows of
+powers.
 """
 
 import math
@@ -33,16 +34,17 @@ from service.study.estimation.flight.world import Ground
 
 #: positions of x, y, z among yaw, roll, pitch
 _BODY = np.array([1, 2, 0])
-#: places of momentum, shares, wave of half a day, torque of first order, misalignment and scale among the states
-_MOMENTUM, _SHARES, _HALF_DAY, _UNKNOWN = slice(0, 3), slice(3, 6), slice(6, 12), slice(12, 15)
-_MISALIGNMENT, _SCALE, _STATES = slice(15, 18), slice(18, 21), 21
+#: places of momentum, shares, wave of half a day, torque of a profile that is not stated, torque of first order,
+#: misalignment and scale among the states
+_MOMENTUM, _SHARES, _HALF_DAY, _UNSTATED = slice(0, 3), slice(3, 6), slice(6, 12), slice(12, 21)
+_UNKNOWN, _MISALIGNMENT, _SCALE, _STATES = slice(21, 24), slice(24, 27), slice(27, 30), 30
 #: torques move the momentum in spans of at most this, h
 _PANEL_H = 1.0 / 6.0
 _DEGREE = math.radians(1.0)
 
 
 class WheelStates(MeasuredStates):
-    """Momentum and errors of its report: 21 states from a place on."""
+    """Momentum and errors of its report: 30 states from a place on."""
 
     def __init__(self, ground: Ground, flown: FlownRows, statistics: TrueWheels, first: int) -> None:
         stated = ground.spacecraft.onboard.momentum
@@ -67,12 +69,14 @@ class WheelStates(MeasuredStates):
 
     def _beginning(self) -> OracleState:
         """Return the states at the first row."""
-        true, wave = self._statistics, self._statistics.half_day_share * self._statistics.torque_n_m / math.sqrt(2.0)
+        true, wave = self._statistics, np.tile(np.array(self._statistics.torque_n_m) / math.sqrt(2.0), 2)
         mean, covariance = np.zeros(_STATES), np.zeros((_STATES, _STATES))
         mean[_MOMENTUM], sigma = self._unloaded
         covariance[_MOMENTUM, _MOMENTUM] = np.diag(sigma**2)
         covariance[_SHARES, _SHARES] = true.profile_error**2 + true.axis_profile_error**2 * np.eye(3)
-        covariance[_HALF_DAY, _HALF_DAY] = wave**2 * np.eye(6)
+        covariance[_HALF_DAY, _HALF_DAY] = np.diag((true.half_day_share * wave) ** 2)
+        if self._profile is None:
+            covariance[_UNSTATED, _UNSTATED] = np.diag(np.square([*true.constant_n_m, *wave]))
         covariance[_UNKNOWN, _UNKNOWN] = true.unknown_n_m**2 * np.eye(3)
         covariance[_MISALIGNMENT, _MISALIGNMENT] = (_DEGREE * true.misalignment_deg) ** 2 * np.eye(3)
         covariance[_SCALE, _SCALE] = true.scale_error**2 * np.eye(3)
@@ -95,7 +99,7 @@ class WheelStates(MeasuredStates):
         covariance[momentum, :], covariance[:, momentum] = across, across.T
 
     def _moved(self, from_us: int, hours: float) -> tuple[FloatArray, FloatArray, float]:
-        """Return the step (3, 15) of the momentum, the push (3,) of the profile, and the variance added."""
+        """Return the step (3, 24) of the momentum, the push (3,) of the profile, and the variance added."""
         panels = math.ceil(hours / _PANEL_H)
         span_h, step, push = hours / panels, np.zeros((3, _UNKNOWN.stop)), np.zeros(3)
         step[:, _MOMENTUM] = _turn(hours)
@@ -109,6 +113,7 @@ class WheelStates(MeasuredStates):
             push += pushed @ torque
             step[:, _SHARES] += pushed * torque
             step[:, _HALF_DAY] += np.hstack([math.cos(half) * pushed, math.sin(half) * pushed])
+            step[:, _UNSTATED] += np.hstack([pushed, math.cos(0.5 * half) * pushed, math.sin(0.5 * half) * pushed])
             step[:, _UNKNOWN] += math.exp(-elapsed_h / tau_h) * pushed
         ratio = hours / tau_h
         grown = 2.0 * ratio - 3.0 + 4.0 * math.exp(-ratio) - math.exp(-2.0 * ratio)
