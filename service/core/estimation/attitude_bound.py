@@ -182,12 +182,15 @@ def _as_blocks(matrix: FloatArray, other: FloatArray) -> FloatArray:
 
 def _wander(polarimeters: tuple[PolarimeterModel, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what a step keeps of the states of polarimeters and adds, and their variance before it, (4 P,) each."""
-    kept, grown, variance = [], [], []
+    kept, grown = [], []
+    variance: list[float] = []
     for one in polarimeters:
         keep = math.exp(-_STEP_H / one.wander_h)
         kept += [1.0, 1.0, 1.0, keep]
         grown += [one.offset_walk_deg_sqrt_h**2 * _STEP_H, 0.0, 0.0, one.wander_deg**2 * (1.0 - keep**2)]
-        variance += [_FREE_OFFSET_DEG**2, one.daily_deg**2, one.daily_deg**2, one.wander_deg**2]
+        unknown = [_FREE_OFFSET_DEG**2, one.daily_deg**2, one.daily_deg**2]
+        variance += unknown if one.learned is None else np.diag(np.array(one.learned.covariance)).tolist()
+        variance.append(one.wander_deg**2)
     return np.array(kept), np.array(grown), np.array(variance)
 
 

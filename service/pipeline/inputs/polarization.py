@@ -72,14 +72,14 @@ def polarimeter_models(
             each.wander_deg,
             each.wander_h,
             each.offset_walk_deg_sqrt_h,
-            _learned(feeds[each.source], each, epoch_us) if each.source in feeds else None,
+            learned_feed(feeds[each.source], each, epoch_us) if each.source in feeds else None,
         )
         for each in polarimeters
         if spacecraft is not None
     )
 
 
-def _learned(feed: FeedFit, polarimeter: Polarimeter, epoch_us: int) -> LearnedFeed:
+def learned_feed(feed: FeedFit, polarimeter: Polarimeter, epoch_us: int) -> LearnedFeed:
     """Return the offset and the daily wave that a filter begins with at an epoch: no two days have one wave."""
     turn_deg, cosine_deg, sine_deg = feed.mean
     hours = max(0.0, (epoch_us - feed.stop_us) / US_PER_S / 3600.0)

@@ -8,13 +8,16 @@ import numpy as np
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
 from service.pipeline.inputs.catalogue_torque import rate_sensor_model
-from service.pipeline.inputs.polarization import polarimeter_models, used_polarimeters
+from service.pipeline.inputs.polarization import learned_feed, polarimeter_models, used_polarimeters
 from service.pipeline.planning.candidates import Candidates
+from service.records.calibration import FeedFit
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft, WheelMomentum
 from service.records.levels.attitude import Axes, FloatArray, IntArray, named_axes
 
 #: time between records where none is stated, s
 WHEEL_PERIOD_S = 300.0
+#: what three quiet days tell of a feed: offset, daily cosine and sine, one sigma of 0.02 and 0.01 deg
+_QUIET_FEED = FeedFit((0.0, 0.0, 0.0), ((4e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4)), 0.0, 0.0, 0)
 
 
 class MomentumGain(NamedTuple):
@@ -66,7 +69,10 @@ def motion_gain(
     sensor, stated = rate_sensor_model(spacecraft), used_polarimeters(spacecraft)
     if sensor is None and not stated:
         return None
-    powers, read = _powers(candidates, chosen), polarimeter_models(spacecraft, stated)
+    powers, models = _powers(candidates, chosen), polarimeter_models(spacecraft, stated)
+    # references come from quiet days, and so does what they tell of a feed
+    feeds = [learned_feed(_QUIET_FEED, one, 0) for one in stated]
+    read = tuple(one._replace(learned=feed) for one, feed in zip(models, feeds, strict=True))
     bias = None if sensor is None else (sensor.bias_deg_h, sensor.bias_deg_h, sensor.bias_deg_h)
     drift = (
         None if sensor is None or bias is None else DriftStatistics(bias, sensor.bias_tau_h, sensor.noise_deg_sqrt_h)

@@ -5,7 +5,7 @@ import pytest
 
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
-from service.core.estimation.filtering.model.filter_model import PolarimeterModel
+from service.core.estimation.filtering.model.filter_model import LearnedFeed, PolarimeterModel
 
 SENSITIVITY = np.random.default_rng(3).normal(0.0, [0.12, 1.0, 0.8], (16, 3))
 NOISE = ColouredNoise(np.full(16, 0.15), np.tile([0.08, 0.06], (16, 1)), np.tile([1200.0, 7200.0], (16, 1)))
@@ -52,6 +52,26 @@ def test_a_polarimeter_along_yaw_helps_yaw_and_one_that_wanders_far_tells_nothin
     np.testing.assert_allclose(useless, powers_deg, rtol=1e-3)
     two = attitude_bound_deg(SENSITIVITY, NOISE, polarimeters=(PolarimeterModel((1.0, 0.0, 0.0)),) * 2)
     assert better[0] < two[0] < ordinary[0]
+
+
+def test_a_feed_that_quiet_days_know_is_a_better_polarimeter_and_one_they_do_not_know_the_same() -> None:
+    unknown, known, still = (
+        attitude_bound_deg(
+            SENSITIVITY,
+            NOISE,
+            polarimeters=(
+                PolarimeterModel((1.0, 0.0, 0.0), learned=LearnedFeed((0.0, 0.0, 0.0), _diagonal(*variances))),
+            ),
+        )
+        for variances in ((9.0, 0.05**2, 0.05**2), (4e-4, 7e-4, 7e-4), (4e-4, 1e-8, 1e-8))
+    )
+    free = attitude_bound_deg(SENSITIVITY, NOISE, polarimeters=(PolarimeterModel((1.0, 0.0, 0.0)),))
+    np.testing.assert_array_equal(unknown, free)
+    assert still[0] < known[0] < 0.95 * free[0]
+
+
+def _diagonal(*variances: float) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, np.diag(variances).tolist()))
 
 
 def test_a_rate_sensor_that_is_better_than_the_drift_helps_and_its_noise_does_not(powers_deg: np.ndarray) -> None:
