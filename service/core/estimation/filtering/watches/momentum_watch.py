@@ -21,8 +21,9 @@ TRUSTED, GATE, JUMP = 2.0, 4.0, 5.0
 _MEMORY_H = 6.0
 #: mean square of the innovations, a degree of freedom, and jumps within the memory from which telemetry is refused
 _REFUSED_MEAN, _REFUSED_JUMPS = 2.5, 2.5
-#: fewest records of which a mean is judged
-_LEAST_RECORDS = 5.0
+#: fewest records of which a mean is judged, and the share of the limit that few records are given beside it: chance
+#: takes the mean of five beyond 2.5 once in a thousand alignments, beyond 2.75 once in three thousand
+_LEAST_RECORDS, _FEW_RECORDS = 5.0, 0.5
 #: what telemetry that was refused may have done to the angles, deg, order yaw, roll, pitch
 _MISLED_DEG = (0.2, 0.02, 0.02)
 #: a jump is reported for this long, us
@@ -105,13 +106,14 @@ def push_record(
         gaussian = with_free_momentum(gaussian, first, reported if is_first else None)
     found = compared(gaussian, first, reported, (record_us - epoch_us) / 3.6e9, settings, wheels)
     excess = float(np.abs(found.innovation / np.sqrt(found.covariance.diagonal())).max())
+    mean_square = float(found.innovation @ np.linalg.solve(found.covariance, found.innovation)) / 3.0
     if excess > GATE:
         if excess <= JUMP or not watch.skipped:
-            return *_judged(watch._replace(skipped=watch.skipped + 1), gaussian, excess**2), effect
+            return *_judged(watch._replace(skipped=watch.skipped + 1), gaussian, mean_square), effect
         watch = watch._replace(jumps=watch.jumps + 1.0, jumped_us=record_us)
         gaussian = with_free_momentum(gaussian, first)
         found, excess = compared(gaussian, first, reported, (record_us - epoch_us) / 3.6e9, settings, wheels), 0.0
-    mean_square = float(found.innovation @ np.linalg.solve(found.covariance, found.innovation)) / 3.0
+        mean_square = float(found.innovation @ np.linalg.solve(found.covariance, found.innovation)) / 3.0
     if excess > TRUSTED:
         found = found.widened(wheels.sigma_n_m_s**2 * ((excess / TRUSTED) ** 2 - 1.0))
     judged = _judged(watch._replace(skipped=0), updated_by(gaussian, found), mean_square)
@@ -121,7 +123,7 @@ def push_record(
 def _judged(watch: MomentumWatch, gaussian: Gaussian, mean_square: float) -> tuple[MomentumWatch, Gaussian]:
     """Return watch and state after a record of some mean square; the telemetry is refused where they stay too large."""
     watch = watch._replace(records=watch.records + 1.0, squares=watch.squares + min(mean_square, GATE**2))
-    is_bad = watch.records >= _LEAST_RECORDS and watch.squares > _REFUSED_MEAN * watch.records
+    is_bad = watch.records >= _LEAST_RECORDS and watch.squares > _REFUSED_MEAN * (watch.records + _FEW_RECORDS)
     if not (is_bad or watch.jumps > _REFUSED_JUMPS):
         return watch, gaussian
     covariance = gaussian.covariance.copy()
