@@ -24,8 +24,8 @@ from service.records.levels.attitude import FloatArray
 
 #: torque from outside where no profile is stated, N m: light of the Sun on the arrays of a large comsat
 _UNKNOWN_GATHERED_N_M = 2e-5
-#: share by which a torque may have changed since it was learned, of all axes together and of each one: it costs yaw
-#: nothing, and a torque that changed by 0.3 misleads it by three sigmas in place of seven
+#: share by which a torque may have changed since it was learned, of all axes together and of each one: it costs
+#: yaw by hourly records 0.005 deg of sigma, and a torque that changed by 0.3 misleads by two sigmas in place of seven
 _CHANGED_SHARES = (0.1, 0.01)
 #: and share by which it changes with its age, a day: twice what the Sun's seasons make
 _CHANGED_SHARE_DAY = 0.01

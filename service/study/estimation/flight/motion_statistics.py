@@ -90,14 +90,14 @@ def read_motion_statistics(text: str, polarimeter_turn_deg: FloatArray) -> TrueM
     stated = json.loads(text)
     wheels, rates, polarimeter = (stated[name] for name in ("wheels", "rates", "polarimeter"))
     return TrueMotion(
-        None if wheels is None else TrueWheels(**_known(TrueWheels, wheels)),
-        None if rates is None else TrueRates(**_known(TrueRates, rates)),
-        None if polarimeter is None else TruePolarimeter(**_known(TruePolarimeter, polarimeter)),
+        None if wheels is None else TrueWheels(**_named_figures(TrueWheels, wheels)),
+        None if rates is None else TrueRates(**_named_figures(TrueRates, rates)),
+        None if polarimeter is None else TruePolarimeter(**_named_figures(TruePolarimeter, polarimeter)),
         polarimeter_turn_deg,
     )
 
 
-def _known(kind: type[Any], stated: dict[str, Any]) -> dict[str, Any]:
-    """Return the figures that a kind knows by their names."""
+def _named_figures(kind: type[Any], stated: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of a kind by name; others, which only newer simulators state, are left out."""
     named = {field.name: stated[field.name] for field in fields(kind)}
     return {name: tuple(value) if isinstance(value, list) else value for name, value in named.items()}

@@ -58,7 +58,7 @@ def momentum_rows(hidden: int, from_us: int, step_us: int, settings: FilterSetti
 
 @lru_cache(maxsize=64)
 def _momentum_waves(hidden: int, step_us: int, settings: FilterSettings) -> FloatArray:
-    """Return the parts (3, 3, 9 + E + 1) of `momentum_rows`: constant, by cosine and by sine of the phase at the begin.
+    """Return the parts (3, 3, 9 + E + 1) of `momentum_rows`: constant, by cosine and by sine of its first phase.
 
     Nobody may write to them.
     """

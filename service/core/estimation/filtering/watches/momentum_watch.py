@@ -21,8 +21,8 @@ TRUSTED, GATE, JUMP = 2.0, 4.0, 5.0
 _MEMORY_H = 6.0
 #: mean square of the innovations, a degree of freedom, and jumps within the memory from which telemetry is refused
 _REFUSED_MEAN, _REFUSED_JUMPS = 2.5, 2.5
-#: fewest records of which a mean is judged, and the share of the limit that few records are given beside it: chance
-#: takes the mean of five beyond 2.5 once in a thousand alignments, beyond 2.75 once in three thousand
+#: fewest records of which a mean is judged, and records that the limit counts beside them, so that it is wider for few:
+#: chance takes the mean of five beyond 2.5 once in a thousand alignments, beyond 2.75 once in three thousand
 _LEAST_RECORDS, _FEW_RECORDS = 5.0, 0.5
 #: what telemetry that was refused may have done to the angles, deg, order yaw, roll, pitch
 _MISLED_DEG = (0.2, 0.02, 0.02)

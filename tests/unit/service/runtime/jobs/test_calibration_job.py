@@ -22,7 +22,7 @@ def ground(new_ground):
 
 @pytest.fixture
 def seen():
-    """What the fits are given, while they are made as ever."""
+    """Inputs that the job hands to the fits, in order; the fits themselves run."""
     found, fit = [], calibrating.calibrate_paper
 
     def fitted(data, config):

@@ -72,6 +72,14 @@ def test_telemetry_that_keeps_jumping_is_refused_and_yaw_is_known_less() -> None
     assert unchanged is gaussian
 
 
+def test_an_outlier_of_true_noise_among_the_first_records_refuses_nothing() -> None:
+    # sigmas along roll as a closed loop drew them, whose true telemetry was refused; the last one was 3.9
+    drawn = (-2.45, -1.57, 0.67, -0.29, 1.07, 5.3)
+    watch, _ = records([H + 0.01 * np.array([sigmas, 0.5, -0.5]) for sigmas in drawn])
+    assert watch.skipped == 1
+    assert not watch.is_refused
+
+
 def test_telemetry_that_begins_with_what_no_wheel_holds_is_refused() -> None:
     assert with_impossible(fresh_watch()).is_refused
     watch, _ = records(noisy(5))
