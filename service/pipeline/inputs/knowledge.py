@@ -5,6 +5,7 @@ calibrations, alignments) are immutable in the archive, so looking them up keeps
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -29,8 +30,8 @@ from service.records.journal import SlowInput
 from service.records.levels.attitude import Axes, FloatArray
 from service.records.operations.release import InterlockHold
 
-#: records of the rate of the body that are kept: a day of one a minute, for rows that are taken again
-_MOST_RATES = 1500
+#: records of momentum, and of rates, that are kept for rows that come after them: more than an hour of one a second
+_MOST_RECORDS = 4000
 
 #: a rate that was told longer before, or after, is none of the present, s
 _RATE_S = 600.0
@@ -64,11 +65,9 @@ class Knowledge:
     alignment: Alignment | None = None
     #: newest revision of each operation, by id
     operations: dict[int, Operation] = field(default_factory=dict)
-    #: newest record that told the momentum of the wheels
-    telemetry: TelemetryRecord | None = None
-    #: newest record that told the rate of the body about every axis
-    rated: TelemetryRecord | None = None
-    #: newest records of a rate sensor that the filter may use, in order of epochs
+    #: newest records of the momentum of the wheels, in order of epochs
+    momenta: tuple[TelemetryRecord, ...] = ()
+    #: newest records of the rate of the body about every axis, in order of epochs
     rates: tuple[TelemetryRecord, ...] = ()
     #: reports of rain, by station and source
     weather: WeatherReports = field(default_factory=dict)
@@ -83,18 +82,15 @@ class Knowledge:
         return self.hold is not None and self.hold.is_withheld
 
     def momentum_n_m_s(self, epoch_us: int, age_s: float) -> tuple[float, ...] | None:
-        """Return the momentum of each wheel as it was told within an age before an epoch; None where it was not."""
-        reported = self.telemetry
-        if reported is None or not 0 <= epoch_us - reported.epoch_us <= age_s * US_PER_S:
-            return None
-        return reported.wheel_momentum_n_m_s
+        """Return the newest momentum of each wheel of an age before an epoch; None without a record."""
+        records = records_between(self.momenta, epoch_us - int(age_s * US_PER_S) - 1, epoch_us)
+        return records[-1].wheel_momentum_n_m_s if records else None
 
     def body_rate_deg_s(self, epoch_us: int, age_s: float) -> Axes | None:
-        """Return the rate of the body as it was told within an age before or after an epoch; None where it was not."""
-        reported = self.rated
-        if reported is None or abs(epoch_us - reported.epoch_us) > age_s * US_PER_S:
-            return None
-        return reported.body_rate_deg_s
+        """Return the newest rate of the body of an age before or after an epoch; None without a record."""
+        age_us = int(age_s * US_PER_S)
+        records = records_between(self.rates, epoch_us - age_us - 1, epoch_us + age_us)
+        return records[-1].body_rate_deg_s if records else None
 
     def has_rate(self, epoch_us: int) -> bool:
         """Return whether the rate of the body was told within ten minutes."""
@@ -161,37 +157,39 @@ def update(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledg
 def _with_word(
     knowledge: Knowledge, reported: TelemetryRecord | WeatherReport | PolarizationRecord | InterlockHold
 ) -> Knowledge:
-    """Return the knowledge with a word of the interlock or a record of a sensor; of telemetry the newest counts."""
+    """Return the knowledge with a word of the interlock or a record of a sensor."""
     if isinstance(reported, PolarizationRecord):
         return replace(knowledge, polarization=with_polarization_record(knowledge.polarization, reported))
     if isinstance(reported, WeatherReport):
         return replace(knowledge, weather=with_report(knowledge.weather, reported))
     if isinstance(reported, InterlockHold):
         return replace(knowledge, hold=reported)
-    telemetry, rates, rated = knowledge.telemetry, knowledge.rates, knowledge.rated
-    if reported.wheel_momentum_n_m_s is not None and _is_newest(reported, telemetry):
-        telemetry = reported
+    momenta, rates = knowledge.momenta, knowledge.rates
+    if reported.wheel_momentum_n_m_s is not None:
+        momenta = _with_telemetry(momenta, reported)
     if has_body_rate(reported):
-        sensor = None if knowledge.spacecraft is None else knowledge.spacecraft.onboard.rate_sensor
-        if sensor is not None and not sensor.in_loop:
-            rates = _with_rate(rates, reported)
-        rated = reported if _is_newest(reported, rated) else rated
-    return replace(knowledge, telemetry=telemetry, rates=rates, rated=rated)
+        rates = _with_telemetry(rates, reported)
+    return replace(knowledge, momenta=momenta, rates=rates)
 
 
-def _with_rate(rates: tuple[TelemetryRecord, ...], reported: TelemetryRecord) -> tuple[TelemetryRecord, ...]:
+def _with_telemetry(records: tuple[TelemetryRecord, ...], record: TelemetryRecord) -> tuple[TelemetryRecord, ...]:
     """Return the newest records with one more; of two of one epoch the first counts."""
-    if not rates or reported.epoch_us > rates[-1].epoch_us:
-        return (*rates, reported)[-_MOST_RATES:]
-    if any(one.epoch_us == reported.epoch_us for one in rates):
-        return rates
-    return tuple(sorted((*rates, reported), key=lambda one: one.epoch_us))[-_MOST_RATES:]
+    k = bisect_left(records, record.epoch_us, key=_epoch_us)
+    if k < len(records) and records[k].epoch_us == record.epoch_us:
+        return records
+    return (*records[:k], record, *records[k:])[-_MOST_RECORDS:]
+
+
+def records_between(records: tuple[TelemetryRecord, ...], after_us: int, to_us: int) -> tuple[TelemetryRecord, ...]:
+    """Return the records later than an epoch and not later than another, in order of epochs."""
+    first = bisect_right(records, after_us, key=_epoch_us)
+    return records[first : bisect_right(records, to_us, lo=first, key=_epoch_us)]
+
+
+def _epoch_us(record: TelemetryRecord) -> int:
+    return record.epoch_us
 
 
 def has_body_rate(reported: TelemetryRecord) -> bool:
     """Return whether a record tells the rate of the body about every axis."""
     return reported.body_rate_deg_s is not None and all(map(math.isfinite, reported.body_rate_deg_s))
-
-
-def _is_newest(reported: TelemetryRecord, before: TelemetryRecord | None) -> bool:
-    return before is None or reported.epoch_us >= before.epoch_us

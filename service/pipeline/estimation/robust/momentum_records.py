@@ -1,4 +1,4 @@
-"""Records of wheel momentum on their way to the filter: the newest one is taken with the row that is not older."""
+"""Records of wheel momentum on their way to the filter: each is used once, with the first row that is later."""
 
 from dataclasses import replace
 from typing import Any
@@ -13,15 +13,17 @@ from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.robust.polarization_records import with_polarization
 from service.pipeline.estimation.robust.rate_records import with_rates
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.inputs.knowledge import Knowledge
-from service.records.catalogue import WheelMomentum
+from service.pipeline.inputs.knowledge import Knowledge, records_between
+from service.records.catalogue import Spacecraft, WheelMomentum
+from service.records.epoch import US_PER_S
+from service.records.inputs import TelemetryRecord
 from service.records.levels.measurement import Measurement
 
 #: a momentum along pitch that is off the stated one by more than this share of it is of other wheels or another unit;
 #: a stated one below the limit, N m s, tells nothing
 _BIAS_SHARE, _LEAST_N_M_S = 0.5, 1.0
-#: a record older than the newest row by more than this tells nothing, s
-_LATE_S = 900.0
+#: a record older than the newest row by more than this is not used
+_LATE_US = 900 * US_PER_S
 
 
 def step_with_record(
@@ -37,37 +39,50 @@ def step_with_record(
     """Take the records of wheels, polarimeters and rates that are due, then a row, as `step_robust` does."""
     if not is_late:
         began = state.filter.gaussian
-        state, of_wheels = with_record(state, model, knowledge)
+        state, of_wheels = with_momenta(state, model, knowledge)
         state, of_angles = with_polarization(state, model, knowledge)
         state, model = with_rates(state, model, knowledge, measurement.epoch_us)
         if recorder is not None:
             moved = None if model.rate_sensor is None else state.filter
-            recorder.sense(began.mean, (of_wheels, *of_angles), moved, is_measured=state.rates.is_measured)
+            recorder.sense(began.mean, (*of_wheels, *of_angles), moved, is_measured=state.rates.is_measured)
     return step_robust(state, model, knowledge, measurement, is_late=is_late, recorder=recorder, **inputs)
 
 
-def with_record(state: RobustState, model: RobustModel, knowledge: Knowledge) -> tuple[RobustState, SensorEffect]:
-    """Return the state after the newest record of the wheels that is not newer than its row, and its effect."""
-    wheels, watch = model.settings.momentum, state.momentum
-    epoch_us, record = state.filter.epoch_us, knowledge.telemetry
-    reported = knowledge.momentum_n_m_s(epoch_us, _LATE_S)
-    if wheels is None or record is None or reported is None or model.wheel_axes is None:
+def with_momenta(
+    state: RobustState, model: RobustModel, knowledge: Knowledge
+) -> tuple[RobustState, list[SensorEffect]]:
+    """Return the state after the records of the wheels that are due at its epoch, and the effect of each."""
+    epoch_us, spacecraft = state.filter.epoch_us, knowledge.spacecraft
+    if model.settings.momentum is None or model.wheel_axes is None or spacecraft is None:
+        return state, []
+    after_us = max(state.momentum.newest_us, epoch_us - _LATE_US - 1)
+    effects = []
+    for record in records_between(knowledge.momenta, after_us, epoch_us):
+        state, effect = _with_momentum(state, model, spacecraft, record)
+        effects.append(effect)
+    return state, effects
+
+
+def _with_momentum(
+    state: RobustState, model: RobustModel, spacecraft: Spacecraft, record: TelemetryRecord
+) -> tuple[RobustState, SensorEffect]:
+    """Return the state after a record of the wheels that is not later, and its effect."""
+    wheels, wheel_axes, wheel_n_m_s = model.settings.momentum, model.wheel_axes, record.wheel_momentum_n_m_s
+    if wheels is None or wheel_axes is None or wheel_n_m_s is None or len(wheel_n_m_s) != len(wheel_axes):
         return state, NO_EFFECT
-    if len(reported) != len(model.wheel_axes) or knowledge.spacecraft is None or record.epoch_us <= watch.newest_us:
-        return state, NO_EFFECT
-    momentum_n_m_s = np.array(reported) @ model.wheel_axes
-    too_much = max(map(abs, reported)) > knowledge.spacecraft.wheels.momentum_limit_n_m_s
-    if too_much or _is_off_bias(float(momentum_n_m_s[1]), knowledge.spacecraft.onboard.momentum):
+    momentum_n_m_s = np.array(wheel_n_m_s) @ wheel_axes
+    too_much = max(map(abs, wheel_n_m_s)) > spacecraft.wheels.momentum_limit_n_m_s
+    if too_much or _is_off_bias(float(momentum_n_m_s[1]), spacecraft.onboard.momentum):
         # a first record of another unit, sign or spacecraft would be believed, a later one is a wild record
-        return replace(state, momentum=with_impossible(watch)), NO_EFFECT
+        return replace(state, momentum=with_impossible(state.momentum)), NO_EFFECT
     gaussian = state.filter.gaussian
     watch, gaussian, effect = push_record(
-        watch,
+        state.momentum,
         gaussian,
         sensors_first(model.filter, gaussian, model.settings),
         record.epoch_us,
         momentum_n_m_s,
-        epoch_us,
+        state.filter.epoch_us,
         model.settings,
         wheels,
         is_unloading=bool(record.thrusters_active),

@@ -9,10 +9,9 @@ from service.core.estimation.filtering.model.measured_motion import measured_set
 from service.core.estimation.filtering.watches.rate_watch import HELD_US, MovingState, commanded_rate, push_rates
 from service.pipeline.estimation.robust.method import RobustState
 from service.pipeline.estimation.robust.model import RobustModel
-from service.pipeline.inputs.knowledge import Knowledge
+from service.pipeline.inputs.knowledge import Knowledge, records_between
 from service.pipeline.inputs.known_motion import consume
 from service.pipeline.inputs.telemetry_rates import inertial_deg_h
-from service.records.inputs import TelemetryRecord
 
 _US_PER_H = 3.6e9
 
@@ -27,7 +26,7 @@ def with_rates(
     before = MovingState(from_us, state.filter.gaussian, state.filter.drift, state.filter.command)
     known, _ = consume(state.commanded, from_us, to_us)
     commanded = commanded_rate(watch, before) + known.correction_deg * (_US_PER_H / (to_us - from_us))
-    records = _fresh(knowledge.rates, max(watch.newest_us, from_us - HELD_US), to_us)
+    records = records_between(knowledge.rates, max(watch.newest_us, from_us - HELD_US), to_us)
     watch, moved = push_rates(
         watch,
         before,
@@ -50,14 +49,3 @@ def _under_rates(model: RobustModel) -> RobustModel:
     """Return the model of a step whose rate is measured."""
     sensor = model.rate_sensor
     return model if sensor is None else replace(model, settings=measured_settings(model.settings, sensor))
-
-
-def _fresh(rates: tuple[TelemetryRecord, ...], after_us: int, to_us: int) -> list[TelemetryRecord]:
-    """Return the records after an epoch and not after another, in order."""
-    found = []
-    for one in reversed(rates):
-        if one.epoch_us <= after_us:
-            break
-        if one.epoch_us <= to_us:
-            found.append(one)
-    return found[::-1]

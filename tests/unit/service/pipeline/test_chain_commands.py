@@ -67,11 +67,15 @@ def test_what_was_sent_is_carried_to_the_next_verdict(flight):
     assert peaks[2] != peaks[1]
 
 
-def test_momentum_is_known_while_it_is_fresh():
-    reported = TelemetryRecord(1000 * S, wheel_momentum_n_m_s=(1.0, 2.0, 3.0))
-    known = update(Knowledge(), reported, None)
-    for content in (TelemetryRecord(900 * S, wheel_momentum_n_m_s=(0.0,) * 3), TelemetryRecord(1100 * S)):
-        known = update(known, content, None)
+def test_momentum_and_rate_are_known_while_they_are_fresh_in_whatever_order_they_come():
+    rate = Axes(1e-5, -2e-5, 3e-5)
+    reported = TelemetryRecord(1000 * S, wheel_momentum_n_m_s=(1.0, 2.0, 3.0), body_rate_deg_s=rate)
+    known, zero = update(Knowledge(), reported, None), (0.0,) * 3
+    for epoch_s in (2000, 900):
+        known = update(known, replace(reported, epoch_us=epoch_s * S, wheel_momentum_n_m_s=zero), None)
+    known = update(known, TelemetryRecord(1030 * S), None)
+    assert known.body_rate_deg_s(1060 * S, 60.0) == known.body_rate_deg_s(940 * S, 60.0) == rate
+    assert known.body_rate_deg_s(1061 * S, 60.0) is None
     assert known.momentum_n_m_s(1000 * S, 60.0) == (1.0, 2.0, 3.0)
     assert known.momentum_n_m_s(1060 * S, 60.0) == (1.0, 2.0, 3.0)
     assert known.momentum_n_m_s(1061 * S, 60.0) is None

@@ -227,7 +227,7 @@ def test_measured_motion_is_the_same_live_after_restarts_and_in_a_replay(opened_
     assert text(station.rows(Method.ROBUST, version)) == text(live)
     assert text(station.commands(version)) == text(station.commands())
     assert [row.epoch_us for row in station.rows(Method.ROBUST_SMOOTHED, version)] == [row.epoch_us for row in live]
-    # each sensor counts: without its records rows are others
+    # the records of each sensor are used, those of a batch before its rows too: without them rows are others
     for name in ("momentum", "rate_sensor"):
         without = replace(record, onboard=replace(onboard, **{name: None}), polarimeters=(polarimeter,))
         assert others(new_station(opened_archive), without, live)

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
 from service.core.estimation.filtering.model.filter_state import core_size
+from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.pipeline.estimation.robust.method import carried_state
-from service.pipeline.estimation.robust.momentum_records import with_record
+from service.pipeline.estimation.robust.momentum_records import with_momenta
 from service.records.calibration import Calibration, GatheredTorque
 from service.records.catalogue import WheelMomentum
 from service.records.inputs import TelemetryRecord
@@ -21,7 +23,7 @@ def flight(pitch_n_m_s: float, bias_n_m_s: float | None) -> Stepped:
     axes = np.array(spacecraft.wheels.axes)
     wheels = tuple((np.array([0.3, pitch_n_m_s, -0.2]) @ np.linalg.pinv(axes)).tolist())
     record = TelemetryRecord(ALIGNED_US, wheel_momentum_n_m_s=wheels)
-    return Stepped(spacecraft=replace(spacecraft, onboard=onboard), telemetry=record)
+    return Stepped(spacecraft=replace(spacecraft, onboard=onboard), momenta=(record,))
 
 
 @pytest.mark.parametrize(
@@ -40,7 +42,7 @@ def test_a_first_record_that_cannot_be_that_of_the_spacecraft_refuses_the_teleme
     pitch_n_m_s: float, bias_n_m_s: float | None, is_refused: bool
 ) -> None:
     before = flight(pitch_n_m_s, bias_n_m_s)
-    after, _ = with_record(before.state, before.model, before.knowledge)
+    after, _ = with_momenta(before.state, before.model, before.knowledge)
     assert after.momentum.is_refused == is_refused
     # telemetry that is refused moves no state
     assert (after.filter.gaussian is before.state.filter.gaussian) == is_refused
@@ -48,10 +50,39 @@ def test_a_first_record_that_cannot_be_that_of_the_spacecraft_refuses_the_teleme
 
 def test_a_later_one_is_left_out_alone() -> None:
     good, wild = flight(-8.0, -8.0), flight(-1.0, -8.0)
-    state, _ = with_record(good.state, good.model, good.knowledge)
-    after, _ = with_record(state, wild.model, wild.knowledge)
+    state, _ = with_momenta(good.state, good.model, good.knowledge)
+    after, _ = with_momenta(state, wild.model, wild.knowledge)
     assert not after.momentum.is_refused
     assert after.filter is state.filter
+
+
+def test_every_record_of_a_batch_is_used_once_in_its_order() -> None:
+    """Of minutes before a row each counts; what is later, or older than 15 min, does not."""
+    first = flight(-8.0, None)
+    spacecraft, axes = first.knowledge.spacecraft, np.array(first.knowledge.spacecraft.wheels.axes)
+    rng = np.random.default_rng(7)
+    minutes = (-15.01, -15.0, -9.0, -4.0, 0.0, 1.0)
+    batch = tuple(
+        TelemetryRecord(
+            ALIGNED_US + round(minute * MINUTE),
+            wheel_momentum_n_m_s=tuple((rng.normal([0.3, -8.0, -0.2], 0.01) @ np.linalg.pinv(axes)).tolist()),
+        )
+        for minute in minutes
+    )
+    at_once = Stepped(spacecraft=spacecraft, momenta=batch)
+    state, effects = with_momenta(at_once.state, at_once.model, at_once.knowledge)
+    assert [effect.update is not None for effect in effects] == [True] * 4
+    assert state.momentum.newest_us == ALIGNED_US
+    one_by_one = at_once.state
+    for record in batch[1:5]:
+        one_by_one, _ = with_momenta(one_by_one, at_once.model, replace(at_once.knowledge, momenta=(record,)))
+    np.testing.assert_array_equal(state.filter.gaussian.covariance, one_by_one.filter.gaussian.covariance)
+    newest_alone, _ = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[4:5]))
+    begin = sensors_first(at_once.model.filter, state.filter.gaussian, at_once.model.settings)
+    own = slice(begin, begin + 3)
+    sigmas = [np.sqrt(each.filter.gaussian.covariance.diagonal()[own]) for each in (state, newest_alone)]
+    assert (sigmas[0] < 0.75 * sigmas[1]).all()
+    assert with_momenta(state, at_once.model, at_once.knowledge) == (state, [])
 
 
 def learned(number: int, factor: float) -> Calibration:

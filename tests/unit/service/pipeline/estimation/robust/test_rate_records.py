@@ -24,7 +24,7 @@ def stepped(sensor: BodyRateSensor, minutes: tuple[float, ...]) -> Stepped:
     rates = tuple(
         TelemetryRecord(ALIGNED_US + round(minute * MINUTE), body_rate_deg_s=RATE_DEG_S) for minute in minutes
     )
-    return Stepped(spacecraft=replace(spacecraft, onboard=onboard), rates=rates, rated=rates[-1] if rates else None)
+    return Stepped(spacecraft=replace(spacecraft, onboard=onboard), rates=rates)
 
 
 BESIDE = BodyRateSensor(in_loop=False, bias_deg_h=0.01, bias_tau_h=8.0, noise_deg_sqrt_h=0.003)

@@ -38,10 +38,9 @@ def recorded():
         rates.append(TelemetryRecord(at_us, body_rate_deg_s=Axes(*(np.array([*STILL]) + noise).tolist())))
         heard = replace(
             flight.knowledge,
-            telemetry=telemetry,
+            momenta=(telemetry,),
             polarization={"p": tuple(angles)},
             rates=tuple(rates),
-            rated=rates[-1],
         )
         measurement = PAYLOAD.measurement(at_us, np.zeros(3))
         power_dbm = measurement.power_dbm + rng.normal(0.0, 0.05, len(measurement.power_dbm))
