@@ -47,31 +47,31 @@ install-dev: $(DEV_STAMP) ## install the tools too
 run: $(STAMP) ## start the demonstration: simulated analyzer, front end, service
 	$(BIN)/soo demo
 
-demo-check: $(STAMP) ## two virtual days on a tour of slews, half a day in closed loop; JSON, exit 1 when bounds are missed
-	$(BIN)/soo demo --open --exit --json
+demo-check: $(STAMP) ## half a virtual day in closed loop; JSON, exit 1 when bounds are missed
 	$(BIN)/soo demo --exit --json --days 0.5
 
-# prints wall time and processor time of all processes
-PYTEST := $(BIN)/python tests/processor_time.py $(BIN)/python -m pytest --durations=25
+# prints wall time and processor time of all processes; durations of each test go to build/durations
+PYTEST := $(BIN)/python tests/processor_time.py $(BIN)/python -m pytest
 PARALLEL := $(PYTEST) -n 2 --dist worksteal
+DURATIONS := build/durations
+REPORT := --junitxml=$(DURATIONS)
 
 test: $(DEV_STAMP) ## run the tests of every change
-	$(PARALLEL) -m "not nightly and not slow"
+	$(PARALLEL) $(REPORT)/quick.xml -m "not nightly and not slow"
 
 test-all: export SOO_TEST_PROFILE := ci
 test-all: $(DEV_STAMP) ## run the slow tests too, as continuous integration does
-	$(PARALLEL) -m "not nightly and not alone"
-	$(PYTEST) -m "alone and not nightly"
+	$(PARALLEL) $(REPORT)/all.xml -m "not nightly"
 
 mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; print how many were killed
 	$(BIN)/python tests/mutation/mutants.py
 
 console-check: $(DEV_STAMP) ## look at the console in the system's chromium; pictures in build/console
-	$(BIN)/python -m pytest -p no:randomly -m "not nightly" -n 2 --dist loadfile tests/console
+	$(PYTEST) -p no:randomly -m "not nightly" -n 2 --dist loadfile $(REPORT)/console.xml tests/console
 
 # without unraisableexception: the sockets that a client leaves to the collector are its own
 clients: $(STAMP) $(CLIENTS_STAMP) ## drive the simulated analyzer with third-party programs, print what each did
-	SOO_ANALYZER=$(BIN)/soo-analyzer $(CLIENTS_VENV)/bin/python -m pytest -p no:unraisableexception tests/clients
+	SOO_ANALYZER=$(BIN)/soo-analyzer $(CLIENTS_VENV)/bin/python -m pytest -p no:unraisableexception $(REPORT)/clients.xml tests/clients
 
 lint: $(DEV_STAMP) ## style and format
 	$(BIN)/ruff check .
@@ -86,7 +86,7 @@ imports: $(DEV_STAMP) ## import rules
 locks: ## lock files name no address
 	! grep -n '://' requirements*.lock
 
-check: lint types imports locks test-all clients docs ## all that must hold before a change lands
+check: lint types imports locks test-all docs ## all that must hold before a change lands
 
 # the wheel is built from the sdist, apart from the checkout: what was built before cannot get into it
 dist: $(DEV_STAMP) ## build wheel and sdist into build/dist, with the lock of what they need
@@ -100,11 +100,16 @@ bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 	$(BIN)/python -m bench
 	$(BIN)/python -m pytest -q -s -p no:randomly tests/speed tests/growth
 
+# every step runs, whatever failed before it; the table says which
 nightly: export SOO_TEST_PROFILE := nightly
-nightly: $(DEV_STAMP) ## long tests, and new examples of every property
-	$(BIN)/python -m pytest -m nightly
-	$(BIN)/python -m pytest -p no:randomly -m nightly tests/console
-	$(BIN)/python -m pytest -m "not nightly" tests/property
+nightly: $(DEV_STAMP) $(CLIENTS_STAMP) ## long tests, repeated evidence, new examples of every property; writes docs/evidence/nightly.md
+	rm -rf $(DURATIONS)
+	-$(PARALLEL) $(REPORT)/nightly.xml -m "nightly and not alone"
+	-$(PYTEST) $(REPORT)/alone.xml -m "alone"
+	-$(PYTEST) $(REPORT)/console.xml -p no:randomly -m nightly -n 2 --dist loadfile tests/console
+	-$(PARALLEL) $(REPORT)/properties.xml -m "not nightly" tests/property
+	-$(MAKE) clients
+	$(BIN)/python tests/durations.py --page docs/evidence/nightly.md $(DURATIONS)/*.xml
 
 docs: $(DOCS_STAMP) ## build the documents as a searchable offline site, build/site/index.html; broken links fail
 	NO_MKDOCS_2_WARNING=1 $(DOCS_VENV)/bin/mkdocs build

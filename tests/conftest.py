@@ -19,6 +19,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+_BEGAN = pytest.StashKey[os.times_result]()
+
 #: of a test that names no number of its own: with every push and every night all hundred
 FAST_EXAMPLES = 25
 
@@ -32,6 +34,20 @@ if importlib.util.find_spec("hypothesis") is not None:  # the environment of tes
     settings.register_profile("ci", **untimed, derandomize=True)
     settings.register_profile("nightly", **untimed)
     settings.load_profile(os.environ.get("SOO_TEST_PROFILE", "fast"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Count the processor time of a test and of the processes that it waited for, setup included."""
+    item.stash[_BEGAN] = os.times()
+    return (yield)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item) -> None:
+    """Write the processor time into the file of durations (tests/durations.py)."""
+    used_s = sum(os.times()[:4]) - sum(item.stash[_BEGAN][:4])
+    item.user_properties.append(("processor_s", f"{used_s:.2f}"))
 
 
 @pytest.fixture

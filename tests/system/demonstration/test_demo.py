@@ -153,3 +153,11 @@ def test_a_signal_ends_it_with_all_its_processes(number, compiled_environment, t
     assert not [child for child in children if Path(f"/proc/{child}").exists()]
     assert "stopped" in (tmp_path / "out").read_text()
     assert "Traceback" not in (tmp_path / "out").read_text()
+
+
+@pytest.mark.nightly
+def test_two_days_on_a_tour_of_slews_keep_every_bound(compiled_environment):
+    print(f"seed {SEED}")
+    ran = soo(compiled_environment, "demo", "--open", "--exit", "--json", "--seed", str(SEED))
+    print(ran.stdout)
+    assert (json.loads(ran.stdout)["missed"], ran.returncode) == ([], 0)
