@@ -47,6 +47,8 @@ Of every dialect:
 - The sweep type AUTO sweeps; an FFT is taken when it is asked for.
 - The quasi-peak detector reads the positive peak, the auto-peak and normal detectors read the highest of a point.
 - The trigger is free running.
+- Of the measurement functions the channel power is there. Headers of markers, adjacent channels, occupied bandwidth,
+  lists of measurements and automatic tuning are unknown: -113.
 - `SYSTem:DATE?`, `TIME?` tell the time of the world; `SIMulation:EPOCh?` is the simulator's own.
 """
 

@@ -1,4 +1,4 @@
-"""One spectrum analyzer: settings, sweep, spectrum, detectors, its errors, what it measures on a trace.
+"""One spectrum analyzer: settings, sweep, spectrum, detectors, its errors, channel power.
 
-Public: imperfections, instrument, levels, painter, spectrum, sweep_progress, trace_faults, truth_log.
+Public: channel_power, imperfections, instrument, levels, painter, spectrum, sweep_progress, trace_faults, truth_log.
 """

@@ -1,6 +1,6 @@
 """The instrument behind the parser: settings, sweep, status. No socket, no SCPI text.
 
-Sweeps, the world and the clocks (states of a sweep: ``sweep_life.py``):
+Sweeps, the world and the clocks (states of a sweep: ``sweep_progress.py``):
 
 * A single sweep (``INIT:CONT OFF``, then ``INIT``) moves the world to its next row; a count above one combines that
   many sweeps of the same row. The row must be allowed; until then the sweep is pending.
@@ -11,7 +11,6 @@ Sweeps, the world and the clocks (states of a sweep: ``sweep_life.py``):
 * In ``INIT:CONT ON`` every trace query shows a fresh sweep of the present row and the world stands still; at the real
   pace the trace is a fresh one once a sweep time, and the first one after a change of settings is waited for.
 * After the last row ``INIT`` queues -200 and leaves no trace, so that the next trace query gives -230.
-* A list sweep measures every entry with its own settings, all of them on one row.
 """
 
 from collections.abc import Callable
@@ -19,7 +18,7 @@ from functools import reduce
 from operator import or_
 
 from analyzer_sim.emission import Emission, EmissionSource, EndOfScenario
-from analyzer_sim.instrument.functions.function_settings import FunctionSettings, swept_settings
+from analyzer_sim.instrument.channel_power import ChannelSettings, own_sweep_settings
 from analyzer_sim.instrument.painter import FloatArray, Trace, TracePainter
 from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
 from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
@@ -72,7 +71,7 @@ class Instrument:
     ) -> None:
         self.model = model
         self.settings = reset_state(model)
-        self.functions = FunctionSettings()
+        self.channel = ChannelSettings(model.channel_width_hz.default)
         self.status = StatusModel(model.error_queue_depth, model.no_error)
         #: faults of what is shown, for tests of clients
         self.trace_faults = TraceFaults()
@@ -80,8 +79,6 @@ class Instrument:
         self._painter = painter
         self._may_advance = may_advance
         self._trace: Trace | None = None
-        self._list_entries: tuple[Settings, ...] = ()
-        self._list_traces: tuple[Trace, ...] = ()
         self._progress = progress or SweepProgress()
         self._truth = truth
         self._sweeps = 0
@@ -111,16 +108,17 @@ class Instrument:
         return self._progress.remaining_s
 
     @property
-    def swept(self) -> Settings:
+    def sweep_settings(self) -> Settings:
         """The settings a sweep is taken with: those of the measurement selected."""
-        return swept_settings(self.settings, self.functions)
+        is_own = self.channel.is_selected and self.channel.is_own_sweep
+        return own_sweep_settings(self.settings, self.channel) if is_own else self.settings
 
     def reset(self, *, is_preset: bool = False) -> None:
         """``*RST``, or ``SYSTem:PRESet``: settings to their defaults; status and queues stay."""
         self._completion_wanted = False
         self.abort()
         self.settings = reset_state(self.model, is_preset=is_preset)
-        self.functions = FunctionSettings()
+        self.channel = ChannelSettings(self.model.channel_width_hz.default)
         self.invalidate()
 
     def initiate(self) -> None:
@@ -136,27 +134,10 @@ class Instrument:
         if self.is_pending:
             raise ScpiError(-213, "a sweep is pending")
         self.invalidate()
-        self._begin()
-
-    def _begin(self) -> None:
         self._sweep_errors = self.status.errors
         self._progress.wait()
         self._report_progress()
         self.complete_pending()
-
-    def initiate_list(self, entries: tuple[Settings, ...]) -> None:
-        """Start a sweep that measures each entry once with its own settings.
-
-        Raises
-        ------
-        ScpiError
-            -213 when a sweep is pending.
-        """
-        if self.is_pending:
-            raise ScpiError(-213, "a sweep is pending")
-        self.invalidate()
-        self._list_entries = entries
-        self._begin()
 
     def complete_pending(self) -> bool:
         """Begin the pending sweep if its row is allowed, end it if its time is over; return whether none is pending."""
@@ -193,7 +174,8 @@ class Instrument:
 
     def _duration_s(self) -> float:
         """Return how long the sweeps of one trace last."""
-        return sum(entry.time_s * entry.sweeps for entry in self._list_entries or (self.swept,))
+        settings = self.sweep_settings
+        return settings.time_s * settings.sweeps
 
     def _report_progress(self) -> None:
         others = self.status.operation.condition & ~_SWEEP_BITS
@@ -207,7 +189,6 @@ class Instrument:
             self._restart()
 
     def _end_pending(self) -> None:
-        self._list_entries = ()
         self._progress.end()
         self._report_progress()
         if self._completion_wanted:
@@ -226,7 +207,6 @@ class Instrument:
     def invalidate(self) -> None:
         """Forget what was swept: a setting that shapes it has changed; the sweep that runs begins again."""
         self._trace = None
-        self._list_traces = ()
         self._restart()
 
     def _restart(self) -> None:
@@ -261,10 +241,6 @@ class Instrument:
         self._repeats_shown = repeats
         return is_fresh
 
-    def glimpse(self, settings: Settings) -> Trace:
-        """Return what a sweep with these settings would show at once; nothing else changes."""
-        return self._painter.paint(self._present(), settings)
-
     def read_out(self, shown: FloatArray) -> FloatArray:
         """Return the numbers of a trace as they leave, shape (B,): noted for the truth log, wrong if so armed."""
         leaving = self.trace_faults.spoil(shown)
@@ -283,18 +259,6 @@ class Instrument:
             for reading in readings:
                 self._truth.trace(reading, session)
 
-    def list_traces(self) -> tuple[Trace, ...]:
-        """Return the traces of the last list sweep, one an entry.
-
-        Raises
-        ------
-        ScpiError
-            -230 when no list has been swept with the present settings.
-        """
-        if not self._list_traces:
-            raise ScpiError(-230, "no list has been swept")
-        return self._list_traces
-
     def epoch_us(self) -> int:
         """Return the virtual instant: of the trace shown, else of the present row."""
         return self._present().epoch_us if self._trace is None else self._trace.epoch_us
@@ -306,15 +270,10 @@ class Instrument:
             raise ScpiError(-230, "the scenario has ended") from None
 
     def _show(self, emission: Emission) -> None:
-        entries = self._list_entries or (self.swept,)
-        traces = tuple(self._painter.paint(emission, entry, len(entries)) for entry in entries)
-        if self._list_entries:
-            self._list_traces = traces
-        else:
-            self._trace = traces[0]
+        settings = self.sweep_settings
+        self._trace = self._painter.paint(emission, settings)
         self._sweeps += 1
         if self._truth is not None:
-            self._truth.sweep(self._sweeps, emission, entries[0])
-        self.status.put_questionable_power(reduce(or_, (trace.overload for trace in traces)))
-        is_uncalibrated = any(entry.is_uncalibrated for entry in entries)
-        self.status.put_uncalibrated(self.model.uncalibrated_bit, is_set=is_uncalibrated)
+            self._truth.sweep(self._sweeps, emission, settings)
+        self.status.put_questionable_power(self._trace.overload)
+        self.status.put_uncalibrated(self.model.uncalibrated_bit, is_set=settings.is_uncalibrated)

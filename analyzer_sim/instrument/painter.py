@@ -51,8 +51,6 @@ class Trace(NamedTuple):
     epoch_us: int
     #: where it was taken and with which filter
     grid: SweepGrid
-    #: how the points were detected, a key of ``BUCKET_DETECTORS``
-    detector: str
 
 
 class TracePainter:
@@ -74,39 +72,36 @@ class TracePainter:
         self._detail = detail
         self._ripple_gain = lru_cache(maxsize=8)(self._compute_ripple_gain)
 
-    def paint(self, emission: Emission, settings: Settings, traces: int = 1) -> Trace:
-        """Return the trace of one measurement; ``settings.sweeps`` sweeps are combined.
-
-        ``traces`` tells how many are taken together: the longest envelope drawn is for all of them.
-        """
+    def paint(self, emission: Emission, settings: Settings) -> Trace:
+        """Return the trace of one measurement; ``settings.sweeps`` sweeps are combined."""
         grid = SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
         attenuation_db = settings.attenuation_db
         own_noise = self._errors.own_noise_dbm_hz(attenuation_db, is_preamplifier_on=settings.is_preamplifier_on)
         loss = 1.0 if settings.is_fft else too_fast_line_loss(settings.span_hz, settings.rbw_hz, settings.time_s)
         mean = mean_trace(emission, grid, own_noise, loss)
-        power_mw = self._statistics(mean, grid, settings, traces)
+        power_mw = self._statistics(mean, grid, settings)
         overload = Overload.of(emission, settings)
         error_db = self._errors.sweep_error_db(emission.epoch_us, settings.rbw_hz, attenuation_db)
         power_mw *= self._ripple_gain(grid) * milliwatts(error_db - overload.compression_db)
         level_dbm = 10.0 * np.log10(np.maximum(power_mw, _LEAST_MW))
         np.minimum(level_dbm, settings.reference_dbm + HEADROOM_DB, out=level_dbm)
         level_dbm += settings.level_offset_db
-        return Trace(level_dbm, overload.bits, emission.epoch_us, grid, settings.detector)
+        return Trace(level_dbm, overload.bits, emission.epoch_us, grid)
 
-    def _statistics(self, mean: MeanTrace, grid: SweepGrid, settings: Settings, traces: int) -> FloatArray:
+    def _statistics(self, mean: MeanTrace, grid: SweepGrid, settings: Settings) -> FloatArray:
         """Draw the sweeps of one measurement and combine them, mW."""
         dwell = _dwell(grid, settings)
-        if self._wants_envelope(grid, settings, traces):
+        if self._wants_envelope(grid, settings):
             figures = settings.time_s, settings.detector, settings.vbw_hz
             return _combined(partial(draw_envelope, mean, grid, *figures, self._rng), settings)
         if settings.combination == "POW" and settings.detector == "RMS":
             return draw_rms(mean, dwell, self._rng, settings.sweeps)
         return _combined(partial(FAST_DRAWS[settings.detector], mean, dwell, self._rng), settings)
 
-    def _wants_envelope(self, grid: SweepGrid, settings: Settings, traces: int) -> bool:
+    def _wants_envelope(self, grid: SweepGrid, settings: Settings) -> bool:
         """Tell whether statistics are drawn in time: wanted or needed, and not beyond the longest envelope."""
         samples = sample_count(grid, settings.time_s)
-        if settings.is_fft or samples > MAX_SAMPLES or samples * settings.sweeps * traces > MAX_SAMPLES_ALL_SWEEPS:
+        if settings.is_fft or samples > MAX_SAMPLES or samples * settings.sweeps > MAX_SAMPLES_ALL_SWEEPS:
             return False
         return self._detail is Detail.ENVELOPE or settings.detector != "RMS"
 

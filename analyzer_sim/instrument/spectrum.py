@@ -61,12 +61,6 @@ class SweepGrid(NamedTuple):
         """Distance of neighbouring points."""
         return (self.stop_hz - self.start_hz) / max(self.points - 1, 1)
 
-    def nearest(self, frequency_hz: float) -> int:
-        """Return the index of the point nearest to a frequency; the ends serve what lies outside."""
-        if self.spacing_hz <= 0.0:
-            return 0
-        return min(max(round((frequency_hz - self.start_hz) / self.spacing_hz), 0), self.points - 1)
-
 
 class MeanTrace(NamedTuple):
     """Mean power of each trace point, split by statistics; mW, shape (B,)."""

@@ -240,12 +240,15 @@ def test_rms_points_averaged_in_decibels_are_low_by_their_freedom_and_peaks_are_
     assert peak_db == pytest.approx(7.0, abs=0.25)
 
 
-#: asks the channel power of 1.3 MHz about the middle of the span
+#: sets and asks the channel power of 1.3 MHz about the middle of the span; Keysight's sweeps have their own settings
 CHANNEL_POWER = {
-    "rs": ":POW:ACH:BWID 1.3 MHZ;:CALC:MARK:FUNC:POW:RES? CPOW",
-    "keysight": ":CALC:MARK:X 963 MHZ;FUNC BPOW;FUNC:BAND:SPAN 1.3 MHZ;:CALC:MARK:Y?",
-    "siglent": ":CHP:BWID:INT 1.3 MHZ;:MEAS:CHP:CHP?",
-    "anritsu": ":CHP:BWID:INT 1.3 MHZ;:FETC:CHP:CHP?",
+    "rs": (";:POW:ACH:BWID 1.3 MHZ", "CALC:MARK:FUNC:POW:RES? CPOW"),
+    "keysight": (
+        ";:CONF:CHP;:CHP:BAND:INT 1.3 MHZ;:CHP:FREQ:SPAN 9 MHZ;:CHP:BAND 30 KHZ;:CHP:SWE:TIME 0.3;:CHP:AVER OFF",
+        "FETC:CHP:CHP?",
+    ),
+    "siglent": (";:CHP:BWID:INT 1.3 MHZ", "MEAS:CHP:CHP?"),
+    "anritsu": (";:CHP:BWID:INT 1.3 MHZ", "FETC:CHP:CHP?"),
 }
 
 
@@ -253,10 +256,11 @@ CHANNEL_POWER = {
 def test_own_function_of_the_instrument_agrees_with_the_integrated_trace(dialect: Dialect, detail: Detail) -> None:
     middle = Signal("middle", 963e6, 1e6, ROLLOFF, -40.0)
     client = Client(dialect, Emission(0, (middle,), NOISE_DBM_HZ), detail)
-    client.set_up(client.words.rms)
+    setup, query = CHANNEL_POWER[dialect.name]
+    client.set_up(client.words.rms, more=setup)
     for _ in range(5):
         trace_mw = 10 ** (client.sweep() / 10)
-        shown_dbm = float(client.ask(CHANNEL_POWER[dialect.name]))
+        shown_dbm = float(client.ask(query))
         assert shown_dbm == pytest.approx(float(decibels(band_mw(trace_mw, 962.35e6, 963.65e6))), abs=2e-4)
     assert client.ask("SYST:ERR?").lstrip("+").startswith("0,")
 

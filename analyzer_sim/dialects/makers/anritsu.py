@@ -3,10 +3,15 @@
 Where this differs from R&S: the points are those of the display (``DISPlay:POINtcount``); a trace stands in a block of
 definite length in every format, ASCII too, and ``#0`` stands for one that is not valid; ``TRACe:PREamble?`` tells how
 it was taken; blocks are little-endian, integers in milli-dBm; filter steps 1-3-10.
+
+Channel power: CONFigure selects it, RMS detector, single sweep, a channel as wide as the span; FETCh? answers from the
+trace there is, READ? sweeps first, MEASure? is CONFigure and READ?. A result that does not exist is -999.0; without a
+trace both are.
 """
 
+from dataclasses import replace
+
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.makers.anritsu_functions import FUNCTION_ROWS
 from analyzer_sim.dialects.rows.analyzer_rows import (
     LOCAL_ROWS,
     bandwidth_rows,
@@ -32,13 +37,26 @@ from analyzer_sim.dialects.rows.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.rows.trace_rows import TraceFormat, TraceStyle, format_row, trace_row
+from analyzer_sim.dialects.rows.trace_rows import (
+    TraceFormat,
+    TraceStyle,
+    channel_power,
+    channel_power_rows,
+    channel_row,
+    channel_switch_row,
+    format_row,
+    reset_channel,
+    results_text,
+    start_sweep,
+    trace_row,
+)
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.instrument.levels import definite_block
 from analyzer_sim.instrument.settings.instrument_settings import Settings
 from analyzer_sim.instrument.settings.models import MS2090A
 from analyzer_sim.instrument.settings.quantities import load
-from analyzer_sim.scpi.parameters import DECIBELS, Choice, TraceName
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, Choice, TraceName
 
 IDENTITY = "Anritsu,MS2090A,2014005,V2023.3.1"
 _DETECTORS = {"POSitive": "POS", "RMS": "RMS", "NEGative": "NEG", "SAMPle": "SAMP", "QUASi": "QPE"}
@@ -60,6 +78,7 @@ _BANDWIDTH = f"{_SENSE}:BANDwidth|BWIDth"
 _TRACE_Y = "DISPlay:WINDow[:TRACe]:Y[:SCALe]"
 _POWER = f"{_SENSE}:POWer[:RF]"
 _NO_FIX = "NO FIX"
+_NO_RESULT = "-999.0"
 
 
 _AVERAGE_WORDS = ("NONE", "SCALar", "MAXimum", "MINimum")
@@ -125,6 +144,34 @@ def _preamble(call: Call, number: int = 1) -> bytes:  # noqa: ARG001 - the trace
     return definite_block(",".join(f"{name}={value}" for name, value in fields.items()).encode("ascii"))
 
 
+def _configure_channel_power(call: Call) -> None:
+    settings = call.instrument.settings
+    reset_channel(call).is_selected = True
+    settings.detector, settings.is_detector_auto = "RMS", False
+    settings.is_continuous = False
+    call.instrument.abort()
+    call.instrument.invalidate()
+
+
+def _measure_channel_power(call: Call) -> None:
+    _configure_channel_power(call)
+    start_sweep(call)
+
+
+def _channel_results(call: Call, which: slice) -> str:
+    try:
+        return results_text(channel_power(call)[which], _NO_RESULT)
+    except ScpiError:
+        return ",".join([_NO_RESULT] * (which.stop - which.start))
+
+
+#: a width that was not set is answered as the span
+_CHANNEL_WIDTH_ROW = replace(
+    channel_row(f"{_SENSE}:CHPower:BANDwidth|BWIDth:INTegration", "width_hz", MS2090A.channel_width_hz),
+    query=lambda call: number_text(call.instrument.channel.width_hz or call.instrument.settings.span_hz),
+    query_parameters=(),
+)
+
 _FREQUENCY_ROWS = (
     *frequency_rows(f"{_SENSE}:FREQuency", "STEP[:INCRement]"),
     previous_span_row(f"{_SENSE}:FREQuency:SPAN:LAST|PREVious"),
@@ -163,6 +210,17 @@ _TRACE_ROWS = (
     Command("TRACe[:DATA]:PREamble", query=_preamble, query_parameters=(_TRACE_NAME,)),
 )
 
+_CHANNEL_POWER_ROWS = (
+    Command("CONFigure", query=lambda call: "CHP" if call.instrument.channel.is_selected else "SAN"),
+    Command("CONFigure:CHPower", _configure_channel_power),
+    channel_switch_row(f"{_SENSE}:CHPower:STATe", "is_selected"),
+    _CHANNEL_WIDTH_ROW,
+    numeric(f"{_SENSE}:CHPower:FREQuency:SPAN", "span_hz", HERTZ),
+    *channel_power_rows("FETCh:CHPower<2>", _channel_results),
+    *channel_power_rows("READ:CHPower<2>", _channel_results, start_sweep),
+    *channel_power_rows("MEASure:CHPower<2>", _channel_results, _measure_channel_power),
+)
+
 _MISCELLANEOUS_ROWS = (
     constant("*IDN", IDENTITY),
     constant("*OPT", '"0031,0726"'),
@@ -195,7 +253,7 @@ ANRITSU = Dialect(
         *_SWEEP_ROWS,
         *_LEVEL_ROWS,
         *_TRACE_ROWS,
+        *_CHANNEL_POWER_ROWS,
         *_MISCELLANEOUS_ROWS,
-        *FUNCTION_ROWS,
     ),
 )

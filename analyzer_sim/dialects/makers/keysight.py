@@ -3,10 +3,21 @@
 Where this differs from R&S: after ``*RST`` the instrument sweeps once on INITiate, after ``SYSTem:PRESet`` without end;
 the detector AVERage takes its kind of mean from ``AVERage:TYPE``; blocks are big-endian until ``FORMat:BORDer SWAP``;
 an empty error queue answers ``+0``; ``FETCh:SANalyzer?`` answers pairs of frequency and level.
+
+Channel power sweeps with settings of its own. Its verbs, and those of the spectrum (SCPI-99, volume 2, chapter 3)::
+
+    CONFigure   select it and return its settings to their defaults; CONFigure:..:NDEFault keeps them
+    INITiate    select it as it is set and start a sweep
+    FETCh?      answer from the sweep there is; -230 when there is none, -221 when another measurement is selected
+    READ?       INITiate and FETCh?          MEASure?    CONFigure, INITiate and FETCh?
+
+A result that does not exist is 9.91E37. Of the results numbered behind a measurement the first and, for the trace, the
+second are there.
 """
 
+from collections.abc import Mapping
+
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.makers.keysight_functions import FUNCTION_ROWS
 from analyzer_sim.dialects.rows.analyzer_rows import (
     LOCAL_ROWS,
     bandwidth_rows,
@@ -15,13 +26,11 @@ from analyzer_sim.dialects.rows.analyzer_rows import (
     sweep_time_rows,
 )
 from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.dialects.rows.function_rows import start_sweep
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS, register_rows
-from analyzer_sim.dialects.rows.settings_rows import constant, inert, inert_number, numeric
+from analyzer_sim.dialects.rows.settings_rows import constant, inert, inert_number, number_text, numeric
 from analyzer_sim.dialects.rows.span_rows import (
     previous_span_row,
     step_auto_row,
-    tune_row,
     zero_span_row,
 )
 from analyzer_sim.dialects.rows.sweep_rows import (
@@ -43,14 +52,26 @@ from analyzer_sim.dialects.rows.trace_rows import (
     TraceFormat,
     TraceStyle,
     byte_order_row,
+    channel_power,
+    channel_power_rows,
+    channel_row,
+    channel_switch_row,
     format_row,
+    levels_shown,
     pairs_shown,
+    reset_channel,
+    results_text,
+    start_sweep,
     trace_reader,
     trace_row,
 )
-from analyzer_sim.instrument.settings.instrument_settings import reset_state
+from analyzer_sim.instrument.channel_power import OWN_AVERAGES, OWN_SPAN_HZ, own_sweep_settings
+from analyzer_sim.instrument.levels import ascii_list
+from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
 from analyzer_sim.instrument.settings.models import N9020B
-from analyzer_sim.scpi.parameters import DECIBELS, Boolean, Choice, TraceName
+from analyzer_sim.instrument.settings.quantities import load, shown_limits, store
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Boolean, Choice, Numeric, TraceName
 
 IDENTITY = "Keysight Technologies,N9020B,MY57430101,A.30.05"
 _OPTIONS = '"526,B25,EA3,P26"'
@@ -83,6 +104,7 @@ _BANDWIDTH = f"{_SENSE}:BANDwidth|BWIDth"
 _TRACE_Y = "DISPlay:WINDow<1>[:TRACe<6>]:Y[:SCALe]"
 _POWER = f"{_SENSE}:POWer[:RF]"
 _SPECTRUM = "SANalyzer<6>"
+_CHANNEL = f"{_SENSE}:CHPower"
 
 
 def _put_sweep_type(call: Call, word: str) -> None:
@@ -115,7 +137,7 @@ def _average_type_auto(call: Call) -> str:
 
 
 def _keep_spectrum(call: Call) -> None:
-    call.instrument.functions.select("SAN")
+    call.instrument.channel.is_selected = False
     call.instrument.invalidate()
 
 
@@ -134,7 +156,7 @@ def _measure_spectrum(call: Call) -> None:
 
 
 def _initiate_spectrum(call: Call) -> None:
-    call.instrument.functions.select("SAN")
+    call.instrument.channel.is_selected = False
     call.instrument.initiate()
 
 
@@ -146,13 +168,82 @@ def _restart(call: Call) -> None:
         call.instrument.initiate()
 
 
+def _select_channel_power(call: Call) -> None:
+    channel = call.instrument.channel
+    if not channel.is_selected:
+        channel.is_selected = channel.is_own_sweep = True
+        call.instrument.abort()
+        call.instrument.invalidate()
+
+
+def _configure_channel_power(call: Call) -> None:
+    reset_channel(call)
+    _select_channel_power(call)
+
+
+def _initiate_channel_power(call: Call) -> None:
+    _select_channel_power(call)
+    call.instrument.initiate()
+
+
+def _read_channel_power(call: Call) -> None:
+    _select_channel_power(call)
+    start_sweep(call)
+
+
+def _measure_channel_power(call: Call) -> None:
+    _configure_channel_power(call)
+    start_sweep(call)
+
+
+def _channel_results(call: Call, which: slice) -> str:
+    if not call.instrument.channel.is_selected:
+        raise ScpiError(-221, "CHP is not selected")
+    values = channel_power(call)[which]
+    is_trace = len(values) > 1 and call.suffix("CHPower") > 1
+    return ascii_list(levels_shown(call)) if is_trace else results_text(values)
+
+
+def _channel_sweep(call: Call) -> Settings:
+    """Return the settings of the sweeps of the channel power, selected or not."""
+    return own_sweep_settings(call.instrument.settings, call.instrument.channel)
+
+
+def _coupled_rows(pattern: str, name: str, units: Mapping[str, float]) -> tuple[Command, Command]:
+    """Return the rows of the filter or the time of the channel power and of its coupling."""
+
+    def write(call: Call, value: float | str) -> None:
+        settings = _channel_sweep(call)
+        limits = shown_limits(settings, name)
+        words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
+        if isinstance(value, str) and value not in words:
+            raise ScpiError(-141, value)
+        wanted = words[value] if isinstance(value, str) else value
+        is_clamped = store(settings, name, wanted)
+        setattr(call.instrument.channel, name, load(settings, name))
+        call.instrument.invalidate()
+        if is_clamped:
+            raise ScpiError(-222, f"{wanted:g}")
+
+    def write_auto(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the one value of the command
+        setattr(call.instrument.channel, name, None if is_auto else load(_channel_sweep(call), name))
+        call.instrument.invalidate()
+
+    def query_auto(call: Call) -> str:
+        return str(int(getattr(call.instrument.channel, name) is None))
+
+    return (
+        Command(pattern, write, lambda call: number_text(load(_channel_sweep(call), name)), (Numeric(units),)),
+        Command(f"{pattern}:AUTO", write_auto, query_auto, (Boolean(),)),
+    )
+
+
 _FREQUENCY_ROWS = (
     *frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
     step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
     previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
     numeric(f"{_SENSE}:FREQuency:SPAN:BANDwidth[:RESolution]:RATio", "span_per_rbw"),
     zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
-    tune_row(f"{_SENSE}:FREQuency:TUNE:IMMediate"),
 )
 
 _BANDWIDTH_ROWS = (
@@ -212,6 +303,21 @@ _TRACE_ROWS = (
     ),
 )
 
+_CHANNEL_POWER_ROWS = (
+    Command("CONFigure:CHPower", _configure_channel_power),
+    Command("CONFigure:CHPower:NDEFault", _select_channel_power),
+    Command("INITiate:CHPower", _initiate_channel_power),
+    *channel_power_rows("FETCh:CHPower<2>", _channel_results),
+    *channel_power_rows("READ:CHPower<2>", _channel_results, _read_channel_power),
+    *channel_power_rows("MEASure:CHPower<2>", _channel_results, _measure_channel_power),
+    channel_row(f"{_CHANNEL}:BANDwidth|BWIDth:INTegration", "width_hz", N9020B.channel_width_hz),
+    channel_row(f"{_CHANNEL}:FREQuency:SPAN", "span_hz", OWN_SPAN_HZ, reshapes=True),
+    channel_row(f"{_CHANNEL}:AVERage:COUNt", "averages", OWN_AVERAGES, PURE, reshapes=True, is_whole=True),
+    channel_switch_row(f"{_CHANNEL}:AVERage[:STATe]", "is_averaging", reshapes=True),
+    *_coupled_rows(f"{_CHANNEL}:BANDwidth|BWIDth[:RESolution]", "rbw_hz", HERTZ),
+    *_coupled_rows(f"{_CHANNEL}:SWEep:TIME", "time_s", SECONDS),
+)
+
 _MISCELLANEOUS_ROWS = (
     constant("*IDN", IDENTITY),
     constant("*OPT", _OPTIONS),
@@ -220,8 +326,8 @@ _MISCELLANEOUS_ROWS = (
     application_row("INSTrument[:SELect]", "SA", frozenset({"SA"})),
     constant("INSTrument:CATalog", '"SA 1"'),
     inert_number("INSTrument:NSELect", 1.0, 1.0, 1.0),
-    Command("CONFigure", query=lambda call: call.instrument.functions.measurement),
-    constant("CONFigure:CATalog", '"SAN, CHP, OBW, ACP"'),
+    Command("CONFigure", query=lambda call: "CHP" if call.instrument.channel.is_selected else "SAN"),
+    constant("CONFigure:CATalog", '"SAN, CHP"'),
     Command("CONFigure:SANalyzer", _configure_spectrum),
     Command("CONFigure:SANalyzer:NDEFault", _keep_spectrum),
     inert("CALibration:AUTO", "ON", ("ON", "PARTial", "OFF", "ALERt")),
@@ -236,11 +342,9 @@ KEYSIGHT = Dialect(
     model=N9020B,
     own_noise_dbm_hz=-148.0,
     deviations=(
-        "Auto tune leaves a span of 10 MHz.",
         "Field strength units are refused (-221): there is no antenna factor.",
         "Of the numbered results of a measurement the first and, for its trace, the second are there; the Swept SA "
         "measurement answers pairs for trace 1.",
-        "`LIST` (a list sweep, another thing than that of R&S) is not there.",
     ),
     traces=TRACE_STYLE,
     units=_UNITS,
@@ -252,7 +356,7 @@ KEYSIGHT = Dialect(
         *_SWEEP_ROWS,
         *_LEVEL_ROWS,
         *_TRACE_ROWS,
+        *_CHANNEL_POWER_ROWS,
         *_MISCELLANEOUS_ROWS,
-        *FUNCTION_ROWS,
     ),
 )

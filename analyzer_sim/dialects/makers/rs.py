@@ -1,7 +1,6 @@
-"""Rohde & Schwarz FSV and FSW: what measuring with traces needs; measurement functions stand in functions_rs.py."""
+"""Rohde & Schwarz FSV and FSW: what measuring with traces needs, and the channel power of the trace shown."""
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.makers.rs_functions import FUNCTION_ROWS
 from analyzer_sim.dialects.rows.analyzer_rows import (
     LOCAL_ROWS,
     bandwidth_rows,
@@ -9,15 +8,10 @@ from analyzer_sim.dialects.rows.analyzer_rows import (
     level_rows,
     sweep_time_rows,
 )
-from analyzer_sim.dialects.rows.command_row import Command
+from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialects.rows.settings_rows import choice, constant, inert, inert_number, numeric
-from analyzer_sim.dialects.rows.span_rows import (
-    adjust_all_row,
-    adjust_level_row,
-    step_auto_row,
-    tune_row,
-)
+from analyzer_sim.dialects.rows.span_rows import step_auto_row
 from analyzer_sim.dialects.rows.sweep_rows import (
     application_row,
     average_state_row,
@@ -31,14 +25,19 @@ from analyzer_sim.dialects.rows.sweep_rows import (
 from analyzer_sim.dialects.rows.trace_rows import (
     TraceFormat,
     TraceStyle,
+    channel_power,
+    channel_row,
+    channel_switch_row,
     format_row,
     frequencies_shown,
+    results_text,
     trace_reader,
     trace_row,
 )
 from analyzer_sim.instrument.settings.models import FSW_26
 from analyzer_sim.instrument.settings.quantities import QUANTITIES
-from analyzer_sim.scpi.parameters import DECIBELS, TraceName
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import DECIBELS, Boolean, Choice, TraceName
 
 IDENTITY = "Rohde&Schwarz,FSW-26,1312.8000K26/100001,5.30"
 _DETECTORS = {
@@ -64,15 +63,34 @@ _SWEEP = f"{_SENSE}:SWEep[:WINDow<16>]"
 _DETECTOR = f"{_SENSE}[:WINDow<16>]:DETector<6>"
 _DISPLAY_TRACE = "DISPlay[:WINDow<16>][:SUBWindow<16>]:TRACe<6>"
 _TRACE = "TRACe<16>[:DATA]"
+_POWER = "CALCulate<16>:MARKer<16>:FUNCtion:POWer<8>"
+_CHANNEL = f"{_SENSE}:POWer:ACHannel"
+_POWER_MEASUREMENTS = (Choice(("CPOWer",)),)
+
+
+def _select_channel_power(call: Call, _measurement: str) -> None:
+    """Select the measurement; a detector that follows it becomes RMS."""
+    settings = call.instrument.settings
+    call.instrument.channel.is_selected = True
+    if settings.is_detector_auto and settings.detector != "RMS":
+        settings.detector = "RMS"
+        call.instrument.invalidate()
+
+
+def _deselect(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one value of the command
+    if is_on:
+        raise ScpiError(-224, "a measurement is switched on by SELect")
+    call.instrument.channel.is_selected = False
+
+
+def _channel_result(call: Call, _measurement: str = "") -> str:
+    return results_text((channel_power(call)[int(call.instrument.channel.is_density)],))
 
 
 _FREQUENCY_ROWS = (
     *frequency_rows(_FREQUENCY, "CENTer:STEP"),
     step_auto_row(f"{_FREQUENCY}:CENTer:STEP:AUTO"),
     inert(f"{_FREQUENCY}:MODE", "SWE", ("SWEep",)),
-    tune_row(f"{_SENSE}:ADJust:FREQuency"),
-    adjust_level_row(f"{_SENSE}:ADJust:LEVel"),
-    adjust_all_row(f"{_SENSE}:ADJust:ALL"),
 )
 
 _BANDWIDTH_ROWS = (
@@ -123,6 +141,28 @@ _TRACE_ROWS = (
     ),
 )
 
+_CHANNEL_POWER_ROWS = (
+    Command(
+        f"{_POWER}:SELect",
+        _select_channel_power,
+        lambda call: "CPOW" if call.instrument.channel.is_selected else "OFF",
+        _POWER_MEASUREMENTS,
+    ),
+    Command(f"{_POWER}[:STATe]", _deselect, lambda call: str(int(call.instrument.channel.is_selected)), (Boolean(),)),
+    Command(
+        f"{_POWER}:RESult",
+        query=_channel_result,
+        query_parameters=_POWER_MEASUREMENTS,
+        query_required=1,
+        query_waits=True,
+    ),
+    channel_switch_row(f"{_POWER}:RESult:PHZ", "is_density"),
+    inert(f"{_POWER}:MODE", "WRIT", ("WRITe",)),
+    Command("FETCh<16>:CPOWer:RESult", query=_channel_result, query_waits=True),
+    channel_row(f"{_CHANNEL}:BWIDth|BANDwidth[:CHANnel<18>]", "width_hz", FSW_26.channel_width_hz),
+    inert_number(f"{_CHANNEL}:TXCHannel:COUNt", 1.0, 1.0, 1.0),
+)
+
 _MISCELLANEOUS_ROWS = (
     constant("*IDN", IDENTITY),
     constant("*OPT", "0"),
@@ -143,7 +183,6 @@ RS = Dialect(
     deviations=(
         "`SWEep:COUNt` without averaging combines the sweeps by the mean of mW.",
         "One transmission channel; sub-blocks and windows are one.",
-        "The list of power measurements answers all its entries from one row of the world.",
     ),
     traces=TRACE_STYLE,
     units=_UNITS,
@@ -155,8 +194,8 @@ RS = Dialect(
         *_SWEEP_ROWS,
         *_LEVEL_ROWS,
         *_TRACE_ROWS,
+        *_CHANNEL_POWER_ROWS,
         *_MISCELLANEOUS_ROWS,
-        *FUNCTION_ROWS,
     ),
     interface_messages=frozenset({b"&GTL", b"&GTR", b"&DCL", b"&POL", b"&LLO", b"&NREN"}),
 )

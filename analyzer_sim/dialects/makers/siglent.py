@@ -2,11 +2,11 @@
 
 Where this differs from R&S: 751 points whatever is asked; filter steps 1-3-10, nearest on a linear scale; the detector
 AVERage takes its kind of mean from ``AVERage:TYPE``; an ASCII trace ends with a comma; traces are numbered; the end of
-a sweep is polled with ``TRACe:SWEep:STATe?``.
+a sweep is polled with ``TRACe:SWEep:STATe?``. ``MEASure:CHPower`` answers from the trace there is; a sweep is taken
+first only when the settings have changed since and the instrument does not sweep without end [K].
 """
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.makers.siglent_functions import FUNCTION_ROWS
 from analyzer_sim.dialects.rows.analyzer_rows import (
     LOCAL_ROWS,
     bandwidth_rows,
@@ -21,7 +21,6 @@ from analyzer_sim.dialects.rows.span_rows import (
     previous_span_row,
     scaled_span_row,
     step_auto_row,
-    tune_row,
     zero_span_row,
 )
 from analyzer_sim.dialects.rows.sweep_rows import (
@@ -36,9 +35,20 @@ from analyzer_sim.dialects.rows.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.rows.trace_rows import TraceFormat, TraceStyle, format_row, trace_row
+from analyzer_sim.dialects.rows.trace_rows import (
+    TraceFormat,
+    TraceStyle,
+    channel_power,
+    channel_power_rows,
+    channel_row,
+    format_row,
+    results_text,
+    start_sweep,
+    trace_row,
+)
 from analyzer_sim.instrument.settings.models import SSA3032X
-from analyzer_sim.scpi.parameters import DECIBELS, PURE, Numeric, TraceName
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import DECIBELS, PURE, Choice, Numeric, TraceName
 
 IDENTITY = "Siglent Technologies,SSA3032X,SSA3XLBD2R0101,1.2.9.3"
 _DETECTORS = {
@@ -73,6 +83,25 @@ def _clear_average(call: Call) -> None:
     call.instrument.invalidate()
 
 
+def _sweep_if_stale(call: Call) -> None:
+    """Start a single sweep unless there is a trace with the present settings."""
+    if call.instrument.settings.is_continuous:
+        return
+    try:
+        call.instrument.trace()
+    except ScpiError:
+        start_sweep(call)
+
+
+def _widen_to_span(call: Call) -> None:
+    limits = SSA3032X.channel_width_hz
+    call.instrument.channel.width_hz = min(max(call.instrument.settings.span_hz, limits.low), limits.high)
+
+
+def _select_measurement(call: Call, name: str) -> None:
+    call.instrument.channel.is_selected = name == "CHP"
+
+
 _FREQUENCY_ROWS = (
     *frequency_rows(f"{_SENSE}:FREQuency", "CENTer:STEP[:INCRement]"),
     step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
@@ -80,7 +109,6 @@ _FREQUENCY_ROWS = (
     scaled_span_row(f"{_SENSE}:FREQuency:SPAN:HALF", 0.5),
     scaled_span_row(f"{_SENSE}:FREQuency:SPAN:DOUBle", 2.0),
     zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
-    tune_row(f"{_SENSE}:FREQuency:TUNE:IMMediate"),
 )
 
 _BANDWIDTH_ROWS = (
@@ -120,6 +148,20 @@ _TRACE_ROWS = (
     trace_row("TRACe<4>[:DATA]", TRACE_STYLE, _TRACE_NAME),
 )
 
+_CHANNEL_POWER_ROWS = (
+    Command(
+        "INSTrument:MEASure",
+        _select_measurement,
+        lambda call: "CHP" if call.instrument.channel.is_selected else "OFF",
+        (Choice(("OFF", "CHPower")),),
+    ),
+    channel_row(f"{_SENSE}:CHPower:BWIDth|BANDwidth:INTegration", "width_hz", SSA3032X.channel_width_hz),
+    Command(f"{_SENSE}:CHPower:FREQuency:SPAN:POWer", _widen_to_span),
+    *channel_power_rows(
+        "MEASure:CHPower", lambda call, which: results_text(channel_power(call)[which]), _sweep_if_stale
+    ),
+)
+
 _MISCELLANEOUS_ROWS = (
     constant("*IDN", IDENTITY),
     constant("*OPT", "0"),
@@ -134,7 +176,6 @@ SIGLENT = Dialect(
     own_noise_dbm_hz=-145.0,
     deviations=(
         "Filters for interference (`FILTer:TYPE EMI`) have the steps of the others, told by their width at 6 dB.",
-        "Auto tune leaves a span of 10 MHz.",
     ),
     traces=TRACE_STYLE,
     units=_UNITS,
@@ -146,7 +187,7 @@ SIGLENT = Dialect(
         *_SWEEP_ROWS,
         *_LEVEL_ROWS,
         *_TRACE_ROWS,
+        *_CHANNEL_POWER_ROWS,
         *_MISCELLANEOUS_ROWS,
-        *FUNCTION_ROWS,
     ),
 )

@@ -1,19 +1,29 @@
-"""Rows for the format of numbers and for reading traces, made from what a dialect says of both.
+"""Rows of what is read from a sweep: the format of numbers, traces, the power of a channel.
 
-Law of this file: a format is a row of :class:`TraceFormat`; which bytes it makes is the business of ``levels.py``.
+Law of this file: a format is a row of :class:`TraceFormat`; which bytes it makes is the business of ``levels.py``. A
+number of the channel power out of range is stored at its limit and then reported as -222.
 """
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from analyzer_sim.dialects.rows.command_row import Call, Command, Reader
+from analyzer_sim.dialects.rows.settings_rows import number_text
+from analyzer_sim.instrument.channel_power import Band, ChannelSettings, band_power_mw, decibels
 from analyzer_sim.instrument.levels import ENCODERS, UNITS, FloatArray, ascii_list, definite_block
+from analyzer_sim.instrument.settings.analyzer_model import Limits
 from analyzer_sim.instrument.spectrum import SweepGrid
 from analyzer_sim.scpi.errors import ScpiError
-from analyzer_sim.scpi.parameters import PURE, Choice, Numeric, Parameter
+from analyzer_sim.scpi.parameters import HERTZ, PURE, Boolean, Choice, Numeric, Parameter
 from analyzer_sim.scpi.parser import short_form
+
+#: not a number, as SCPI-99 writes it (7.2.1.5)
+NOT_A_NUMBER = "9.91E37"
+#: header below the one of the channel power -> which of power and density it answers
+_CHANNEL_RESULTS = {"": slice(0, 2), ":CHPower": slice(0, 1), ":DENSity": slice(1, 2)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,3 +140,100 @@ def trace_row(pattern: str, style: TraceStyle, name: Parameter) -> Command:
     """Return the row that reads a trace; ``name`` turns what names the trace into its number."""
     reader = trace_reader(style)
     return Command(pattern, query=reader, query_parameters=(name,), query_required=1, query_waits=True)
+
+
+def channel_row(
+    pattern: str,
+    name: str,
+    limits: Limits,
+    units: Mapping[str, float] = HERTZ,
+    *,
+    reshapes: bool = False,
+    is_whole: bool = False,
+) -> Command:
+    """Return the row of a number of ``ChannelSettings`` with its MIN MAX DEF; ``reshapes`` makes the trace stale."""
+    words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
+
+    def write(call: Call, value: float | str) -> None:
+        if isinstance(value, str) and value not in words:
+            raise ScpiError(-141, value)
+        wanted = words[value] if isinstance(value, str) else value
+        clamped = min(max(wanted, limits.low), limits.high)
+        setattr(call.instrument.channel, name, float(round(clamped)) if is_whole else clamped)
+        if reshapes:
+            call.instrument.invalidate()
+        if clamped != wanted:
+            raise ScpiError(-222, f"{wanted:g}")
+
+    def query(call: Call, value: float | str = "") -> str:
+        if not isinstance(value, str):
+            raise ScpiError(-128)
+        return number_text(words[value] if value in words else getattr(call.instrument.channel, name))
+
+    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),))
+
+
+def channel_switch_row(pattern: str, name: str, *, reshapes: bool = False) -> Command:
+    """Return the row of a switch of ``ChannelSettings``."""
+
+    def write(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one value of the command
+        setattr(call.instrument.channel, name, is_on)
+        if reshapes:
+            call.instrument.invalidate()
+
+    return Command(pattern, write, lambda call: str(int(getattr(call.instrument.channel, name))), (Boolean(),))
+
+
+def channel_power_rows(
+    head: str, answer: Callable[[Call, slice], str], starts: Callable[[Call], None] | None = None
+) -> tuple[Command, ...]:
+    """Return the rows that answer power and density of the channel, together and alone."""
+
+    def query(which: slice) -> Reader:
+        return lambda call: answer(call, which)
+
+    return tuple(
+        Command(f"{head}{part}", query=query(which), query_waits=True, query_starts=starts)
+        for part, which in _CHANNEL_RESULTS.items()
+    )
+
+
+def channel_power(call: Call) -> tuple[float, ...]:
+    """Return the power in the channel about the centre of the trace and its density, in the unit of the display.
+
+    Raises
+    ------
+    ScpiError
+        -221 in zero span, -230 when no sweep has been taken with the present settings.
+    """
+    trace = call.instrument.trace()
+    grid = trace.grid
+    if grid.spacing_hz <= 0.0:
+        raise ScpiError(-221, "zero span")
+    band = Band(0.5 * (grid.start_hz + grid.stop_hz), call.instrument.channel.width_hz or grid.stop_hz - grid.start_hz)
+    power_dbm = decibels(band_power_mw(trace.level_dbm, grid, band))
+    levels_dbm = np.array([power_dbm, power_dbm - decibels(band.width_hz)])
+    return tuple(UNITS[call.instrument.settings.unit](levels_dbm).tolist())
+
+
+def results_text(values: tuple[float, ...], missing: str = NOT_A_NUMBER) -> str:
+    """Return results, comma separated.
+
+    Examples
+    --------
+    >>> results_text((-40.125, float("nan"), 1.0e9))
+    '-40.125,9.91E37,1000000000'
+    """
+    return ",".join(number_text(value) if math.isfinite(value) else missing for value in values)
+
+
+def reset_channel(call: Call) -> ChannelSettings:
+    """Return the channel power to its defaults."""
+    call.instrument.channel = ChannelSettings(call.instrument.model.channel_width_hz.default)
+    return call.instrument.channel
+
+
+def start_sweep(call: Call) -> None:
+    """Start a single sweep; an instrument that sweeps continuously needs none."""
+    if not call.instrument.settings.is_continuous:
+        call.instrument.initiate()

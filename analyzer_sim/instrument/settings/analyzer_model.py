@@ -85,6 +85,8 @@ class AnalyzerModel:
     attenuation_coupled_step_db: float
     #: sweeps of an average; the largest is bounded by ``MAX_SWEEPS``
     average_count: Limits
+    #: width of the channel whose power is measured; 0 = as wide as the span
+    channel_width_hz: Limits
     #: ``*RST`` leaves the instrument sweeping without end
     is_continuous_after_reset: bool
     #: ``SYSTem:PRESet`` leaves the instrument sweeping without end

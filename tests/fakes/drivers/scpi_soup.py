@@ -16,9 +16,9 @@ COSTLY = ("POIN", "COUN")
 DATA = [
     "1", "-1", "1e3", "30kHz", "1 GHZ", "1e99", "1e40000", "0", "0.5", "MIN", "MAX", "DEF", "UP", "DOWN", "INF", "NINF",
     "ON", "OFF", "RMS", "POS", "NEG", "SAMP", "AVER", "APE", "NORM", "FFT", "SWE", "REAL", "ASC", "INT", "32", "64",
-    "REAL,32", "REAL,64", "INT,32", "SWAP", "TRACE1", "TRACE2", "1,1", "CPOW", "OBW", "CN0", "POW", "DENS", "'SAN'",
-    "'", '"x"', "#H1F", "#15hello", "#0", "#", "#9999999999", "(@1)", "DBUV", "W", "VID", "LIN", "LOG", "1,", ",1", "*",
-    "ÿ", "1e9,0,10,NORM,30kHz,300kHz,1ms,IMM", "50PCT", "99 PCT", "-50 DBM", "10 DB",
+    "REAL,32", "REAL,64", "INT,32", "SWAP", "TRACE1", "TRACE2", "1,1", "CPOW", "CHP", "POW", "'SAN'", "'",
+    '"x"', "#H1F", "#15hello", "#0", "#", "#9999999999", "(@1)", "DBUV", "W", "VID", "LIN", "LOG", "1,", ",1", "*",
+    "ÿ", "50PCT", "99 PCT", "-50 DBM", "10 DB",
 ]
 CONTROLS = [
     ";", ":", "?", " ", ",", "\n", "\r\n", "*", "&GTL\n", "*RST", "*CLS", "*OPC?", "*WAI", "*TRG", "INIT:CONT OFF",

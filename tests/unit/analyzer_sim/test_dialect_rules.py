@@ -98,6 +98,21 @@ def test_wrong_message_has_its_error_and_no_answer(bench: Any, message: str, cod
     assert bench.errors() == [code]
 
 
+#: measurement functions of the real instruments that are not simulated
+UNKNOWN_FUNCTIONS = {
+    "rs": ("CALC:MARK1:X?", "POW:ACH:SPAC?", "FETC:POW:ACP?", "LIST:POW:RES?", "ADJ:LEV"),
+    "keysight": ("CALC:MARK1:X?", "READ:ACP?", "READ:OBW?", "FREQ:TUNE:IMM"),
+    "siglent": ("CALC:MARK1:X?", "MEAS:ACPR:MAIN?", "MEAS:OBW?", "FREQ:TUNE:IMM"),
+    "anritsu": ("CALC:MARK1:X?", "READ:ACP?", "READ:OBW?", "FETC:PEAK?"),
+}
+
+
+def test_measurement_functions_but_channel_power_are_unknown(bench: Any, dialect: Dialect) -> None:
+    for message in UNKNOWN_FUNCTIONS[dialect.name]:
+        assert bench.ask(message) == ""
+        assert bench.errors() == [-113], message
+
+
 def test_suffix_out_of_range_is_its_own_error(bench: Any, dialect: Dialect) -> None:
     trace = {"rs": "DISP:TRAC9:MODE?", "siglent": "TRAC9:MODE?"}.get(dialect.name, "TRAC9:TYPE?")
     assert bench.ask(trace) == ""

@@ -40,7 +40,6 @@ TABLE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("FREQ:SPAN 20 MHZ;SPAN 2 MHZ;SPAN:PREV", "FREQ:SPAN?", "20000000", ("keysight", "siglent", "anritsu")),
     ("FREQ:SPAN 20 MHZ;SPAN 2 MHZ;SPAN:LAST", "FREQ:SPAN?", "20000000", ("anritsu",)),
     ("FREQ:SPAN 20 MHZ;SPAN:HALF;DOUB;DOUB", "FREQ:SPAN?", "40000000", ("siglent",)),
-    ("ADJ:FREQ", "FREQ:SPAN?", "10000000", ("rs",)),
     ("DISP:FORM SPL", "DISP:FORM?", "SPL", ("rs",)),
     ("BAND:TYPE NOISE", "BAND:TYPE?", "NOIS", ("keysight",)),
     ("FILT:TYPE EMI", "FILT:TYPE?", "EMI", ("siglent",)),
@@ -99,8 +98,7 @@ TABLE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("INST:SEL SAN", "INST?;:INST:LIST?", "SAN;'SANALYZER','Spectrum'", ("rs",)),
     ("", "CORR:STAT?;:INP:IMP?;:TRIG:SOUR?;:TRIG:LEV?", "0;50;IMM;0", ("rs",)),
     ("SYST:LOC", "SYST:ERR?", '0,"No error"', ("rs", "siglent", "anritsu")),
-    ("INST SA", "INST?;:INST:CAT?;:CONF?;:CONF:CAT?", 'SA;"SA 1";SAN;"SAN, CHP, OBW, ACP"', ("keysight",)),
-    ("FREQ:TUNE:IMM", "FREQ:SPAN?", "10000000", ("keysight", "siglent")),
+    ("INST SA", "INST?;:INST:CAT?;:CONF?;:CONF:CAT?", 'SA;"SA 1";SAN;"SAN, CHP"', ("keysight",)),
     ("", "FETC:GPS:FULL?", "NO FIX", ("anritsu",)),
     ("SYST:PRES", "INIT:CONT?;:UNIT:POW?", "1;DBM", ALL),
 )

@@ -254,16 +254,14 @@ def test_mixer_beyond_its_limit_compresses_the_whole_trace() -> None:
     assert levels_dbm(weak, strong) - levels_dbm(weak) == pytest.approx(-6.0, abs=0.3)  # 20 points of N = 750
 
 
-def test_list_of_many_traces_shares_the_longest_envelope() -> None:
-    settings = settings_of(
-        1.0,
-        601,
-    )
+def test_all_sweeps_of_a_trace_share_the_longest_envelope() -> None:
+    settings = settings_of(1.0, 601)
     settings.detector = "POS"
     painter = TracePainter(SEED, IDEAL)
     grid = SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
-    assert painter._wants_envelope(grid, settings, 1)
-    assert not painter._wants_envelope(grid, settings, 600)  # 600 times 120 000 samples
+    assert painter._wants_envelope(grid, settings)
+    settings.count = 600
+    assert not painter._wants_envelope(grid, settings)  # 600 times 120 000 samples
 
 
 @pytest.mark.parametrize(

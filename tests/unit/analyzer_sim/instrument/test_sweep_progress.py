@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from analyzer_sim.dialects.makers.rs import RS
@@ -199,15 +198,6 @@ def test_reset_ends_the_sweep(slow: Slow) -> None:
     slow.ask("INIT;*RST")
     assert not slow.instrument.is_pending
     assert slow.bench.source.row == 0
-
-
-def test_a_glimpse_changes_nothing(slow: Slow) -> None:
-    slow.ask("INIT")
-    slow.pass_time(1.0)
-    changes = slow.instrument.changes
-    trace = slow.instrument.glimpse(slow.instrument.settings)
-    assert np.all(np.isfinite(trace.level_dbm))
-    assert (slow.instrument.changes, slow.bench.source.row) == (changes, 0)
 
 
 def test_life_counts_its_changes_and_time() -> None:

@@ -1,5 +1,6 @@
-"""Anritsu: traces in blocks of every format, the mark of an invalid trace, the preamble, points of the display."""
+"""Anritsu: traces in blocks of every format, the mark of an invalid trace, the preamble, points, channel power."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,10 +11,25 @@ from analyzer_sim.dialects.makers.anritsu import ANRITSU
 
 SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:BAND 30 KHZ;:DISP:POIN 501;:SWE:TIME 0.2;:DET RMS"
 
+# carriers of the bench: a 1012 MHz 1 MHz -40 dBm, b 1017 MHz 2 MHz -43 dBm, c 1022 MHz 0.5 MHz -46 dBm; -120 dBm/Hz
+SLOW = "*RST;*CLS;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:BAND 30 KHZ;:DISP:POIN 2001;:SWE:TIME 10"
+#: b and the noise of 3 MHz
+B_DBM = 10 * math.log10(10**-4.3 + 10 ** ((-120 + 10 * math.log10(3e6)) / 10))
+
 
 @pytest.fixture
 def bench(make_bench: Callable[..., Any]) -> Any:
     return make_bench(dialect=ANRITSU)
+
+
+@pytest.fixture
+def slow(bench: Any) -> Any:
+    bench.ask(SLOW)
+    return bench
+
+
+def numbers(text: str) -> np.ndarray:
+    return np.array(text.replace(";", ",").split(","), dtype=float)
 
 
 def payload_of(block: bytes) -> bytes:
@@ -92,3 +108,65 @@ def test_couplings_have_the_ratios_of_the_manual(bench: Any) -> None:
 
 def test_there_is_no_fix_of_the_position(bench: Any) -> None:
     assert bench.ask("FETC:GPS:FULL?;LAST?;ALL?;:FETC:GPS?") == "NO FIX;NO FIX;NO FIX;NO FIX"
+
+
+def test_configure_takes_rms_and_single_sweep_and_a_channel_as_wide_as_the_span(slow: Any) -> None:
+    assert slow.ask("INIT:CONT?;:DET?;:CONF:CHP;:CONF?;:INIT:CONT?;:DET?;:CHP:BWID:INT?") == "1;POS;CHP;0;RMS;20000000"
+    assert slow.ask("CHP:STAT?;STAT OFF;STAT?;:CONF?") == "1;0;SAN"
+
+
+def test_channel_power_is_missing_until_there_is_a_sweep(slow: Any) -> None:
+    assert slow.ask("CONF:CHP;:FETC:CHP?;:FETC:CHP:CHP?;:FETC:CHP:DENS?") == "-999.0,-999.0;-999.0;-999.0"
+    assert slow.errors() == []
+
+
+def test_channel_power_and_density(slow: Any) -> None:
+    slow.ask("CONF:CHP;:CHP:BWID:INT 3 MHZ")
+    power, density = numbers(slow.ask("READ:CHP?"))
+    assert power == pytest.approx(B_DBM, abs=0.08)
+    assert density == pytest.approx(power - 10 * math.log10(3e6), abs=1e-6)
+    assert numbers(slow.ask("FETC:CHP?;:FETC:CHP:CHP?;:FETC:CHP:DENS?")).tolist() == [power, density, power, density]
+    assert slow.source.row == 1
+    assert slow.ask("CHP:BWID:INT 21 MHZ;:FETC:CHP:CHP?") == "-999.0"  # wider than the trace
+
+
+def test_measure_takes_the_defaults_and_sweeps(slow: Any) -> None:
+    slow.ask("CONF:CHP;:CHP:BWID:INT 3 MHZ")
+    whole = numbers(slow.ask("MEAS:CHP?;:MEAS:CHP:CHP?;:MEAS:CHP:DENS?"))
+    total_mw = 10**-4.0 + 10**-4.3 + 10**-4.6 + 20e6 * 1e-12
+    assert whole[[0, 2]] == pytest.approx(10 * math.log10(total_mw), abs=0.1)
+    assert (slow.source.row, slow.ask("CHP:BWID:INT?")) == (3, "20000000")
+
+
+def test_read_is_started_once_and_held(make_bench: Callable[..., Any]) -> None:
+    allowed: list[bool] = []
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect=ANRITSU)
+    bench.ask(SLOW + ";:CONF:CHP")
+    assert bench.ask("READ:CHP?") == ""
+    assert bench.go_on() == b""
+    allowed.append(True)
+    bench.instrument.complete_pending()
+    assert bench.go_on().count(b",") == 1
+    assert (bench.source.row, bench.errors()) == (1, [])
+
+
+def test_results_at_the_end_of_the_scenario_are_missing(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(dialect=ANRITSU, rows=0)
+    bench.ask(SLOW + ";:CONF:CHP")
+    assert bench.ask("READ:CHP?") == "-999.0,-999.0"
+    assert bench.errors() == [-200]
+
+
+@pytest.mark.parametrize(
+    ("message", "code"),
+    [
+        ("CHP:BWID:INT 99 GHZ", -222),
+        ("CHP:BWID:INT 1 S", -131),
+        ("CONF:XYZ", -113),
+        ("FETC:CHP", -113),
+        ("FETC:CHP3?", -114),
+    ],
+)
+def test_wrong_unit_of_channel_power_queues_its_error(slow: Any, message: str, code: int) -> None:
+    assert slow.ask(message) == ""
+    assert slow.errors() == [code]

@@ -1,5 +1,6 @@
-"""Keysight: formats and byte orders, the two presets, detectors that follow the average type, Swept SA queries."""
+"""Keysight: formats and byte orders, presets, detectors that follow the average type, Swept SA and channel power."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,10 +11,20 @@ from analyzer_sim.dialects.makers.keysight import KEYSIGHT
 
 SETUP = "*RST;*CLS;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BAND 30 KHZ;:SWE:POIN 2001;TIME 0.2;:DET:TRAC AVER;:AVER:TYPE RMS"
 
+# carriers of the bench: a 1012 MHz 1 MHz -40 dBm, b 1017 MHz 2 MHz -43 dBm, c 1022 MHz 0.5 MHz -46 dBm; -120 dBm/Hz
+#: b and the noise of 3 MHz
+B_DBM = 10 * math.log10(10**-4.3 + 10 ** ((-120 + 10 * math.log10(3e6)) / 10))
+
 
 @pytest.fixture
 def bench(make_bench: Callable[..., Any]) -> Any:
     return make_bench(dialect=KEYSIGHT)
+
+
+@pytest.fixture
+def tuned(bench: Any) -> Any:
+    bench.ask("*RST;*CLS;:FREQ:CENT 1017 MHZ")
+    return bench
 
 
 def numbers(text: str) -> np.ndarray:
@@ -162,13 +173,6 @@ def test_holds_keep_the_highest_and_the_lowest_of_the_sweeps(bench: Any) -> None
     assert 4.0 < means["AVER"] - means["MINH"] < 8.0
 
 
-def test_tuning_centres_the_strongest_carrier(bench: Any) -> None:
-    bench.ask("FREQ:TUNE:IMM")
-    assert float(bench.ask("FREQ:CENT?")) == pytest.approx(1012e6, abs=1e6)
-    assert bench.ask("INIT:CONT?;:SWE:POIN?") == "0;1001"
-    assert bench.errors() == []
-
-
 def test_field_strength_needs_an_antenna(bench: Any) -> None:
     bench.ask("UNIT:POW DBUVM")
     assert bench.errors() == [-221]
@@ -219,3 +223,119 @@ def test_too_fast_sweep_is_a_matter_of_integrity(bench: Any) -> None:
     bench.ask("SWE:TIME 0.01;:INIT;*WAI")
     assert bench.ask("STAT:QUES:COND?;INT:COND?") == "512;8"
     assert bench.ask("*STB?") == "8"
+
+
+def test_channel_power_sweeps_on_its_own_and_answers_power_and_density(tuned: Any) -> None:
+    assert tuned.ask("CONF?;:CONF:CHP;:CONF?") == "SAN;CHP"
+    tuned.ask("CHP:BAND:INT 3 MHZ;:CHP:FREQ:SPAN 6 MHZ;:CHP:SWE:TIME 1")
+    power, density = numbers(tuned.ask("READ:CHP?"))
+    assert power == pytest.approx(B_DBM, abs=0.05)  # ten sweeps of a second: 0.01 dB
+    assert density == pytest.approx(power - 10 * math.log10(3e6), abs=1e-6)
+    again = tuned.ask("FETC:CHP?;:FETC:CHP:CHP?;:FETC:CHP1:DENS?").replace(";", ",")
+    assert numbers(again).tolist() == [power, density, power, density]
+    assert tuned.source.row == 1
+    assert tuned.ask("FREQ:SPAN?") == "2034000000"  # the span of the spectrum is its own: all about that centre
+    assert tuned.errors() == []
+
+
+def test_configure_forgets_the_settings_of_channel_power_and_ndefault_keeps_them(tuned: Any) -> None:
+    tuned.ask("CONF:CHP;:CHP:BAND:INT 3 MHZ;:CHP:FREQ:SPAN 6 MHZ;:CHP:AVER:COUN 3;:CHP:BAND 100 KHZ")
+    tuned.ask("CONF:SAN;:CONF:CHP:NDEF")
+    asked = ":CHP:BAND:INT?;:CHP:FREQ:SPAN?;:CHP:AVER:COUN?;:CHP:BAND?;:CHP:BAND:AUTO?"
+    assert tuned.ask(asked) == "3000000;6000000;3;100000;0"
+    tuned.ask("INIT:CHP;*WAI;:FETC:CHP?")
+    assert tuned.ask(asked) == "3000000;6000000;3;100000;0"
+    tuned.ask("MEAS:CHP?")
+    assert tuned.ask(asked).startswith("2000000;3000000;10;")
+    assert tuned.ask("CHP:BAND:AUTO?") == "1"
+    tuned.ask("CHP:BAND:INT 3 MHZ;:CONF:CHP")
+    assert tuned.ask("CHP:BAND:INT?") == "2000000"
+    assert tuned.errors() == []
+
+
+def test_fetch_of_channel_power_needs_its_selection_and_a_sweep(tuned: Any) -> None:
+    assert tuned.ask("FETC:CHP?") == ""
+    assert tuned.errors() == [-221]
+    tuned.ask("CONF:CHP")
+    assert tuned.ask("FETC:CHP?") == ""
+    assert tuned.errors() == [-230]
+    tuned.ask("READ:CHP?;:CHP:AVER:COUN 5")  # a setting that shapes the sweep
+    assert tuned.ask("FETC:CHP?") == ""
+    assert tuned.errors() == [-230]
+
+
+def test_averages_of_channel_power_are_of_power_and_can_be_switched_off(tuned: Any) -> None:
+    tuned.ask("CONF:CHP;:CHP:BAND:INT 3 MHZ;:CHP:FREQ:SPAN 6 MHZ")
+    ten = [float(tuned.ask("READ:CHP:CHP?")) for _ in range(40)]
+    assert tuned.ask("CHP:AVER?;AVER OFF;AVER?;AVER:COUN?") == "1;0;10"
+    one = [float(tuned.ask("READ:CHP:CHP?")) for _ in range(40)]
+    assert np.std(one) / np.std(ten) == pytest.approx(math.sqrt(10), rel=0.4)  # each deviation to 11 %
+
+
+def test_second_result_of_channel_power_is_the_trace(tuned: Any) -> None:
+    tuned.ask("CONF:CHP;:READ:CHP?")
+    assert tuned.ask("FETC:CHP2?") == tuned.ask("TRAC? TRACE1")
+    assert tuned.ask("FETC:CHP3?") == ""
+    assert tuned.errors() == [-114]
+
+
+def test_read_of_channel_power_is_started_once_and_held(make_bench: Callable[..., Any]) -> None:
+    allowed: list[bool] = []
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect=KEYSIGHT)
+    bench.ask("*RST;:FREQ:CENT 1017 MHZ")
+    for verb in ("READ", "MEAS"):
+        assert bench.ask(f"{verb}:CHP?;*ESE?") == ""
+        assert bench.session.is_held
+        assert bench.go_on() == b""
+        allowed.append(True)
+        bench.instrument.complete_pending()
+        assert bench.go_on().count(b",") == 1
+        allowed.clear()
+    assert (bench.source.row, bench.errors()) == (2, [])
+
+
+def test_read_waits_for_the_sweep_of_another_client(make_bench: Callable[..., Any]) -> None:
+    allowed: list[bool] = []
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect=KEYSIGHT)
+    bench.ask("*RST;:FREQ:CENT 1017 MHZ;:CONF:CHP;:INIT")
+    assert bench.ask("READ:CHP?") == ""
+    allowed.append(True)
+    bench.instrument.complete_pending()
+    assert bench.go_on().count(b",") == 1
+    assert (bench.source.row, bench.errors()) == (2, [])
+
+
+def test_read_in_continuous_sweep_answers_and_leaves_the_clock(tuned: Any) -> None:
+    tuned.ask("INIT:CONT ON;:CONF:CHP")
+    assert tuned.ask("READ:CHP?") != tuned.ask("READ:CHP?")
+    assert (tuned.source.row, tuned.errors()) == (0, [])
+
+
+@pytest.mark.parametrize(
+    ("message", "code"),
+    [
+        ("CHP:BAND:INT 1", -222),
+        ("CHP:BAND:INT 1 S", -131),
+        ("CHP:BAND 99 GHZ", -222),
+        ("CHP:BAND:AUTO 'x'", -158),
+        ("CHP:BAND UP", -141),
+        ("CHP:SWE:TIME 1 HZ", -131),
+        ("CHP:AVER:COUN 0", -222),
+        ("CONF:XYZ", -113),
+        ("MEAS:CHP", -113),
+        ("READ:CHP? 1", -108),
+    ],
+)
+def test_wrong_unit_queues_its_error_and_answers_nothing(tuned: Any, message: str, code: int) -> None:
+    assert tuned.ask(message) == ""
+    assert tuned.errors() == [code]
+
+
+def test_initiate_of_a_measurement_is_refused_while_sweeping_without_end(tuned: Any) -> None:
+    tuned.ask("INIT:CONT ON;:INIT:CHP")
+    assert tuned.errors() == [-213]
+
+
+def test_reset_returns_to_the_spectrum(tuned: Any) -> None:
+    tuned.ask("CONF:CHP;:CHP:BAND:INT 5 MHZ;*RST")
+    assert tuned.ask("CONF?;:CHP:BAND:INT?") == "SAN;2000000"

@@ -1,5 +1,6 @@
-"""The R&S dialect: what each row sets, answers and couples."""
+"""The R&S dialect: what each row sets, answers and couples; channel power of the trace shown."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,9 @@ from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.scpi.tree import parse_pattern
 
 SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BAND 30 KHZ;:SWE:POIN 2001;TIME 0.2;:DET RMS"
+#: ten seconds in place of 0.2
+SLOW = SETUP.replace("0.2", "10")
+POWER = "CALC:MARK:FUNC:POW"
 
 TRANSCRIPT = (
     ("*IDN?", "Rohde&Schwarz,FSW-26,1312.8000K26/100001,5.30"),
@@ -171,9 +175,55 @@ def test_averaging_levels_in_decibels_reads_low_and_power_does_not(bench: Any) -
     assert means["VID"] - means["POW"] == pytest.approx(-2.51, abs=0.15)  # 20000 samples, 5.6 dB each
 
 
-def test_adjusting_fits_frequency_and_level(bench: Any) -> None:
-    bench.ask("ADJ:ALL")
-    assert float(bench.ask("FREQ:CENT?")) == pytest.approx(1012e6, abs=1e6)
-    # -40, -43 and -46 dBm, and -120 dBm/Hz over 26.5 GHz: -15.6 dBm together
-    assert bench.ask("DISP:TRAC:Y:RLEV?") == "-15"
+def test_channel_power_and_its_density(bench: Any) -> None:
+    bench.ask(f"{SLOW};:INIT;:{POWER}:SEL CPOW;:POW:ACH:BWID 2.5 MHZ")
+    power_dbm = float(bench.ask(f"{POWER}:RES? CPOW"))
+    noise_mw = 10 ** ((-120 + 10 * math.log10(2.5e6)) / 10)
+    # the carrier in the middle has -43 dBm; sigma 0.02 dB
+    assert power_dbm == pytest.approx(10 * math.log10(10**-4.3 + noise_mw), abs=0.08)
+    density = float(bench.ask(f"{POWER}:RES:PHZ ON;:{POWER}:RES? CPOW"))
+    assert density == pytest.approx(power_dbm - 10 * math.log10(2.5e6), abs=1e-6)
+    watts = float(bench.ask(f"UNIT:POW W;:{POWER}:RES:PHZ OFF;:{POWER}:RES? CPOW"))
+    assert watts == pytest.approx(1e-3 * 10 ** (power_dbm / 10), rel=1e-6)
+    assert bench.ask("FETC:CPOW:RES?") == bench.ask(f"{POWER}:RES? CPOW")
+    assert bench.ask(f"POW:ACH:BWID 21 MHZ;:{POWER}:RES? CPOW") == "9.91E37"  # wider than the trace
     assert bench.errors() == []
+
+
+def test_selecting_channel_power_makes_an_automatic_detector_rms(bench: Any) -> None:
+    assert bench.ask(f"DET:AUTO ON;:{POWER}:SEL CPOW;:DET?;:{POWER}:SEL?;:{POWER}?") == "RMS;CPOW;1"
+    assert bench.ask(f"{POWER} OFF;:{POWER}:SEL?;:{POWER}?;:DET POS;:{POWER}:SEL CPOW;:DET?") == "OFF;0;POS"
+
+
+def test_channel_power_needs_a_trace_over_frequency(bench: Any) -> None:
+    assert bench.ask(f"INIT:CONT OFF;:{POWER}:RES? CPOW") == ""
+    assert bench.errors() == [-230]
+    assert bench.ask(f"FREQ:SPAN 0;:INIT;:{POWER}:RES? CPOW") == ""
+    assert bench.errors() == [-221]
+
+
+def test_width_of_the_channel_has_limits_and_a_default(bench: Any) -> None:
+    bench.ask("POW:ACH:BWID 1e12")
+    assert bench.errors() == [-222]
+    assert bench.ask("POW:ACH:BWID?;BWID? MIN;BWID? DEF;BWID MIN;BWID?;*RST;BWID?") == "1000000000;100;14000;100;14000"
+
+
+@pytest.mark.parametrize(
+    ("message", "code"),
+    [
+        (f"{POWER}:RES?", -109),
+        (f"{POWER}:RES? OBW", -141),
+        (f"{POWER}:SEL ACP", -141),
+        (f"{POWER}:SEL 5", -128),
+        (f"{POWER} ON", -224),
+        ("POW:ACH:BWID 1", -222),
+        ("POW:ACH:BWID 1 S", -131),
+        ("POW:ACH:BWID UP", -141),
+        ("POW:ACH:BWID? 1", -128),
+        ("POW:ACH:TXCH:COUN 2", -222),
+        ("CALC1:MARK17:FUNC:POW:SEL?", -114),
+    ],
+)
+def test_wrong_unit_of_channel_power_queues_its_error(bench: Any, message: str, code: int) -> None:
+    assert bench.ask(message) == ""
+    assert bench.errors() == [code]

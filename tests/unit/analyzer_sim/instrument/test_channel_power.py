@@ -1,4 +1,4 @@
-"""Power in bands of a trace, against sums written out."""
+"""Power of a channel of a trace, against sums written out."""
 
 import math
 
@@ -6,16 +6,11 @@ import numpy as np
 import pytest
 
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.instrument.functions.band_power import (
-    LOG_MEAN_LOSS_DB,
-    VOLT_MEAN_LOSS_DB,
+from analyzer_sim.instrument.channel_power import (
     Band,
-    adjacent_powers_mw,
     band_power_mw,
     bin_shares,
-    carrier_to_noise_db,
     decibels,
-    noise_density_dbm_hz,
 )
 from analyzer_sim.instrument.spectrum import SweepGrid, mean_trace
 
@@ -71,43 +66,3 @@ def test_shares_of_the_bins_add_up_to_the_width() -> None:
     shares = bin_shares(GRID, Band(970.0012e6, 0.7777e6))
     assert shares.sum() * GRID.spacing_hz == pytest.approx(0.7777e6, rel=1e-9)
     assert np.sum((shares > 0) & (shares < 1)) == 2
-
-
-def test_neighbours_come_lower_first_and_pair_by_pair() -> None:
-    names = ("main", "lower", "upper", "lower 2")
-    places_hz = (972e6, 967e6, 977e6, 962e6)
-    signals = [
-        Signal(name, position, 1e6, 0.2, -40.0 - 3 * k)
-        for k, (name, position) in enumerate(zip(names, places_hz, strict=True))
-    ]
-    powers_mw = adjacent_powers_mw(trace_dbm(*signals), GRID, Band(972e6, 1.5e6), ((5e6, 1.5e6), (10e6, 1.5e6)))
-    levels_dbm = [decibels(power_mw) for power_mw in powers_mw]
-    np.testing.assert_allclose(levels_dbm[:4], [-40.0, -43.0, -46.0, -49.0], atol=2e-3)
-    assert levels_dbm[4] < -200.0
-
-
-def test_carrier_to_noise_is_the_line_over_the_noise_of_the_channel() -> None:
-    levels_dbm = trace_dbm(Signal("line", 960e6, 0.0, 0.0, -40.0), noise_dbm_hz=-120.0)
-    # -40 dBm and a little of noise at the top, over -120 dBm/Hz in 2 MHz = -57 dBm
-    assert carrier_to_noise_db(levels_dbm, GRID, Band(975e6, 2e6)) == pytest.approx(16.99, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("detector", "loss_db"), [("RMS", 0.0), ("SAMP", 0.0), ("AVER", 2.5068), ("LIN", 1.0491), ("POS", 0.0)]
-)
-def test_noise_marker_puts_back_what_its_detector_loses(detector: str, loss_db: float) -> None:
-    assert noise_density_dbm_hz(FLAT_DBM - loss_db, GRID, 972e6, detector) == pytest.approx(-100.0, abs=1e-3)
-
-
-def test_losses_are_those_of_exponential_and_rayleigh_variables() -> None:
-    power = np.random.default_rng(1).standard_exponential(1_000_000)
-    assert -10 * np.mean(np.log10(power)) == pytest.approx(LOG_MEAN_LOSS_DB, abs=0.02)  # 0.006 dB
-    assert -20 * math.log10(np.mean(np.sqrt(power))) == pytest.approx(VOLT_MEAN_LOSS_DB, abs=0.01)
-
-
-def test_noise_marker_averages_a_twentieth_of_the_trace_and_stays_inside() -> None:
-    levels_dbm = FLAT_DBM.copy()
-    levels_dbm[1200 - 60 : 1200 + 61] += 3.0
-    assert noise_density_dbm_hz(levels_dbm, GRID, 972e6, "RMS") == pytest.approx(-97.0, abs=1e-9)
-    assert noise_density_dbm_hz(levels_dbm, GRID, 954e6, "RMS") == pytest.approx(-100.0, abs=1e-9)
-    assert noise_density_dbm_hz(levels_dbm, GRID, 0.0, "RMS") == pytest.approx(-100.0, abs=1e-9)
