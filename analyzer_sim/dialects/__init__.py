@@ -1,4 +1,4 @@
 """SCPI dialects of the makers' analyzers: tables of commands, queries and answers.
 
-Public: dialect, dialects.
+Public: dialect, dialects, rs.
 """

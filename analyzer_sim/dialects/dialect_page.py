@@ -4,12 +4,10 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable
 
-from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.dialect import Command, Dialect
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.dialects.rows.command_row import Command
-from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.rows.sweep_rows import CLOCK_ROWS
-from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel, FilterSteps, Limits
+from analyzer_sim.dialects.system_rows import CLOCK_ROWS, COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.instrument.models import AnalyzerModel, FilterSteps, Limits
 from analyzer_sim.scpi.parameters import Boolean, Choice, Level, Numeric, Parameter, Quoted, TraceName
 
 #: what keeps the page current
@@ -28,9 +26,9 @@ are its short form, brackets mark what may be left out, `|` alternatives, `<n>` 
 settings take `MIN MAX DEF` and answer to `? MIN` and the like, those of frequency, filters, sweep and level `UP DOWN`
 too; numbers are answered without a unit; a setting out of range is stored at its limit and reported as -222.
 
-Proofs: `tests/unit/analyzer_sim/test_dialect_table.py` sets and reads back every function in every dialect,
-`test_dialect_rules.py` tries the rules of syntax and protocol in each, `test_dialect_<name>.py` what is peculiar to
-one; `make clients` lets drivers of other people measure with it.
+Proofs: `tests/unit/analyzer_sim/dialects/test_dialect_table.py` sets and reads back every function in every dialect,
+`test_dialect_rules.py` tries the rules of syntax and protocol in each, `test_<name>.py` what is peculiar to one;
+`make clients` runs third-party drivers against it.
 
 ## What differs
 """

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.instrument.settings.analyzer_model import MAX_SWEEPS, Limits
-from analyzer_sim.instrument.settings.instrument_settings import Settings
-from analyzer_sim.instrument.settings.quantities import store
+from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.models import MAX_SWEEPS, Limits
+from analyzer_sim.instrument.quantities import store
 from analyzer_sim.instrument.spectrum import SweepGrid
 
 FloatArray = NDArray[np.float64]

@@ -19,10 +19,9 @@ from operator import or_
 
 from analyzer_sim.emission import Emission, EmissionSource, EndOfScenario
 from analyzer_sim.instrument.channel_power import ChannelSettings, own_sweep_settings
+from analyzer_sim.instrument.instrument_settings import Settings, reset_state
+from analyzer_sim.instrument.models import FSW_26, AnalyzerModel
 from analyzer_sim.instrument.painter import FloatArray, Trace, TracePainter
-from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
-from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.settings.models import FSW_26
 from analyzer_sim.instrument.sweep_progress import OPERATION_BITS, Pace, SweepProgress, SweepState
 from analyzer_sim.instrument.trace_faults import TraceFaults
 from analyzer_sim.instrument.truth_log import Reading, TruthLog

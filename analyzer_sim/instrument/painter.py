@@ -16,7 +16,7 @@ from analyzer_sim.emission import Emission
 from analyzer_sim.instrument.detectors import FAST_DRAWS, Dwell, draw_rms
 from analyzer_sim.instrument.envelope import MAX_SAMPLES, MAX_SAMPLES_ALL_SWEEPS, draw_envelope, sample_count
 from analyzer_sim.instrument.imperfections import Imperfections, LevelErrors
-from analyzer_sim.instrument.settings.instrument_settings import Settings
+from analyzer_sim.instrument.instrument_settings import Settings
 from analyzer_sim.instrument.spectrum import MeanTrace, SweepGrid, mean_trace, milliwatts, too_fast_line_loss
 from analyzer_sim.streams import stream
 

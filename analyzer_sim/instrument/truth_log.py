@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, TextIO
 
 from analyzer_sim.emission import Emission
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument.settings.instrument_settings import Settings
+from analyzer_sim.instrument.instrument_settings import Settings
 
 _INTERFERENCE = "interference "
 _DIGEST_CHARACTERS = 16

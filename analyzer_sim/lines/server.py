@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable
 from types import TracebackType
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.makers.rs import RS
+from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.lines.dispatcher import Dispatcher, poll_permission
 from analyzer_sim.lines.faulty_line import FaultyLine, LineEndedError

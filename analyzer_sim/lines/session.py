@@ -7,8 +7,7 @@ stops there and :meth:`Session.run` goes on from the same unit when it is called
 
 from collections import deque
 
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.dialect import Call, Command, Dialect
 from analyzer_sim.instrument.instrument import Instrument, TraceNotReadyError
 from analyzer_sim.instrument.truth_log import Reading
 from analyzer_sim.scpi.errors import ScpiError

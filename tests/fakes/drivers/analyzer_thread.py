@@ -5,7 +5,7 @@ import threading
 from types import TracebackType
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.makers.rs import RS
+from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.lines.line_faults import LineFaults
 from analyzer_sim.lines.server import SimulatedAnalyzer

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from standing_source import StandingSource
 
-from analyzer_sim.dialects.makers.rs import RS
+from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 

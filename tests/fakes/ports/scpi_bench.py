@@ -6,9 +6,8 @@ from functools import cache
 
 from standing_source import StandingSource
 
-from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.dialect import Command, Dialect
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.dialects.rows.command_row import Command
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter

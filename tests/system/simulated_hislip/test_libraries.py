@@ -15,7 +15,7 @@ from hislip_client import (
     Wire,
 )
 
-from analyzer_sim.dialects.makers.rs import RS
+from analyzer_sim.dialects.rs import RS
 
 pytestmark = pytest.mark.system
 

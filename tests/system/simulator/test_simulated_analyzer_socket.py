@@ -17,7 +17,7 @@ from analyzer_thread import AnalyzerThread, start_in_thread
 from standing_source import StandingSource
 
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.dialects.makers.rs import IDENTITY
+from analyzer_sim.dialects.rs import IDENTITY
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress

@@ -6,7 +6,7 @@ import pytest
 from standing_source import StandingSource
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.makers.rs import RS
+from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter

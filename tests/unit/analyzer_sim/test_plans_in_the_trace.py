@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument_settings import reset_state
+from analyzer_sim.instrument.models import FSW_26
 from analyzer_sim.instrument.painter import TracePainter
-from analyzer_sim.instrument.settings.instrument_settings import reset_state
-from analyzer_sim.instrument.settings.models import FSW_26
-from analyzer_sim.instrument.settings.quantities import store
+from analyzer_sim.instrument.quantities import store
 from analyzer_sim.instrument.spectrum import ENBW_PER_RBW
 from analyzer_sim.world.ground.ground_bodies import task
 from analyzer_sim.world.payload.user_noise import sweep_sigma_db

@@ -17,10 +17,10 @@ from analyzer_sim.instrument.detectors import (
 )
 from analyzer_sim.instrument.envelope import draw_envelope
 from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument_settings import Settings, reset_state
+from analyzer_sim.instrument.models import FSW_26
 from analyzer_sim.instrument.painter import Detail, TracePainter
-from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.settings.models import FSW_26
-from analyzer_sim.instrument.settings.quantities import store
+from analyzer_sim.instrument.quantities import store
 from analyzer_sim.instrument.spectrum import ENBW_PER_RBW, MeanTrace, SweepGrid
 
 SEED = 20261121

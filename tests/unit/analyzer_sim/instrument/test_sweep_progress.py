@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.dialects.makers.rs import RS
+from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument, TraceNotReadyError
 from analyzer_sim.instrument.painter import TracePainter

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.dialects.makers.rs import RS
+from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.trace_faults import TraceFault

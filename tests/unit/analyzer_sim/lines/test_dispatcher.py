@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from standing_source import StandingSource
 
-from analyzer_sim.dialects.makers.rs import RS
+from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.models import FSW_26
 from analyzer_sim.instrument.painter import TracePainter
-from analyzer_sim.instrument.settings.models import FSW_26
 from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress
 from analyzer_sim.lines.dispatcher import Dispatcher
 from analyzer_sim.lines.session import Session

@@ -1,18 +1,19 @@
 """Rohde & Schwarz FSV and FSW: what measuring with traces needs, and the channel power of the trace shown."""
 
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.rows.analyzer_rows import (
-    LOCAL_ROWS,
+from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
+from analyzer_sim.dialects.settings_rows import (
     bandwidth_rows,
+    choice,
+    constant,
     frequency_rows,
+    inert,
+    inert_number,
     level_rows,
+    numeric,
+    step_auto_row,
     sweep_time_rows,
 )
-from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.rows.settings_rows import choice, constant, inert, inert_number, numeric
-from analyzer_sim.dialects.rows.span_rows import step_auto_row
-from analyzer_sim.dialects.rows.sweep_rows import (
+from analyzer_sim.dialects.sweep_rows import (
     application_row,
     average_state_row,
     average_type_row,
@@ -22,9 +23,8 @@ from analyzer_sim.dialects.rows.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.rows.trace_rows import (
-    TraceFormat,
-    TraceStyle,
+from analyzer_sim.dialects.system_rows import COMMON_COMMANDS, LOCAL_ROWS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.trace_rows import (
     channel_power,
     channel_row,
     channel_switch_row,
@@ -34,8 +34,8 @@ from analyzer_sim.dialects.rows.trace_rows import (
     trace_reader,
     trace_row,
 )
-from analyzer_sim.instrument.settings.models import FSW_26
-from analyzer_sim.instrument.settings.quantities import QUANTITIES
+from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.quantities import QUANTITIES
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, Boolean, Choice, TraceName
 

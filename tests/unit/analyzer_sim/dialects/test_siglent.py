@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.makers.siglent import SIGLENT
+from analyzer_sim.dialects.siglent import SIGLENT
 
 SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BWID 30 KHZ;:SWE:TIME 0.2;:DET:TRAC1 AVER"
 

@@ -6,15 +6,14 @@ number of the channel power out of range is stored at its limit and then reporte
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
-from analyzer_sim.dialects.rows.command_row import Call, Command, Reader
-from analyzer_sim.dialects.rows.settings_rows import number_text
+from analyzer_sim.dialects.dialect import Call, Command, Reader, TraceStyle
+from analyzer_sim.dialects.settings_rows import number_text
 from analyzer_sim.instrument.channel_power import Band, ChannelSettings, band_power_mw, decibels
 from analyzer_sim.instrument.levels import ENCODERS, UNITS, FloatArray, ascii_list, definite_block
-from analyzer_sim.instrument.settings.analyzer_model import Limits
+from analyzer_sim.instrument.models import Limits
 from analyzer_sim.instrument.spectrum import SweepGrid
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import HERTZ, PURE, Boolean, Choice, Numeric, Parameter
@@ -24,32 +23,6 @@ from analyzer_sim.scpi.parser import short_form
 NOT_A_NUMBER = "9.91E37"
 #: header below the one of the channel power -> which of power and density it answers
 _CHANNEL_RESULTS = {"": slice(0, 2), ":CHPower": slice(0, 1), ":DENSity": slice(1, 2)}
-
-
-@dataclass(frozen=True, slots=True)
-class TraceFormat:
-    """One format of numbers that ``FORMat`` knows."""
-
-    #: word and length as the command takes them; of several lengths of a word the first row holds when none is given
-    word: str
-    length: int
-    #: answer to ``FORMat?``
-    answer: str
-    #: what is stored in ``Settings.data_format``: ASC or a key of ``levels.ENCODERS``
-    key: str
-
-
-@dataclass(frozen=True, slots=True)
-class TraceStyle:
-    """Format of a dialect's traces."""
-
-    formats: tuple[TraceFormat, ...]
-    #: what stands after the last number of an ASCII trace
-    ascii_end: str = ""
-    #: an ASCII trace stands in a block of definite length
-    is_ascii_in_block: bool = False
-    #: answer when there is no valid trace; empty = none, and -230 is queued
-    invalid: bytes = b""
 
 
 def format_row(pattern: str, style: TraceStyle) -> Command:

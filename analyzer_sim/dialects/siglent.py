@@ -6,24 +6,23 @@ a sweep is polled with ``TRACe:SWEep:STATe?``. ``MEASure:CHPower`` answers from 
 first only when the settings have changed since and the instrument does not sweep without end [K].
 """
 
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.rows.analyzer_rows import (
-    LOCAL_ROWS,
+from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
+from analyzer_sim.dialects.settings_rows import (
     bandwidth_rows,
+    choice,
+    constant,
     frequency_rows,
+    inert,
+    inert_number,
     level_rows,
-    sweep_time_rows,
-)
-from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.rows.settings_rows import choice, constant, inert, inert_number, numeric
-from analyzer_sim.dialects.rows.span_rows import (
+    numeric,
     previous_span_row,
     scaled_span_row,
     step_auto_row,
+    sweep_time_rows,
     zero_span_row,
 )
-from analyzer_sim.dialects.rows.sweep_rows import (
+from analyzer_sim.dialects.sweep_rows import (
     BY_TYPE,
     DB6_RATIO,
     application_row,
@@ -35,9 +34,8 @@ from analyzer_sim.dialects.rows.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.rows.trace_rows import (
-    TraceFormat,
-    TraceStyle,
+from analyzer_sim.dialects.system_rows import COMMON_COMMANDS, LOCAL_ROWS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.trace_rows import (
     channel_power,
     channel_power_rows,
     channel_row,
@@ -46,7 +44,7 @@ from analyzer_sim.dialects.rows.trace_rows import (
     start_sweep,
     trace_row,
 )
-from analyzer_sim.instrument.settings.models import SSA3032X
+from analyzer_sim.instrument.models import SSA3032X
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, PURE, Choice, Numeric, TraceName
 

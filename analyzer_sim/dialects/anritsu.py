@@ -11,25 +11,20 @@ trace both are.
 
 from dataclasses import replace
 
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.rows.analyzer_rows import (
-    LOCAL_ROWS,
+from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
+from analyzer_sim.dialects.settings_rows import (
     bandwidth_rows,
-    frequency_rows,
-    level_rows,
-    sweep_time_rows,
-)
-from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.rows.settings_rows import (
     constant,
+    frequency_rows,
     inert,
     inert_number,
+    level_rows,
     number_text,
     numeric,
+    previous_span_row,
+    sweep_time_rows,
 )
-from analyzer_sim.dialects.rows.span_rows import previous_span_row
-from analyzer_sim.dialects.rows.sweep_rows import (
+from analyzer_sim.dialects.sweep_rows import (
     application_row,
     continuous_row,
     detector_rows,
@@ -37,9 +32,8 @@ from analyzer_sim.dialects.rows.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.rows.trace_rows import (
-    TraceFormat,
-    TraceStyle,
+from analyzer_sim.dialects.system_rows import COMMON_COMMANDS, LOCAL_ROWS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.trace_rows import (
     channel_power,
     channel_power_rows,
     channel_row,
@@ -51,10 +45,10 @@ from analyzer_sim.dialects.rows.trace_rows import (
     trace_row,
 )
 from analyzer_sim.epochs import rfc3339
+from analyzer_sim.instrument.instrument_settings import Settings
 from analyzer_sim.instrument.levels import definite_block
-from analyzer_sim.instrument.settings.instrument_settings import Settings
-from analyzer_sim.instrument.settings.models import MS2090A
-from analyzer_sim.instrument.settings.quantities import load
+from analyzer_sim.instrument.models import MS2090A
+from analyzer_sim.instrument.quantities import load
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, Choice, TraceName
 

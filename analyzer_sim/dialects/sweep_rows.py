@@ -9,9 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument.settings.instrument_settings import Settings
+from analyzer_sim.dialects.dialect import Call, Command
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import Boolean, Choice, Quoted
 from analyzer_sim.scpi.parser import short_form
@@ -24,26 +22,6 @@ AVERAGING_DETECTORS: Mapping[str, str] = {"VID": "AVER", "POW": "RMS", "LIN": "L
 DB6_RATIO: Final = math.sqrt(2.0)
 NOISE_RATIO: Final = math.sqrt(math.pi / (4.0 * math.log(2.0)))
 IMPULSE_RATIO: Final = math.sqrt(math.pi / (2.0 * math.log(2.0)))
-
-
-def freeze_rbw(settings: Settings) -> None:
-    """Keep the resolution bandwidth in force when its coupling ends."""
-    settings.rbw_chosen_hz = settings.rbw_shown_hz
-
-
-def freeze_vbw(settings: Settings) -> None:
-    """Keep the video bandwidth in force when its coupling ends."""
-    settings.vbw_chosen_hz = settings.vbw_hz
-
-
-def freeze_time(settings: Settings) -> None:
-    """Keep the sweep time in force when its coupling ends."""
-    settings.time_chosen_s = settings.time_s
-
-
-def freeze_attenuation(settings: Settings) -> None:
-    """Keep the attenuation in force when its coupling ends."""
-    settings.attenuation_chosen_db = settings.attenuation_db
 
 
 def filter_type_row(pattern: str, ratios: Mapping[str, float]) -> Command:
@@ -191,21 +169,3 @@ def application_row(pattern: str, answer: str, names: frozenset[str]) -> Command
             raise ScpiError(-224, name)
 
     return Command(pattern, write, lambda _call: answer, (Quoted(),))
-
-
-def _date(call: Call) -> str:
-    year, month, day = rfc3339(call.instrument.epoch_us())[:10].split("-")
-    return f"{year},{int(month)},{int(day)}"
-
-
-def _time(call: Call) -> str:
-    hour, minute, second = rfc3339(call.instrument.epoch_us())[11:19].split(":")
-    return f"{int(hour)},{int(minute)},{int(second)}"
-
-
-#: the clock of the instrument is that of the world; ``SIMulation:EPOCh?`` is the simulator's own
-CLOCK_ROWS: tuple[Command, ...] = (
-    Command("SYSTem:DATE", query=_date),
-    Command("SYSTem:TIME", query=_time),
-    Command("SIMulation:EPOCh", query=lambda call: rfc3339(call.instrument.epoch_us())),
-)

@@ -7,8 +7,8 @@ shown. Every limit and every step is a figure of the model.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from analyzer_sim.instrument.settings.analyzer_model import MAX_SWEEPS, Limits
-from analyzer_sim.instrument.settings.instrument_settings import Settings
+from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.models import MAX_SWEEPS, Limits
 
 
 def _store_window(settings: Settings, center_hz: float, span_hz: float) -> None:

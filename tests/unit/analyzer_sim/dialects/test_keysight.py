@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.makers.keysight import KEYSIGHT
+from analyzer_sim.dialects.keysight import KEYSIGHT
 
 SETUP = "*RST;*CLS;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BAND 30 KHZ;:SWE:POIN 2001;TIME 0.2;:DET:TRAC AVER;:AVER:TYPE RMS"
 

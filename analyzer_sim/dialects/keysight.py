@@ -17,23 +17,22 @@ second are there.
 
 from collections.abc import Mapping
 
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.rows.analyzer_rows import (
-    LOCAL_ROWS,
+from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
+from analyzer_sim.dialects.settings_rows import (
     bandwidth_rows,
+    constant,
     frequency_rows,
+    inert,
+    inert_number,
     level_rows,
-    sweep_time_rows,
-)
-from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS, register_rows
-from analyzer_sim.dialects.rows.settings_rows import constant, inert, inert_number, number_text, numeric
-from analyzer_sim.dialects.rows.span_rows import (
+    number_text,
+    numeric,
     previous_span_row,
     step_auto_row,
+    sweep_time_rows,
     zero_span_row,
 )
-from analyzer_sim.dialects.rows.sweep_rows import (
+from analyzer_sim.dialects.sweep_rows import (
     BY_TYPE,
     DB6_RATIO,
     IMPULSE_RATIO,
@@ -48,9 +47,8 @@ from analyzer_sim.dialects.rows.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.rows.trace_rows import (
-    TraceFormat,
-    TraceStyle,
+from analyzer_sim.dialects.system_rows import COMMON_COMMANDS, LOCAL_ROWS, SYSTEM_COMMANDS, register_rows
+from analyzer_sim.dialects.trace_rows import (
     byte_order_row,
     channel_power,
     channel_power_rows,
@@ -66,10 +64,10 @@ from analyzer_sim.dialects.rows.trace_rows import (
     trace_row,
 )
 from analyzer_sim.instrument.channel_power import OWN_AVERAGES, OWN_SPAN_HZ, own_sweep_settings
+from analyzer_sim.instrument.instrument_settings import Settings, reset_state
 from analyzer_sim.instrument.levels import ascii_list
-from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.settings.models import N9020B
-from analyzer_sim.instrument.settings.quantities import load, shown_limits, store
+from analyzer_sim.instrument.models import N9020B
+from analyzer_sim.instrument.quantities import load, shown_limits, store
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Boolean, Choice, Numeric, TraceName
 

@@ -1,8 +1,10 @@
-"""Commands that every dialect has: IEEE 488.2 and the status, system and abort part of SCPI-99."""
+"""Commands that every dialect has: IEEE 488.2, the status, system and abort part of SCPI-99, panel and clock."""
 
 from collections.abc import Callable
 
-from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.dialect import Call, Command
+from analyzer_sim.dialects.settings_rows import ignored
+from analyzer_sim.epochs import rfc3339
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import PURE, Numeric
 from analyzer_sim.scpi.status import REGISTER_MASK, StatusModel, StatusRegister
@@ -129,3 +131,24 @@ SYSTEM_COMMANDS: tuple[Command, ...] = (
     Command("SYSTem:PRESet", _preset),
     Command("ABORt", _abort),
 )
+
+
+def _date(call: Call) -> str:
+    year, month, day = rfc3339(call.instrument.epoch_us())[:10].split("-")
+    return f"{year},{int(month)},{int(day)}"
+
+
+def _time(call: Call) -> str:
+    hour, minute, second = rfc3339(call.instrument.epoch_us())[11:19].split(":")
+    return f"{int(hour)},{int(minute)},{int(second)}"
+
+
+#: the clock of the instrument is that of the world; ``SIMulation:EPOCh?`` is the simulator's own
+CLOCK_ROWS: tuple[Command, ...] = (
+    Command("SYSTem:DATE", query=_date),
+    Command("SYSTem:TIME", query=_time),
+    Command("SIMulation:EPOCh", query=lambda call: rfc3339(call.instrument.epoch_us())),
+)
+
+#: hand-over between front panel and line, and the clock
+LOCAL_ROWS = (ignored("SYSTem:LOCal"), ignored("SYSTem:REMote"), *CLOCK_ROWS)

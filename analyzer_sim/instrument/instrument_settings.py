@@ -13,7 +13,7 @@ Couplings (all [K], as R&S analyzers have them)::
 import math
 from dataclasses import dataclass, field
 
-from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
+from analyzer_sim.instrument.models import AnalyzerModel
 
 #: a sweep faster than this part of the automatic time is not calibrated
 UNCALIBRATED_BELOW = 0.8

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.makers.anritsu import ANRITSU
+from analyzer_sim.dialects.anritsu import ANRITSU
 
 SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:BAND 30 KHZ;:DISP:POIN 501;:SWE:TIME 0.2;:DET RMS"
 

@@ -6,11 +6,11 @@ and then reported as -222.
 
 from collections.abc import Callable, Mapping
 
-from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.instrument.settings.instrument_settings import Settings
-from analyzer_sim.instrument.settings.quantities import QUANTITIES, load, shown_limits, store
+from analyzer_sim.dialects.dialect import Call, Command
+from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.quantities import QUANTITIES, load, shown_limits, store
 from analyzer_sim.scpi.errors import ScpiError
-from analyzer_sim.scpi.parameters import PURE, Boolean, Choice, Numeric, Parameter
+from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Boolean, Choice, Level, Numeric, Parameter
 
 
 def number_text(value: float) -> str:
@@ -134,3 +134,113 @@ def constant(pattern: str, answer: str) -> Command:
 def ignored(pattern: str) -> Command:
     """Return the row of a command that is accepted and does nothing."""
     return Command(pattern, lambda _call: None, is_inert=True)
+
+
+def freeze_rbw(settings: Settings) -> None:
+    """Keep the resolution bandwidth in force when its coupling ends."""
+    settings.rbw_chosen_hz = settings.rbw_shown_hz
+
+
+def freeze_vbw(settings: Settings) -> None:
+    """Keep the video bandwidth in force when its coupling ends."""
+    settings.vbw_chosen_hz = settings.vbw_hz
+
+
+def freeze_time(settings: Settings) -> None:
+    """Keep the sweep time in force when its coupling ends."""
+    settings.time_chosen_s = settings.time_s
+
+
+def freeze_attenuation(settings: Settings) -> None:
+    """Keep the attenuation in force when its coupling ends."""
+    settings.attenuation_chosen_db = settings.attenuation_db
+
+
+def frequency_rows(head: str, step: str) -> tuple[Command, ...]:
+    """Return the rows of centre and its step, span, ends and offset."""
+    settings = {"CENTer": "center_hz", step: "step_hz", "SPAN": "span_hz", "STARt": "start_hz", "STOP": "stop_hz"}
+    settings["OFFSet"] = "offset_hz"
+    rows = (numeric(f"{head}:{word}", name, HERTZ) for word, name in settings.items())
+    return (*rows, full_span_row(f"{head}:SPAN:FULL"))
+
+
+def bandwidth_rows(head: str) -> tuple[Command, ...]:
+    """Return the rows of the filters and their couplings."""
+    return (
+        numeric(f"{head}[:RESolution]", "rbw_hz", HERTZ),
+        boolean(f"{head}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
+        numeric(f"{head}:VIDeo", "vbw_hz", HERTZ),
+        numeric(f"{head}:VIDeo:RATio", "vbw_per_rbw"),
+        boolean(f"{head}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
+    )
+
+
+def sweep_time_rows(head: str) -> tuple[Command, ...]:
+    """Return the rows of the sweep time and its coupling."""
+    return (
+        numeric(f"{head}:TIME", "time_s", SECONDS),
+        boolean(f"{head}:TIME:AUTO", "is_time_auto", freeze_time),
+    )
+
+
+def level_rows(scale: str, attenuation: str, preamplifier: str) -> tuple[Command, ...]:
+    """Return the rows of the reference level, its offset, attenuator and preamplifier."""
+    return (
+        numeric(f"{scale}:RLEVel", "reference_dbm", parameter=Level()),
+        numeric(f"{scale}:RLEVel:OFFSet", "level_offset_db", DECIBELS),
+        numeric(attenuation, "attenuation_db", DECIBELS),
+        boolean(f"{attenuation}:AUTO", "is_attenuation_auto", freeze_attenuation),
+        boolean(preamplifier, "is_preamplifier_on"),
+    )
+
+
+def step_auto_row(pattern: str) -> Command:
+    """Return the row that couples the step of the centre to the span."""
+
+    def write(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the one value of the command
+        settings = call.instrument.settings
+        settings.step_chosen_hz = None if is_auto else settings.step_hz
+
+    return Command(pattern, write, lambda call: str(int(call.instrument.settings.step_chosen_hz is None)), (Boolean(),))
+
+
+def full_span_row(pattern: str) -> Command:
+    """Return the row that sweeps the whole range."""
+
+    def write(call: Call) -> None:
+        store(call.instrument.settings, "span_hz", call.instrument.model.max_frequency_hz)
+        call.instrument.invalidate()
+
+    return Command(pattern, write)
+
+
+def zero_span_row(pattern: str) -> Command:
+    """Return the row that stands at the centre."""
+
+    def write(call: Call) -> None:
+        store(call.instrument.settings, "span_hz", 0.0)
+        call.instrument.invalidate()
+
+    return Command(pattern, write)
+
+
+def previous_span_row(pattern: str) -> Command:
+    """Return the row that goes back to the span before the last change of it."""
+
+    def write(call: Call) -> None:
+        settings = call.instrument.settings
+        if settings.previous_span_hz is not None:
+            store(settings, "span_hz", settings.previous_span_hz)
+            call.instrument.invalidate()
+
+    return Command(pattern, write)
+
+
+def scaled_span_row(pattern: str, factor: float) -> Command:
+    """Return the row that makes the span ``factor`` times as wide, within its limits."""
+
+    def write(call: Call) -> None:
+        store(call.instrument.settings, "span_hz", factor * call.instrument.settings.span_hz)
+        call.instrument.invalidate()
+
+    return Command(pattern, write)

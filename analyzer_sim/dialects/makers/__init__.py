@@ -1,4 +1,0 @@
-"""Command tables of the four makers.
-
-Public: anritsu, keysight, rs, siglent.
-"""
