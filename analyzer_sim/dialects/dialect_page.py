@@ -27,7 +27,7 @@ settings take `MIN MAX DEF` and answer to `? MIN` and the like, those of frequen
 too; numbers are answered without a unit; a setting out of range is stored at its limit and reported as -222.
 
 Proofs: `tests/unit/analyzer_sim/dialects/test_dialect_table.py` sets and reads back every function in every dialect,
-`test_dialect_rules.py` tries the rules of syntax and protocol in each, `test_<name>.py` what is peculiar to one;
+`test_<name>.py` beside it what is peculiar to one, `tests/conformance` the rules of syntax and protocol in each;
 `make clients` runs third-party drivers against it.
 
 ## What differs

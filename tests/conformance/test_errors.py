@@ -31,14 +31,18 @@ def test_number_is_known_with_its_class(code, bit):
         ("FREQ:CENT,1", -103),
         ("FREQ:CENT (@1)", -104),
         ("*RST 1", -108),
+        ("*OPC? 1", -108),
         ("FREQ:CENT", -109),
         ("FREQ:CNT 1", -113),
         ("FREQ:CENT +", -120),
         ("FREQ:CENT 1.2.3", -121),
         ("UNIT:POW 5", -128),
+        ("FREQ:CENT? 1", -128),
         ("FREQ:CENT 1 S", -131),
         ("*ESE 1 HZ", -138),
         ("FORM NONSENSE", -141),
+        ("BAND:AUTO MAYBE", -141),
+        ("FORM REAL,16", -224),
         (f"UNIT:POW {'A' * 33}", -144),
         ("*ESE MAX", -148),
         ("FREQ:CENT 'a'b", -151),
@@ -106,8 +110,9 @@ def test_queue_takes_entries_again_after_one_was_read(bench, facts):
     assert bench.errors()[-2:] == [-350, -108]
 
 
-def test_clear_empties_the_queue(bench, facts):
-    bench.ask("NONE;:NONE;*CLS")
+@pytest.mark.parametrize("clear", ["*CLS", ":SYST:ERR:CLE", ":SYST:ERR:CLE:ALL"])
+def test_clear_empties_the_queue(bench, facts, clear):
+    bench.ask(f"NONE;:NONE;{clear}")
     assert bench.ask("SYST:ERR?") == facts.no_error
 
 

@@ -113,6 +113,8 @@ def test_default_up_and_down(bench):
     assert float(bench.ask("BAND?")) == 10e3 < wider
     bench.ask("BAND DEF")
     assert float(bench.ask("BAND?")) == float(bench.ask("BAND? DEF"))
+    bench.ask("FREQ:CENT 1 GHZ;SPAN 100 MHZ")
+    assert bench.ask("FREQ:CENT UP;CENT?;CENT DOWN;CENT?;CENT? UP") == "1010000000;1000000000;1010000000"
     assert bench.errors() == []
 
 

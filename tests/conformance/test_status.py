@@ -92,6 +92,18 @@ def test_registers_have_event_condition_and_enable(bench, register):
     assert bench.errors() == []
 
 
+def test_filters_of_edges_decide_what_is_latched_until_a_preset(bench):
+    assert bench.ask("STAT:OPER:PTR?;NTR?;PTR 0;NTR 32;PTR?;NTR?") == "32767;0;0;32"
+    bench.ask("INIT:CONT OFF;*CLS")
+    bench.allow(False)
+    bench.ask("INIT")
+    assert bench.ask("STAT:OPER?") == "0"
+    bench.allow(True)
+    assert bench.ask("STAT:OPER?") == "32"
+    assert bench.ask("STAT:PRES;:STAT:OPER:PTR?;NTR?") == "32767;0"
+    assert bench.errors() == []
+
+
 def test_clear_empties_events_and_errors_and_leaves_the_enables(bench):
     bench.ask("*ESE 60;*SRE 4;:STAT:OPER:ENAB 8;:NONE;*CLS")
     assert bench.ask("*ESR?;*ESE?;*SRE?;:STAT:OPER:ENAB?;:STAT:OPER?") == "0;60;4;8;0"

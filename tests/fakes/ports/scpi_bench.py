@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 from standing_source import StandingSource
 
@@ -30,17 +31,23 @@ def standing_instrument(
 
 
 class Bench:
-    """An instrument and one session on it; ``allow(False)`` keeps sweeps pending."""
+    """An instrument and one session on it; ``allow(False)`` keeps sweeps pending, and so does ``may_advance``."""
 
     def __init__(
-        self, name: str, *, is_lenient: bool = False, rows: int = 1000, is_error_queue_per_session: bool = False
+        self,
+        name: str,
+        *,
+        is_lenient: bool = False,
+        is_error_queue_per_session: bool = False,
+        may_advance: Callable[[], bool] = lambda: True,
+        **source: Any,
     ) -> None:
         model = replace(DIALECTS[name].model, is_error_queue_per_session=is_error_queue_per_session)
         dialect = replace(DIALECTS[name], is_lenient=is_lenient, model=model)
         self.dialect = dialect
-        self.source = StandingSource(rows)
+        self.source = StandingSource(**source)
         self.is_allowed = True
-        self.instrument = standing_instrument(dialect, self.source, lambda: self.is_allowed)
+        self.instrument = standing_instrument(dialect, self.source, lambda: self.is_allowed and may_advance())
         self._tree = command_tree(dialect) if is_lenient else tree_of(name)
         self.framer = MessageFramer()
         self.session = self.new_session()

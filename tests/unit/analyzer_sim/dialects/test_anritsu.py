@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.anritsu import ANRITSU
-
 SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:BAND 30 KHZ;:DISP:POIN 501;:SWE:TIME 0.2;:DET RMS"
 
 # carriers of the bench: a 1012 MHz 1 MHz -40 dBm, b 1017 MHz 2 MHz -43 dBm, c 1022 MHz 0.5 MHz -46 dBm; -120 dBm/Hz
@@ -19,7 +17,7 @@ B_DBM = 10 * math.log10(10**-4.3 + 10 ** ((-120 + 10 * math.log10(3e6)) / 10))
 
 @pytest.fixture
 def bench(make_bench: Callable[..., Any]) -> Any:
-    return make_bench(dialect=ANRITSU)
+    return make_bench(dialect="anritsu")
 
 
 @pytest.fixture
@@ -44,7 +42,7 @@ def payload_of(block: bytes) -> bytes:
 
 def ascii_levels(bench: Any) -> np.ndarray:
     bench.ask("FORM ASC")
-    return np.array(payload_of(bench.send("TRAC:DATA? 1")).split(b","), dtype=float)
+    return np.array(payload_of(bench.send(b"TRAC:DATA? 1\n")).split(b","), dtype=float)
 
 
 def test_ascii_trace_stands_in_a_block(bench: Any) -> None:
@@ -59,7 +57,7 @@ def test_blocks_are_little_endian_and_hold_the_ascii_trace(bench: Any, form: str
     bench.ask(SETUP + ";:INIT;*WAI")
     ascii_dbm = ascii_levels(bench)
     bench.ask(f"FORM {form}")
-    values = scale * np.frombuffer(payload_of(bench.send("TRAC? 1")), kind)
+    values = scale * np.frombuffer(payload_of(bench.send(b"TRAC? 1\n")), kind)
     np.testing.assert_allclose(values, ascii_dbm, atol=6e-4)  # half a thousandth of a dB, seven digits of the text
 
 
@@ -78,7 +76,7 @@ def test_invalid_trace_is_marked(bench: Any, form: str) -> None:
 def test_preamble_describes_the_sweep(bench: Any) -> None:
     bench.ask(SETUP + ";:INIT;*WAI")
     for query in ("TRAC:PRE?", "TRAC:PRE? 1", "TRACE:DATA:PREAMBLE? 1"):
-        fields = dict(field.split(b"=", 1) for field in payload_of(bench.send(query)).split(b","))
+        fields = dict(field.split(b"=", 1) for field in payload_of(bench.send(f"{query}\n".encode())).split(b","))
         assert fields[b"START_FREQ"] == b"1007.000000 MHZ"
         assert fields[b"STOP_FREQ"] == b"1027.000000 MHZ"
         assert fields[b"UI_DATA_POINTS"] == b"501"
@@ -140,7 +138,7 @@ def test_measure_takes_the_defaults_and_sweeps(slow: Any) -> None:
 
 def test_read_is_started_once_and_held(make_bench: Callable[..., Any]) -> None:
     allowed: list[bool] = []
-    bench = make_bench(may_advance=lambda: bool(allowed), dialect=ANRITSU)
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect="anritsu")
     bench.ask(SLOW + ";:CONF:CHP")
     assert bench.ask("READ:CHP?") == ""
     assert bench.go_on() == b""
@@ -151,7 +149,7 @@ def test_read_is_started_once_and_held(make_bench: Callable[..., Any]) -> None:
 
 
 def test_results_at_the_end_of_the_scenario_are_missing(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench(dialect=ANRITSU, rows=0)
+    bench = make_bench(dialect="anritsu", rows=0)
     bench.ask(SLOW + ";:CONF:CHP")
     assert bench.ask("READ:CHP?") == "-999.0,-999.0"
     assert bench.errors() == [-200]

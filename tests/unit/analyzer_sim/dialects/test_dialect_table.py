@@ -114,7 +114,7 @@ AFTER_RESET = {
 
 @pytest.fixture
 def bench_of(make_bench: Callable[..., Any]) -> Callable[[str], Any]:
-    return lambda name: make_bench(dialect=DIALECTS[name])
+    return lambda name: make_bench(dialect=name)
 
 
 def cases() -> list[Any]:
@@ -183,3 +183,28 @@ def test_every_setting_of_the_section_is_in_the_table(name: str) -> None:
     rows = [row for row in TABLE if name in row[3]]
     for word in ("FREQ", "BAND", "POIN", "SWE:TIME", "DET", "AVER", "RLEV", "ATT", "GAIN", "UNIT", "INIT", "FORM"):
         assert any(word in row[0] for row in rows), word
+
+
+#: measurement functions of the real instruments that are not simulated
+UNKNOWN_FUNCTIONS = {
+    "rs": ("CALC:MARK1:X?", "POW:ACH:SPAC?", "FETC:POW:ACP?", "LIST:POW:RES?", "ADJ:LEV"),
+    "keysight": ("CALC:MARK1:X?", "READ:ACP?", "READ:OBW?", "FREQ:TUNE:IMM"),
+    "siglent": ("CALC:MARK1:X?", "MEAS:ACPR:MAIN?", "MEAS:OBW?", "FREQ:TUNE:IMM"),
+    "anritsu": ("CALC:MARK1:X?", "READ:ACP?", "READ:OBW?", "FETC:PEAK?"),
+}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_measurement_functions_but_channel_power_are_unknown(bench_of: Callable[[str], Any], name: str) -> None:
+    bench = bench_of(name)
+    for message in UNKNOWN_FUNCTIONS[name]:
+        assert bench.ask(message) == ""
+        assert bench.errors() == [-113], message
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_limits_are_those_of_the_model(bench_of: Callable[[str], Any], name: str) -> None:
+    bench, model = bench_of(name), DIALECTS[name].model
+    asked = bench.ask("FREQ:STOP? MIN;STOP? MAX;STOP? DEF;:BAND? MIN;:BAND? MAX;:SWE:TIME? MAX")
+    expected = (model.min_span_hz, *[model.max_frequency_hz] * 2, *model.rbw.limits[:2], model.sweep_time_s.high)
+    assert asked == ";".join(f"{value:.12g}" for value in expected)

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.keysight import KEYSIGHT
-
 SETUP = "*RST;*CLS;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BAND 30 KHZ;:SWE:POIN 2001;TIME 0.2;:DET:TRAC AVER;:AVER:TYPE RMS"
 
 # carriers of the bench: a 1012 MHz 1 MHz -40 dBm, b 1017 MHz 2 MHz -43 dBm, c 1022 MHz 0.5 MHz -46 dBm; -120 dBm/Hz
@@ -18,7 +16,7 @@ B_DBM = 10 * math.log10(10**-4.3 + 10 ** ((-120 + 10 * math.log10(3e6)) / 10))
 
 @pytest.fixture
 def bench(make_bench: Callable[..., Any]) -> Any:
-    return make_bench(dialect=KEYSIGHT)
+    return make_bench(dialect="keysight")
 
 
 @pytest.fixture
@@ -47,7 +45,7 @@ def test_blocks_hold_the_ascii_trace(bench: Any, form: str, order: str, kind: st
     ascii_dbm = numbers(bench.ask("TRAC? TRACE1"))
     assert ascii_dbm.shape == (2001,)
     bench.ask(f"FORM {form};:FORM:BORD {order}")
-    block = bench.send("TRAC:DATA? TRACE1")
+    block = bench.send(b"TRAC:DATA? TRACE1\n")
     digits = int(block[1:2])
     payload = block[2 + digits : -1]
     assert int(block[2 : 2 + digits]) == len(payload) == 2001 * np.dtype(kind).itemsize
@@ -76,7 +74,7 @@ def test_pairs_of_frequency_and_level(bench: Any) -> None:
 
 
 def test_read_takes_a_new_sweep_and_fetch_does_not(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench(dialect=KEYSIGHT)
+    bench = make_bench(dialect="keysight")
     bench.ask(SETUP)
     assert bench.ask("FETC:SAN?") == ""
     assert bench.errors() == [-230]
@@ -111,7 +109,7 @@ def test_configure_and_measure_return_to_defaults_and_ndefault_does_not(bench: A
 
 def test_read_waits_for_its_sweep(make_bench: Callable[..., Any]) -> None:
     allowed: list[bool] = []
-    bench = make_bench(may_advance=lambda: bool(allowed), dialect=KEYSIGHT)
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect="keysight")
     bench.ask(SETUP)
     assert bench.ask("READ:SAN?") == ""
     assert bench.session.is_held
@@ -281,7 +279,7 @@ def test_second_result_of_channel_power_is_the_trace(tuned: Any) -> None:
 
 def test_read_of_channel_power_is_started_once_and_held(make_bench: Callable[..., Any]) -> None:
     allowed: list[bool] = []
-    bench = make_bench(may_advance=lambda: bool(allowed), dialect=KEYSIGHT)
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect="keysight")
     bench.ask("*RST;:FREQ:CENT 1017 MHZ")
     for verb in ("READ", "MEAS"):
         assert bench.ask(f"{verb}:CHP?;*ESE?") == ""
@@ -296,7 +294,7 @@ def test_read_of_channel_power_is_started_once_and_held(make_bench: Callable[...
 
 def test_read_waits_for_the_sweep_of_another_client(make_bench: Callable[..., Any]) -> None:
     allowed: list[bool] = []
-    bench = make_bench(may_advance=lambda: bool(allowed), dialect=KEYSIGHT)
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect="keysight")
     bench.ask("*RST;:FREQ:CENT 1017 MHZ;:CONF:CHP;:INIT")
     assert bench.ask("READ:CHP?") == ""
     allowed.append(True)

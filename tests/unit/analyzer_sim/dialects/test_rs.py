@@ -75,7 +75,7 @@ def test_trace_is_the_same_in_both_formats(bench: Any) -> None:
     bench.ask(SETUP)
     assert bench.ask("INIT;*OPC?") == "1"
     bench.ask("FORM REAL,32")
-    block = bench.send("TRAC? TRACE1")
+    block = bench.send(b"TRAC? TRACE1\n")
     assert block[:6] == b"#48004"
     assert len(block) == 6 + 4 * 2001 + 1
     binary = np.frombuffer(block[6:-1], "<f4")
@@ -173,6 +173,23 @@ def test_averaging_levels_in_decibels_reads_low_and_power_does_not(bench: Any) -
         trace_dbm = np.array(bench.ask("TRAC? TRACE1").split(","), dtype=float)
         means[kind] = 10 * np.log10(np.mean(10 ** (trace_dbm[:200] / 10)))
     assert means["VID"] - means["POW"] == pytest.approx(-2.51, abs=0.15)  # 20000 samples, 5.6 dB each
+
+
+@pytest.mark.parametrize(
+    ("message", "code"),
+    [
+        ("TRAC?", -109),
+        ("DET 5", -128),
+        ("FORM REAL,64", -224),
+        ("FORM INT,32", -141),
+        ("FORM:BORD SWAP", -113),
+        ("TRAC? TRACE7", -141),
+        ("INST:SEL 'NOISE'", -224),
+    ],
+)
+def test_wrong_unit_queues_its_error_and_answers_nothing(bench: Any, message: str, code: int) -> None:
+    assert bench.ask(message) == ""
+    assert bench.errors() == [code]
 
 
 def test_channel_power_and_its_density(bench: Any) -> None:

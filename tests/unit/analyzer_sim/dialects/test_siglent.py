@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.siglent import SIGLENT
-
 SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BWID 30 KHZ;:SWE:TIME 0.2;:DET:TRAC1 AVER"
 
 # carriers of the bench: a 1012 MHz 1 MHz -40 dBm, b 1017 MHz 2 MHz -43 dBm, c 1022 MHz 0.5 MHz -46 dBm; -120 dBm/Hz
@@ -18,7 +16,7 @@ B_DBM = 10 * math.log10(10**-4.3 + 10 ** ((-120 + 10 * math.log10(3e6)) / 10))
 
 @pytest.fixture
 def bench(make_bench: Callable[..., Any]) -> Any:
-    return make_bench(dialect=SIGLENT)
+    return make_bench(dialect="siglent")
 
 
 @pytest.fixture
@@ -45,7 +43,7 @@ def test_block_holds_the_ascii_trace(bench: Any) -> None:
     bench.ask(SETUP + ";:INIT;*WAI")
     ascii_dbm = np.array(bench.ask("TRAC? 1").split(",")[:-1], dtype=float)
     bench.ask("FORM REAL")
-    block = bench.send("TRAC? 1")
+    block = bench.send(b"TRAC? 1\n")
     assert block[:6] == b"#43004"
     np.testing.assert_allclose(np.frombuffer(block[6:-1], "<f4"), ascii_dbm, atol=1e-4)  # seven digits of the text
 
@@ -74,7 +72,7 @@ def test_sweep_time_has_the_limits_of_the_manual(bench: Any) -> None:
 
 def test_end_of_a_sweep_can_be_polled(make_bench: Callable[..., Any]) -> None:
     allowed: list[bool] = []
-    bench = make_bench(may_advance=lambda: bool(allowed), dialect=SIGLENT)
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect="siglent")
     bench.ask("INIT:CONT OFF;:INIT")
     assert bench.ask("TRAC:SWE:STAT?;:TRAC:SWE:STAT? 1") == "0;0"
     allowed.append(True)
@@ -125,7 +123,7 @@ def test_channel_power_sweeps_only_when_the_settings_have_changed(swept: Any) ->
 
 def test_channel_power_waits_until_its_row_is_allowed(make_bench: Callable[..., Any]) -> None:
     allowed: list[bool] = []
-    bench = make_bench(may_advance=lambda: bool(allowed), dialect=SIGLENT)
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect="siglent")
     bench.ask("*RST;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ")
     assert bench.ask("MEAS:CHP:CHP?") == ""
     allowed.append(True)

@@ -22,12 +22,12 @@ def test_every_fault_is_shown_once_and_only_by_a_trace(bench: Any, fault: TraceF
     faults = bench.instrument.trace_faults
     faults.arm(fault)
     assert bench.ask("*OPC?") == "1"
-    frequencies = bench.send("TRAC:X? TRACE1")
+    frequencies = bench.send(b"TRAC:X? TRACE1\n")
     assert faults.remaining == 1
-    wrong = bench.send("TRAC? TRACE1")
+    wrong = bench.send(b"TRAC? TRACE1\n")
     assert faults.remaining == 0
-    assert wrong != bench.send("TRAC? TRACE1")
-    assert bench.send("TRAC:X? TRACE1") == frequencies
+    assert wrong != bench.send(b"TRAC? TRACE1\n")
+    assert bench.send(b"TRAC:X? TRACE1\n") == frequencies
     assert bench.errors() == []
 
 
