@@ -1,8 +1,8 @@
-"""Many sessions, one instrument: who waits for what, and what wakes them. No socket."""
+"""Sessions without a socket: one client's dialogue, many clients on one instrument, faults of a line."""
 
 import asyncio
 import itertools
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
@@ -17,11 +17,45 @@ from analyzer_sim.instrument.models import FSW_26
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress
 from analyzer_sim.lines.dispatcher import Dispatcher
+from analyzer_sim.lines.line_faults import LineFault, LineFaults
 from analyzer_sim.lines.session import Session
 from analyzer_sim.scpi.framing import ProgramMessage
 
 pytestmark = pytest.mark.anyio
 MAX_WAIT_S = 120.0
+
+
+def test_interface_messages_are_ignored(bench: Any) -> None:
+    assert bench.send(b"&GTR\n&GTL\r\n&DCL\n") == b""
+    assert bench.errors() == []
+
+
+def test_long_message_gives_others_a_turn(bench: Any) -> None:
+    message = bench.framer.feed(b"*ESE?;" * 1000 + b"\n")[0]
+    bench.session.submit(message)
+    turns, response = 0, None
+    while response is None:
+        response = bench.session.run()
+        turns += 1
+    assert turns == 4  # 1000 units, 256 a turn
+    assert response == b"0" + b";0" * 999 + b"\n"
+
+
+def test_device_clear_drops_what_is_held_and_what_waits(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(may_advance=lambda: False)
+    bench.ask("INIT:CONT OFF;:INIT;*OPC")
+    assert bench.ask("*ESE?;*OPC?;*ESE 9") == ""
+    bench.session.clear()
+    assert (bench.session.is_busy, bench.session.is_held, bench.session.readings) == (False, False, ())
+    assert bench.ask("*ESE?;:STAT:OPER:COND?") == "0;32", "the sweep goes on"
+    bench.ask("ABOR")
+    assert bench.ask("*ESR?") == "128", "*OPC was taken back"
+
+
+def test_transport_sees_the_session_s_own_status(bench: Any) -> None:
+    bench.session.push_error(-410, "x")
+    assert bench.session.status_byte(has_response=True) == 0b10100
+    assert bench.errors() == [-410]
 
 
 class Party:
@@ -136,3 +170,34 @@ async def test_the_end_of_the_scenario_is_told_to_the_session_that_asked() -> No
         assert await held == "1"
         assert (await party.ask(second, "SYST:ERR?")).startswith("0,")
         assert (await party.ask(first, "SYST:ERR?")).startswith("-200,")
+
+
+def test_fault_that_needs_a_block_waits_for_one() -> None:
+    faults = LineFaults()
+    faults.arm(LineFault.HALF_BLOCK)
+    faults.arm(LineFault.RESET)
+    assert faults.consume(b"1\n") is None
+    assert faults.consume(b"#11a\n") is LineFault.HALF_BLOCK
+    assert faults.consume(b"1\n") is LineFault.RESET
+    assert faults.consume(b"1\n") is None
+
+
+def test_a_silent_peer_is_silent_until_disarmed_and_spends_nothing() -> None:
+    faults = LineFaults()
+    faults.arm(LineFault.STALE)
+    faults.is_silent_peer = True
+    assert [faults.consume(b"1\n") for _ in range(3)] == [LineFault.SILENT] * 3
+    assert faults.remaining == 1
+    faults.is_silent_peer = False
+    assert faults.consume(b"1\n") is LineFault.STALE
+    faults.is_silent_peer = True
+    faults.disarm()
+    assert faults.consume(b"1\n") is None
+
+
+def test_disarmed_faults_do_nothing() -> None:
+    faults = LineFaults()
+    faults.arm(LineFault.SILENT, times=3)
+    assert faults.remaining == 3
+    faults.disarm()
+    assert faults.consume(b"1\n") is None
