@@ -216,12 +216,12 @@ def _coupled_rows(pattern: str, name: str, units: Mapping[str, float]) -> tuple[
         words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
         if isinstance(value, str) and value not in words:
             raise ScpiError(-141, value)
-        wanted = words[value] if isinstance(value, str) else value
-        is_clamped = store(settings, name, wanted)
+        number = words[value] if isinstance(value, str) else value
+        is_clamped = store(settings, name, number)
         setattr(call.instrument.channel, name, load(settings, name))
         call.instrument.invalidate()
         if is_clamped:
-            raise ScpiError(-222, f"{wanted:g}")
+            raise ScpiError(-222, f"{number:g}")
 
     def write_auto(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the one value of the command
         setattr(call.instrument.channel, name, None if is_auto else load(_channel_sweep(call), name))

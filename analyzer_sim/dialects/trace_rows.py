@@ -130,13 +130,13 @@ def channel_row(
     def write(call: Call, value: float | str) -> None:
         if isinstance(value, str) and value not in words:
             raise ScpiError(-141, value)
-        wanted = words[value] if isinstance(value, str) else value
-        clamped = min(max(wanted, limits.low), limits.high)
+        number = words[value] if isinstance(value, str) else value
+        clamped = min(max(number, limits.low), limits.high)
         setattr(call.instrument.channel, name, float(round(clamped)) if is_whole else clamped)
         if reshapes:
             call.instrument.invalidate()
-        if clamped != wanted:
-            raise ScpiError(-222, f"{wanted:g}")
+        if clamped != number:
+            raise ScpiError(-222, f"{number:g}")
 
     def query(call: Call, value: float | str = "") -> str:
         if not isinstance(value, str):
