@@ -86,6 +86,7 @@ async def soo(storage: SqlStorage, workers: Workers) -> AsyncIterator[Soo]:
             ReleaseSettings(),
             TorqueConfig(),
             ReleasePublisher(storage.audit, LiveFeed(), accepted.append),
+            steady_us=clock.system_us,
         ),
         bootstrap_key=KEY,
         limits=limits,

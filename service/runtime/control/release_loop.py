@@ -166,7 +166,10 @@ class ReleaseLoop:
         any caller before they are.
         """
         if not self.clock.is_data(spacecraft_id):
-            return Instant(self.clock.system_us(), self.steady_us())
+            # read together: a process that is stopped between two readings would see a jump of the clock
+            readings = ((self.steady_us(), self.clock.system_us(), self.steady_us()) for _ in range(3))
+            before_us, now_us, _ = min(readings, key=lambda reading: reading[2] - reading[0])
+            return Instant(now_us, before_us)
         context.newest_us = max(context.newest_us, epoch_us or 0)
         return Instant(context.newest_us, context.newest_us)
 

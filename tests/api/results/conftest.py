@@ -307,7 +307,9 @@ async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
         ),
         workers=workers,
         flights=FlightAnalyses(jobs, partial(fly_thinned, kernels="numpy")),
-        release_service=ReleaseService(storage, clock, ReleaseSettings(), TorqueConfig(), publisher),
+        release_service=ReleaseService(
+            storage, clock, ReleaseSettings(), TorqueConfig(), publisher, steady_us=clock.system_us
+        ),
         bootstrap_key=KEY,
         limits=Limits(stream_heartbeat_s=0.3),
     )

@@ -56,6 +56,25 @@ def test_ten_good_minutes_arm_and_two_persons_release(driver):
     assert (product.is_simulated, product.valid_until_us) == (False, command.start_us)
 
 
+@pytest.mark.parametrize(("is_held_up", "trips"), [(True, ()), (False, ("clock_jump",))])
+def test_a_process_held_up_between_two_clocks_sees_no_jump_and_a_clock_that_is_set_trips(driver, is_held_up, trips):
+    driver.armed()
+    driver.clock.steady += US
+    driver.clock.now += US
+    if is_held_up:
+        read_us, waits_us = driver.clock.system_us, iter([3 * US])
+
+        def held_up_after_reading() -> int:
+            present_us, wait_us = read_us(), next(waits_us, 0)
+            driver.clock.now, driver.clock.steady = driver.clock.now + wait_us, driver.clock.steady + wait_us
+            return present_us
+
+        driver.clock.system_us = held_up_after_reading
+    else:
+        driver.clock.now += 3 * US
+    assert tuple(driver.service.control(SC).trips) == trips
+
+
 def test_a_dry_run_tells_failing_checks_and_stores_nothing(driver):
     driver.rows(2)
     saves = driver.releases.saves
