@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from service.frontend.spool.row import ARRAYS, SpooledRow, SpooledTask, decode_row, size_of
-from service.frontend.spool.schema import SpoolDamagedError, SpoolFileError, check, connect, migrate, transaction
+from service.frontend.spool.schema import SpoolDamagedError, SpoolFileError, check, connect, prepare, transaction
 from service.frontend.spool.traces import TraceRing
 from service.records.epoch import US_PER_S
 
@@ -105,7 +105,7 @@ class SpoolFile:
         self.connection = connect(path)
         try:
             check(self.connection)
-            migrate(self.connection)
+            prepare(self.connection, path)
             self._claim(path, owner)
             self._tasks = {
                 key: SpooledTask(sha256, tuple(json.loads(ids)))

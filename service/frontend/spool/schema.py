@@ -1,7 +1,7 @@
-"""Tables of the spool's file, its migrations, and which of SQLite's errors say what.
+"""Tables of the spool's file, and which of SQLite's errors say what.
 
-Law of this file: the schema's version is the file's ``user_version``; script k of `MIGRATIONS` leads to version k + 1.
-Sequence numbers are never given twice: AUTOINCREMENT keeps the greatest in the file even when no row is left.
+Law of this file: the number of the layout is the file's ``user_version``, and a file of another layout is left as it
+is. Sequence numbers are never given twice: AUTOINCREMENT keeps the greatest in the file even when no row is left.
 """
 
 import contextlib
@@ -25,49 +25,49 @@ _ROW_ARRAYS = """
     centroid_offset_hz BLOB NOT NULL
 """
 
-MIGRATIONS: tuple[str, ...] = (
-    f"""
-    CREATE TABLE owner (spacecraft_id TEXT NOT NULL, source TEXT NOT NULL);
-    CREATE TABLE task (
-        task_key INTEGER PRIMARY KEY,
-        sha256 TEXT NOT NULL,
-        carrier_ids TEXT NOT NULL,
-        UNIQUE (sha256, carrier_ids)
-    );
-    CREATE TABLE measured (
-        seq INTEGER PRIMARY KEY AUTOINCREMENT,
-        epoch_us INTEGER NOT NULL UNIQUE,
-        task_key INTEGER NOT NULL REFERENCES task,
-        kept_at_us INTEGER NOT NULL,
-        size_bytes INTEGER NOT NULL,
-        {_ROW_ARRAYS}
-    );
-    CREATE TABLE refused (
-        refused_key INTEGER PRIMARY KEY AUTOINCREMENT,
-        seq INTEGER,
-        epoch_us INTEGER NOT NULL,
-        task_key INTEGER NOT NULL REFERENCES task,
-        refused_at_us INTEGER NOT NULL,
-        code TEXT NOT NULL,
-        detail TEXT NOT NULL,
-        {_ROW_ARRAYS}
-    );
-    CREATE TABLE trace (
-        trace_key INTEGER PRIMARY KEY AUTOINCREMENT,
-        epoch_us INTEGER NOT NULL,
-        sweep TEXT NOT NULL,
-        start_hz REAL NOT NULL,
-        step_hz REAL NOT NULL,
-        rbw_hz REAL NOT NULL,
-        enbw_hz REAL NOT NULL,
-        sweep_time_s REAL NOT NULL,
-        power_dbm BLOB NOT NULL,
-        UNIQUE (epoch_us, sweep)
-    );
-    CREATE TABLE tally (name TEXT PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
-    """,
-    "ALTER TABLE task ADD COLUMN plan_id INTEGER",
-)
+#: number of the layout that this program makes and reads; a change of a table raises it
+LAYOUT = 2
+_TABLES = f"""
+CREATE TABLE owner (spacecraft_id TEXT NOT NULL, source TEXT NOT NULL);
+CREATE TABLE task (
+    task_key INTEGER PRIMARY KEY,
+    sha256 TEXT NOT NULL,
+    carrier_ids TEXT NOT NULL,
+    plan_id INTEGER,
+    UNIQUE (sha256, carrier_ids)
+);
+CREATE TABLE measured (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT,
+    epoch_us INTEGER NOT NULL UNIQUE,
+    task_key INTEGER NOT NULL REFERENCES task,
+    kept_at_us INTEGER NOT NULL,
+    size_bytes INTEGER NOT NULL,
+    {_ROW_ARRAYS}
+);
+CREATE TABLE refused (
+    refused_key INTEGER PRIMARY KEY AUTOINCREMENT,
+    seq INTEGER,
+    epoch_us INTEGER NOT NULL,
+    task_key INTEGER NOT NULL REFERENCES task,
+    refused_at_us INTEGER NOT NULL,
+    code TEXT NOT NULL,
+    detail TEXT NOT NULL,
+    {_ROW_ARRAYS}
+);
+CREATE TABLE trace (
+    trace_key INTEGER PRIMARY KEY AUTOINCREMENT,
+    epoch_us INTEGER NOT NULL,
+    sweep TEXT NOT NULL,
+    start_hz REAL NOT NULL,
+    step_hz REAL NOT NULL,
+    rbw_hz REAL NOT NULL,
+    enbw_hz REAL NOT NULL,
+    sweep_time_s REAL NOT NULL,
+    power_dbm BLOB NOT NULL,
+    UNIQUE (epoch_us, sweep)
+);
+CREATE TABLE tally (name TEXT PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
+"""
 
 #: the file is not what it was; nothing of it can be relied on
 _DAMAGED = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
@@ -82,7 +82,7 @@ class SpoolError(Exception):
 
 
 class SpoolFileError(SpoolError):
-    """The file is good, but not for this: of a later version, or of another spacecraft or source."""
+    """The file is good, but not for this: of another layout, spacecraft or source."""
 
 
 class SpoolDamagedError(SpoolError):
@@ -131,23 +131,20 @@ def check(connection: sqlite3.Connection) -> None:
         raise SpoolDamagedError(said)
 
 
-def migrate(connection: sqlite3.Connection, migrations: tuple[str, ...] = MIGRATIONS) -> None:
-    """Bring a file to the newest schema, one transaction a version.
-
-    Raises
-    ------
-    SpoolFileError
-        A later version of this program wrote the file.
-    """
-    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
-    if version > len(migrations):
-        message = f"the spool has schema {version}, this program knows {len(migrations)}: use the newer program"
+def prepare(connection: sqlite3.Connection, path: Path) -> None:
+    """Make the tables in a new file; SpoolFileError for a file of another layout."""
+    layout = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if layout not in (0, LAYOUT):
+        message = (
+            f"spool {path} has layout {layout}, this program uses layout {LAYOUT}: let the version of SOO that made it "
+            "send the rows that wait in it, or name another file"
+        )
         raise SpoolFileError(message)
-    for number, script in enumerate(migrations[version:], start=version + 1):
+    if layout == 0:
         with transaction(connection):
-            for statement in script.split(";"):
+            for statement in _TABLES.split(";"):
                 connection.execute(statement)
-            connection.execute(f"PRAGMA user_version={number}")
+            connection.execute(f"PRAGMA user_version={LAYOUT}")
 
 
 @contextmanager

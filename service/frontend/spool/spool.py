@@ -92,7 +92,7 @@ class Spool:
     SpoolInUseError
         Another process owns it.
     SpoolFileError
-        The file is of another spacecraft or source, or of a later version.
+        The file is of another spacecraft or source, or of another layout.
     """
 
     def __init__(
