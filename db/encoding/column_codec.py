@@ -83,11 +83,6 @@ class PackedColumns:
             message = f"{len(raw)} bytes where {start} belong"
             raise ValueError(message)
 
-    @property
-    def names(self) -> frozenset[str]:
-        """Names of the columns."""
-        return frozenset(self._columns)
-
     def values(self, name: str, chosen: Positions) -> list[Any]:
         """Return some values of a column, as they were packed; a missing double is ``math.nan`` itself."""
         return self._columns[name](chosen)

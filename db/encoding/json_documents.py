@@ -41,11 +41,6 @@ def decode_input(kind: str, text: str) -> SlowInput:
     return decode(KINDS[kind], text)
 
 
-def is_same_input(kind: str, stored: str, offered: str) -> bool:
-    """Return whether two documents of a kind mean the same, also when one was written before a field was added."""
-    return stored == offered or encode(decode_input(kind, stored)) == encode(decode_input(kind, offered))
-
-
 @cache
 def _adapter(kind: Any) -> TypeAdapter[Any]:
     # the configuration reaches a standard dataclass only from a container around it

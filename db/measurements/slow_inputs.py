@@ -6,7 +6,7 @@ from dataclasses import replace
 from sqlalchemy import Connection, select, update
 
 from db.database import EpochSpan, add_entries, lock_head, next_id
-from db.encoding.json_documents import encode, is_same_input, kind_of
+from db.encoding.json_documents import encode, kind_of
 from db.schema.tables import journal, operation
 from service.errors import InvalidInputError, NotFoundError
 from service.records.inputs import (
@@ -65,7 +65,7 @@ def store_inputs(connection: Connection, key: int, records: Sequence[SlowInput])
         if stored is None:
             known[name] = document
             accepted.append((record, span_of(record)))
-        elif not is_same_input(name[0], stored, document):
+        elif stored != document:
             detail = f"Another {name[0]} with the key {name[1]!r} is stored already; the first one stays."
             refused.append(RowRefusal(position, None, "input.conflict", detail))
     add_entries(connection, key, accepted)

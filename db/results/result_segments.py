@@ -6,7 +6,6 @@ replaced by another. Its checksum covers all of it and is checked whenever it is
 StorageError ``storage.corrupt`` for the readers of its rows, and for nobody else.
 """
 
-import math
 from collections import namedtuple
 from collections.abc import Iterator
 from functools import cache, lru_cache, partial
@@ -18,7 +17,6 @@ from sqlalchemy import ColumnElement, Connection, Select, Table, select
 from db.encoding.column_codec import CODEC, PackedColumns, Positions
 from db.encoding.segments import DAY_US, day_of
 from db.measurements.checksum_check import agrees
-from db.schema.column_types import Figure
 from db.schema.row_checksum import checksum_of
 from db.schema.tables import attitude, spacecraft
 from db.schema.tables import result_segment as segment_table
@@ -60,7 +58,7 @@ class ResultSegment:
         self.numbers: IntArray = np.array(columns.values("number", slice(None)), dtype=np.int64)
 
     def values(self, name: str) -> list[Any]:
-        """Return a column; KeyError where the rows are older than the column."""
+        """Return a column."""
         return self._columns.values(name, slice(None))
 
     def rows(self, table: Table, chosen: Positions) -> list[Any]:
@@ -70,10 +68,9 @@ class ResultSegment:
         return list(map(row_type(table)._make, zip(*columns, strict=True)))
 
     def _column(self, column: Any, chosen: Positions, count: int) -> list[Any]:
-        if column.name in self._columns.names:
-            return self._columns.values(column.name, chosen)
-        # a column that was added later is empty in older rows
-        return [self._stated.get(column.name, math.nan if isinstance(column.type, Figure) else None)] * count
+        if column.name in HEAD_COLUMNS:
+            return [self._stated.get(column.name)] * count
+        return self._columns.values(column.name, chosen)
 
     def after(self, cursor: tuple[int, int] | None) -> BoolArray:
         """Return which rows lie beyond (epoch, number)."""

@@ -19,7 +19,7 @@ _COMMANDS = {
         "Make a folder from which a service starts: settings, archive, first key, systemd unit.",
     ),
     "serve": CommandSource(
-        "administration.serve", "Serve the REST interface; creates and migrates its database before it is ready."
+        "administration.serve", "Serve the REST interface; makes a new archive where there is none."
     ),
     "acquire": CommandSource(
         "station.acquire", "Measure carrier powers on spectrum analyzers and send them to the service."
@@ -112,7 +112,6 @@ def _begin(
 
 app = late_app(
     _COMMANDS,
-    former={"upkeep": "maintenance"},
     begin=_begin,
     name="soo",
     help="Attitude of a geostationary satellite from the powers of the carriers it retransmits.",

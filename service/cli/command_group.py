@@ -20,13 +20,12 @@ class CommandSource(NamedTuple):
 
 
 class _LateCommands(Mapping[str, Any]):
-    """Commands by name, each imported when it is taken out; former names work and are not listed."""
+    """Commands by name, each imported when it is taken out."""
 
-    def __init__(self, sources: Mapping[str, CommandSource], former: Mapping[str, str]) -> None:
-        self._sources, self._former = sources, former
+    def __init__(self, sources: Mapping[str, CommandSource]) -> None:
+        self._sources = sources
 
     def __getitem__(self, name: str) -> Any:
-        name = self._former.get(name, name)
         module = import_module(f"service.cli.{self._sources[name].module}")
         app = getattr(module, "app", None)
         if app is None:
@@ -58,7 +57,6 @@ def begin_command(ctx: typer.Context) -> None:
 
 def late_app(
     sources: Mapping[str, CommandSource],
-    former: Mapping[str, str] | None = None,
     begin: Callable[..., None] = begin_command,
     **options: Any,
 ) -> typer.Typer:
@@ -68,8 +66,6 @@ def late_app(
     ----------
     sources : Mapping
         Commands by name.
-    former : Mapping or None
-        Names of today by the names of former versions.
     begin : Callable
         Called before a command of the group; its parameters are the options of the group itself.
     """
@@ -79,7 +75,7 @@ def late_app(
 
         def __init__(self, **settings: Any) -> None:
             super().__init__(**settings)
-            self.commands: Any = _LateCommands(sources, former or {})
+            self.commands: Any = _LateCommands(sources)
 
         def format_help(self, ctx: Any, formatter: Any) -> None:
             imported_late = self.commands

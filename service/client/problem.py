@@ -40,7 +40,7 @@ class ProblemError(ClientError):
     errors : tuple of dict
         The faulty fields: pointer, code, detail.
     next_step : str
-        What to do next, as the service says it; empty from an older service.
+        What to do next, as the service says it; empty where a proxy answered.
     """
 
     def __init__(

@@ -58,11 +58,7 @@ class Destination:
     @property
     def key(self) -> str:
         """Sixteen hexadecimal digits that stand for all of it."""
-        return hashlib.sha256(json.dumps(self.as_document(), sort_keys=True).encode()).hexdigest()[:16]
-
-    def as_document(self) -> dict[str, str]:
-        """Return the fields for the state file; files of earlier versions have no layout."""
-        return {name: value for name, value in asdict(self).items() if value or name != "layout"}
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:16]
 
 
 class SendState:
@@ -97,7 +93,7 @@ class SendState:
             return False
         except (OSError, ValueError) as error:
             raise ArchiveError(f"{self.path} cannot be read: {error}; remove it to begin again") from error
-        if said.get("format") != _FORMAT or said.get("destination") != self._destination.as_document():
+        if said.get("format") != _FORMAT or said.get("destination") != asdict(self._destination):
             raise ArchiveError(f"{self.path} belongs to another upload; remove it to begin again")
         names = {each.name for each in fields(SendCounters)}
         self.counters = SendCounters(**{name: value for name, value in said["counters"].items() if name in names})
@@ -134,7 +130,7 @@ class SendState:
         """Write the state through to the disk, in place of the one before."""
         document = {
             "format": _FORMAT,
-            "destination": self._destination.as_document(),
+            "destination": asdict(self._destination),
             "counters": asdict(self.counters),
             "refused_bytes": self._refused_bytes,
             "is_complete": self.is_complete,

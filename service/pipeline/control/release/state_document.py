@@ -2,8 +2,7 @@
 
     record -> object by field names      enumeration -> its name      tuple -> list      None, numbers, texts, truth
 
-Law of this file: floats come back bit for bit, not-a-number too; a field that a stored text does not have takes its
-default, one that the code does not have any more is passed over; a text that does not fit is refused, never guessed.
+Law of this file: floats come back bit for bit, not-a-number too; a text that does not fit is refused, never guessed.
 """
 
 import json
@@ -18,8 +17,6 @@ from service.pipeline.control.release.events import ReleaseState
 from service.pipeline.control.release.interlock import Interlock
 from service.records.operations.release import Command, SignCheck
 
-#: fields that are stored under the name that they had first
-_STORED_AS = {"inputs": "around"}
 #: what of the interlock may be lost
 _FORGOTTEN = ("row", "inputs", "innovation_since_us", "clock", "good_since_us", "standing", "since")
 _FRESH = Interlock()
@@ -28,23 +25,22 @@ _FRESH = Interlock()
 def document_of(state: ReleaseState) -> str:
     """Return the text of a state; of its commands the counters, because their records are stored by themselves."""
     document = _plain(replace(state, commands=(), sign_check=None))
-    document["commands"] = [{"counter": command.counter} for command in state.commands]
+    document["commands"] = [command.counter for command in state.commands]
     return json.dumps({"state": document, "sign_check": _plain(state.sign_check)}, separators=(",", ":"))
 
 
 def state_of(document: str, command_of: Callable[[int], Command]) -> ReleaseState:
     """Return the state of a text of `document_of`, that before the first event for an empty one.
 
-    `command_of` gives the stored command of a counter; in texts of former versions commands stand whole, and their
-    counters alone are read. ValueError: the text is not that of a state.
+    `command_of` gives the stored command of a counter. ValueError: the text is not that of a state.
     """
     if not document:
         return ReleaseState()
     try:
         stored = json.loads(document)
-        counters = [command["counter"] for command in stored["state"].pop("commands", ())]
+        counters: tuple[int, ...] = _read(tuple[int, ...], stored["state"].pop("commands"))
         state: ReleaseState = _read(ReleaseState, stored["state"])
-        check: SignCheck | None = _read(SignCheck | None, stored.get("sign_check"))
+        check: SignCheck | None = _read(SignCheck | None, stored["sign_check"])
     except (KeyError, TypeError, AttributeError) as error:
         message = f"the stored state of the release cannot be read: {error!r}"
         raise ValueError(message) from error
@@ -67,7 +63,7 @@ def _plain(value: Any) -> Any:
     kind: Any = type(value)
     kinds = _kinds(kind)
     if kinds is not None:
-        return {_STORED_AS.get(name, name): _plain(getattr(value, name)) for name in kinds}
+        return {name: _plain(getattr(value, name)) for name in kinds}
     return [_plain(each) for each in value] if isinstance(value, tuple) else value
 
 
@@ -85,8 +81,7 @@ def _read(kind: Any, value: Any) -> Any:
         return kind[value]
     kinds = _kinds(kind)
     if kinds is not None:
-        stored = {_STORED_AS.get(name, name): name for name in kinds}
-        return kind(**{stored[key]: _read(kinds[stored[key]], part) for key, part in value.items() if key in stored})
+        return kind(**{name: _read(kinds[name], part) for name, part in value.items()})
     if not isinstance(value, (int, float) if kind is float else kind):
         message = f"{value!r} is no {kind.__name__}"
         raise TypeError(message)

@@ -21,7 +21,7 @@ def url(tmp_path):
     """An archive with a row on each of three days, consumed."""
     made = f"sqlite:///{tmp_path / 'soo.db'}"
     storage = SqlStorage(made)
-    storage.migrate()
+    storage.prepare()
     inertia = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
     storage.catalogue.add_spacecraft(Spacecraft("craft", "craft", 90.0, Site(55.0, 38.0), inertia, 0.05))
     plan = storage.catalogue.put_plan("craft", [Carrier("c00", "C", "t0", 3.7e9, 5e6)], "sha")
@@ -45,12 +45,6 @@ def test_days_are_sealed_once(url):
     expected = {"sealed_rows": 3, "sealed_results": 0, "dropped_rows": {}, "failed_spacecraft": 0}
     assert json.loads(reported(url, "--json")) == expected
     assert json.loads(reported(url, "--json")) == expected | {"sealed_rows": 0}
-
-
-def test_its_former_name_works(url):
-    former = CliRunner().invoke(app, ["upkeep", "--database", url, "--json"])
-    assert former.exit_code == 0, former.output
-    assert json.loads(former.output)["sealed_rows"] == 3
 
 
 def test_what_is_too_old_goes(url, monkeypatch):
