@@ -81,7 +81,7 @@ def main() -> bool:
 def fill(path: Path, rows: Rows) -> None:
     """Store the rows and seal their days."""
     storage = SqlStorage(f"sqlite:///{path}")
-    storage.migrate()
+    storage.prepare()
     inertia = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
     storage.catalogue.add_spacecraft(Spacecraft("bench", "Bench", 90.0, Site(55.0, 38.0), inertia, 0.05))
     carriers = [Carrier(f"c{k:02d}", "Ku", "Ku1", 11.2e9 + k * 2e6, 1e6) for k in range(CARRIERS)]

@@ -120,7 +120,7 @@ def fill(folder: Path, rows: int) -> None:
     """Make an archive whose rows wait for the service: catalogue, calibration, alignment, rows."""
     with closing(Station(folder)) as station:
         storage = station.storage
-        storage.migrate()
+        storage.prepare()
         storage.catalogue.add_spacecraft(PAYLOAD.spacecraft(coupling=True))
         storage.catalogue.put_plan(SC, PAYLOAD.carriers(), "bench")
         _put_track(station, 0)

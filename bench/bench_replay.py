@@ -72,7 +72,7 @@ def measure(database: Path, rows: int, kernels: Literal["numpy", "numba"] = "num
 def _fill(storage: SqlStorage, rows: int) -> None:
     """Lay down catalogue, calibration and alignment, and rows a minute after it."""
     payload, rng = FlightPayload.make(CARRIERS, 5), np.random.default_rng(1)
-    storage.migrate()
+    storage.prepare()
     storage.catalogue.add_spacecraft(payload.spacecraft())
     storage.catalogue.put_plan(SC, payload.carriers(), "bench")
     storage.catalogue.put_ephemeris(SC, payload.ephemeris())

@@ -131,7 +131,7 @@ def fill(database: Path, rows: int) -> None:
 def _storage(database: Path) -> Iterator[SqlStorage]:
     """Give a migrated archive and close it."""
     storage = SqlStorage(f"sqlite:///{database}")
-    storage.migrate()
+    storage.prepare()
     yield storage
     storage.close()
 

@@ -109,7 +109,7 @@ def report(name: str, batches: int, elapsed_s: float, options: argparse.Namespac
 def measure(path: Path, options: argparse.Namespace) -> float:
     """Return batches a second through the archive."""
     storage = SqlStorage(f"sqlite:///{path}")
-    storage.migrate()
+    storage.prepare()
     plan_id = prepare_catalogue(storage, options)
     until = time.perf_counter() + options.seconds
 
@@ -143,7 +143,7 @@ def measure(path: Path, options: argparse.Namespace) -> float:
 def measure_reading(url: str, kind: str, options: argparse.Namespace) -> bool:
     """Print bytes a row and rows a second read into arrays, as rows and sealed; return whether the goals are met."""
     storage = SqlStorage(url)
-    storage.migrate()
+    storage.prepare()
     plan_id = prepare_catalogue(storage, options)
     rows = send_days(storage, plan_id, kind, options)
     by_rows = read_rate(storage, rows)
@@ -188,7 +188,7 @@ def send_days(storage: SqlStorage, plan_id: int, kind: str, options: argparse.Na
 def measure_results(url: str, options: argparse.Namespace, *, has_carriers: bool) -> bool:
     """Print bytes a row of attitude, two methods a measurement, and of torques; return whether the goal is met."""
     storage = SqlStorage(url)
-    storage.migrate()
+    storage.prepare()
     plan_id = prepare_catalogue(storage, options)
     send_days(storage, plan_id, "0.01 dB", argparse.Namespace(**{**vars(options), "days": 1}))
     random = np.random.default_rng(1)

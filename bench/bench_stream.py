@@ -106,7 +106,7 @@ def measure(seconds: float, clients: int) -> StreamTimes:
 def _prepare(database: Path, payload: SyntheticPayload) -> None:
     """Make an archive with a calibrated and aligned spacecraft."""
     storage = SqlStorage(f"sqlite:///{database}")
-    storage.migrate()
+    storage.prepare()
     storage.catalogue.add_spacecraft(payload.spacecraft())
     storage.catalogue.put_plan(SC, payload.carriers(), "bench")
     storage.catalogue.put_ephemeris(SC, payload.ephemeris())

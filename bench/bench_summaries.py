@@ -110,7 +110,7 @@ def measure(folder: Path, rows: int, repeats: int) -> Tally:
 def fill(path: Path, rows: int) -> None:
     """Make an archive of rows a minute with robust results, sealed and summarised."""
     storage = SqlStorage(f"sqlite:///{path}")
-    storage.migrate()
+    storage.prepare()
     plan_id = prepare_catalogue(storage, argparse.Namespace(carriers=CARRIERS))
     align(storage, plan_id)
     random = np.random.default_rng(1)

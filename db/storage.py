@@ -1,9 +1,8 @@
 """Storage: the repositories over one database; implements ``service.ports.Storage``."""
 
-from sqlalchemy import select
+from sqlalchemy import Connection, select
 
-from db.connection.engines import open_engines
-from db.connection.storage_state import disk_of, newest_revision, present_revision
+from db.connection.sqlite_files import disk_of
 from db.database import Database
 from db.measurements.archive import SqlArchive
 from db.operations.alarms import SqlAlarms
@@ -15,6 +14,7 @@ from db.operations.notes import SqlNotes
 from db.operations.releases import SqlReleases
 from db.operations.traces import SqlTraces
 from db.results.results import SqlResults
+from db.schema.layout import LAYOUT, create_tables, layout_of, refusal
 from db.schema.tables import head
 from service.ports import (
     Alarms,
@@ -61,7 +61,6 @@ class SqlStorage:
     leases: Leases
 
     def __init__(self, url: str, limit_s: float = 10.0) -> None:
-        self._url = url
         self._database = Database(url, limit_s)
         self.catalogue = SqlCatalogue(self._database)
         self.archive = SqlArchive(self._database)
@@ -79,31 +78,34 @@ class SqlStorage:
         """Raise ValueError where a pooler stands before a server and keeps no sessions."""
         self._database.leases.require_sessions()
 
-    def migrate(self) -> None:
-        """Bring the schema to the present version."""
-        if present_revision(self._database.engines.write) == newest_revision():
-            # alembic costs a quarter of a second and 10 MB to import, which only a change needs
-            return
-        from db.migrations.migrate import upgrade
+    def prepare(self) -> None:
+        """Make the tables of an archive in an empty database; ValueError for an archive of another layout."""
+        if self._layout() is None:
+            self._database.write(_create_where_empty)
+        self.require_layout()
 
-        # a large table takes its time: no limit
-        engines = open_engines(self._url)
-        try:
-            upgrade(engines.write)
-        finally:
-            engines.dispose()
+    def require_layout(self) -> None:
+        """Raise ValueError unless this is an archive of the layout of this program."""
+        layout = self._layout()
+        if layout != LAYOUT:
+            raise ValueError("it holds no archive" if layout is None else refusal(layout))
 
-    def check(self) -> None:
-        """Raise StorageError unless the database answers."""
-        self._database.fetch_one(select(head.c.spacecraft_key).limit(1))
+    def _layout(self) -> int | None:
+        with self._database.read() as connection:
+            return layout_of(connection)
 
     def state(self) -> StorageState:
         """Return the state of the storage; StorageError unless the database answers."""
-        engines = self._database.engines
-        free_bytes, is_writable = disk_of(engines.read)
-        schema = present_revision(engines.read)
-        return StorageState(schema, newest_revision(), self._database.queued_writes, free_bytes, is_writable)
+        self._database.fetch_one(select(head.c.spacecraft_key).limit(1))
+        free_bytes, is_writable = disk_of(self._database.engines.read)
+        return StorageState(self._database.queued_writes, free_bytes, is_writable)
 
     def close(self) -> None:
         """Commit what is queued and let go of the database."""
         self._database.close()
+
+
+def _create_where_empty(connection: Connection) -> None:
+    """Make the tables unless another process, which had the lock of all writers first, has made them."""
+    if layout_of(connection) is None:
+        create_tables(connection)

@@ -71,7 +71,7 @@ def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     path = tmp_path_factory.mktemp("archive") / "empty.db"
     storage = SqlStorage(f"sqlite:///{path}")
-    storage.migrate()
+    storage.prepare()
     storage.close()
     return path
 

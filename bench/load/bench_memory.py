@@ -86,7 +86,7 @@ def fill_calibration(url: str, days: float) -> None:
     quiet, turns = payload.request.quiet, payload.request.turns
     turned, rng = turned_angles(), np.random.default_rng(1)
     with closing(SqlStorage(url)) as storage:
-        storage.migrate()
+        storage.prepare()
         spacecraft = payload.spacecraft
         storage.catalogue.add_spacecraft(spacecraft)
         storage.catalogue.put_plan(spacecraft.id, payload.carriers, "bench")
@@ -124,7 +124,7 @@ def fill_replay(url: str, rows: int) -> None:
     """Store an aligned spacecraft and rows of a minute."""
     payload, rng = FlightPayload.make(CARRIERS), np.random.default_rng(1)
     with closing(SqlStorage(url)) as storage:
-        storage.migrate()
+        storage.prepare()
         storage.catalogue.add_spacecraft(payload.spacecraft())
         storage.catalogue.put_plan("yamal-test", payload.carriers(), "bench")
         storage.catalogue.put_ephemeris("yamal-test", payload.ephemeris())

@@ -76,7 +76,7 @@ def measured(cluster: PostgresqlCluster, estimators: int, spacecraft: int, rows:
     url, payload = cluster.new_database(), SyntheticPayload.make(CARRIERS, 5)
     names = [f"sc-{number:02d}" for number in range(spacecraft)]
     storage = SqlStorage(url)
-    storage.migrate()
+    storage.prepare()
     for name in names:
         prepare(storage, payload, name)
     # the compiled functions are loaded, and every chain stands, before the time counts

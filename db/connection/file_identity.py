@@ -14,7 +14,7 @@ from threading import Lock
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.sqlite_files import reading_engine
-from db.schema.schema_version import known_versions, version_of
+from db.schema.layout import LAYOUT, layout_of
 from service.errors import StorageError
 
 #: an attribute that no file has
@@ -99,11 +99,11 @@ class FileWatch:
 
 
 def _holds_archive(path: Path) -> bool:
-    """Return whether a file is an archive that this version can open; it is only read."""
+    """Return whether a file is an archive of this layout; it is only read."""
     engine = reading_engine(path)
     try:
         with engine.connect() as connection:
-            return version_of(connection) in known_versions()
+            return layout_of(connection) == LAYOUT
     except SQLAlchemyError:
         return False
     finally:

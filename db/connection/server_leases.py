@@ -33,14 +33,11 @@ from service.ports import ARCHIVE, Term
 Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
 
-#: any number, the same in every process: the lock of the one lease of versions before schema 0019
-_OLD_LOCK = 5_210_121
 _JOIN = member.insert().values(is_estimator=False, seen_at_us=SERVER_NOW_US).returning(member.c.member_id)
 _FORGET = delete(member).where(
     member.c.seen_at_us < SERVER_NOW_US - 86_400_000_000, member.c.member_id.not_in(select(live_member.c.member_id))
 )
 _LOCKED = text("SELECT pg_try_advisory_lock(:locks, :member)").bindparams(locks=MEMBERS_LOCK)
-_OLD_IS_FREE = text("SELECT pg_try_advisory_lock_shared(:lock)").bindparams(lock=_OLD_LOCK)
 _PROCESS = text("SELECT pg_backend_pid()")
 _LIVE = select(live_member.c.member_id, live_member.c.is_estimator)
 _LEASES = text(
@@ -197,7 +194,6 @@ class ServerLeases:
         """Open the session of this process: its number, the lock of that number, and the channel of changes."""
         session = self._connected()
         try:
-            _require_no_old_version(session)
             with self._connected() as second:
                 require_own_session(session, second)
             # under the same number again where only the connection was lost: jobs and leases are still its own
@@ -289,13 +285,6 @@ def require_own_session(first: Connection, second: Connection) -> None:
     own |= {first.scalar(_PROCESS) for _ in range(_LATER_QUERIES)}
     if own != {before} or other == before:
         raise ValueError(_NO_SESSION)
-
-
-def _require_no_old_version(session: Connection) -> None:
-    """Raise ValueError while a service of a version with one lease for the archive holds it; keep it out for good."""
-    if not session.scalar(_OLD_IS_FREE):
-        message = "a service of an older version leads this archive: end it, then this one goes on"
-        raise ValueError(message)
 
 
 def _close(connection: Connection | None) -> None:

@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import os
+import shutil
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -94,6 +95,19 @@ def copy_file(source: Path, target: Path, progress: Progress) -> None:
             writing.write(chunk)
             done += len(chunk)
             progress(done / size)
+
+
+def disk_of(engine: Engine) -> tuple[int | None, bool | None]:
+    """Return free bytes beside a database's file and whether it can be written; None for one behind a server."""
+    name = engine.url.database
+    if engine.dialect.name != "sqlite" or name is None:
+        return None, None
+    path = Path(name).absolute()
+    try:
+        free_bytes = shutil.disk_usage(path.parent).free
+    except OSError:
+        return 0, False
+    return free_bytes, os.access(path, os.W_OK) and os.access(path.parent, os.W_OK)
 
 
 def _opened(address: str) -> sqlite3.Connection:

@@ -81,7 +81,7 @@ def _encode(field: RecordField) -> Encode | None:
     text = _text_of(field)
     if field.default is MISSING:
         return None if text is None else lambda value: (text(value),)
-    # a row from before the field was added, and one with its default, are the same row
+    # most rows have the default
     same = text or (lambda value: value)
     return lambda value: (None if value == field.default else same(value),)
 

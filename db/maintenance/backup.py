@@ -6,23 +6,26 @@ and the copy is one state; PostgreSQL is copied row by row inside one REPEATABLE
 archive. That needs no ``pg_dump`` of the server's version, and the same backup can be put back on either database.
 """
 
+import json
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, column, func, inspect, select, table, text
+from sqlalchemy import Connection, func, select
+from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import open_engines
 from db.connection.sqlite_files import Progress, flush, reading_engine, settle, sha256_of, sqlite_path
-from db.connection.storage_state import newest_revision
-from db.maintenance.integrity_check import OLDER, examine
+from db.maintenance.integrity_check import examine
 from db.maintenance.table_copy import copy_tables
 from db.measurements.checksum_check import damage_of
-from db.migrations.migrate import upgrade
-from db.schema.schema_version import version_of
-from service.records.storage.backup import BackupError, Manifest, SpacecraftCount, parse_manifest
+from db.schema.layout import LAYOUT, create_tables, layout_of, refusal
+from db.schema.tables import head, metadata, spacecraft
+from service.records.storage.backup import BackupError, Manifest, SpacecraftCount
 from service.records.storage.diagnosis import Diagnosis
 
 ARCHIVE_FILE, MANIFEST_FILE = "archive.db", "manifest.json"
@@ -50,7 +53,7 @@ def create_backup(url: str, folder: Path, made_at_us: int, report: Report) -> Ma
     Raises
     ------
     BackupError
-        The folder exists, or there is nothing to copy.
+        The folder exists, or there is no archive of this layout to copy.
     """
     if folder.exists():
         message = f"{folder} exists: a backup never overwrites one; choose another name"
@@ -83,18 +86,29 @@ def verify_backup(folder: Path, report: Report) -> list[Diagnosis]:
         report("counts", 0.0)
         found.append(_same_counts(manifest, connection))
         report("content", 0.0)
-        found += [_of_backup(diagnosis) for diagnosis in examine(connection, lambda _: None)]
+        found += [
+            replace(each, advice=each.advice and "Use another backup, and check the archive with `soo doctor`.")
+            for each in examine(connection, lambda _: None)
+        ]
         report("content", 1.0)
     return found
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Return the manifest of a backup; BackupError."""
+    """Return the manifest of a backup; BackupError unless it is of this layout."""
     path = folder / MANIFEST_FILE
     if not path.is_file():
         message = f"{folder} is no backup: there is no {MANIFEST_FILE} in it"
         raise BackupError(message)
-    return parse_manifest(path.read_text(encoding="utf-8"))
+    try:
+        document: Any = json.loads(path.read_text(encoding="utf-8"))
+        if document.get("layout") != LAYOUT:
+            raise BackupError(refusal(document.get("layout", 0), "backup"))
+        counts = {name: SpacecraftCount(**count) for name, count in document.pop("spacecraft").items()}
+        return Manifest(spacecraft=counts, **document)
+    except (ValueError, KeyError, TypeError, AttributeError) as fault:
+        message = f"the manifest cannot be read: {fault}"
+        raise BackupError(message) from fault
 
 
 @contextmanager
@@ -123,8 +137,22 @@ def _copy(url: str, archive: Path, progress: Progress) -> str:
     if not path.is_file():
         message = f"there is no archive {path}"
         raise BackupError(message)
-    _copy_pages(path, archive, progress)
+    try:
+        with reading_engine(path).connect() as reading:
+            _demand_layout(reading)
+        _copy_pages(path, archive, progress)
+    except (sqlite3.Error, SQLAlchemyError) as fault:
+        message = f"{path} cannot be copied: {getattr(fault, 'orig', fault)}; `soo doctor` says what is wrong with it"
+        raise BackupError(message) from fault
     return "sqlite"
+
+
+def _demand_layout(archive: Connection) -> None:
+    """Raise BackupError unless this is an archive of the layout of this program."""
+    layout = layout_of(archive)
+    if layout != LAYOUT:
+        message = "the database holds no archive" if layout is None else refusal(layout)
+        raise BackupError(message)
 
 
 def _copy_pages(path: Path, archive: Path, progress: Progress) -> None:
@@ -135,14 +163,10 @@ def _copy_pages(path: Path, archive: Path, progress: Progress) -> None:
     try:
         # a transaction that is open already is the one that every step reads in: writers cannot make it begin again
         source.execute("BEGIN")
-        if not source.execute("SELECT count(*) FROM sqlite_schema WHERE name = 'alembic_version'").fetchone()[0]:
-            message = f"{path} holds no archive"
-            raise BackupError(message)
+        # the lock of that transaction comes with its first look
+        source.execute("SELECT count(*) FROM sqlite_schema")
         target.execute("PRAGMA synchronous=OFF")
         source.backup(target, pages=_PAGES, progress=lambda _, left, total: progress(1 - left / max(total, 1)))
-    except sqlite3.Error as fault:
-        message = f"{path} cannot be copied: {fault}; `soo doctor` says what is wrong with it"
-        raise BackupError(message) from fault
     finally:
         target.close()
         source.close()
@@ -153,13 +177,9 @@ def _copy_rows(url: str, archive: Path, progress: Progress) -> None:
     source, target = open_engines(url), open_engines(f"sqlite:///{archive}")
     try:
         with source.read.connect() as reading:
-            version = version_of(reading)
-            if version != newest_revision():
-                message = f"the schema is {version}, this version copies {newest_revision()}: start `soo serve` once"
-                raise BackupError(message)
-            upgrade(target.write)
-            archive.chmod(0o600)
+            _demand_layout(reading)
             with target.write.begin() as writing:
+                create_tables(writing)
                 copy_tables(reading, writing, progress)
     finally:
         target.dispose()
@@ -171,13 +191,11 @@ def _described(archive: Path, kind: str, made_at_us: int, report: Report) -> Man
     digest = sha256_of(archive, lambda share: report("sha256", share))
     report("checksums", 0.0)
     with reading_engine(archive, is_settled=True).connect() as connection:
-        # an older schema has no checksums
-        has_checksums = version_of(connection) == newest_revision()
         return Manifest(
-            damaged=damage_of(connection) if has_checksums else [],
+            damaged=damage_of(connection),
             made_at_us=made_at_us,
             made_from=kind,
-            schema_version=version_of(connection) or "",
+            layout=LAYOUT,
             file=ARCHIVE_FILE,
             size_bytes=archive.stat().st_size,
             sha256=digest,
@@ -187,41 +205,32 @@ def _described(archive: Path, kind: str, made_at_us: int, report: Report) -> Man
 
 
 def _rows_of_tables(connection: Connection) -> dict[str, int]:
-    """Return how many rows each table holds, whatever the schema."""
-    names = sorted(inspect(connection).get_table_names())
-    return {name: int(connection.scalar(select(func.count()).select_from(table(name))) or 0) for name in names}
+    """Return how many rows each table holds."""
+    return {
+        name: connection.scalar(select(func.count()).select_from(table)) or 0
+        for name, table in sorted(metadata.tables.items())
+    }
 
 
 def _rows_of_spacecraft(connection: Connection) -> dict[str, SpacecraftCount]:
-    """Return the row counts of each spacecraft, in any schema."""
-    inspector = inspect(connection)
-    tables = [
-        name
-        for name in sorted(inspector.get_table_names())
-        if any(each["name"] == "spacecraft_key" for each in inspector.get_columns(name))
-    ]
-    heads = connection.execute(
-        text(
-            "SELECT spacecraft_key, id, newest_number, consumed_number, newest_epoch_us, result_sequence "
-            "FROM spacecraft JOIN head USING (spacecraft_key) ORDER BY id"
-        )
-    ).all()
-    rows: dict[int, dict[str, int]] = {head.spacecraft_key: dict.fromkeys(tables, 0) for head in heads}
-    for name in tables:
-        of_spacecraft: ColumnElement[int] = column("spacecraft_key")
-        for key, count in connection.execute(
-            select(of_spacecraft, func.count()).select_from(table(name)).group_by(of_spacecraft)
-        ):
-            rows.get(key, {})[name] = count
+    """Return the row counts of each spacecraft."""
+    tables = {name: table for name, table in sorted(metadata.tables.items()) if "spacecraft_key" in table.c}
+    query = select(head, spacecraft.c.id).join(spacecraft).order_by(spacecraft.c.id)
+    heads = connection.execute(query).all()
+    rows: dict[int, dict[str, int]] = {each.spacecraft_key: dict.fromkeys(tables, 0) for each in heads}
+    for name, table in tables.items():
+        key = table.c.spacecraft_key
+        for of_spacecraft, count in connection.execute(select(key, func.count()).group_by(key)):
+            rows.get(of_spacecraft, {})[name] = count
     return {
-        head.id: SpacecraftCount(
-            newest_number=head.newest_number,
-            consumed_number=head.consumed_number,
-            newest_epoch_us=head.newest_epoch_us,
-            result_sequence=head.result_sequence,
-            rows=rows[head.spacecraft_key],
+        each.id: SpacecraftCount(
+            newest_number=each.newest_number,
+            consumed_number=each.consumed_number,
+            newest_epoch_us=each.newest_epoch_us,
+            result_sequence=each.result_sequence,
+            rows=rows[each.spacecraft_key],
         )
-        for head in heads
+        for each in heads
     }
 
 
@@ -250,13 +259,3 @@ def _same_counts(manifest: Manifest, connection: Connection) -> Diagnosis:
         return Diagnosis("manifest", "fault", detail, "This backup was changed; use another one.")
     rows = sum(manifest.tables.values())
     return Diagnosis("manifest", "ok", f"{rows} rows of {len(manifest.spacecraft)} spacecraft, as the manifest says")
-
-
-def _of_backup(diagnosis: Diagnosis) -> Diagnosis:
-    """Return a diagnosis of the archive as one of its backup: an older schema is none of its faults."""
-    check, state, detail = diagnosis.check, diagnosis.state, diagnosis.detail
-    if check == "schema" and detail.endswith(OLDER):
-        return Diagnosis(check, "ok", f"{detail}; a restore migrates it and looks at its content then")
-    return Diagnosis(
-        check, state, detail, "Use another backup, and check the archive with `soo doctor`." if diagnosis.advice else ""
-    )

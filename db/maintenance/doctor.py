@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from sqlalchemy import Connection, Engine, inspect, select, text
+from sqlalchemy import Connection, Engine, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import open_engines, translated_faults
@@ -18,7 +18,6 @@ from db.connection.sqlite_files import COMPANIONS, reading_engine, sqlite_path
 from db.maintenance.integrity_check import Report, examine, guarded
 from db.maintenance.restart_forecast import restart_forecasts
 from db.measurements.journal_heads import compared_heads
-from db.schema.lease_tables import lease
 from db.schema.tables import head, measurement, spacecraft
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
@@ -77,7 +76,7 @@ def _examined(
     try:
         with translated_faults(), engine.connect() as connection:
             found = examine(connection, report)
-            if not any(each.check == "schema" and each.state == "fault" for each in found):
+            if not any(each.check == "layout" and each.state == "fault" for each in found):
                 report("clock")
                 found += guarded("clock", partial(_clock, connection, now_us))
                 found += guarded("log", partial(compared_heads, connection, announced))
@@ -172,11 +171,9 @@ def _clock(connection: Connection, now_us: int) -> Iterator[Diagnosis]:
 
 
 def _leaders(connection: Connection) -> Iterator[Diagnosis]:
-    """Yield which process leads which spacecraft; an archive of an older schema has no leases."""
+    """Yield which process leads which spacecraft."""
     from db.connection.server_leases import leaders_of
 
-    if not inspect(connection).has_table(lease.name):
-        return
     leaders = leaders_of(connection)
     for process in sorted(set(leaders.values())):
         names = ", ".join(sorted(name or "the archive" for name, each in leaders.items() if each == process))

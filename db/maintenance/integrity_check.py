@@ -4,7 +4,6 @@ Each check returns diagnoses; the tables below say which ones run and in which o
 cuts short is a fault with the database's words, never an exception.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -12,18 +11,15 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, func, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.connection.storage_state import newest_revision
 from db.database import Database
 from db.maintenance.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
 from db.maintenance.summary_check import compare_summaries
 from db.measurements.checksum_check import checked_tables
 from db.operations.audit import SqlAudit
-from db.schema.access_tables import access_key
-from db.schema.schema_version import known_versions, version_of
+from db.schema.layout import LAYOUT, layout_of, refusal
 from db.schema.tables import attitude, measurement, measurement_detail, result_segment, source, spacecraft, torque
 from service.errors import StorageError
 from service.ports import LIVE
-from service.records.operations.access_key import is_plain_name, name_key
 from service.records.operations.audit import findings
 from service.records.storage.diagnosis import Diagnosis
 
@@ -34,8 +30,6 @@ _NEEDED = {
     "full_page_writes": "a power loss can destroy the database",
     "synchronous_commit": "a power loss can lose acknowledged rows",
 }
-#: what a schema that can be migrated is called
-OLDER = "is older than this program"
 _RESTORE = "Restore a backup that `soo backup verify` calls sound: `soo backup restore`."
 
 
@@ -50,19 +44,18 @@ def examine(connection: Connection, report: Report) -> list[Diagnosis]:
         Told what is looked at next.
     """
     found: list[Diagnosis] = []
-    for name, check in (("integrity", _integrity), ("schema", _schema)):
+    for name, check in (("integrity", _integrity), ("layout", _layout)):
         report(name)
         found += guarded(name, partial(check, connection))
-    if any(diagnosis.state == "fault" and diagnosis.check == "schema" for diagnosis in found):
+    if any(diagnosis.state == "fault" and diagnosis.check == "layout" for diagnosis in found):
         return found
     found += examine_content(connection, report)
     report("audit")
-    found += guarded("keys", partial(_keys, connection))
     return found + guarded("audit", partial(_audit, connection))
 
 
 def examine_content(connection: Connection, report: Report) -> list[Diagnosis]:
-    """Return whether journal, counts, sealed days and results agree; the schema is the present one."""
+    """Return whether journal, counts, sealed days and results agree; the layout is that of this program."""
     found: list[Diagnosis] = []
     try:
         names = {row.spacecraft_key: row.id for row in connection.execute(select(spacecraft))}
@@ -120,20 +113,16 @@ def _sqlite_integrity(connection: Connection) -> Iterator[Diagnosis]:
     yield Diagnosis("integrity", "ok", "the file is whole")
 
 
-def _schema(connection: Connection) -> Iterator[Diagnosis]:
-    """Compare the schema with that of the code."""
-    version, newest = version_of(connection), newest_revision()
-    if version == newest:
-        yield Diagnosis("schema", "ok", f"version {version}")
-    elif version is None:
+def _layout(connection: Connection) -> Iterator[Diagnosis]:
+    """Compare the layout with that of the program."""
+    layout = layout_of(connection)
+    if layout is None:
         advice = "Name the archive with --database; `soo serve` makes a new one."
-        yield Diagnosis("schema", "fault", "this database holds no archive", advice)
-    elif version in known_versions():
-        advice = f"Start `soo serve` once: it migrates to version {newest}. Make a backup before."
-        yield Diagnosis("schema", "fault", f"version {version} {OLDER}", advice)
+        yield Diagnosis("layout", "fault", "this database holds no archive", advice)
+    elif layout == LAYOUT:
+        yield Diagnosis("layout", "ok", f"layout {layout}")
     else:
-        advice = "Use the version of SOO that wrote it, or a newer one."
-        yield Diagnosis("schema", "fault", f"version {version} is not known to this program", advice)
+        yield Diagnosis("layout", "fault", refusal(layout), "Name another file or database with --database.")
 
 
 def _checksums(connection: Connection) -> Iterator[Diagnosis]:
@@ -142,15 +131,13 @@ def _checksums(connection: Connection) -> Iterator[Diagnosis]:
     for table in tables:
         if table.differing:
             yield Diagnosis("checksums", "fault", table.damage(), _RESTORE)
-        if table.lacking and not table.is_backlog:
+        if table.lacking:
             detail = f"{table.lacking} rows of {table.name} have no checksum, where every row should have one"
-            advice = "They were written by an older version of SOO or by hand; compare them with a backup."
+            advice = "They were written by hand; compare them with a backup."
             yield Diagnosis("checksums", "warning", detail, advice)
     if not any(table.differing for table in tables):
-        waiting = sum(table.lacking for table in tables if table.is_backlog)
-        older = f"; {waiting} older rows have none yet, the service gives them one" if waiting else ""
-        detail = f"{sum(table.agreeing for table in tables)} rows agree with their checksums{older}"
-        yield Diagnosis("checksums", "ok", detail)
+        agreeing = sum(table.agreeing for table in tables)
+        yield Diagnosis("checksums", "ok", f"{agreeing} rows agree with their checksums")
 
 
 def _one(connection: Connection, state: Row[Any], name: str) -> Iterator[Diagnosis]:
@@ -269,21 +256,6 @@ class _OneConnection(Database):
     def fetch_one(self, statement: Select[Any]) -> Row[Any] | None:
         """Return the first row of a query, if any."""
         return self._connection.execute(statement).first()
-
-
-def _keys(connection: Connection) -> Iterator[Diagnosis]:
-    """Names of keys made before there was a rule for them."""
-    revoked = access_key.c.revoked_at_us
-    query = select(access_key.c.key_id, access_key.c.name).where(revoked.is_(None))
-    rows = connection.execute(query.order_by(access_key.c.key_id)).all()
-    times = Counter(name_key(row.name) for row in rows)
-    odd = [row for row in rows if times[name_key(row.name)] > 1 or not is_plain_name(row.name)]
-    if not odd:
-        yield Diagnosis("keys", "ok", f"{len(rows)} keys, each with a name of its own")
-        return
-    named = "; ".join(f"{row.key_id} {row.name!a}" for row in odd)
-    advice = "Make their holders new keys, `soo keys create`, and revoke these: the audit log knows people by them."
-    yield Diagnosis("keys", "warning", f"key names that look equal or break the naming rule: {named}", advice)
 
 
 def _audit(connection: Connection) -> Iterator[Diagnosis]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from sqlalchemy import ColumnElement, Connection, Table, func, inspect, select
+from sqlalchemy import ColumnElement, Connection, Table, func, select
 
 from db.schema.tables import alignment, checkpoint, head, spacecraft
 from service.records.storage.diagnosis import Diagnosis
@@ -18,14 +18,8 @@ def restart_forecasts(connection: Connection, fingerprint: str) -> Iterator[Diag
     heads = select(spacecraft.c.id, head.c.spacecraft_key, head.c.consumed_number).join(
         spacecraft, spacecraft.c.spacecraft_key == head.c.spacecraft_key
     )
-    # an archive of an older schema has none
-    has_checkpoints = inspect(connection).has_table(checkpoint.name)
     for name, key, consumed in connection.execute(heads.order_by(head.c.spacecraft_key)).all():
-        kept = (
-            _newest(connection, checkpoint, key, consumed, checkpoint.c.fingerprint == fingerprint)
-            if has_checkpoints
-            else 0
-        )
+        kept = _newest(connection, checkpoint, key, consumed, checkpoint.c.fingerprint == fingerprint)
         aligned = _newest(connection, alignment, key, consumed)
         if not (kept or aligned):
             continue

@@ -1,4 +1,4 @@
-"""Putting a backup back: checked first, migrated aside, swapped in at the end; what was there stays beside it.
+"""Putting a backup back: checked first, copied aside, swapped in at the end; what was there stays beside it.
 
 On SQLite the old file keeps its content under a name with the time. On PostgreSQL the old tables move into a schema
 with the time in its name, in the very transaction that brings the restored ones: a reader sees one or the other.
@@ -11,13 +11,11 @@ from typing import NamedTuple
 from sqlalchemy import Connection, text
 
 from db.connection.engines import open_engines
-from db.connection.sqlite_files import COMPANIONS, copy_file, flush, reading_engine, settle, sqlite_path
-from db.connection.storage_state import newest_revision
+from db.connection.sqlite_files import COMPANIONS, copy_file, flush, reading_engine, settle, sha256_of, sqlite_path
 from db.maintenance.backup import Report, read_manifest, verify_backup
-from db.maintenance.integrity_check import examine, examine_content
+from db.maintenance.integrity_check import examine_content
 from db.maintenance.table_copy import copy_tables
-from db.migrations.migrate import change_schema, upgrade, wait_for_lock
-from db.schema.schema_version import version_of
+from db.schema.layout import archive_layout, create_tables
 from db.schema.tables import metadata
 from service.records.storage.backup import BackupError, Manifest
 from service.records.storage.diagnosis import Diagnosis, worst
@@ -43,7 +41,6 @@ class Restored(NamedTuple):
     manifest: Manifest
     #: name under which the former archive is kept, None when there was none
     aside: str | None
-    schema_version: str
 
 
 def restore_backup(folder: Path, url: str, stamp: str, report: Report, *, may_replace: bool) -> Restored:
@@ -65,19 +62,14 @@ def restore_backup(folder: Path, url: str, stamp: str, report: Report, *, may_re
     Raises
     ------
     BackupError
-        The backup is not sound, an archive is there and may not be replaced, or somebody uses it.
+        The backup is not sound or of another layout, an archive is there and may not be replaced, or it is in use.
     """
     manifest = read_manifest(folder)
     _demand_sound(manifest, verify_backup(folder, report), "the backup is not sound")
     path = sqlite_path(url)
     if path is not None:
         return _to_file(folder, manifest, path, stamp, report, may_replace=may_replace)
-    work = folder.with_name(f".{folder.name}.restoring")
-    try:
-        _migrated_copy(folder, manifest, work, report)
-        return _to_server(work, manifest, url, stamp, report, may_replace=may_replace)
-    finally:
-        _remove(work)
+    return _to_server(folder, manifest, url, stamp, report, may_replace=may_replace)
 
 
 def _to_file(
@@ -88,28 +80,18 @@ def _to_file(
         raise BackupError(message)
     work = path.with_name(f".{path.name}.restoring")
     try:
-        _migrated_copy(folder, manifest, work, report)
+        _remove(work)
+        copy_file(folder / manifest.file, work, lambda share: report("copy", share))
+        if sha256_of(work, lambda share: report("sha256 of the copy", share)) != manifest.sha256:
+            message = f"the copy {work} differs from the backup: check the disk"
+            raise BackupError(message)
+        flush(work)
         aside = _moved_aside(path, stamp) if path.exists() else None
         work.replace(path)
         flush(path.parent)
     finally:
         _remove(work)
-    return Restored(manifest, None if aside is None else str(aside), newest_revision())
-
-
-def _migrated_copy(folder: Path, manifest: Manifest, work: Path, report: Report) -> None:
-    """Make a copy of a backup's archive in the present version and look at it."""
-    _remove(work)
-    copy_file(folder / manifest.file, work, lambda share: report("copy", share))
-    engines = open_engines(f"sqlite:///{work}")
-    try:
-        upgrade(engines.write)
-    finally:
-        engines.dispose()
-    settle(work)
-    with reading_engine(work, is_settled=True).connect() as connection:
-        found = examine(connection, lambda name: report(name, 0.0))
-        _demand_sound(manifest, found, "the migrated copy is not sound")
+    return Restored(manifest, None if aside is None else str(aside))
 
 
 def _moved_aside(path: Path, stamp: str) -> Path:
@@ -133,26 +115,28 @@ def _moved_aside(path: Path, stamp: str) -> Path:
     return aside
 
 
-def _to_server(work: Path, manifest: Manifest, url: str, stamp: str, report: Report, *, may_replace: bool) -> Restored:
-    source, target = open_engines(f"sqlite:///{work}"), open_engines(url)
+def _to_server(
+    folder: Path, manifest: Manifest, url: str, stamp: str, report: Report, *, may_replace: bool
+) -> Restored:
+    source, target = reading_engine(folder / manifest.file, is_settled=True), open_engines(url)
     try:
-        with source.read.connect() as reading, target.write.begin() as writing:
-            wait_for_lock(writing)
+        with source.connect() as reading, target.write.begin() as writing:
+            # tables are moved, and a reader of them is not waited for without end
+            writing.execute(text("SET LOCAL lock_timeout = '30s'"))
             aside = _tables_aside(writing, stamp, may_replace=may_replace)
-            change_schema(writing)
+            create_tables(writing)
             copy_tables(reading, writing, lambda share: report("tables", share))
-            version = version_of(writing) or ""
             found = examine_content(writing, lambda name: report(name, 0.0))
             _demand_sound(manifest, found, "the restored tables are not sound")
     finally:
         source.dispose()
         target.dispose()
-    return Restored(manifest, aside, version)
+    return Restored(manifest, aside)
 
 
 def _tables_aside(connection: Connection, stamp: str, *, may_replace: bool) -> str | None:
     """Move the tables of an archive into a schema of their own and return its name, None when there are none."""
-    names = [*metadata.tables, "alembic_version"]
+    names = [*metadata.tables, archive_layout.name]
     tables = list(connection.scalars(_OURS, {"names": names}))
     if not tables:
         return None

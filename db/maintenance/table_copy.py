@@ -1,6 +1,6 @@
 """All tables of one archive into another, row by row: between SQLite and PostgreSQL in either direction.
 
-Both sides have the same schema and both are read and written through the same column types, so every value arrives as
+Both sides have the same layout and both are read and written through the same column types, so every value arrives as
 it left: doubles and float32 blobs bit for bit, text as text. The reading side stands in one transaction, the writing
 side in another: a copy is whole or it is not there.
 """
@@ -8,11 +8,10 @@ side in another: a copy is whole or it is not there.
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from sqlalchemy import Connection, Integer, Table, func, inspect, select
+from sqlalchemy import Connection, Integer, Table, func, select
 
-import db.storage  # noqa: F401 - brings every table of the schema along
+import db.schema.layout  # noqa: F401 - brings every table along
 from db.schema.tables import metadata
-from service.records.storage.backup import BackupError
 
 _ROWS = 2000
 #: rows with large blobs are held few at a time
@@ -36,14 +35,8 @@ Progress = Callable[[float], None]
 
 
 def copy_tables(source: Connection, target: Connection, progress: Progress) -> None:
-    """Copy every row of every table into empty tables of the same schema.
-
-    Raises
-    ------
-    BackupError
-        The reading side has other tables than this version.
-    """
-    tables = schema_tables(source)
+    """Copy every row of every table into empty tables."""
+    tables = metadata.sorted_tables
     total = sum(source.scalar(select(func.count()).select_from(table)) or 0 for table in tables) or 1
     done = 0
     for table in tables:
@@ -53,18 +46,6 @@ def copy_tables(source: Connection, target: Connection, progress: Progress) -> N
             progress(done / total)
         if target.dialect.name == "postgresql":
             _move_sequence(target, table)
-
-
-def schema_tables(connection: Connection) -> list[Table]:
-    """Return the tables of the schema, those that others refer to first."""
-    present = set(inspect(connection).get_table_names()) - {"alembic_version"}
-    known = set(metadata.tables)
-    # beside our tables a server may hold anybody's
-    differing = known - present if connection.dialect.name == "postgresql" else known ^ present
-    if differing:
-        detail = f"The tables are not those of this version: {', '.join(sorted(differing))}."
-        raise BackupError(detail)
-    return list(metadata.sorted_tables)
 
 
 def _pages(source: Connection, table: Table) -> Iterator[list[dict[str, Any]]]:

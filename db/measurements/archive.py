@@ -12,7 +12,7 @@ from db.database import Database, add_entries, count_entries, lock_head, page_of
 from db.encoding.json_documents import decode, decode_all, decode_input
 from db.encoding.measurement_runs import Cursor
 from db.encoding.segments import DAY_US
-from db.measurements import checksum_check, power_summaries, retention, sealing
+from db.measurements import power_summaries, retention, sealing
 from db.measurements.ingest_grouped import StoreBatch
 from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
@@ -309,14 +309,6 @@ class SqlArchive:
     def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
         """Read every sealed segment and yield whether it can be read."""
         return sealing.states(self._database, self._database.key(spacecraft_id))
-
-    def complete_summaries(self, spacecraft_id: str) -> Iterator[int]:
-        """Summarise sealed days that have no summary, a transaction a step."""
-        return power_summaries.complete(self._database, self._database.key(spacecraft_id))
-
-    def complete_checksums(self) -> Iterator[int]:
-        """Give rows of versions before checksums theirs, a transaction a step."""
-        return checksum_check.complete(self._database)
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a transaction a step."""

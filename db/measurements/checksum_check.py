@@ -1,23 +1,20 @@
-"""Comparing stored rows with their checksums, and giving one to rows of versions before checksums."""
+"""Comparison of stored rows with their checksums."""
 
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-from sqlalchemy import Connection, Row, Select, Table, and_, bindparam, delete, select, tuple_, update
+from sqlalchemy import Connection, Row, Select, Table, and_, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.database import Database
 from db.schema.row_checksum import checksum_of, measurement_checksums
-from db.schema.tables import checksum_backlog, measurement, measurement_detail, metadata, result_segment
+from db.schema.tables import measurement, measurement_detail, metadata, result_segment
 from service.records.epoch import format_epoch
 
 _FETCH = 10_000
 #: rows of the table with the largest blobs that are held at once
 _FETCH_SEGMENTS = 8
-#: rows that one transaction gives a checksum
-_AT_ONCE = 500
 #: rows that a report names at most
 _NAMED = 5
 #: year 2255
@@ -34,8 +31,6 @@ class CheckedTable(NamedTuple):
     differing: int
     #: the first of the rows that differ
     named: tuple[str, ...]
-    #: rows that have none are to get one
-    is_backlog: bool
 
     def damage(self) -> str:
         """Return in words which rows differ."""
@@ -45,9 +40,7 @@ class CheckedTable(NamedTuple):
 
 def checked_tables(connection: Connection) -> list[CheckedTable]:
     """Compare every row of every table that has checksums; memory is that of some thousand rows."""
-    backlog = set(connection.scalars(select(checksum_backlog.c.table_name)))
-    tables = [table for table in metadata.sorted_tables if "checksum" in table.c]
-    return [_checked(connection, table, is_backlog=table.name in backlog) for table in tables]
+    return [_checked(connection, table) for table in metadata.sorted_tables if "checksum" in table.c]
 
 
 def damage_of(connection: Connection) -> list[str]:
@@ -66,38 +59,7 @@ def agrees(stored: bytes, computed: Callable[[], bytes]) -> bool:
         return False
 
 
-def complete(database: Database) -> Iterator[int]:
-    """Give rows of older versions their checksum, some a transaction, and yield how many."""
-    with database.read() as connection:
-        names = list(connection.scalars(select(checksum_backlog.c.table_name)))
-    for table in (metadata.tables[name] for name in names):
-        key = tuple(table.primary_key.columns)
-        query = _rows(table).where(table.c.checksum.is_(None)).order_by(*key).limit(_AT_ONCE)
-        rows = database.fetch(query)
-        while rows:
-            yield database.write(partial(_complete_rows, table=table, rows=rows))
-            last = tuple(rows[-1]._mapping[column] for column in key)  # noqa: SLF001 - SQLAlchemy's public name
-            rows = database.fetch(query.where(tuple_(*key) > last))
-        database.write(partial(_end_backlog, name=table.name))
-
-
-def _complete_rows(connection: Connection, table: Table, rows: Sequence[Row[Any]]) -> int:
-    """Store the checksums of rows; one that was moved or dropped meanwhile is left out."""
-    key = tuple(table.primary_key.columns)
-    is_it = and_(*(column == bindparam(f"of_{column.name}") for column in key), table.c.checksum.is_(None))
-    values = [
-        {**{f"of_{column.name}": row._mapping[column] for column in key}, "made": _checksum_of_row(table, row)}  # noqa: SLF001
-        for row in rows
-    ]
-    connection.execute(update(table).where(is_it).values(checksum=bindparam("made")), values)
-    return len(values)
-
-
-def _end_backlog(connection: Connection, name: str) -> None:
-    connection.execute(delete(checksum_backlog).where(checksum_backlog.c.table_name == name))
-
-
-def _checked(connection: Connection, table: Table, *, is_backlog: bool) -> CheckedTable:
+def _checked(connection: Connection, table: Table) -> CheckedTable:
     agreeing = lacking = differing = 0
     named = []
     at_once = _FETCH_SEGMENTS if table is result_segment else _FETCH
@@ -112,7 +74,7 @@ def _checked(connection: Connection, table: Table, *, is_backlog: bool) -> Check
                 differing += 1
                 if differing <= _NAMED:
                     named.append(_named(table, row))
-    return CheckedTable(table.name, agreeing, lacking, differing, tuple(named), is_backlog)
+    return CheckedTable(table.name, agreeing, lacking, differing, tuple(named))
 
 
 def _rows(table: Table) -> Select[Any]:

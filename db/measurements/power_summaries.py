@@ -1,22 +1,20 @@
-"""Summaries of sealed powers: stored with their segment, completed for segments of older versions, read by samples."""
+"""Summaries of sealed powers: stored with their segment, read by samples."""
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 
 import numpy as np
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection
 
-from db.database import Database, lock_head
+from db.database import Database
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.segment_codec import SealedRows
-from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentCache, SegmentHead, day_of, read_chunk
+from db.encoding.segments import DAY_US, SegmentCache, SegmentHead, day_of, read_chunk
 from db.encoding.stored_summaries import POWERS, READ_AT_ONCE, Stored
 from db.encoding.summary_codec import SummaryBlobs, pack_day
 from db.measurements.measurement_pages import FULL, Chosen, MeasurementPages
 from db.measurements.measurement_pages import POWERS as POWER_COLUMNS
-from db.schema.tables import measurement_segment, power_summary
+from db.schema.tables import power_summary
 from service.core.rows.summaries import Summaries
-from service.errors import StorageError
 from service.ports import Intervals, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
 from service.records.levels.attitude import FloatArray
@@ -24,8 +22,6 @@ from service.records.levels.measurement import DETAIL_NAMES
 
 #: days that one read transaction looks at
 _SLICE_US = 128 * DAY_US
-#: segments that one transaction summarises
-_SEGMENTS_AT_ONCE = 8
 _C_N0 = DETAIL_NAMES.index("c_n0_db_hz")
 
 
@@ -39,22 +35,6 @@ def summary_of(rows: SealedRows) -> SummaryBlobs:
 def store_summary(connection: Connection, segment_id: int, summary: SummaryBlobs) -> None:
     """Store the summary of a segment in the transaction that writes it."""
     connection.execute(power_summary.insert().values(segment_id=segment_id, **summary._asdict()))
-
-
-def complete(database: Database, key: int) -> Iterator[int]:
-    """Summarise the segments that have no summary, some a transaction, and yield how many."""
-    is_its = (measurement_segment.c.spacecraft_key == key, power_summary.c.segment_id.is_(None))
-    query = select(*HEAD_COLUMNS).outerjoin(power_summary).where(*is_its).order_by(measurement_segment.c.segment_id)
-    seen = 0
-    while True:
-        with database.read() as connection:
-            is_next = measurement_segment.c.segment_id > seen
-            found = [SegmentHead(*row) for row in connection.execute(query.where(is_next).limit(_SEGMENTS_AT_ONCE))]
-            made = {head.segment_id: summary for head in found if (summary := _summary(connection, head)) is not None}
-        if not found:
-            return
-        seen = found[-1].segment_id
-        yield database.write(partial(_store_some, key=key, made=made))
 
 
 def sampled(
@@ -118,26 +98,3 @@ def _c_n0_db_hz(run: ChunkRun) -> FloatArray:
     none = np.full(run.power_dbm().shape[1], np.nan)
     details = [row.details for row in run.records()]
     return np.array([none if each is None else each.c_n0_db_hz for each in details], dtype=np.float64)
-
-
-def _summary(connection: Connection, head: SegmentHead) -> SummaryBlobs | None:
-    """Return the summary of a segment, None where it cannot be read."""
-    try:
-        return summary_of(read_chunk(connection, None, head).rows())
-    except StorageError as fault:
-        if fault.code != "storage.corrupt":
-            raise
-        return None
-
-
-def _store_some(connection: Connection, key: int, made: dict[int, SummaryBlobs]) -> int:
-    """Store summaries of those segments that are still there and have none."""
-    lock_head(connection, key)
-    segment_id = measurement_segment.c.segment_id
-    query = (
-        select(segment_id).outerjoin(power_summary).where(segment_id.in_(made), power_summary.c.segment_id.is_(None))
-    )
-    lacking = connection.scalars(query).all()
-    for each in lacking:
-        store_summary(connection, each, made[each])
-    return len(lacking)

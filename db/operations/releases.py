@@ -5,7 +5,7 @@ from sqlalchemy import ColumnElement, Connection, and_, select, update
 from db.database import Repository, lock_head, page_of, within
 from db.encoding.json_documents import decode, encode
 from db.measurements.slow_inputs import store_inputs
-from db.schema.release_tables import release_command, release_made_two_step, release_state, uplink_product
+from db.schema.release_tables import release_command, release_state, uplink_product
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
 from service.records.operations.release import Command, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
@@ -19,13 +19,6 @@ class SqlReleases(Repository):
         key = self._database.key(spacecraft_id)
         row = self._database.fetch_one(select(release_state).where(release_state.c.spacecraft_key == key))
         return StoredRelease() if row is None else StoredRelease(int(row.version), row.document, row.holder)
-
-    def made_two_step_us(self, spacecraft_id: str) -> int | None:
-        """Return when an upgrade took a spacecraft out of release automatic; None when none did."""
-        made = release_made_two_step.c
-        key = self._database.key(spacecraft_id)
-        row = self._database.fetch_one(select(made.at_us).where(made.spacecraft_key == key))
-        return None if row is None else int(row.at_us)
 
     def save(self, spacecraft_id: str, version: int, change: ReleaseChange) -> int:
         """Store a change in one transaction and return its version; ConflictError ``release.changed``."""

@@ -1,5 +1,4 @@
-"""Tables of the archive and the version of its schema.
+"""Tables of the archive and the number of their layout.
 
-Public: access_tables, alarm_tables, column_types, columns, lease_tables, record_columns, release_tables,
-row_checksum, schema_version, tables.
+Public: access_tables, alarm_tables, layout, lease_tables, record_columns, release_tables, row_checksum, tables.
 """

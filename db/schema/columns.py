@@ -1,4 +1,4 @@
-"""Columns of tables and migrations, several of one type at once; what they give is stored and never changes."""
+"""Columns of tables, several of one type at once."""
 
 from typing import Any
 

@@ -32,7 +32,7 @@ def column_names(field: RecordField) -> tuple[str, ...]:
 def record_columns(record: type, *, without: Collection[str]) -> list[Column[Any]]:
     """Return the columns of all fields but those that the table declares itself.
 
-    NULL stands for NaN, for None, and for the default of a field that was added later.
+    NULL stands for NaN, for None, and for the default of a field.
     """
     chosen = (field for name, field in record_fields(record).items() if name not in without)
     return [_column(field, name) for field in chosen for name in column_names(field)]

@@ -36,11 +36,3 @@ uplink_product = Table(
     Column("document", Text, nullable=False),
     checksum_column(),
 )
-
-#: real spacecraft that stood under release automatic when the rule of two approvers came, migration 0011
-release_made_two_step = Table(
-    "release_made_two_step",
-    metadata,
-    spacecraft_key(is_referencing=False),
-    Column("at_us", BigInteger, nullable=False),
-)

@@ -49,7 +49,7 @@ def measurement_checksums(shared: tuple[int, int, int, bool, bool], rows: Iterab
 
 
 def checksum_column() -> Column[bytes]:
-    """Column with the checksum of a table that is only added to; null in rows of versions before it."""
+    """Column with the checksum of a table that is only added to."""
 
     def of_row(context: Any) -> bytes:
         return checksum_of(made.table, context.get_current_parameters())
@@ -61,8 +61,7 @@ def checksum_column() -> Column[bytes]:
 def checksum_of(table: Any, values: Mapping[str, Any]) -> bytes:
     """Checksum of a row of a table: of the columns that are not null, by name, as JSON.
 
-    A column that is added later, and is null in older rows, leaves their checksums as they are. The number that a
-    database gives a row does not count.
+    The number that a database gives a row does not count.
     """
     # NaN is null in the table
     content = {

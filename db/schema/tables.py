@@ -314,9 +314,6 @@ complete_mark = Table(
     Column("number", BigInteger, nullable=False),
 )
 
-#: tables with rows of versions before checksums, which get theirs in the background
-checksum_backlog = Table("checksum_backlog", metadata, Column("table_name", Text, primary_key=True))
-
 checkpoint = Table(
     "checkpoint",
     metadata,

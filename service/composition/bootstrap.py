@@ -58,10 +58,10 @@ _PREPARED_AFTER_S = 10.0
 
 
 def build_storage(settings: Settings) -> Storage:
-    """Return the archive of the settings with its schema brought to the present version."""
+    """Return the archive of the settings, made where there is none; ValueError for one of another layout."""
     storage = SqlStorage(settings.database_url, settings.database_timeout_s)
     storage.require_sessions()
-    storage.migrate()
+    storage.prepare()
     return storage
 
 
@@ -89,7 +89,7 @@ def build_clock(settings: Settings, storage: Storage) -> Clock:
 
 
 def open_storage(settings: Settings) -> Storage:
-    """Return the archive of the settings as it is, for commands that look at it; ValueError when there is none."""
+    """Return the archive of the settings, for commands that make none; ValueError where none of this layout is."""
     return storage_opener(settings)()
 
 
@@ -107,7 +107,13 @@ def _opened(url: str, timeout_s: float) -> Storage:
     if path is not None and not path.is_file():
         message = f"there is no file {path}"
         raise ValueError(message)
-    return SqlStorage(url, timeout_s)
+    storage = SqlStorage(url, timeout_s)
+    try:
+        storage.require_layout()
+    except BaseException:
+        storage.close()
+        raise
+    return storage
 
 
 def first_administrator(settings: Settings, storage: Storage) -> Path | None:
@@ -290,7 +296,7 @@ def _flights(settings: Settings, jobs: JobRunner, workers: Workers) -> FlightAna
 
 
 def build_app(settings: Settings, storage: Storage) -> FastAPI:
-    """Return the application over a migrated archive; its start-up starts the supervisor and the jobs."""
+    """Return the application over an archive that is prepared; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
     feed = LiveFeed()
     leading = Leading(storage.leases, is_estimator=settings.estimator, changed=lambda sc: supervisor.on_announced(sc))
@@ -341,7 +347,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
 
 def open_archive_tools(database_url: str | None) -> "ArchiveTools":
     """Return what makes backups of an archive and looks at it; without a URL the archive of the settings."""
-    # brings the migrations along, which serving needs at its start only
+    # costs time that serving need not pay
     from db.maintenance.archive_tools import ArchiveTools
 
     settings = Settings.model_validate({})

@@ -174,12 +174,6 @@ class Archive(Protocol):
     def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
         """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
 
-    def complete_summaries(self, spacecraft_id: str) -> Iterator[int]:
-        """Summarise sealed days that have no summary, a short transaction a step, and yield how many."""
-
-    def complete_checksums(self) -> Iterator[int]:
-        """Give rows of versions before checksums theirs, a short transaction a step, and yield how many."""
-
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a short transaction a step.
 

@@ -12,9 +12,6 @@ class Releases(Protocol):
     def stored(self, spacecraft_id: str) -> StoredRelease:
         """Return the newest state; version 0 and an empty document before the first."""
 
-    def made_two_step_us(self, spacecraft_id: str) -> int | None:
-        """Return when an upgrade took a spacecraft out of release automatic; None when none did."""
-
     def save(self, spacecraft_id: str, version: int, change: ReleaseChange) -> int:
         """Store a change and its journal entries in one transaction and return the version that it has.
 

@@ -28,11 +28,11 @@ class Storage(Protocol):
     audit: Audit
     leases: Leases
 
-    def migrate(self) -> None:
-        """Bring the schema to the present version."""
+    def prepare(self) -> None:
+        """Make the tables of an archive in an empty database; ValueError for an archive of another layout."""
 
-    def check(self) -> None:
-        """Raise StorageError unless the database answers."""
+    def require_layout(self) -> None:
+        """Raise ValueError unless this is an archive of the layout of this program."""
 
     def state(self) -> StorageState:
         """Return the state of the storage; StorageError unless the database answers."""

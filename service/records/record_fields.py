@@ -65,7 +65,7 @@ class RecordField:
     content: Any
     #: None is a value
     is_optional: bool
-    #: `dataclasses.MISSING` without; a field with a default was added after rows without it had been stored
+    #: `dataclasses.MISSING` without; it is stored as NULL
     default: Any
     #: sentence of the interface; empty = the name says it
     description: str

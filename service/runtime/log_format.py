@@ -102,8 +102,6 @@ def write_log(level: str, form: LogForm, stream: TextIO | None = None) -> None:
     # one line a request is written by the interface itself; the client's library tells its own at every call
     for name in ("uvicorn.access", "httpx", "httpcore"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    # tells of its own parts at every start
-    logging.getLogger("alembic.runtime.plugins").setLevel(logging.WARNING)
 
 
 def _time_of(record: logging.LogRecord) -> str:

@@ -41,7 +41,7 @@ async def test_readiness_fails_with_the_archive(soo, monkeypatch):
     def fail() -> None:
         raise StorageError("storage.unavailable", "the disk is full; free some space")
 
-    monkeypatch.setattr(soo.storage, "check", fail)
+    monkeypatch.setattr(soo.storage, "state", fail)
     answer = await soo.client.get("/readyz")
     assert_problem(answer, 503, "storage.unavailable")
     assert answer.headers["retry-after"] == "5"
@@ -204,7 +204,7 @@ async def test_what_nobody_expected_is_a_500_that_tells_nothing(soo, monkeypatch
     def fail() -> None:
         raise RuntimeError("the password is swordfish")
 
-    monkeypatch.setattr(soo.storage, "check", fail)
+    monkeypatch.setattr(soo.storage, "state", fail)
     answer = await soo.client.get("/readyz", headers={"X-Request-ID": "r-1"})
     problem = assert_problem(answer, 500, "service.failed")
     assert "swordfish" not in answer.text

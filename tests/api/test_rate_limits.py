@@ -84,13 +84,13 @@ async def test_wrong_keys_of_others_keep_health_checks_and_holders_of_a_key_in(l
 
 
 async def test_health_checks_that_come_together_share_one_look(limited, monkeypatch):
-    looks, asked, check, parts = [], [], limited.storage.check, SharedReadiness.parts
+    looks, asked, state, parts = [], [], limited.storage.state, SharedReadiness.parts
     have_come = threading.Event()
 
-    def slow_check():
+    def slow_state():
         looks.append(1)
         have_come.wait(120)
-        check()
+        return state()
 
     async def counted_parts(shared):
         asked.append(1)
@@ -98,7 +98,7 @@ async def test_health_checks_that_come_together_share_one_look(limited, monkeypa
             have_come.set()
         return await parts(shared)
 
-    monkeypatch.setattr(limited.storage, "check", slow_check)
+    monkeypatch.setattr(limited.storage, "state", slow_state)
     monkeypatch.setattr(SharedReadiness, "parts", counted_parts)
     answers = await asyncio.gather(*[limited.client.get("/readyz") for _ in range(50)])
     assert {answer.status_code for answer in answers} == {200}

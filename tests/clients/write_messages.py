@@ -39,7 +39,7 @@ EVERYTHING = Window(START_US - 10**12, START_US + 10**12)
 def main(folder: Path) -> None:
     """Write all files."""
     storage = SqlStorage(f"sqlite:///{folder / 'archive.db'}")
-    storage.migrate()
+    storage.prepare()
     rows = fill(storage)
     write(storage, folder / "powers.tdm", "measurements", "tdm")
     write(storage, folder / "attitude.aem", "attitude", "aem")

@@ -89,7 +89,7 @@ def test_alarms_are_listed_by_state_and_window_with_those_of_the_service(storage
 def test_memory_and_alarms_outlive_the_service(url):
     memory = EngineMemory((WatchMemory("carrier_level", "c01", ValueMemory(2, 5, 3, 7, None, 1.5, 8)),), 11, 60.5)
     first = SqlStorage(url)
-    first.migrate()
+    first.prepare()
     assert first.alarms.memory("craft") == EngineMemory()
     first.alarms.save_memory("craft", EngineMemory())
     first.alarms.save_memory("craft", memory)

@@ -1,18 +1,15 @@
 """Backups of either database: one state, proved, put back on either database, and never over anything."""
 
 import json
-import shutil
 import sqlite3
 
 import pytest
 from sqlalchemy import create_engine, func, inspect, select, text
 
 from db.connection.engines import open_engines
-from db.connection.storage_state import newest_revision
 from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
 from db.maintenance.restore import restore_backup
-from db.migrations.migrate import upgrade
-from db.schema.schema_version import known_versions
+from db.schema.layout import LAYOUT
 from db.schema.tables import metadata
 from db.storage import SqlStorage
 from service.ports import Outcome
@@ -80,9 +77,7 @@ def test_a_backup_put_back_on_either_database_is_the_same_archive(filled, url, e
     manifest = create_backup(url, tmp_path / "b", 5, lambda step, share: shares.append((step, share)))
     assert ("sha256", 1.0) in shares
     before = content(url)
-    assert {name: len(rows) for name, rows in before.items()} == {
-        name: count for name, count in manifest.tables.items() if name != "alembic_version"
-    }
+    assert {name: len(rows) for name, rows in before.items()} == manifest.tables
     count = manifest.spacecraft[filled.id]
     head = filled.storage.archive.head(filled.id)
     assert (count.newest_number, count.consumed_number) == (head.newest_number, head.consumed_number)
@@ -93,7 +88,7 @@ def test_a_backup_put_back_on_either_database_is_the_same_archive(filled, url, e
     assert {diagnosis.check for diagnosis in found} >= {"file", "manifest", "integrity", "journal", "counts", "results"}
     target = empty(kind)
     restored = restore_backup(tmp_path / "b", target, STAMP, ignore, may_replace=False)
-    assert (restored.aside, restored.schema_version) == (None, newest_revision())
+    assert (restored.aside, restored.manifest.layout) == (None, LAYOUT)
     assert content(target) == before
     # what is given out next goes on behind what was restored
     storage = SqlStorage(target)
@@ -135,7 +130,7 @@ def test_a_restore_moves_nothing_unless_told_and_keeps_what_it_moves(filled, url
         schema = restored.aside.removeprefix("schema ")
         rows = select(func.count()).select_from(text(f'"{schema}".measurement'))
         assert connection.scalar(rows) == len(later["measurement"])
-        assert "alembic_version" in inspect(connection).get_table_names(schema=schema)
+        assert "archive_layout" in inspect(connection).get_table_names(schema=schema)
         connection.exec_driver_sql(f'DROP SCHEMA "{schema}" CASCADE')
     engine.dispose()
 
@@ -231,10 +226,10 @@ def test_a_backup_that_is_not_what_was_written_is_found_and_not_restored(backup,
     assert not (tmp_path / "other.db").exists()
 
 
-@pytest.mark.parametrize("text_", ["{}", "no json", '{"format": 99}', "[]"])
+@pytest.mark.parametrize("text_", [f'{{"layout": {LAYOUT}}}', "no json", "[]"])
 def test_a_manifest_that_cannot_be_read_is_said(backup, text_):
     (backup / MANIFEST_FILE).write_text(text_)
-    with pytest.raises(BackupError, match=r"manifest|format"):
+    with pytest.raises(BackupError, match="manifest"):
         verify_backup(backup, ignore)
 
 
@@ -251,21 +246,3 @@ def test_what_is_no_backup_and_what_is_no_archive_is_said(tmp_path):
         create_backup(f"sqlite:///{tmp_path / 'text.db'}", tmp_path / "b", 5, ignore)
     assert not (tmp_path / "b").exists()
     assert not (tmp_path / "none.db").exists()
-
-
-def test_an_older_backup_is_sound_and_is_migrated_by_its_restore(backup, tmp_path):
-    shutil.rmtree(backup)
-    old = f"sqlite:///{tmp_path / 'old.db'}"
-    engines = open_engines(old)
-    upgrade(engines.write, known_versions()[0])
-    with engines.write.begin() as connection:
-        connection.exec_driver_sql("INSERT INTO spacecraft VALUES (1, 'craft', '{}')")
-        connection.exec_driver_sql("INSERT INTO head VALUES (1, 0, 0, NULL, NULL, 0)")
-    engines.dispose()
-    create_backup(old, backup, 5, ignore)
-    found = verify_backup(backup, ignore)
-    assert worst(found) == "ok", found
-    assert any("a restore migrates it" in diagnosis.detail for diagnosis in found)
-    restored = restore_backup(backup, f"sqlite:///{tmp_path / 'new.db'}", STAMP, ignore, may_replace=False)
-    assert restored.schema_version == newest_revision() != restored.manifest.schema_version
-    assert content(f"sqlite:///{tmp_path / 'new.db'}")["spacecraft"] == ["(1, 'craft', '{}')"]

@@ -10,17 +10,13 @@ from sqlalchemy import delete, select, text
 from typer.testing import CliRunner
 
 import db.maintenance.doctor
-from db.connection.engines import open_engines
 from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import examine
-from db.migrations.migrate import upgrade
 from db.results.state_summaries import store_states, stored_states
-from db.schema.schema_version import known_versions
 from db.schema.tables import state_summary
 from service.cli.app import app
 from service.ports import LIVE, Outcome
 from service.records.inputs import Correction
-from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
 from service.records.operations.audit import AuditEvent
 from service.records.storage.archive_maintenance import SealedPart
 from service.records.storage.checkpoint import Checkpoint
@@ -91,27 +87,12 @@ def test_a_sound_archive_is_called_sound_while_it_is_open(filled, url):
     assert of_archive(url) == []
     checks = [found.check for found in looked_at(url)]
     outside = ["file", "permissions", "disk", "wal"] if url.startswith("sqlite") else []
-    assert checks[-10:-5] == ["schema", "checksums", "segments", "summaries", "journal"]
-    assert checks[-5:] == ["counts", "results", "keys", "audit", "clock"]
+    assert checks[-9:-4] == ["layout", "checksums", "segments", "summaries", "journal"]
+    assert checks[-4:] == ["counts", "results", "audit", "clock"]
     assert checks[: len(outside)] == outside
     # and after it was closed in good order
     filled.storage.close()
     assert of_archive(url) == []
-
-
-def test_older_keys_with_names_that_mislead_are_listed(filled, url):
-    for key_id, name, revoked_us in (
-        *(("k1", "olga", None), ("k2", "Olga", None), ("k3", "anonymous", None), ("k4", "anna\u200b", None)),
-        *(("k5", "bootstrap", 9), ("k6", "boris", None)),
-    ):
-        key = AccessKey(id=key_id, name=f"{key_id}", role=Role.VIEWER, created_at_us=1, created_by="a")
-        filled.storage.keys.add(StoredKey(key, digest_of(b"x")))
-        with filled.storage._database.engines.write.begin() as connection:
-            of_key = {"name": name, "revoked_us": revoked_us, "key_id": key_id}
-            statement = "UPDATE access_key SET name = :name, revoked_at_us = :revoked_us WHERE key_id = :key_id"
-            connection.execute(text(statement), of_key)
-    ((check, words),) = of_archive(url)
-    assert (check, words.split(": ")[1]) == ("keys", "k1 'olga'; k2 'Olga'; k3 'anonymous'; k4 'anna\\u200b'")
 
 
 DELETE_SEALED = "DELETE FROM measurement_segment WHERE day = 0"
@@ -221,22 +202,6 @@ def test_retention_leaves_no_fault_behind(filled, url):
     assert {check for check, _ in of_archive(url)} >= {"journal", "results"}
 
 
-def test_an_older_and_a_newer_schema_are_told_apart(tmp_path):
-    url = f"sqlite:///{tmp_path / 'soo.db'}"
-    engines = open_engines(url)
-    upgrade(engines.write, known_versions()[0])
-    found = faults(url)
-    assert [check for check, _ in found] == ["schema"]
-    assert "older" in found[0][1]
-    with engines.write.begin() as connection:
-        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
-    assert "not known" in faults(url)[0][1]
-    with engines.write.begin() as connection:
-        connection.exec_driver_sql("DROP TABLE alembic_version")
-    assert "holds no archive" in faults(url)[0][1]
-    engines.dispose()
-
-
 def test_a_server_that_is_away_is_said():
     found = looked_at("postgresql+psycopg://nobody@127.0.0.1:1/none")
     assert [(each.check, each.state) for each in found] == [("connection", "fault")]
@@ -279,7 +244,7 @@ def test_pages_that_were_overwritten_are_found(file):
 def test_a_file_that_is_no_database_is_said(file):
     file.write_bytes(b"no database at all " * 300)
     found = faults(f"sqlite:///{file}")
-    assert {check for check, _ in found} <= {"integrity", "schema", "connection"}
+    assert {check for check, _ in found} <= {"integrity", "layout", "connection"}
     assert "not a database" in found[0][1]
 
 

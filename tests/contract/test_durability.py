@@ -134,7 +134,7 @@ def test_a_restart_keeps_everything_and_goes_on_counting(setting, url, make):
     before = everything(setting.storage)
     setting.storage.close()
     setting.storage = SqlStorage(url)
-    setting.storage.migrate()
+    setting.storage.prepare()
     try:
         assert everything(setting.storage) == before
         assert setting.append([10, 20], flags=[(1, 2, 3), None]).duplicates == 2
@@ -181,18 +181,18 @@ def test_two_storages_on_one_database_share_one_journal(setting, url):
         other.close()
 
 
-def test_check_passes_on_a_database_with_a_schema_and_fails_without(storage, url, tmp_path):
-    storage.check()
+def test_the_state_of_a_database_without_an_archive_is_a_fault(storage, tmp_path):
+    assert storage.state().queued_writes == 0
     empty = SqlStorage(f"sqlite:///{tmp_path / 'empty.db'}")
     with pytest.raises(StorageError):
-        empty.check()
+        empty.state()
     empty.close()
 
 
 def test_a_database_that_cannot_be_opened_is_a_storage_error(tmp_path):
     storage = SqlStorage(f"sqlite:///{tmp_path / 'no' / 'such' / 'folder' / 'soo.db'}")
     record = Spacecraft("a", "A", 90.0, Site(0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 0.05)
-    for call in (storage.check, storage.migrate, lambda: storage.catalogue.add_spacecraft(record)):
+    for call in (storage.state, storage.prepare, lambda: storage.catalogue.add_spacecraft(record)):
         with pytest.raises(StorageError) as caught:
             call()
         assert caught.value.code == "storage.unavailable"

@@ -239,19 +239,6 @@ def test_a_lost_connection_costs_no_lease_that_nobody_wanted(setting, caplog):
 
 
 @pytest.mark.usefixtures("on_server")
-def test_a_service_of_an_older_version_leads_alone(setting, open_storage, caplog):
-    """Versions before schema 0019 hold one advisory lock for all spacecraft."""
-    with setting.storage._database.engines.read.connect() as old:
-        assert old.scalar(text("SELECT pg_try_advisory_lock(5210121)"))
-        assert held(open_storage(), [setting.id]) == set()
-        assert "a service of an older version leads this archive" in caplog.text
-        old.scalar(text("SELECT pg_advisory_unlock(5210121)"))
-        new = open_storage()
-        assert held(new, [setting.id]) == {ARCHIVE, setting.id}
-        assert not old.scalar(text("SELECT pg_try_advisory_lock(5210121)"))
-
-
-@pytest.mark.usefixtures("on_server")
 def test_a_pooler_in_transaction_mode_is_refused(storage):
     """Such a pooler gives one session to two connections in turn: here two connections are one."""
     storage.require_sessions()

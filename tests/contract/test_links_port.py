@@ -43,7 +43,7 @@ def test_the_newest_report_holds_and_leaves_what_is_wanted_alone(storage):
 
 def test_what_is_wanted_outlives_the_service(url):
     first = SqlStorage(url)
-    first.migrate()
+    first.prepare()
     first.links.report([REPORT], 10 * S)
     first.links.set_enabled("sa-1", enabled=False)
     first.links.request_reset("sa-1")

@@ -24,7 +24,7 @@ from service.records.levels.measurement import Measurement, MeasurementBatch
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "keep-and-restore.md"
 TEXT = PAGE.read_text()
 #: what each block prints, in the order of the page; those after the restore run without the service
-WANTED = ["", "folder: monday.backup", "file", "kept: ", "schema_version", "journal"]
+WANTED = ["", "folder: monday.backup", "file", "kept: ", "kept: None", "journal"]
 STOPPED_FROM = 3
 
 
@@ -113,7 +113,7 @@ def in_storage(url: str, change: Callable[[SqlStorage], object]) -> None:
 
 def prepared(storage: SqlStorage) -> None:
     """Make an archive with one spacecraft of sixteen carriers."""
-    storage.migrate()
+    storage.prepare()
     inertia = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
     storage.catalogue.add_spacecraft(Spacecraft("craft", "Craft", 90.0, Site(55.0, 38.0), inertia, 0.05))
     carriers = tuple(Carrier(f"c{k:02}", "Ku", "Ku1", 11e9 + k * 2e6, 1e6) for k in range(16))

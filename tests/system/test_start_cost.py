@@ -15,7 +15,7 @@ import pytest
 pytestmark = pytest.mark.system
 
 #: each costs a tenth of a second and more, or ten megabytes and more
-COSTLY = ("pyarrow", "alembic", "matplotlib", "scipy", "numba", "prometheus_client", "httpx", "skyfield", "pyvisa")
+COSTLY = ("pyarrow", "matplotlib", "scipy", "numba", "prometheus_client", "httpx", "skyfield", "pyvisa")
 MAX_RSS_MB = 225.0
 #: modules that no command needs before it begins its work
 WORKING = (*COSTLY, "numpy", "pydantic_settings", "fastapi", "sqlalchemy", "rich", "ssl", "sqlite3", "asyncio")

@@ -50,12 +50,11 @@ class SharedReadiness:
 def parts_of(context: ApiContext) -> tuple[Part, ...]:
     """Return every part of the service whose state can be known."""
     try:
-        context.storage.check()
         state = context.storage.state()
     except StorageError as error:
         return (Part("database", error.code, error.detail),)
     database = Part("database", None, "the database answers")
-    return (database, _schema(state), *_disk(state, context), *_consumers(context))
+    return (database, *_disk(state, context), *_consumers(context))
 
 
 def require_ready(parts: tuple[Part, ...]) -> None:
@@ -68,14 +67,6 @@ def require_ready(parts: tuple[Part, ...]) -> None:
     detail = "; ".join(f"{part.name}: {part.detail}" for part in faults)
     headers = {"Retry-After": str(RETRY_AFTER_S)}
     raise RequestProblemError(HTTPStatus.SERVICE_UNAVAILABLE, code, detail, fields, headers)
-
-
-def _schema(state: StorageState) -> Part:
-    """Return whether the database has the schema of this program."""
-    if state.schema == state.wanted_schema:
-        return Part("migration", None, f"schema {state.schema}")
-    detail = f"the schema is {state.schema or 'none'}, this program needs {state.wanted_schema}"
-    return Part("migration", "migration.pending", detail)
 
 
 def _disk(state: StorageState, context: ApiContext) -> Iterator[Part]:

@@ -49,7 +49,6 @@ _REQUESTS = {
     "request.too_slow": "Send the same again in smaller parts; check the network.",
     "service.failed": "Send the same again; if it fails again, report the request id.",
     "service.not_ready": "Look up the next step of each code listed; try again after Retry-After seconds.",
-    "migration.pending": "Restart the service: it migrates the schema.",
     "disk.full": "Free space on the disk of the database.",
     "disk.read_only": "Check the owner, the permissions and the mount of the database's folder.",
     "consumers.stopped": "Restart the service; its log says why the estimator ended.",

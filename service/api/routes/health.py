@@ -65,7 +65,7 @@ async def get_health() -> HealthAnswer:
 
 @router.get("/readyz")
 async def get_readiness(request: Request, context: Context) -> ReadinessAnswer:
-    """Tell whether every part is ready: database, migration, disk, consumers; 503 names those that are not.
+    """Tell whether every part is ready: database, disk, consumers; 503 names those that are not.
 
     A service that catches up after a restart is ready: it keeps what it is sent.
     """

@@ -45,7 +45,7 @@ def verify(
     announced = _noted(head or []) | _logged(log or [])
     try:
         storage = open_storage(Settings.model_validate({"database_url": database} if database else {}))
-    except ValueError as error:
+    except (StorageError, ValueError) as error:
         end(f"cannot use the database: {error}")
     try:
         newest = storage.audit.head()

@@ -70,8 +70,7 @@ def restore(
 
     with _guarded() as report:
         restored = open_archive_tools(database).restore(folder, report, may_replace=replace)
-    said = {"kept": restored.aside, "schema_version": restored.schema_version}
-    _report({**said, "spacecraft": asdict(restored.manifest)["spacecraft"]}, as_json=as_json)
+    _report({"kept": restored.aside, "spacecraft": asdict(restored.manifest)["spacecraft"]}, as_json=as_json)
     _report_damaged(restored.manifest)
 
 

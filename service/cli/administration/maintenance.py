@@ -10,6 +10,7 @@ import typer
 
 from service.cli.command_group import end
 from service.cli.operation.connection import JsonOption
+from service.errors import StorageError
 
 EXIT_FAULT = 1
 
@@ -26,8 +27,8 @@ def maintenance(
     settings = Settings.model_validate({} if database is None else {"database_url": database})
     try:
         storage = open_storage(settings)
-    except ValueError as error:
-        end(str(error), cause=error)
+    except (StorageError, ValueError) as error:
+        end(f"cannot use the database: {error}", cause=error)
     try:
         work = build_maintenance(settings, storage, build_clock(settings, storage))
         work.poll_once()

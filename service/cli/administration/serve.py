@@ -58,7 +58,7 @@ def serve(
         bool | None, typer.Option(help="Estimate a share of the spacecraft; without it store rows and answer.")
     ] = None,
 ) -> None:
-    """Serve the REST interface; creates and migrates its database before it is ready."""
+    """Serve the REST interface; makes a new archive where there is none."""
     for number in (signal.SIGTERM, signal.SIGINT):
         # ends a start; once uvicorn serves it stops gracefully first and raises the signal again
         signal.signal(number, lambda *_: sys.exit(0))

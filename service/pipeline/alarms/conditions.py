@@ -166,12 +166,6 @@ def _of_release() -> tuple[AlarmCondition, ...]:
             ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
         ),
         _condition(
-            ("release_changed", Kind.ABOVE, "s", "release", Origin.CLOCK),
-            "an upgrade replaced release automatic by {thing} {value} ago",
-            "to release torques without a person, two approvers send POST .../control:arm with release automatic",
-            ConditionLimits(warning=0.0),
-        ),
-        _condition(
             ("report_late", Kind.ABOVE, "s", "command", Origin.CLOCK),
             "time without a report since the end of {thing} is {value}",
             "ask the centre what was executed; POST .../torques/{id}:executed or :failed; no torque is released before",

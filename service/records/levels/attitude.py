@@ -85,8 +85,8 @@ class AttitudeRow:
     """L4: attitude estimate of one method at one measurement.
 
     Tables, exports and answers derive from these fields (`service.records.record_fields`); a text beside a type is the
-    description in the interface. A new field stands at the end, with the default that older rows have
-    (a number: ``math.nan``).
+    description in the interface. A new field stands at the end; a method that does not compute it leaves
+    its default (a number: ``math.nan``).
     """
 
     epoch_us: int

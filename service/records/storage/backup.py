@@ -2,10 +2,6 @@
 
 import json
 from dataclasses import asdict, dataclass, field
-from typing import Any
-
-#: layout of a backup; readers refuse another one
-FORMAT = 1
 
 
 class BackupError(Exception):
@@ -31,7 +27,8 @@ class Manifest:
     made_at_us: int
     #: `sqlite` or `postgresql`
     made_from: str
-    schema_version: str
+    #: layout of the archive, and of this manifest
+    layout: int
     #: name of the file beside the manifest
     file: str
     size_bytes: int
@@ -41,28 +38,7 @@ class Manifest:
     spacecraft: dict[str, SpacecraftCount]
     #: damaged rows when the backup was made, in words, table by table
     damaged: list[str] = field(default_factory=list)
-    format: int = FORMAT
 
     def as_text(self) -> str:
         """Return the manifest as JSON."""
         return json.dumps(asdict(self), indent=2, sort_keys=True) + "\n"
-
-
-def parse_manifest(text: str) -> Manifest:
-    """Return a manifest from its JSON.
-
-    Raises
-    ------
-    BackupError
-        The text is no manifest of this format.
-    """
-    try:
-        document: Any = json.loads(text)
-        if document["format"] != FORMAT:
-            message = f"the backup is of format {document['format']}, this version reads format {FORMAT}"
-            raise BackupError(message)
-        counts = {name: SpacecraftCount(**count) for name, count in document.pop("spacecraft").items()}
-        return Manifest(spacecraft=counts, **document)
-    except (ValueError, KeyError, TypeError, AttributeError) as fault:
-        message = f"the manifest cannot be read: {fault}"
-        raise BackupError(message) from fault

@@ -7,9 +7,6 @@ from dataclasses import dataclass
 class StorageState:
     """State of the storage, queried just now."""
 
-    #: revision of the schema, and the one that this program needs; None = no schema yet
-    schema: str | None
-    wanted_schema: str
     #: writes that wait for the writer
     queued_writes: int
     #: free bytes beside the database and whether it can be written there; None where it is on another machine

@@ -26,8 +26,6 @@ _HOUR_US = 3600 * US_PER_S
 _DAY_US = 24 * _HOUR_US
 #: a key that ended so long ago needs no alarm: who used it has noticed
 _ENDED_DAYS = 1.0
-#: how long an upgrade that changed the release is told, s; an alarm that nobody acknowledged stays
-_RELEASE_REPORTED_S = 86_400.0
 _MB = 1e6
 
 
@@ -76,10 +74,6 @@ class ClockChecks:
         tripped_s = max((now_us - state.interlock.since_us) / US_PER_S, _LEAST_AGE_S)
         trips = tuple(condition.word for condition in state.interlock.trips)
         yield Readings("control_tripped", trips, (tripped_s,) * len(trips))
-        made_us = releases.made_two_step_us(spacecraft_id)
-        made_s = {} if made_us is None else {"two_step": (now_us - made_us) / US_PER_S}
-        kept_s = {thing: max(age_s, _LEAST_AGE_S) for thing, age_s in made_s.items() if age_s < _RELEASE_REPORTED_S}
-        yield Readings("release_changed", tuple(kept_s), tuple(kept_s.values()))
         waiting = [command for command in state.commands if command.state in UNREPORTED]
         over_s = [(now_us - max(each.stop_us, each.released_us or 0)) / US_PER_S for each in waiting]
         yield Readings("report_late", tuple(f"command {each.counter}" for each in waiting), tuple(over_s))

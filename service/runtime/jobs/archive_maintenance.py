@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from itertools import chain
 from typing import TypeVar
 
 from service.ports import ARCHIVE, Clock, Storage, Term
@@ -67,13 +66,11 @@ class ArchiveMaintenance:
         self._thread: threading.Thread | None = None
         #: measurements and results sealed, and rows dropped of each series, since the start
         self.sealed_rows = self.sealed_results = 0
-        #: days of a source or of a method that were summarised after they were sealed, since the start
+        #: days of a method that were summarised, since the start
         self.summarised_days = 0
         self.dropped_rows = dict.fromkeys((*SERIES, *LOGS, "replays"), 0)
         #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
         self._sized_at_s: dict[str, float] = {}
-        #: rows of older versions that were given a checksum, since the start
-        self.completed_rows = 0
         #: looks at a spacecraft that failed, since the start
         self.failed_polls = 0
 
@@ -105,8 +102,6 @@ class ArchiveMaintenance:
             return
         with self._guarded("the service"):
             self._drop_logs(None, self._clock.system_us())
-            for rows in self._paced(self._storage.archive.complete_checksums()):
-                self.completed_rows += rows
 
     @contextmanager
     def _guarded(self, whose: str) -> Iterator[None]:
@@ -183,12 +178,8 @@ class ArchiveMaintenance:
         now_us, quiet_us = self._clock.now_us(spacecraft_id), int(self._sealing.quiet_s * US_PER_S)
         if now_us is None:
             return
-        archive, results = self._storage.archive, self._storage.results
-        steps = (
-            archive.complete_summaries(spacecraft_id),
-            results.complete_summaries(spacecraft_id, now_us - quiet_us),
-        )
-        for days in self._paced(chain.from_iterable(steps)):
+        results = self._storage.results
+        for days in self._paced(results.complete_summaries(spacecraft_id, now_us - quiet_us)):
             self.summarised_days += days
         results.mark_complete(spacecraft_id, runnable_methods(self._storage, spacecraft_id))
 

@@ -49,7 +49,7 @@ async def unready(bench) -> dict:
 async def test_a_ready_service_tells_its_parts(bench):
     answer = await bench.client.get("/readyz", headers={"Authorization": ""})
     assert answer.status_code == 200
-    assert [part["name"] for part in answer.json()["parts"]] == ["database", "migration", "disk", "consumers"]
+    assert [part["name"] for part in answer.json()["parts"]] == ["database", "disk", "consumers"]
 
 
 async def test_a_service_that_catches_up_is_ready_and_says_how_long_it_takes(bench, make, monkeypatch):
@@ -82,20 +82,17 @@ async def test_an_estimator_that_is_behind_is_named(bench, make):
 
 async def test_several_parts_are_all_named(bench, monkeypatch):
     state = bench.storage.state()
-    monkeypatch.setattr(bench.storage, "state", lambda: replace(state, schema="0001", free_bytes=1000))
+    monkeypatch.setattr(bench.storage, "state", lambda: replace(state, free_bytes=1000))
     change(bench, is_following=lambda: False)
     problem = await unready(bench)
     assert problem["code"] == "service.not_ready"
-    assert [error["code"] for error in problem["errors"]] == ["migration.pending", "disk.full", "consumers.stopped"]
+    assert [error["code"] for error in problem["errors"]] == ["disk.full", "consumers.stopped"]
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "code"), [("is_writable", False, "disk.read_only"), ("schema", None, "migration.pending")]
-)
-async def test_each_fault_of_the_storage_has_its_code(bench, monkeypatch, field, value, code):
+async def test_a_disk_that_cannot_be_written_has_its_code(bench, monkeypatch):
     state = bench.storage.state()
-    monkeypatch.setattr(bench.storage, "state", lambda: replace(state, **{field: value}))
-    assert (await unready(bench))["code"] == code
+    monkeypatch.setattr(bench.storage, "state", lambda: replace(state, is_writable=False))
+    assert (await unready(bench))["code"] == "disk.read_only"
 
 
 async def test_metrics_tell_the_archive_and_the_interface(bench, make, monkeypatch):
@@ -148,7 +145,6 @@ async def test_metrics_without_the_database_tell_the_rest(bench, monkeypatch):
     def fail() -> None:
         raise StorageError("storage.unavailable", "gone")
 
-    monkeypatch.setattr(bench.storage, "check", fail)
     monkeypatch.setattr(bench.storage, "state", fail)
     answer = await bench.client.get("/metrics")
     assert answer.status_code == 200
@@ -203,7 +199,7 @@ async def test_lines_written_while_a_request_is_served_name_it(bench, monkeypatc
     def fail() -> None:
         raise RuntimeError("the password is swordfish")
 
-    monkeypatch.setattr(bench.storage, "check", fail)
+    monkeypatch.setattr(bench.storage, "state", fail)
     root = logging.getLogger()
     root.addHandler(handler)
     try:

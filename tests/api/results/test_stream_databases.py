@@ -21,7 +21,7 @@ def storage(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[SqlStora
     else:
         url = request.getfixturevalue("postgresql_cluster").new_database()
     opened = SqlStorage(url)
-    opened.migrate()
+    opened.prepare()
     yield opened
     opened.close()
 

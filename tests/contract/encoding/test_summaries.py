@@ -218,17 +218,11 @@ def test_c_n0_of_closed_days_is_read_from_summaries(setting, monkeypatch):
 
 
 def test_an_archive_without_summaries_is_answered_from_rows_until_it_has_them(summed):
-    wanted = summaries(summed, power_summary)
-    change(summed, delete(power_summary))
     change(summed, delete(attitude_summary))
-    check_powers(summed, Window(0, 3 * DAY_US), 50)
     check_attitude(summed, Window(0, 3 * DAY_US), 50)
-    assert sum(summed.storage.archive.complete_summaries(summed.id)) == 3
-    assert list(summed.storage.archive.complete_summaries(summed.id)) == []
     # the day that the chain stands in stays open: two methods and the commands of two days
     assert sum(summed.storage.results.complete_summaries(summed.id, ALWAYS)) == 6
     assert list(summed.storage.results.complete_summaries(summed.id, ALWAYS)) == []
-    assert summaries(summed, power_summary) == wanted
     check_attitude(summed, Window(0, 3 * DAY_US), 50)
 
 

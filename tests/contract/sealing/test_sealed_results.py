@@ -9,8 +9,6 @@ from sqlalchemy import func, select, update
 from db.encoding.carrier_codec import pack_carriers
 from db.encoding.segments import DAY_US
 from db.measurements import retention
-from db.measurements.checksum_check import checked_tables
-from db.migrations.migrate import downgrade, upgrade
 from db.results import result_sealing
 from db.schema.tables import attitude, result_segment, torque
 from db.storage import SqlStorage
@@ -275,23 +273,6 @@ def test_a_damaged_row_is_not_sealed(setting, make, caplog):
     assert "1 attitude rows differ from their checksum" in caplog.text
     rows = setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 9, None)
     assert [row.epoch_us for row in rows] == [5, 6, 7]
-
-
-def test_an_older_schema_gets_all_rows_back(new_setting, make):
-    setting = lived(new_setting(), make)
-    lived(setting, make, version=REPLAYED)
-    setting.calibrate()
-    alignment, windows = setting.align(DAY_US), [make.ever]
-    before = answers(setting, windows, alignment)
-    seal(setting, 2 * DAY_US)
-    engine = setting.storage._database.engines.write
-    downgrade(engine, "0014")
-    assert rows_in_tables(setting) == [36, 18]
-    upgrade(engine)
-    assert answers(setting, windows, alignment) == before
-    with setting.storage._database.read() as connection:
-        found = {table.name: table for table in checked_tables(connection)}
-    assert [(found[name].agreeing, found[name].differing) for name in ("attitude", "torque")] == [(36, 0), (18, 0)]
 
 
 @pytest.mark.parametrize("series", ["attitude", "torques"])

@@ -62,8 +62,8 @@ RETIRED_IN_TEXT = ("anew", "whoever")
 CIRCLING = ("What", "Who", "Whether", "Those")
 CIRCLING_CLASSES = (*CIRCLING, "How", "Where", "Which", "When", "Why")
 FOLDERS = ("service", "db", "analyzer_sim", "bench")
-#: one file for each resource or revision
-UNBOUNDED = ("service/api/routes", "service/api/schemas", "db/migrations/versions", "docs/explanations/decisions")
+#: one file for each resource or decision
+UNBOUNDED = ("service/api/routes", "service/api/schemas", "docs/explanations/decisions")
 
 
 @cache
@@ -79,9 +79,8 @@ def tracked() -> tuple[str, ...]:
 
 
 def modules(*folders: str) -> list[str]:
-    """Return the Python files of some folders; migrations stay as they ran."""
-    found = [name for name in tracked() if name.endswith(".py") and name.startswith(tuple(f"{f}/" for f in folders))]
-    return [name for name in found if "migrations/versions" not in name]
+    """Return the Python files of some folders."""
+    return [name for name in tracked() if name.endswith(".py") and name.startswith(tuple(f"{f}/" for f in folders))]
 
 
 def words_of(identifier: str) -> set[str]:

@@ -43,7 +43,7 @@ TLE = (
 def archive(tmp_path: Path) -> None:
     """Store rows with known angles where the service will look for its archive."""
     storage = SqlStorage(f"sqlite:///{tmp_path / 'archive.db'}")
-    storage.migrate()
+    storage.prepare()
     inertia = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
     craft = Spacecraft("yamal-202", "Yamal-202", LONGITUDE_DEG, Site(56.7, 37.2), inertia, 0.05)
     storage.catalogue.add_spacecraft(craft)

@@ -69,7 +69,7 @@ class Station:
 
     def open(self):
         """Lay down catalogue, calibration and the half hour before operation."""
-        self.storage.migrate()
+        self.storage.prepare()
         record = PAYLOAD.spacecraft(release=Release.AUTOMATIC, coupling=True)
         self.storage.catalogue.add_spacecraft(record)
         self.storage.catalogue.put_plan(SC, PAYLOAD.carriers(), "sha")

@@ -75,7 +75,7 @@ class PostgresqlCluster:
         if self._shared is None:
             self._shared = self.new_database()
             storage = SqlStorage(self._shared)
-            storage.migrate()
+            storage.prepare()
             storage.close()
             return self._shared
         name = make_url(self._shared).database

@@ -29,7 +29,7 @@ SIGMA_DEG = {"yaw": 0.01, "roll": 0.005, "pitch": 0.005}
 def seed_archive(url: str, *crafts: Spacecraft) -> None:
     """Lay spacecraft with their catalogue and calibration into an archive."""
     storage = SqlStorage(url)
-    storage.migrate()
+    storage.prepare()
     calibration = PAYLOAD.calibration()
     for record in crafts:
         storage.catalogue.add_spacecraft(record)

@@ -38,7 +38,7 @@ INERTIA = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
 def fill(database: Path, rows: int, carriers: int, *, with_results: bool = False) -> np.ndarray:
     """Store rows of random levels, ten seconds apart; return the levels."""
     storage = SqlStorage(f"sqlite:///{database}")
-    storage.migrate()
+    storage.prepare()
     storage.catalogue.add_spacecraft(Spacecraft("sim-1", "Simulated", 90.0, Site(55.7, 37.6), INERTIA, 0.05))
     plan = storage.catalogue.put_plan(
         "sim-1", [Carrier(f"c{k:02d}", "Ku", "Ku1", 11.0e9 + k * 2e6, 1e6) for k in range(carriers)], "plan"

@@ -112,18 +112,18 @@ def test_blocks_run_as_they_stand(machine: Machine) -> None:
     done = machine.run(unit)
     assert done.returncode == 0, done.stderr
     require_service_of_the_wheel(machine)
-    for block, wanted in ((new, "before-0.2.0.backup"), (change_over, "schema")):
+    for block, wanted in ((new, "before-0.2.0.backup"), (change_over, "layout")):
         done = machine.run(block)
         assert done.returncode in (0, 3), done.stderr
         assert wanted in done.stdout
     assert (machine.folder / "opt/soo/current").readlink() == Path("0.2.0")
-    # as an archive that a newer release has migrated
+    # as an archive of a release with another layout
     with sqlite3.connect(database) as newer:
-        newer.execute("UPDATE alembic_version SET version_num = '9999'")
+        newer.execute("UPDATE archive_layout SET number = 9999")
     newer.close()
     done = machine.run(back)
     assert done.returncode == 1
-    assert "Use the version of SOO that wrote it, or a newer one." in done.stdout
+    assert "9999" in done.stdout
     done = machine.run(restore)
     assert done.returncode == 0, done.stderr
     assert list(database.parent.glob("soo.db.before-*"))
@@ -142,7 +142,7 @@ def require_program_of_the_wheel(machine: Machine) -> None:
 
 
 def require_service_of_the_wheel(machine: Machine) -> None:
-    """The unit serves the console with its words, the archive is migrated, its key opens it."""
+    """The unit serves the console with its words, the archive is made, its key opens it."""
     key = (machine.folder / "var/lib/soo/administrator.key").read_text().strip()
     with httpx.Client(base_url=f"http://127.0.0.1:{machine.port}", timeout=60, trust_env=False) as client:
         assert "<title>" in client.get("/console/").text

@@ -21,7 +21,7 @@ PAYLOAD = SyntheticPayload.make(18)
 def calibrated(database: Path) -> None:
     """Make an archive with a spacecraft, a plan over three transponders, and a calibration."""
     storage = SqlStorage(f"sqlite:///{database}")
-    storage.migrate()
+    storage.prepare()
     storage.catalogue.add_spacecraft(PAYLOAD.spacecraft())
     carriers = [replace(carrier, transponder=f"K{k % 3}") for k, carrier in enumerate(PAYLOAD.carriers())]
     plan = storage.catalogue.put_plan(SC, carriers, "three")

@@ -9,7 +9,7 @@ from sqlalchemy import text
 
 from db.connection.engines import open_engines
 from db.connection.file_identity import FileWatch
-from db.migrations.migrate import upgrade
+from db.schema.layout import create_tables
 from service.errors import StorageError
 
 
@@ -17,7 +17,8 @@ from service.errors import StorageError
 def engines(tmp_path):
     """An archive that is open."""
     opened = open_engines(f"sqlite:///{tmp_path / 'soo.db'}")
-    upgrade(opened.write)
+    with opened.write.begin() as connection:
+        create_tables(connection)
     yield opened
     opened.dispose()
 
@@ -107,7 +108,8 @@ def test_another_archive_in_its_place_is_told_from_another_file(engines, tmp_pat
     assert not (tmp_path / "soo.db-wal").exists()
     assert (tmp_path / "soo.db-wal.of-replaced").exists()
     made = open_engines(f"sqlite:///{other}")
-    upgrade(made.write)
+    with made.write.begin() as connection:
+        create_tables(connection)
     made.dispose()
     shutil.move(other, path)
     assert watch.is_to_be_reopened()

@@ -9,7 +9,7 @@ from db.connection.engines import open_engines
 from db.encoding.measurement_details import insert_details
 from db.encoding.power_codec import StoredRows
 from db.measurements.row_insert import RowRun, insert_run
-from db.migrations.migrate import upgrade
+from db.schema.layout import create_tables
 from db.schema.tables import measurement, measurement_detail
 
 
@@ -20,7 +20,8 @@ def engine(request, tmp_path_factory):
     else:
         url = request.getfixturevalue("postgresql_cluster").new_database()
     engines = open_engines(url)
-    upgrade(engines.write)
+    with engines.write.begin() as connection:
+        create_tables(connection)
     yield engines.write
     engines.dispose()
 

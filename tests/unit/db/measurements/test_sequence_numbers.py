@@ -9,7 +9,7 @@ from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
 from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
-from db.migrations.migrate import upgrade
+from db.schema.layout import create_tables
 from db.schema.tables import sequence_interval
 
 BLOCKS = st.lists(
@@ -20,7 +20,8 @@ BLOCKS = st.lists(
 @pytest.fixture(scope="module")
 def engine(tmp_path_factory):
     engines = open_engines(f"sqlite:///{tmp_path_factory.mktemp('numbers') / 'soo.db'}")
-    upgrade(engines.write)
+    with engines.write.begin() as connection:
+        create_tables(connection)
     yield engines.write
     engines.dispose()
 

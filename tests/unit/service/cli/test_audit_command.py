@@ -20,7 +20,7 @@ def archive(tmp_path):
     """A database with four entries: its file and the head of the chain."""
     file = tmp_path / "soo.db"
     storage = SqlStorage(f"sqlite:///{file}")
-    storage.migrate()
+    storage.prepare()
     for k in range(4):
         entry = storage.audit.append(
             AuditEvent(
@@ -101,8 +101,8 @@ def test_what_cannot_be_looked_at_is_said(arguments, said, tmp_path, monkeypatch
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_database_without_the_log_is_said(tmp_path):
+def test_a_database_without_an_archive_is_said(tmp_path):
     sqlite3.connect(tmp_path / "empty.db").close()
     (tmp_path / "empty.db").touch()
     result = verify("--database", f"sqlite:///{tmp_path / 'empty.db'}")
-    assert (result.exit_code, "no such table" in result.output) == (2, True)
+    assert (result.exit_code, "holds no archive" in result.output) == (2, True)

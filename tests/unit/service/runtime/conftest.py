@@ -171,7 +171,7 @@ class Ground:
 def _prepare(url: str, payload: Any, synthetic: Any) -> None:
     """Store quiet days, turns and the minutes before operation; calibrate and activate."""
     storage = SqlStorage(url)
-    storage.migrate()
+    storage.prepare()
     storage.catalogue.add_spacecraft(payload.spacecraft())
     storage.catalogue.put_plan(synthetic.SC, payload.carriers(), "sha")
     storage.catalogue.put_ephemeris(synthetic.SC, payload.ephemeris())
@@ -287,7 +287,7 @@ def alarm_archive(tmp_path_factory):
     """An archive with one spacecraft; every test gets a copy."""
     path = tmp_path_factory.mktemp("archive") / "soo.db"
     storage = SqlStorage(f"sqlite:///{path}")
-    storage.migrate()
+    storage.prepare()
     storage.catalogue.add_spacecraft(Spacecraft("craft", "craft", 90.0, Site(55.0, 38.0), INERTIA, 0.05))
     storage.catalogue.put_plan("craft", CARRIERS, "sha")
     storage.close()

@@ -154,7 +154,7 @@ def test_before_an_alignment_rows_say_why_they_have_no_angles(opened_archive, ne
 
 def test_a_calibration_by_geometry_after_the_alignment_waits_for_the_next_one(tmp_path):
     station = Station(tmp_path)
-    station.storage.migrate()
+    station.storage.prepare()
     station.storage.catalogue.add_spacecraft(PAYLOAD.spacecraft())
     station.storage.catalogue.put_plan(SC, PAYLOAD.carriers(), "sha")
     station.storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris())

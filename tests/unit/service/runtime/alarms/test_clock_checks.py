@@ -1,9 +1,10 @@
 """What the clock finds: rows that do not come, links, gaps, ages, keys that end, a full disk."""
 
+from dataclasses import replace
+
 from alarm_rig import HOUR, MINUTE, START, S, append, report
 from release_service_driver import ReleaseServiceDriver
 
-from db.schema.release_tables import release_made_two_step
 from service.pipeline.control.release.events import OrderKind
 from service.records.catalogue import Ephemeris
 from service.records.operations.access_key import AccessKey, Role, StoredKey
@@ -127,7 +128,7 @@ def test_a_key_that_ends_and_a_full_disk_concern_the_service(rig, monkeypatch):
     # a service-wide alarm is published on the stream of every craft
     assert [event.content.alarm.id for event in rig.events] == [alarm.id]
     state = rig.storage.state()
-    monkeypatch.setattr(rig.storage, "state", lambda: type(state)(state.schema, state.wanted_schema, 0, 100 * 10**6))
+    monkeypatch.setattr(rig.storage, "state", lambda: replace(state, free_bytes=100 * 10**6))
     rig.poll(is_thorough=True)
     assert rig.reported() == [("raised", True, "disk_full", "archive")]
 
@@ -151,19 +152,6 @@ def test_a_trip_alarms_until_it_is_reset_and_a_report_that_does_not_come_as_well
     keep_release(rig, driver)
     rig.poll()
     assert rig.reported() == [("returned", True, "control_tripped", "stop")]
-
-
-def test_an_upgrade_that_took_release_automatic_away_alarms_for_a_day(rig):
-    database = rig.storage._database
-    values = {"spacecraft_key": database.key("craft"), "at_us": START}
-    database.write(lambda connection: connection.execute(release_made_two_step.insert().values(values)))
-    rig.clock.us = START + MINUTE
-    rig.poll()
-    assert rig.reported() == [("raised", True, "release_changed", "two_step")]
-    rig.clock.us = START + 25 * HOUR
-    rig.poll()
-    assert ("returned", True, "release_changed", "two_step") in rig.reported()
-    assert rig.open_alarms()["release_changed", "two_step"].acknowledged is None
 
 
 def keep_release(rig, driver):

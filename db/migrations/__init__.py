@@ -1,4 +1,0 @@
-"""Schema migrations.
-
-Public: migrate.
-"""
