@@ -11,7 +11,7 @@ DOCS_STAMP := $(DOCS_VENV)/.installed
 DIST := build/dist
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help install install-dev run demo-check test test-all mutants console-check clients lint types imports locks check dist coverage bench nightly docs map hooks schema lock clean
+.PHONY: help install install-dev run demo-check test test-all mutants console-check clients lint types imports locks check dist coverage bench nightly docs map hooks schema archive lock clean
 
 help: ## show the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -123,6 +123,9 @@ hooks: $(DEV_STAMP) ## check every commit before it is made (.pre-commit-config.
 schema: $(STAMP) ## write the OpenAPI document and the client's types of its answers
 	$(BIN)/soo openapi --output docs/reference/openapi.json
 	$(BIN)/soo openapi --types --output service/client/documents.py
+
+archive: $(DEV_STAMP) ## make the archive new that the tests open and estimate from
+	PYTHONPATH=tests/fakes/worlds:tests/fakes/drivers:tests/fakes/ports $(BIN)/python -m fixture_archive
 
 lock: $(DEV_STAMP) ## resolve and pin again
 	$(BIN)/uv pip compile pyproject.toml --all-extras $(LOCK_OPTIONS) -o requirements.lock
