@@ -192,7 +192,6 @@ class CalibrationResult:
     warnings: tuple[str, ...]
     #: what the robust method computes with; None from a calibration of the paper method
     geometry: GeometryFit | None = None
-    #: None of a calibration made before signs were judged
     signs: SensorSigns | None = None
     #: None where the catalogue stated nothing of the momentum
     momentum: AxesCheck | None = None
@@ -254,15 +253,6 @@ class CarrierReference:
     change_since_calibration_db: float
 
 
-class ReferenceRule(StrEnum):
-    """Attitude to which a reference power of the paper method belongs."""
-
-    #: the angles of the window: its mean with the harmonic removed
-    WINDOW_MEAN = "window_mean"
-    #: zero attitude: the calibrated change at the sensors' angles is removed too
-    ZERO_ATTITUDE = "zero_attitude"
-
-
 @dataclass(frozen=True, slots=True)
 class Alignment:
     """An alignment of the archive; sets state and references of every method."""
@@ -287,9 +277,4 @@ class Alignment:
         "More than four sigma from the calibration. Their reference is that of the window alone; a level lower than "
         "in\nquiet days of the last three days is taken for wet, and the reference stays the calibrated one.",
     ] = ()
-    reference_rule: Annotated[
-        ReferenceRule,
-        "Of the paper method's references: `zero_attitude` (mean of the window less harmonic less the calibrated "
-        "change at\nthe sensors' angles), or `window_mean` (mean of the window less harmonic) of alignments of before.",
-    ] = ReferenceRule.WINDOW_MEAN
     warnings: Annotated[tuple[str, ...], "Gaps of the catalogue at the alignment and their cost in accuracy."] = ()

@@ -147,8 +147,7 @@ class Onboard:
     fast_loop: bool = False
     #: the on-board Forecast mode takes torques from the ground
     forecast_mode: bool = False
-    #: roll and yaw exchange at the orbital rate; None = unknown. Its default and the next one are those of a spacecraft
-    #: that was stored before the field could be unknown
+    #: roll and yaw exchange at the orbital rate; None = unknown, as in a request that leaves it out
     roll_yaw_coupling: bool | None = True
     #: size of the disturbance torque an axis that is not fed forward on board, N m; 0 = there is none, None = unknown
     residual_torque_n_m: float | None = 0.0

@@ -15,7 +15,6 @@ from service.records.calibration import (
     Calibration,
     CalibrationMethod,
     CarrierReference,
-    ReferenceRule,
     Window,
 )
 from service.records.catalogue import Ephemeris, Method
@@ -54,7 +53,6 @@ class AlignedPowers:
             references_by_method=self.references_by_method,
             calibration_by_method=self.calibration_by_method,
             changed_carriers=self.changed,
-            reference_rule=ReferenceRule.ZERO_ATTITUDE,
         )
 
 

@@ -178,7 +178,6 @@ async def test_alignment_is_told_field_by_field(bench, make):
         "references_by_method": {},
         "calibration_by_method": {},
         "changed_carriers": [],
-        "reference_rule": "window_mean",
         "warnings": [],
     }
     bench.align(make.now_us + 1)

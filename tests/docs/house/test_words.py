@@ -53,7 +53,7 @@ RETIRED = frozenset(
         "wreck",
     ]
 )
-#: words of the interface and of the archive stand as they are, and so does the alias of a command
+#: words of the interface and of the archive stand as they are
 KEPT = frozenset({"told_executed_us", "place_chi_square"})
 RETIRED_IN_DOCUMENTS = ("tidings", "anew", "whoever", "the craft", "other people's")
 #: nowhere in the code either: not in a comment, a docstring, a message or a test

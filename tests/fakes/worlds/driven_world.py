@@ -25,7 +25,7 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, ChainConfig
 from service.pipeline.inputs.documents import JournalDocuments
 from service.pipeline.inputs.reference_angles import smooth_angles
-from service.records.calibration import Alignment, ReferenceRule, Window
+from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
 from service.records.inputs import (
     AlignmentSet,
@@ -183,7 +183,6 @@ class DrivenWorld:
             window=window,
             references_by_method=aligned.references_by_method,
             calibration_by_method=aligned.calibration_by_method,
-            reference_rule=ReferenceRule.ZERO_ATTITUDE,
         )
         self.documents.alignments[number] = made
         return made

@@ -25,7 +25,6 @@ from service.records.calibration import (
     CalibrationMethod,
     CalibrationRequest,
     CalibrationState,
-    ReferenceRule,
     Window,
 )
 from service.records.catalogue import (
@@ -172,7 +171,6 @@ class ExportedWorld:
             "test",
             powers.references,
             window=window,
-            reference_rule=ReferenceRule.ZERO_ATTITUDE,
         )
         return _Documents(self._plan, self._ephemeris, calibration, alignment)
 

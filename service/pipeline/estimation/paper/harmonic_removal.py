@@ -12,7 +12,7 @@ import numpy as np
 from service.core.estimation.paper.harmonic import evaluate_harmonic
 from service.core.geometry.node_phase import node_phase_at_rad, node_phase_rad
 from service.pipeline.estimation.paper.snapshot_fix import answer_db, sensitivity_model
-from service.records.calibration import Alignment, Calibration, CarrierReference, ReferenceRule
+from service.records.calibration import Alignment, Calibration, CarrierReference
 from service.records.catalogue import Ephemeris, Method
 from service.records.levels.attitude import Deviation, FloatArray
 
@@ -60,8 +60,8 @@ def expected_power(
     """Return references and harmonic for a calibration under an alignment.
 
     When another calibration was active at the alignment (``aligned_with``), each reference is moved by the mean
-    difference of the two harmonics over the alignment window, and under the rule of zero attitude by that of the two
-    changes at the angles of the alignment: the mean power there stays what it was.
+    difference of the two harmonics over the alignment window, and by that of the two changes at the angles of the
+    alignment: the mean power there stays what it was.
     """
     carrier_ids = tuple(carrier.id for carrier in calibration.result.carriers) if calibration.result else ()
     references = {item.carrier: item.reference_dbm for item in references_of(alignment, method)}
@@ -71,11 +71,10 @@ def expected_power(
         old_ids = [carrier.id for carrier in aligned_with.result.carriers] if aligned_with.result else []
         old_db = dict(zip(old_ids, harmonic_db(aligned_with, ephemeris, instants).mean(axis=0), strict=True))
         new_db = harmonic_db(calibration, ephemeris, instants).mean(axis=0)
-        if alignment.reference_rule is ReferenceRule.ZERO_ATTITUDE:
-            turned = np.array([alignment.attitude_deg])
-            turned_db = answer_db(sensitivity_model(aligned_with), turned)[0]
-            old_db = {name: old_db[name] + float(turned_db[k]) for k, name in enumerate(old_ids)}
-            new_db = new_db + answer_db(sensitivity_model(calibration), turned)[0]
+        turned = np.array([alignment.attitude_deg])
+        turned_db = answer_db(sensitivity_model(aligned_with), turned)[0]
+        old_db = {name: old_db[name] + float(turned_db[k]) for k, name in enumerate(old_ids)}
+        new_db = new_db + answer_db(sensitivity_model(calibration), turned)[0]
         reference_dbm = reference_dbm + np.array([old_db.get(c, np.nan) for c in carrier_ids]) - new_db
     amplitude_db, phase_rad = harmonic_arrays(calibration)
     return ExpectedPower(carrier_ids, reference_dbm, amplitude_db, phase_rad)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from db.encoding.json_documents import decode, encode
 from service.api.schemas.alignments import AlignmentAnswer
 from service.errors import ConflictError, InvalidInputError, NotFoundError
-from service.records.calibration import Alignment, ReferenceRule, Window
+from service.records.calibration import Window
 from service.records.catalogue import Onboard
 from service.records.levels.attitude import Axes
 from service.runtime.jobs.alignment_service import AlignmentRequest
@@ -33,17 +32,10 @@ def test_a_window_of_the_star_tracker_gives_angles_and_references(ground):
     np.testing.assert_allclose(found.attitude_deg, 0.0, atol=1e-12)  # the tracker of this day reads zero
     assert (found.calibration_id, found.source, found.created_by) == (1, "star_tracker", "operator")
     assert {item.samples for item in found.references} == {30}
-    assert found.reference_rule is ReferenceRule.ZERO_ATTITUDE
     reference = [item.reference_dbm for item in found.references]
     # mean of thirty rows of 0.05 dB, and the harmonic's own error of two days: six sigma
     np.testing.assert_allclose(reference, ground.payload.level_dbm, atol=0.06)
     assert ground.storage.results.alignments(ground.id) == (found,)
-
-
-def test_an_alignment_stored_before_the_rule_was_stated_keeps_its_own(ground):
-    text = encode(ground.align()).replace(',"reference_rule":"zero_attitude"', "")
-    assert "reference_rule" not in text
-    assert decode(Alignment, text).reference_rule is ReferenceRule.WINDOW_MEAN
 
 
 def test_angles_stated_by_hand_take_the_powers_before_them(ground):

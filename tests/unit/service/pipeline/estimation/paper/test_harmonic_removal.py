@@ -14,7 +14,7 @@ from service.pipeline.estimation.paper.harmonic_removal import (
     references_of,
     remove_harmonic,
 )
-from service.records.calibration import CarrierReference, ReferenceRule
+from service.records.calibration import CarrierReference
 from service.records.catalogue import Method
 from service.records.levels.attitude import Axes
 
@@ -77,17 +77,15 @@ def test_a_new_calibration_keeps_the_mean_power_of_the_alignment_window(payload)
     assert np.abs(moved.reference_dbm - payload.level_dbm).max() > 0.05
 
 
-@pytest.mark.parametrize("rule", ReferenceRule)
-def test_a_new_calibration_moves_references_by_the_rule_of_their_alignment(payload, rule):
+def test_a_new_calibration_moves_references_by_the_change_at_the_angles_of_the_alignment(payload):
     old, angles = payload.calibration(1), np.array([0.2, -0.15, 0.2])
     new = replace(payload, plus=1.3 * payload.plus, minus=1.3 * payload.minus).calibration(2)
     made = payload.alignment(synthetic.START_US + synthetic.HOUR)
-    alignment = replace(made, attitude_deg=Axes(*angles), reference_rule=rule)
+    alignment = replace(made, attitude_deg=Axes(*angles))
     moved = expected_power(new, alignment, Method.PAPER, payload.ephemeris(), old)
     change_db = predict_deviation_db(payload.plus, payload.minus, angles)
     # the power in the window is the same, and 1.3 times the change belongs to its angles now
-    expected_db = -0.3 * change_db if rule is ReferenceRule.ZERO_ATTITUDE else 0.0 * change_db
-    np.testing.assert_allclose(moved.reference_dbm - payload.level_dbm, expected_db, atol=1e-12)
+    np.testing.assert_allclose(moved.reference_dbm - payload.level_dbm, -0.3 * change_db, atol=1e-12)
 
 
 def test_a_carrier_that_the_former_calibration_did_not_have_gets_no_reference(payload):

@@ -22,7 +22,7 @@ from service.composition.settings import Settings
 from service.records.levels.attitude import AttitudeRow
 from service.records.operations.audit import AuditEvent
 
-FOLDER = Path(__file__).resolve().parents[2] / "regression" / "archive"
+FOLDER = Path(__file__).resolve().parents[2] / "unit" / "db" / "archive"
 ARCHIVE, EXPECTED = FOLDER / "archive.db.xz", FOLDER / "expected.json"
 #: minutes of operation that the archive does not hold yet
 NEXT = range(141, 161)

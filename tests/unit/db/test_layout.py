@@ -5,6 +5,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
@@ -77,6 +78,15 @@ def test_an_archive_is_made_once(empty):
     engines = open_engines(empty)
     with engines.read.connect() as connection:
         assert connection.exec_driver_sql("SELECT id FROM spacecraft").scalars().all() == ["craft"]
+    engines.dispose()
+
+
+def test_two_services_that_start_together_make_one_archive(empty):
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(prepare, [empty] * 4)) == [None] * 4
+    engines = open_engines(empty)
+    with engines.read.connect() as connection:
+        assert connection.exec_driver_sql("SELECT number FROM archive_layout").scalars().all() == [LAYOUT]
     engines.dispose()
 
 
