@@ -144,7 +144,7 @@ def test_a_worker_process_that_is_killed_is_replaced_and_goes_on(busy, monkeypat
     whole, broken = (stored(busy, monkeypatch) for _ in range(2))
     run(busy, whole)
     results, workers = busy.storage.results, Workers(WorkerConfig(processes=1))
-    opened = partial(SqlStorage, busy.storage._url)
+    opened = partial(SqlStorage, str(busy.storage._database.engines.write.url))
     replayed = partial(replay_in_process, opened, ChainConfig())
     try:
         with ThreadPoolExecutor(1) as threads:
