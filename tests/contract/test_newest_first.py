@@ -177,6 +177,7 @@ def check(setting, random_of):
     assert min(sizes.values()) > 5, sizes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_pages_from_the_end_are_those_from_the_start_turned_round(setting, make, seed):
     print(f"seed {seed}")

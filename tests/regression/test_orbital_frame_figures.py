@@ -223,6 +223,7 @@ def test_everything_at_once_with_the_smallest_gains(fly: Fly) -> None:
     )
 
 
+@pytest.mark.slow
 def test_everything_at_once_with_the_largest_gains(fly: Fly) -> None:
     spacecraft = OrbitalFrameSpacecraft()
     correction = trimmed_correction_rad_s(spacecraft, 15_000.0, compiled_fly())

@@ -15,7 +15,7 @@ from service.study.closed_loop.plant_process import PlantProcess
 REVERSED = [word for axis in ("yaw", "roll", "pitch") for word in ("--response", f"{axis}=-1")]
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", range(1, 4))
 def test_reversed_torques_are_found_before_they_carry_roll_or_pitch_far(monkeypatch, seed):
     monkeypatch.setattr(run, "PlantProcess", lambda *arguments: PlantProcess(*arguments[:4], REVERSED))
     flight = run.fly_unit(run.LoopUnit("demo", seed, Sensing.AUTOMATIC, "ideal", 0.06)).flight

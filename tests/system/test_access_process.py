@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from service.cli.app import app
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 BASE = "/api/v1/spacecraft"
 #: a connection without a request is ended after so long

@@ -20,6 +20,9 @@ from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import Exclusion, Status
 
+#: days of rows in each storage
+pytestmark = pytest.mark.slow
+
 ALWAYS = 1 << 60
 STEP_US = 300_000_000
 DAYS = 4

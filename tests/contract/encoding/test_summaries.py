@@ -20,6 +20,9 @@ from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.measurement import CarrierDetails
 
+#: days of rows in each storage
+pytestmark = pytest.mark.slow
+
 ALWAYS = 1 << 60
 STEP_US = 300_000_000
 

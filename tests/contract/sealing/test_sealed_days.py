@@ -116,7 +116,7 @@ def some_batch(setting, make, dice, plans):
     )
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.parametrize("seed", range(3))
 def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypatch, seed):
     """Two spacecraft live the same life; days of one are sealed again and again, into segments of few rows."""
     monkeypatch.setattr(sealing, "SEGMENT_ROWS", 3 if seed % 2 else 10_800)

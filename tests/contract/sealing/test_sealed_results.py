@@ -105,7 +105,7 @@ def carriers_of(dice, count):
     return CarrierResults(dice.randint(1, 9), *levels_db, *words)
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 4))])
+@pytest.mark.parametrize("seed", range(4))
 def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypatch, seed):
     """Two spacecraft live the same life; results of one are sealed again and again, into segments of few rows."""
     monkeypatch.setattr(result_sealing, "SEGMENT_ROWS", 3 if seed % 2 else 4096)

@@ -239,7 +239,7 @@ def test_telemetry_comes_hourly(name: str) -> None:
     assert any(record["thrusters_active"] for record in records)
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", range(1, 4))
 def test_the_switch_is_told_with_the_first_row_of_the_other_analyzer(seed: int) -> None:
     # switches fall between rows
     story = World(scenario_named("prime_backup"), seed)

@@ -56,7 +56,7 @@ def live_and_die(station, rng):
     return is_killed
 
 
-@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(3, 30))])
+@pytest.mark.parametrize("seed", range(30))
 def test_the_rows_are_those_of_a_service_that_was_never_killed(
     seed, lived_archive, opened_archive, new_station, monkeypatch
 ):

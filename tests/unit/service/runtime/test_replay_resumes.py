@@ -20,6 +20,9 @@ from service.runtime.jobs.replay_run import ReplayRun, replay_in_process
 from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.chain_restart import state_of
 
+#: replays of a busy morning, again and again
+pytestmark = pytest.mark.slow
+
 BOTH = (Method.ROBUST, Method.PAPER)
 WANTED = Replay(0, at(1), at(300), None, None, 0, "journal", "", 0)
 

@@ -127,6 +127,7 @@ DAMAGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_checkpoint_that_does_not_fit_is_left_out(damage, lived_archive, opened_archive, new_station, steps, caplog):
     through, broken = new_station(lived_archive), new_station(opened_archive)

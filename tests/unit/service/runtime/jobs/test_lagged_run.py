@@ -11,6 +11,9 @@ from service.records.catalogue import Method
 from service.runtime.jobs import lagged_run
 from service.runtime.jobs.lagged_run import LaggedOrder, LaggedRun
 
+#: replays and smoothing of hours
+pytestmark = pytest.mark.slow
+
 LAG_US = 20 * MINUTE
 
 

@@ -13,6 +13,9 @@ from service.records.operations.job import Replay
 from service.runtime.jobs import replay_run
 from service.runtime.jobs.replay_run import ReplayRun, ReplaySpan
 
+#: replays of a busy morning, cut in many ways
+pytestmark = pytest.mark.slow
+
 WANTED = Replay(0, at(1), at(300), None, None, 0, "journal", "", 0)
 JOURNAL = pytest.param({}, id="as it was")
 FROM_THE_MIDDLE = pytest.param({"method": Method.ROBUST, "start_us": at(60), "stop_us": at(120)}, id="of the middle")

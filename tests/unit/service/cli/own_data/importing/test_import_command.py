@@ -19,6 +19,9 @@ from service.api.schemas.spacecraft import SpacecraftDocument
 from service.cli.own_data.importing import command
 from service.client.service_client import ServiceClient
 
+#: a service for each test
+pytestmark = pytest.mark.slow
+
 MINUTES = 40
 STATED = ("pegel.csv.tz=Asia/Yekaterinburg", "pegel.csv.unit=dBW", "star-tracker.csv.tz=UTC")
 DAY_FIRST = "pegel.csv.time_format=%d.%m.%Y %H:%M:%S"

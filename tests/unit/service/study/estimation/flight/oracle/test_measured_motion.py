@@ -12,6 +12,9 @@ from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED
 from service.study.estimation.flight.oracle.filter import oracle_series
 from service.study.estimation.flight.world import read_world
 
+#: a world of half a day for each story
+pytestmark = pytest.mark.slow
+
 SEEDS = (1, 2, 3, 4)
 #: most of yaw's sigma by powers alone that is left where motion is measured, after an hour
 LEFT = {"wheels": 0.55, "wheels_unstated": 0.7, "wheels_hourly": 0.9, "rates": 0.45, "polarized": 0.6}
