@@ -21,6 +21,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import urlencode
 
 import httpx
 import numpy as np
@@ -240,9 +241,10 @@ def _ask(service: Operated) -> None:
     """Print what the first questions of a shift take."""
     service.timed("first status", lambda: service.get("status"))
     service.timed("second status", lambda: service.get("status"))
-    for name, path in (("powers", "measurements/samples"), ("attitude", "attitude/samples")):
-        found = service.timed(f"chart of it all, {name}, 1000 intervals", partial(service.get, f"{path}?count=1000"))
-        print(f"    {len(str(found)) / 1e6:.1f} MB of text")
+    for name, quantities in (("powers", ("power_dbm",)), ("attitude", ("yaw_deg", "roll_deg", "pitch_deg"))):
+        path = f"samples?count=1000&{urlencode({'quantity': quantities}, doseq=True)}"
+        answer = service.timed(f"chart of it all, {name}, 1000 intervals", partial(service.get, path))
+        print(f"    {len(str(answer)) / 1e6:.1f} MB of text")
 
 
 def _replay(service: Operated) -> None:

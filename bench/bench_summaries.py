@@ -195,16 +195,14 @@ async def _answers(app: Any, intervals: int) -> dict[str, float]:
     """Return the processor time of each request."""
     times: dict[str, float] = {}
     transport = httpx.ASGITransport(app=app)
+    robust = f"method=robust&count={intervals}"
     headers = {"Authorization": f"Bearer {_KEY}"}
     async with httpx.AsyncClient(transport=transport, base_url="http://bench", headers=headers, timeout=600) as client:
         for name, path in (
             ("status", "status"),
-            ("samples, powers", f"measurements/samples?count={intervals}"),
-            ("samples, attitude", f"attitude/samples?count={intervals}&method=robust"),
-            (
-                "samples, carriers",
-                f"samples?quantity=deviation_db&quantity=residual_db&method=robust&count={intervals}",
-            ),
+            ("samples, powers", f"samples?quantity=power_dbm&count={intervals}"),
+            ("samples, attitude", f"samples?quantity=yaw_deg&{robust}&quantity=roll_deg&quantity=pitch_deg"),
+            ("samples, carriers", f"samples?quantity=deviation_db&{robust}&quantity=residual_db"),
         ):
             began = time.process_time()
             answer = await client.get(f"/api/v1/spacecraft/bench/{path}")

@@ -179,6 +179,7 @@ _RESULTS = {
     "export.parameter": "Leave the parameter out.",
     "range.unsatisfiable": "Ask for a range within the file, or for the whole.",
     "samples.count": "Ask for fewer intervals, or for fewer carriers.",
+    "samples.source": "Ask for power_dbm or c_n0_db_hz alone, or leave the source out.",
     "samples.rows": "Ask for a shorter range, or for power_dbm and deviation_db: it is their difference.",
 }
 _CONTROL = {

@@ -31,7 +31,6 @@ from service.api.routes import (
     notes,
     operations,
     replays,
-    sampled_quantities,
     samples,
     session,
     sources,
@@ -57,7 +56,6 @@ ROUTERS: tuple[APIRouter, ...] = (
             status,
             measurements,
             samples,
-            sampled_quantities,
             timeline,
             traces,
         )

@@ -5,7 +5,7 @@ from fastapi import APIRouter
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.method_parameters import check_method
 from service.api.protocol.paging import EVERYTHING, StartParameter, StopParameter, window_of
-from service.api.routes.sampled_quantities import MethodsParameter
+from service.api.routes.samples import MethodsParameter
 from service.api.schemas.timeline import TimelineAnswer
 from service.api.views.timeline import Timeline
 from service.ports import LIVE

@@ -1,10 +1,9 @@
-"""Reports on intervals of the archive: manifests of exports, gaps, samples."""
+"""Reports on intervals of the archive: manifests of exports, gaps."""
 
-from typing import Literal, Self
+from typing import Literal
 
 from service.api.schemas.base import Answer, EpochAnswer, WindowAnswer
 from service.api.schemas.record_answers import members_of
-from service.core.rows.sample_bins import Samples
 from service.records.catalogue import Method
 from service.records.levels.series import SourceState
 
@@ -36,56 +35,6 @@ class ManifestAnswer(Answer):
     """Of attitude and torques."""
     parts: list[PartAnswer]
     next: str | None
-
-
-class SampleAnswer(Answer):
-    """One interval that holds a value."""
-
-    epoch: EpochAnswer
-    """Begin of the interval."""
-    n: int
-    avg: float
-    min: float
-    max: float
-    min_epoch: EpochAnswer
-    """First row that holds the least value."""
-    max_epoch: EpochAnswer
-
-    @classmethod
-    def all_of(cls, samples: Samples) -> list[Self]:
-        """Return the answers for the intervals of a column."""
-        columns = (
-            samples.starts_us,
-            samples.counts,
-            samples.means,
-            samples.minima,
-            samples.maxima,
-            samples.minimum_epochs_us,
-            samples.maximum_epochs_us,
-        )
-        names = tuple(cls.model_fields)
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        return [cls.model_validate(dict(zip(names, row, strict=True))) for row in rows]
-
-
-class AttitudeSamples(Answer):
-    """Attitude in intervals of equal length; intervals without a value are left out."""
-
-    range: WindowAnswer
-    method: Method
-    version: str
-    yaw_deg: list[SampleAnswer]
-    roll_deg: list[SampleAnswer]
-    pitch_deg: list[SampleAnswer]
-
-
-class MeasurementSamples(Answer):
-    """Levels in intervals of equal length by carrier id; intervals without a level are left out."""
-
-    range: WindowAnswer
-    source: str | None
-    """Null = rows of every source."""
-    power_dbm: dict[str, list[SampleAnswer]]
 
 
 class GapAnswer(Answer):

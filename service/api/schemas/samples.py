@@ -68,6 +68,8 @@ class SampledQuantities(Answer):
     """Length of each: whole seconds, minutes, hours or days of UTC."""
     version: str
     """Of what was computed."""
+    source: str | None
+    """Source of the rows of powers and C/N0; null = of every source."""
     epochs: list[EpochAnswer]
     """Begins of the intervals in which any of the quantities has a value."""
     series: list[SampledSeries]

@@ -130,6 +130,7 @@ class ResultEndpoints:
         *,
         methods: Sequence[str] = (),
         carriers: Sequence[str] = (),
+        source: str | None = None,
         version: str | None = None,
         count: int = 500,
     ) -> Call[Json]:
@@ -145,13 +146,15 @@ class ResultEndpoints:
             RFC 3339 text or microseconds UTC; default the first and the newest row.
         methods, carriers : sequence of str
             Default all.
+        source : str, optional
+            Only rows of this source, of powers and C/N0; default every source.
         version : str, optional
             ``live`` or the version of a replay.
         count : int
             Intervals that the span is cut into.
         """
         params = {**epochs(start=start, stop=stop), "quantity": list(quantities), "version": version, "count": count}
-        params |= {"method": list(methods) or None, "carrier": list(carriers) or None}
+        params |= {"method": list(methods) or None, "carrier": list(carriers) or None, "source": source}
         return Call("GET", below(spacecraft_id, "/samples"), params=params)
 
     @endpoint

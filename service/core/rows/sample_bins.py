@@ -9,7 +9,6 @@ a value. Least and greatest value are kept as they are: no peak is lost however 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
@@ -17,29 +16,11 @@ from numpy.typing import NDArray
 
 from service.core.rows.summaries import Summaries
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 #: lengths of whole intervals, s; longer ones are whole days
 _BELOW_HOUR_S = (1, 2, 5, 10, 15, 20, 30, 60, 120, 300, 600, 900, 1200, 1800)
 _WHOLE_S = (*_BELOW_HOUR_S, 3600, 7200, 10_800, 14_400, 21_600, 28_800, 43_200)
 _DAY_S = 86_400
-
-
-@dataclass(frozen=True, slots=True)
-class Samples:
-    """Intervals of one column that hold a value, in order."""
-
-    #: (B,) microseconds UTC, begin of each interval
-    starts_us: IntArray
-    #: (B,) values, each at least 1
-    counts: IntArray
-    #: (B,)
-    means: FloatArray
-    minima: FloatArray
-    maxima: FloatArray
-    #: (B,) microseconds UTC, first row that holds the extreme
-    minimum_epochs_us: IntArray
-    maximum_epochs_us: IntArray
 
 
 def whole_intervals(start_us: int, stop_us: int, most: int) -> tuple[int, int, int]:
@@ -119,21 +100,6 @@ class SampleBins:
     def hold(self, first_us: IntArray, last_us: IntArray) -> NDArray[np.bool_]:
         """Return which of some stretches lie within one interval each, or outside the span."""
         return np.asarray(self._owners(first_us) == self._owners(last_us))
-
-    def samples(self, column: int) -> Samples:
-        """Return the intervals of a column that hold a value."""
-        positions = np.flatnonzero(self._held.counts[:, column])
-        held = self._held.at(positions)
-        counts = held.counts[:, column]
-        return Samples(
-            self._bounds_us[positions],
-            counts,
-            held.sums[:, column] / counts,
-            held.minima[:, column],
-            held.maxima[:, column],
-            held.minimum_us[:, column],
-            held.maximum_us[:, column],
-        )
 
     def all_intervals(self) -> Summaries:
         """Return what every interval holds, in order, those without a row among them; ``first_us`` is its begin."""

@@ -132,7 +132,7 @@ QUERIES = {
         "cursor.invalid",
         ["/query/cursor"],
     ),
-    "samples, count": ("/attitude/samples?count=0", 422, "value.range", ["/query/count"]),
+    "samples, count": ("/samples?quantity=roll_deg&count=0", 422, "value.range", ["/query/count"]),
     "gaps, reversed": (
         "/archive/gaps?start=2026-11-17T03:00:00Z&stop=2026-11-16T03:00:00Z",
         422,

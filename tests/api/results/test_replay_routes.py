@@ -59,7 +59,7 @@ async def test_a_replay_says_whether_it_smooths(bench, make):
 
 async def test_live_rows_are_never_smoothed_ones(bench, make):
     bench.append([make.now_us - 60 * make.s])
-    for path in ("attitude", "attitude/history", "attitude/samples", "archive/attitude:export", "timeline", "samples"):
+    for path in ("attitude", "attitude/history", "archive/attitude:export", "timeline", "samples"):
         answer = await bench.client.get(
             f"{bench.url}/{path}", params={"method": "robust_smoothed", "quantity": "roll_deg", "format": "csv"}
         )

@@ -22,58 +22,77 @@ async def test_history_samples_and_export_count_the_same_rows(bench, make):
     levels = rng.uniform(-60.0, -40.0, (len(epochs), 6)).astype(np.float32)
     levels[rng.random(levels.shape) < 0.1] = np.nan
     bench.append(epochs.tolist(), levels)
-    reported = await bench.get("/measurements/samples", count=37)
+    answer = await bench.get("/samples", quantity="power_dbm", count=37)
     history = await bench.get("/measurements/history", limit=10_000)
     exported = (await bench.client.get(f"{bench.url}/archive/measurements:export")).text.splitlines()
     assert len(history["rows"]) == len(exported) - 1 == len(epochs)
-    assert reported["range"] == {"start": format_epoch(int(epochs[0])), "stop": format_epoch(int(epochs[-1]) + 1)}
-    for k in range(6):
-        samples, column = reported["power_dbm"][f"c{k:02d}"], levels[:, k]
-        assert sum(each["n"] for each in samples) == np.isfinite(column).sum()
-        assert max(each["max"] for each in samples) == np.nanmax(column)
-        assert min(each["min"] for each in samples) == np.nanmin(column)
-        peak = next(each for each in samples if each["max"] == np.nanmax(column))
-        assert peak["max_epoch"] == format_epoch(int(epochs[np.nanargmax(column)]))
-        mean = sum(each["n"] * each["avg"] for each in samples) / np.isfinite(column).sum()
-        assert mean == pytest.approx(np.nanmean(column.astype(float)), abs=1e-9)
+    begin_us, end_us = (parse_epoch(answer["range"][end]) for end in ("start", "stop"))
+    assert (answer["interval_s"], answer["source"]) == (21_600, None)
+    # open ends are those of the rows, widened to whole intervals
+    assert begin_us <= epochs[0] < begin_us + 21_600 * make.s
+    assert end_us - 21_600 * make.s <= epochs[-1] < end_us
+    by_name = series_of(answer)
+    assert list(by_name) == [("power_dbm", None, f"c{k:02d}") for k in range(6)]
+    for k, samples in enumerate(by_name.values()):
+        column = levels[:, k]
+        counts, means, least, greatest, _, greatest_epochs = zip(*(each[1:] for each in samples), strict=True)
+        assert sum(counts) == np.isfinite(column).sum()
+        assert (max(greatest), min(least)) == (np.nanmax(column), np.nanmin(column))
+        assert greatest_epochs[greatest.index(max(greatest))] == format_epoch(int(epochs[np.nanargmax(column)]))
+        assert np.average(means, weights=counts) == pytest.approx(np.nanmean(column.astype(float)), abs=1e-9)
 
 
 async def test_samples_of_one_source_and_some_carriers(bench, make):
     bench.append([make.now_us, make.now_us + make.s], -42.0)
-    bench.append([make.now_us], -50.0, source="sa-2")
-    reported = await bench.get("/measurements/samples", source="sa-2", carrier=["c01", "c03", "none"], count=1)
-    assert {name: [(each["n"], each["avg"]) for each in rows] for name, rows in reported["power_dbm"].items()} == {
-        "c01": [(1, -50.0)],
-        "c03": [(1, -50.0)],
-    }
-    both = await bench.get("/measurements/samples", count=1)
-    assert both["power_dbm"]["c00"][0]["n"] == 3
+    bench.append([make.now_us - 60 * make.s], -50.0, source="sa-2")
+    chosen = {"quantity": "power_dbm", "carrier": ["c01", "c03", "none"], "count": 1}
+    backup = await bench.get("/samples", source="sa-2", **chosen)
+    assert [(each["carrier"], each["n"], each["avg"]) for each in backup["series"]] == [
+        ("c01", [1], [-50.0]),
+        ("c03", [1], [-50.0]),
+    ]
+    # open ends are those of the rows of the source
+    second_of_row = (make.now_us // make.s - 60) * make.s
+    whole = {"start": format_epoch(second_of_row), "stop": format_epoch(second_of_row + make.s)}
+    assert (backup["source"], backup["interval_s"], backup["range"]) == ("sa-2", 1, whole)
+    assert [each["n"] for each in (await bench.get("/samples", **chosen))["series"]] == [[3], [3]]
+    nothing = await bench.get("/samples", source="sa-3", **chosen)
+    assert nothing["epochs"] == []
+
+
+@pytest.mark.parametrize("quantity", ["roll_deg", "yaw_impulse_n_m_s", "residual_db", "expected_dbm"])
+async def test_a_result_has_no_source(bench, make, quantity):
+    bench.append([make.now_us], -42.0)
+    params = {"quantity": ["power_dbm", quantity], "source": "sa-1"}
+    refusal = await bench.refused("GET", f"/spacecraft/{make.sc}/samples", params=params)
+    assert refusal == (422, "samples.source", ["/query/source"])
 
 
 async def test_samples_of_attitude(bench, make):
-    rows = bench.append([make.now_us + k * make.s for k in range(10)])
+    begin_us = make.now_us // (5 * make.s) * 5 * make.s
+    rows = bench.append([begin_us + k * make.s for k in range(10)])
     angles = [Axes(0.1 * k, -0.2, 0.0) if k != 4 else NO_ANGLES for k in range(10)]
     bench.consume([Outcome((make.row(row, attitude_deg=axes),), None) for row, axes in zip(rows, angles, strict=True)])
-    span = {"start": format_epoch(make.now_us), "stop": format_epoch(make.now_us + 10 * make.s)}
-    reported = await bench.get("/attitude/samples", count=2, **span)
-    assert (reported["method"], reported["version"], reported["range"]) == ("paper", "live", span)
-    assert [each["n"] for each in reported["yaw_deg"]] == [4, 5]
-    assert reported["yaw_deg"][1]["epoch"] == format_epoch(make.now_us + 5 * make.s)
-    assert (reported["yaw_deg"][1]["max"], reported["yaw_deg"][1]["max_epoch"]) == (
-        0.9,
-        format_epoch(make.now_us + 9 * make.s),
-    )
-    assert [(each["min"], each["max"]) for each in reported["roll_deg"]] == [(-0.2, -0.2)] * 2
-    version = bench.replay()
-    empty = await bench.get("/attitude/samples", version=version)
-    assert empty["yaw_deg"] == []
+    span = {"start": format_epoch(begin_us), "stop": format_epoch(begin_us + 10 * make.s)}
+    chosen = {"quantity": ["yaw_deg", "roll_deg"], "method": "paper"}
+    answer = await bench.get("/samples", count=2, **chosen, **span)
+    assert (answer["version"], answer["range"], answer["interval_s"]) == ("live", span, 5)
+    yaw, roll = answer["series"]
+    assert (yaw["n"], roll["n"]) == ([4, 5], [4, 5])
+    assert answer["epochs"][1] == format_epoch(begin_us + 5 * make.s)
+    assert (yaw["max"][1], yaw["max_epoch"][1]) == (0.9, format_epoch(begin_us + 9 * make.s))
+    assert roll["min"] == roll["max"] == [-0.2] * 2
+    empty = await bench.get("/samples", version=bench.replay(), **chosen)
+    assert [(each["quantity"], each["n"]) for each in empty["series"]] == [("yaw_deg", []), ("roll_deg", [])]
 
 
 async def test_too_many_cells_are_refused(bench, make):
     plan = bench.storage.catalogue.put_plan(make.sc, [make.carrier(k) for k in range(60)], "wide")
-    bench.append([make.now_us], -50.0, plan_id=plan.id)
-    refusal = await bench.refused("GET", f"/spacecraft/{make.sc}/measurements/samples", params={"count": 10_000})
-    assert refusal == (422, "samples.count", ["/query/count"])
+    bench.append([make.now_us, make.now_us + 9000 * make.s], -50.0, plan_id=plan.id)
+    for chosen in ({"quantity": "power_dbm"}, {"quantity": "residual_db", "method": "robust"}):
+        params = {"count": 10_000, **chosen}
+        refusal = await bench.refused("GET", f"/spacecraft/{make.sc}/samples", params=params)
+        assert refusal == (422, "samples.count", ["/query/count"])
 
 
 async def test_gaps_are_told_with_the_rows_that_are_missing(bench, make):
@@ -183,8 +202,8 @@ async def test_quantities_are_those_of_the_rows(bench, make, seed):
         for (quantity, method, carrier), samples in found.items():
             pairs = [(row.epoch_us, value_of(quantity, method, carrier, row, rows, each)) for row, rows, each in held]
             assert samples == plain_samples(pairs, *bounds_us, interval_us), quantity
-        asked = {"quantity": quantities, "carrier": ["c01", "c04"], "count": count, **span}
-        without = await bench.get("/samples", extreme_epochs=False, **asked)
+        chosen = {"quantity": quantities, "carrier": ["c01", "c04"], "count": count, **span}
+        without = await bench.get("/samples", extreme_epochs=False, **chosen)
         for each in reported["series"]:
             each["min_epoch"] = each["max_epoch"] = []
         assert without == reported
@@ -205,24 +224,18 @@ def value_of(quantity, method, carrier, row, rows, carriers):
     return of.attitude_deg.pitch if quantity == "pitch_deg" else float(getattr(of, quantity))
 
 
-async def test_quantities_of_nothing_and_too_many(bench, make):
+async def test_quantities_of_nothing(bench):
     for version in ("live", bench.replay()):
         quantities = ["yaw_deg", "yaw_impulse_n_m_s", "residual_db", "power_dbm"]
         empty = await bench.get("/samples", quantity=quantities, version=version)
         assert empty["epochs"] == []
         assert all(each["n"] == [] for each in empty["series"])
-    plan = bench.storage.catalogue.put_plan(make.sc, [make.carrier(k) for k in range(60)], "wide")
-    bench.append([make.now_us], -50.0, plan_id=plan.id)
-    span = {"start": format_epoch(make.now_us), "stop": format_epoch(make.now_us + 9000 * make.s)}
-    params = {"count": 10_000, "quantity": "residual_db", "method": "robust", **span}
-    refusal = await bench.refused("GET", f"/spacecraft/{make.sc}/samples", params=params)
-    assert refusal == (422, "samples.count", ["/query/count"])
 
 
 async def test_expected_levels_of_too_many_rows(bench, make, monkeypatch):
     """The bound is on rows, the answer names what to ask for in their place."""
-    monkeypatch.setattr("service.api.routes.sampled_quantities._EXPECTED_ROWS", 5)
-    monkeypatch.setattr("service.api.routes.sampled_quantities._PAGE_ROWS", 2)
+    monkeypatch.setattr("service.api.routes.samples._EXPECTED_ROWS", 5)
+    monkeypatch.setattr("service.api.routes.samples._PAGE_ROWS", 2)
     bench.append([make.now_us + k for k in range(5)], -50.0)
     within = await bench.get("/samples", quantity="expected_dbm", count=1)
     assert (within["epochs"], within["series"]) == ([], [])

@@ -75,7 +75,7 @@ async def test_nothing_of_the_present_is_touched(bench, make, store):
     assert len(made) == 1
 
 
-@pytest.mark.parametrize("path", ["attitude/history", "archive/attitude:export", "samples", "attitude/samples"])
+@pytest.mark.parametrize("path", ["attitude/history", "archive/attitude:export", "samples"])
 async def test_other_methods_have_no_rows_in_it(bench, store, path):
     store(30)
     for method in ("robust", "paper"):

@@ -2,7 +2,6 @@
 
 import math
 import random
-from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -42,13 +41,12 @@ def change(setting, statement):
     setting.storage._database.write(lambda connection: connection.execute(statement))
 
 
-def equal(found, wanted, columns):
-    """Compare samples: all but the means to the last bit."""
-    for column in range(columns):
-        one, other = astuple(found.samples(column)), astuple(wanted.samples(column))
-        np.testing.assert_allclose(one[2], other[2], rtol=1e-12, atol=1e-12)
-        for position in (0, 1, 3, 4, 5, 6):
-            np.testing.assert_array_equal(one[position], other[position])
+def equal(found, wanted):
+    """Compare samples: all but the sums to the last bit."""
+    one, other = (bins.all_intervals()._asdict() for bins in (found, wanted))
+    np.testing.assert_allclose(one.pop("sums"), other.pop("sums"), rtol=1e-12, atol=1e-9)
+    for name, values in one.items():
+        np.testing.assert_array_equal(values, other[name], name)
 
 
 def check_powers(setting, window, count, source=None):
@@ -65,7 +63,7 @@ def check_powers(setting, window, count, source=None):
             found.add_summaries(buckets, np.array(plans.get(plan_id, [2, 1, 0])))
         values = [getattr(each, figure)[of] for each, of in zip(those, columns, strict=True)]
         wanted.add(epochs_us, np.array(values).reshape(-1, 3))
-        equal(found, wanted, 3)
+        equal(found, wanted)
     return found
 
 
@@ -86,7 +84,7 @@ def check_attitude(setting, window, count, method=Method.ROBUST, version=LIVE):
             found.add_summaries(buckets)
         values = np.array([figures_of(row)[:columns] for row in rows], dtype=np.float64)
         wanted.add(epochs_us, values.reshape(-1, columns))
-        equal(found, wanted, columns)
+        equal(found, wanted)
     check_carriers(setting, window, count, method, version)
     return found
 
@@ -103,7 +101,7 @@ def check_carriers(setting, window, count, method, version):
         bins.add(np.array([epoch_us]), np.concatenate((each.deviation_db, each.residual_db))[None])
     for plan_id in found.keys() | wanted.keys():
         none = SampleBins(window.start_us, window.stop_us, count, 6)
-        equal(found.get(plan_id, none), wanted.get(plan_id, none), 6)
+        equal(found.get(plan_id, none), wanted.get(plan_id, none))
 
 
 def carriers_of(dice, row):
@@ -193,14 +191,14 @@ def test_closed_days_are_read_from_summaries(summed, monkeypatch):
         summed.storage._database, archive._database.key(summed.id), "robust", lambda *_: [], span, angles
     ):
         angles.add_summaries(buckets)
-    equal(powers, plain[0], 3)
-    equal(angles, plain[1], 3)
+    equal(powers, plain[0])
+    equal(angles, plain[1])
     # of intervals that are whole hours all figures, and those of the carriers
     monkeypatch.setattr("db.results.results.SqlResults._carrier_rows", lambda *_: [])
     hours = SampleBins(span.start_us, span.stop_us, 48, 6)
     for _, buckets in summed.storage.results.sampled_carriers(summed.id, LIVE, Method.ROBUST, span, hours):
         hours.add_summaries(buckets)
-    assert sum(int(hours.samples(column).counts.sum()) for column in range(6)) > 2 * 288 * 6 * 0.7
+    assert int(hours.all_intervals().counts.sum()) > 2 * 288 * 6 * 0.7
 
 
 def test_c_n0_of_closed_days_is_read_from_summaries(setting, monkeypatch):
@@ -215,9 +213,9 @@ def test_c_n0_of_closed_days_is_read_from_summaries(setting, monkeypatch):
     read = setting.storage.archive.sampled_measurements(setting.id, Window(0, 2 * DAY_US), hours, None, "c_n0_db_hz")
     for _, buckets in read:
         hours.add_summaries(buckets)
-    assert [int(hours.samples(k).counts.sum()) for k in range(3)] == [0, 288, 288]
-    assert hours.samples(1).starts_us[0] == DAY_US
-    assert set(hours.samples(2).means) == {81.5}
+    samples = hours.all_intervals()
+    assert samples.counts.tolist() == 24 * [[0, 0, 0]] + 24 * [[0, 12, 12]]
+    assert set(samples.sums[24:, 2]) == {12 * 81.5}
 
 
 def test_an_archive_without_summaries_is_answered_from_rows_until_it_has_them(summed):
@@ -282,7 +280,7 @@ def test_a_late_row_while_its_day_is_summarised(summed, make, monkeypatch):
     monkeypatch.setattr(attitude_summaries, "day_blobs", read_then_late)
     list(summed.storage.results.complete_summaries(summed.id, ALWAYS))
     check_powers(summed, Window(0, 3 * DAY_US), 50)
-    assert max(check_attitude(summed, Window(0, 3 * DAY_US), 50).samples(0).maxima) == 9.0
+    assert check_attitude(summed, Window(0, 3 * DAY_US), 50).all_intervals().maxima[:, 0].max() == 9.0
     monkeypatch.undo()
     assert sum(summed.storage.results.complete_summaries(summed.id, ALWAYS)) > 0
     check_attitude(summed, Window(0, 3 * DAY_US), 50)
@@ -319,7 +317,7 @@ def test_a_version_of_a_replay_is_read_from_its_rows(summed, make):
     rows = summed.rows()[:200]
     summed.consume([Outcome((make.attitude_row(row),), None) for row in rows], "replay-1")
     found = check_attitude(summed, Window(0, 3 * DAY_US), 20, version="replay-1")
-    assert found.samples(0).counts.sum() == 200
+    assert found.all_intervals().counts[:, 0].sum() == 200
 
 
 def test_the_first_count_of_a_process_begins_where_the_last_one_ended(summed, make, monkeypatch):

@@ -36,11 +36,12 @@ def counts(setting):
         angles.add_summaries(buckets)
     for sampled in setting.storage.archive.sampled_measurements(setting.id, SPAN, powers):
         powers.add_summaries(sampled.buckets)
-    samples = angles.samples(0)
+    samples = angles.all_intervals()
+    is_filled = samples.counts > 0
     # of each row the value is its epoch: a row that is counted twice, or with another one's value, changes these
-    np.testing.assert_array_equal(samples.maxima, samples.maximum_epochs_us / 1e6)
-    np.testing.assert_array_equal(samples.minima, samples.minimum_epochs_us / 1e6)
-    return [int(bins.samples(0).counts.sum()) for bins in (levels, angles, powers)]
+    np.testing.assert_array_equal(samples.maxima[is_filled], samples.maximum_us[is_filled] / 1e6)
+    np.testing.assert_array_equal(samples.minima[is_filled], samples.minimum_us[is_filled] / 1e6)
+    return [int(bins.all_intervals().counts[:, 0].sum()) for bins in (levels, angles, powers)]
 
 
 def test_samples_are_those_of_a_moment(setting, make):

@@ -54,24 +54,37 @@ def queries() -> list[dict[str, Any]]:
     return [json.loads(text) for text in blocks("json")]
 
 
+def gjson(path: str, answer: Any) -> list[Any]:
+    """Return what a path of GJSON selects: names and positions to a list, or named lists that are joined to rows."""
+    multiple = re.fullmatch(r"\{(.+)\}\|@group", path)
+    if multiple is None:
+        for name in path.split("."):
+            answer = answer[int(name) if name.isdecimal() else name]
+        assert isinstance(answer, list)
+        return answer
+    # the last part of a path is its name where none is stated
+    parts = [part.rpartition(":") for part in multiple.group(1).split(",")]
+    columns = {name.strip('"') or of.rpartition(".")[2]: gjson(of, answer) for name, _, of in parts}
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
 def infinity_rows(query: dict[str, Any], answer: Any) -> list[dict[str, Any]]:
-    """Return the columns of a query: a path of names to a list, selectors in each entry, values by their types."""
-    found = answer
-    for name in query["root_selector"].split("."):
-        found = found[name]
-    assert isinstance(found, list)
+    """Return the columns of a query: rows of the root, selectors in each, values by their types."""
     types = {"timestamp": datetime.fromisoformat, "number": float, "string": str}
-    return [{each["text"]: types[each["type"]](row[each["selector"]]) for each in query["columns"]} for row in found]
+    return [
+        {each["text"]: types[each["type"]](row[each["selector"]]) for each in query["columns"]}
+        for row in gjson(query["root_selector"], answer)
+    ]
 
 
-def ask(sent: httpx.Client, ground: ReleaseGround, query: dict[str, Any]) -> list[dict[str, Any]]:
+def ask(sent: httpx.Client, ground: ReleaseGround, query: dict[str, Any], **others: str) -> list[dict[str, Any]]:
     """Send a query for the last hour, as the macros of the span put it, and return its rows."""
     # the macros give milliseconds
     ends = [re.sub(r"\d{3}Z$", "Z", ground.epoch(late_s)) for late_s in (-3600, 60)]
     span = dict(zip(("${__timeFrom:date:iso}", "${__timeTo:date:iso}"), ends, strict=True))
     params = {each["key"]: span.get(each["value"], each["value"]) for each in query["url_options"]["params"]}
     assert [params["start"], params["stop"]] == ends
-    answer = sent.request(query["url_options"]["method"], query["url"], params=params)
+    answer = sent.request(query["url_options"]["method"], query["url"], params={**params, **others})
     assert answer.status_code == 200, answer.text
     return infinity_rows(query, answer.json())
 
@@ -89,7 +102,7 @@ def test_queries_are_of_the_provisioned_source() -> None:
 
 @pytest.mark.parametrize(("axis", "truth_deg"), [("roll_deg", ROLL_DEG), ("pitch_deg", 0.0)])
 def test_angles_follow_the_turn(sent, ground, axis, truth_deg) -> None:
-    rows = ask(sent, ground, {**queries()[0], "root_selector": axis})
+    rows = ask(sent, ground, queries()[0], quantity=axis)
     assert len(rows) == TURNED_ROWS
     times = [row["time"] for row in rows]
     assert times == sorted(times)

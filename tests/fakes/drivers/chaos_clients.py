@@ -254,8 +254,9 @@ def compare(client: httpx.Client, wanted: dict[tuple[str, int], list[float]]) ->
     lines = list(csv.DictReader(line for line in table.splitlines() if not line.startswith("#")))
     exported = Counter((line["source"], line["epoch"]) for line in lines)
     assert exported == reported
-    samples = client.get(f"{BASE}/sim-1/measurements/samples", params={**WINDOW, "count": 50}, timeout=120).json()
-    sampled = {name: sum(each["n"] for each in bins) for name, bins in samples["power_dbm"].items()}
+    params = {**WINDOW, "quantity": "power_dbm", "count": 50}
+    samples = client.get(f"{BASE}/sim-1/samples", params=params, timeout=120).json()
+    sampled = {each["carrier"]: sum(each["n"]) for each in samples["series"]}
     assert set(sampled.values()) == {len(wanted)}, sampled
     return {"history": len(rows), "export": len(lines), "samples": len(wanted)}
 

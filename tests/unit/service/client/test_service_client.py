@@ -144,10 +144,12 @@ def test_samples_and_timeline_repeat_lists_and_leave_out_what_is_not_asked() -> 
 
     with client(handle) as made:
         made.samples("x", ["roll_deg", "power_dbm"], 0, carriers=["c00", "c01"], count=7)
+        made.samples("x", ["power_dbm"], 0, source="sa-2")
         made.timeline("x", stop="2026-11-21T03:00:00Z", methods=["robust"])
     start = "start=1970-01-01T00%3A00%3A00.000000Z"
     assert seen == [
         f"{start}&quantity=roll_deg&quantity=power_dbm&count=7&carrier=c00&carrier=c01",
+        f"{start}&quantity=power_dbm&count=500&source=sa-2",
         "stop=2026-11-21T03%3A00%3A00Z&method=robust",
     ]
 

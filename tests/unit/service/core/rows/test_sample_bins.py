@@ -22,29 +22,21 @@ def test_every_row_is_counted_once_in_its_interval(seed: int, count: int, rows: 
     bins.add(epochs_us[:cut], values[:cut])
     bins.add(epochs_us[cut:], values[cut:])
     positions = np.array([(each - start_us) * count // span_us for each in epochs_us.tolist()])
-    for column in range(2):
-        samples = bins.samples(column)
-        reported = zip(samples.starts_us.tolist(), samples.counts.tolist(), strict=True)
-        held = values[:, column]
-        wanted = []
-        for position in range(count):
-            inside = (positions == position) & np.isfinite(held)
-            if inside.any():
-                begin = start_us + -(-position * span_us // count)
-                wanted.append((begin, int(inside.sum())))
-        assert list(reported) == wanted
-        for k, begin_us in enumerate(samples.starts_us.tolist()):
-            position = (begin_us - start_us) * count // span_us
-            inside = (positions == position) & np.isfinite(held)
+    samples = bins.all_intervals()
+    assert samples.first_us.tolist() == [start_us + -(-position * span_us // count) for position in range(count)]
+    for column, position in np.ndindex(2, count):
+        inside = (positions == position) & np.isfinite(values[:, column])
+        level, cell = values[inside, column], (position, column)
+        assert samples.counts[cell] == len(level)
+        if len(level):
             # float64 sums of float32: the order of adding changes the last digits
-            assert samples.means[k] == pytest.approx(held[inside].astype(float).mean(), rel=1e-12, abs=1e-12)
-            assert samples.minima[k] == held[inside].min()
-            assert samples.maxima[k] == held[inside].max()
-            assert samples.minimum_epochs_us[k] == epochs_us[inside][held[inside].argmin()]
-            assert samples.maximum_epochs_us[k] == epochs_us[inside][held[inside].argmax()]
+            assert samples.sums[cell] == pytest.approx(level.astype(float).sum(), rel=1e-12, abs=1e-12)
+            assert (samples.minima[cell], samples.maxima[cell]) == (level.min(), level.max())
+            assert samples.minimum_us[cell] == epochs_us[inside][level.argmin()]
+            assert samples.maximum_us[cell] == epochs_us[inside][level.argmax()]
 
 
 def test_no_rows_no_samples() -> None:
     bins = SampleBins(0, 10, 5, 1)
     bins.add(np.empty(0, dtype=np.int64), np.empty((0, 1)))
-    assert len(bins.samples(0).counts) == 0
+    assert bins.all_intervals().counts.tolist() == [[0]] * 5
