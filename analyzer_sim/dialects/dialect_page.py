@@ -140,11 +140,6 @@ def _code(text: str) -> str:
     return "`" + text.replace("|", "\\|") + "`"
 
 
-def _form(parameters: tuple[Parameter, ...], optional: int = 0) -> str:
-    """Return what a form of a header takes; parameters of which ``optional`` may be left out stand in parentheses."""
-    return _code(_parameters(parameters, optional)) if parameters else "yes"
-
-
 def _line(row: Command) -> str:
     """Return the line of a row: header, command, query, remark."""
     command = (

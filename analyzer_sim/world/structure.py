@@ -20,7 +20,6 @@ from analyzer_sim.world.world import World
 STABLE_DB = 0.25
 LINEAR_DEG = 0.1
 LINEAR_RANGE_DEG = 0.5
-DOMINANCE = 2.0
 #: yaw moves levels about this much less than roll and pitch
 YAW_SCALE = 8.0
 #: noise of one row by which the CRLB is stated, dB
@@ -40,8 +39,6 @@ class CarrierStructure:
     main_axis: str
     #: main axis over the next one, yaw scaled by 8
     axis_ratio: float
-    #: the steeper of roll and pitch over the other
-    roll_pitch_ratio: float
 
     @property
     def is_stable(self) -> bool:
@@ -78,7 +75,6 @@ def structure_of(world: World) -> tuple[CarrierStructure, ...]:
                 _nonlinearity_deg(world, number, steeper),
                 ("yaw", "roll", "pitch")[order[0]],
                 float(scaled[number, order[0]] / scaled[number, order[1]]),
-                float(scaled[number, steeper] / scaled[number, 3 - steeper]),
             )
         )
     return tuple(found)

@@ -21,7 +21,6 @@ EventKind = Literal[
 STREAM_HEADERS = {"Accept": "text/event-stream", "Cache-Control": "no-store"}
 #: the service says something every 15 s; a connection that is silent for three times as long is dead
 SILENCE_S = 45.0
-_MS_PER_S = 1000.0
 
 
 @dataclass(frozen=True, slots=True)

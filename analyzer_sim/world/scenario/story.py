@@ -193,7 +193,6 @@ class Phase:
     name: str
     start_us: int
     stop_us: int
-    are_sensors_on: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,7 +248,7 @@ class Scenario:
         for name, duration_h in durations_h.items():
             stop_us = start_us + round(duration_h * US_PER_H)
             if name != "pause" or stop_us > start_us:
-                phases.append(Phase(name, start_us, stop_us, are_sensors_on=name != "operation"))
+                phases.append(Phase(name, start_us, stop_us))
             start_us = stop_us
         return tuple(phases)
 

@@ -12,7 +12,6 @@ from fastapi import Depends, Path, Request
 
 from service.api.context.carrier_names import CarrierNameCache
 from service.api.context.monitoring_settings import MonitoringSettings
-from service.api.context.plan_widths import PlanWidths
 from service.api.limits.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig, InterlockConfig
@@ -134,12 +133,6 @@ async def context_of(request: Request) -> ApiContext:
     return context
 
 
-async def plan_widths_of(request: Request) -> PlanWidths:
-    """Return the application's memory of plan widths."""
-    widths: PlanWidths = request.app.state.plan_widths
-    return widths
-
-
 async def carrier_names_of(request: Request) -> CarrierNameCache:
     """Return the application's memory of carrier ids."""
     names: CarrierNameCache = request.app.state.carrier_names
@@ -165,6 +158,5 @@ async def spacecraft_id_of(spacecraft_id: SpacecraftIdText) -> str:
 
 
 Context = Annotated[ApiContext, Depends(context_of)]
-Widths = Annotated[PlanWidths, Depends(plan_widths_of)]
 Names = Annotated[CarrierNameCache, Depends(carrier_names_of)]
 SpacecraftId = Annotated[str, Depends(spacecraft_id_of)]

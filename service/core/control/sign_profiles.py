@@ -8,9 +8,6 @@ makes roll rise and fall, ``roll' = w0 yaw``.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-
-FloatArray = NDArray[np.float64]
 
 #: places of the axes in yaw, roll, pitch
 YAW, ROLL, PITCH = 0, 1, 2

@@ -36,8 +36,6 @@ from service.core.dynamics.orbital_frame_step import (
 
 FloatArray = NDArray[np.float64]
 
-#: columns of the record: s; rad; N m of the wheels on the body; N m s
-RECORD_COLUMNS = ("time", "roll", "pitch", "yaw", "u_roll", "u_pitch", "u_yaw", "h_roll", "h_pitch", "h_yaw", "c_yaw")
 FLOWN, NO_YAW_ESTIMATE = 0, 1
 
 Fly = Callable[[OrbitalFrameSpacecraft, State, FloatArray, FloatArray, FloatArray, FloatArray], tuple[int, int, State]]
@@ -216,7 +214,8 @@ def fly(
     rate_noise_rad_s, tilt_noise_rad : ndarray, shapes (T, 3) and (T, 2)
         Noise of the sensors.
     record : ndarray, shape (T + 1, 11)
-        Written: columns as in ``RECORD_COLUMNS``; torque and roll rate over orbital rate are those of the period.
+        Written: time, s; roll, pitch, yaw, rad; torque of the wheels on the body in the same order, N m; their
+        momentum, N m s; roll rate over orbital rate. Torque and rate are those of the period.
 
     Returns
     -------

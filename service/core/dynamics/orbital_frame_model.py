@@ -47,7 +47,6 @@ class OrbitalFrameGains(NamedTuple):
 
 MAX_GAINS = OrbitalFrameGains()
 MIN_GAINS = OrbitalFrameGains(yaw_stiffness=0.625, yaw_damping=125.0)
-MIDDLE_GAINS = OrbitalFrameGains(yaw_stiffness=1.25, yaw_damping=250.0)
 
 
 class Law(NamedTuple):

@@ -59,16 +59,3 @@ def dbm_from_mw(power_mw: ArrayLike) -> FloatArray:
     True
     """
     return db_from_ratio(power_mw)
-
-
-def mean_dbm(level_dbm: ArrayLike) -> float:
-    """Return the level of the mean power of levels, NaN left out; NaN when none is left.
-
-    Examples
-    --------
-    >>> round(mean_dbm([0.0, 10.0]), 3)
-    7.404
-    """
-    levels = np.asarray(level_dbm, dtype=np.float64)
-    present = levels[np.isfinite(levels)]
-    return float(dbm_from_mw(mw_from_dbm(present).mean())) if present.size else math.nan

@@ -43,10 +43,6 @@ class FaultGroups:
         if kind in self._groups or len(self._groups) < MOST_SHOWN:
             self._groups.setdefault(kind, _FaultGroup(line, detail)).rows += 1
 
-    def rows_of(self, kind: str) -> int:
-        """Return the number of rows with one kind of fault."""
-        return self._groups[kind].rows if kind in self._groups else 0
-
     def as_documents(self) -> list[dict[str, Any]]:
         """Return kind, number of rows, first line and its text, of each group."""
         return [

@@ -347,7 +347,3 @@ def _decoded(epoch_us: int, blobs: Sequence[bytes]) -> Any:
         return decode_row(epoch_us, blobs)
     except ValueError as error:
         raise SpoolDamagedError(str(error)) from error
-
-
-#: what a file may raise
-FILE_FAULTS = (sqlite3.Error, OSError, SpoolDamagedError)

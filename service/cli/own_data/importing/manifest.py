@@ -24,7 +24,6 @@ _HEAD = """\
 # Manifest of soo import. A value marked !guess is not proven by the files: correct it and remove the mark.
 # soo import FOLDER --propose writes it again; what is not marked stays.
 """
-_AXES = ("yaw", "roll", "pitch")
 Axis = Literal["yaw", "roll", "pitch"]
 
 

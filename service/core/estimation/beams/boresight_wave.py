@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _HOUR_S, _DAY_S = 3600.0, 86_400.0
 _YEAR_S = 365.25 * _DAY_S

@@ -22,7 +22,6 @@ from service.core.estimation.filtering.model.filter_state import (
     RAIN,
     Gaussian,
     common_states,
-    core_size,
     hidden_count,
 )
 
@@ -57,12 +56,6 @@ class Innovation(NamedTuple):
         covariance = self.predicted_db2.copy()
         covariance.ravel()[:: len(covariance) + 1] += self.white_db2
         return covariance
-
-
-def expected_db(model: CarrierModel, mean: FloatArray, carriers: IntArray) -> FloatArray:
-    """Return the deviations (n,) that a state makes, dB."""
-    own = mean[core_size(model, hidden_count(model, len(mean))) :].reshape(-1, len(model.rain_share)).sum(axis=0)
-    return np.asarray((site_db(model, mean) + own)[carriers])
 
 
 def site_db(model: CarrierModel, mean: FloatArray) -> FloatArray:

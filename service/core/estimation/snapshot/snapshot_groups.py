@@ -22,7 +22,6 @@ from service.core.estimation.snapshot.snapshot_steps import (
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Cost that a group's own level must save; chance saves this much once in 2000 rows.
 GROUP_PENALTY = 6.0

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_jacobian
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Sigmas at which Tukey's weight becomes zero; 95 % efficient on normal noise.
 TUKEY_SIGMAS = 4.685

@@ -104,7 +104,3 @@ def beyond(sigmas: FloatArray) -> FloatArray:
     tail = np.exp(_LOG_BEYOND[step] + (position - step) * _LOG_CHANGE[step])
     outside: FloatArray = np.where(sigmas < 0.0, 1.0 - tail, tail)
     return outside
-
-
-#: functions that the kernels of this file call
-PARTS = (merged, beyond)

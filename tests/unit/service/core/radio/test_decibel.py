@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.radio.decibel import DB_PER_NEPER, dbm_from_mw, mean_dbm, mw_from_dbm
+from service.core.radio.decibel import DB_PER_NEPER, dbm_from_mw, mw_from_dbm
 
 
 def test_nothing_has_no_level() -> None:
@@ -16,12 +16,6 @@ def test_decibels_of_samples_average_low() -> None:
     # -2.51 dB and 5.57 dB are the textbook figures; 3 standard errors are 0.04 dB
     assert float(levels.mean()) == pytest.approx(-2.51, abs=0.04)
     assert float(levels.std()) == pytest.approx(5.57, abs=0.04)
-    assert mean_dbm(levels) == pytest.approx(0.0, abs=0.04)
-
-
-def test_mean_leaves_absent_out() -> None:
-    assert mean_dbm([np.nan, -40.0]) == pytest.approx(-40.0, abs=1e-12)  # round trip of one value
-    assert np.isnan(mean_dbm([np.nan]))
 
 
 def test_small_deviations_are_nepers() -> None:
