@@ -18,8 +18,9 @@ from service.pipeline.control.release.events import (
     ResponseJudged,
     SignJudged,
 )
-from service.pipeline.control.release.interlock_conditions import Condition, Consequence
-from service.records.levels.attitude import Axes
+from service.pipeline.control.release.interlock_conditions import Condition, Consequence, interlock_row
+from service.records.catalogue import Method
+from service.records.levels.attitude import Axes, row_without_attitude
 from service.records.operations.release import Purpose
 
 NAN = float("nan")
@@ -374,3 +375,10 @@ def test_a_row_from_the_future_is_not_believed():
     driver.rows(1, lag_s=-600.0)
     assert driver.name == "INHIBITED"
     assert driver.row.epoch_us - driver.now_us == 10 * MINUTE_US
+
+
+def test_a_row_without_attitude_inhibits():
+    stored = row_without_attitude(5_000_000, 5_100_000, 1, Method.ROBUST, ("no_fix",))
+    facts = interlock_row(stored, 60.0, is_innovation_in_band=True)
+    assert (facts.epoch_us, facts.period_s, facts.redundancy) == (5_000_000, 60.0, -3)
+    assert facts.inhibitions == ("no_fix", "invalid")

@@ -1,4 +1,4 @@
-"""CommandState of a command: persons, digests, times, reports; each illegal step with its code and without effect."""
+"""States of a command: persons, digests, times, reports; each illegal step with its code and without effect."""
 
 from dataclasses import replace
 
