@@ -3,36 +3,31 @@
 import sys
 
 from bench import (
-    bench_alarms,
     bench_chain,
     bench_export,
     bench_ingest,
     bench_replay,
-    bench_spool,
     bench_start,
     bench_storage,
     bench_stream,
     bench_summaries,
 )
-from bench.load import bench_memory, fleet, live_during_replay
+from bench.load import bench_memory, fleet
 
 
 def main() -> int:
     """Run them and return the exit code."""
-    bench_spool.main()
     measured = (
         bench_storage,
         bench_ingest,
         bench_chain,
         bench_replay,
-        bench_alarms,
         bench_stream,
         bench_start,
         bench_export,
         bench_summaries,
         bench_memory,
         fleet,
-        live_during_replay,
     )
     is_met = [each.main() for each in measured]
     return 0 if all(is_met) else 1

@@ -3,16 +3,13 @@
 Run ``python -m bench.bench_export``; ``--rows 3153600`` is a year of a row every ten seconds. Levels are rounded to
 .01 dB, in 16 columns; days are sealed as the service seals them, and the archive is larger than what it keeps unpacked,
 so that every day is read and unpacked each time. Measured: rows from the archive to a file, the same through a server
-as a process over HTTP, and beside them csv, pyarrow and, where it is installed, polars on what lies in memory already.
-csv and json are slow: they write a part of the rows, and their time is scaled to all. pyarrow writes as the export does
-(zstd, bytes of floats apart), and, for what a user would write, with its own defaults and zstd. Memory: all is exported
-once after one day was, so that what is loaded and compiled once does not count.
+as a process over HTTP, and beside them the csv module and pyarrow on what lies in memory already. The csv module is
+slow: it writes a part of the rows, and its time is scaled to all. pyarrow writes as the export does (zstd, bytes of
+floats apart). Memory: all is exported once after one day was, so that what is loaded and compiled once does not count.
 """
 
 import argparse
 import csv
-import importlib
-import importlib.util
 import json
 import os
 import secrets
@@ -35,23 +32,21 @@ from pyarrow import parquet
 
 from db.storage import SqlStorage
 from service.api.export.export_files import FileOrder, archive_file
-from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
 from service.formats.tabular.row_text import ready_kernels
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.epoch import format_epoch
 from service.records.levels.measurement import MeasurementBatch
-from service.records.levels.measurement_block import MeasurementBlock
 
 CARRIERS = 16
 STEP_US = 10_000_000
 DAY_ROWS = 8640
 #: 2025-01-01T00:00:00Z
 START_US = 1_735_689_600_000_000
-#: rows that csv and json write
+#: rows that the csv module writes
 PART_ROWS = 40_000
 FORMATS = ("csv", "ndjson", "parquet")
-GOALS = {"csv": 15.0, "polars": 1.2, "parquet": 1.6, "ndjson": 1e6, "memory": 64.0}
+GOALS = {"csv": 15.0, "parquet": 1.6, "ndjson": 1e6, "memory": 64.0}
 
 
 class Rows(NamedTuple):
@@ -155,16 +150,12 @@ def report(rows: Rows, path: Path, repeats: int) -> bool:
     figures = [
         ("G11 CSV: csv module / archive to CSV", ratio("csv module", "archive to csv"), GOALS["csv"], True),
         ("G12 Parquet: archive / pyarrow, written alike", ratio("archive to parquet", "pyarrow"), alike, False),
-        ("Parquet: archive / pyarrow as it comes", ratio("archive to parquet", "pyarrow plain"), alike, False),
         ("NDJSON values/s", rows.levels.size / seconds["archive to ndjson"], GOALS["ndjson"], True),
         ("G13 resident memory of the server, +MB", taken.grown_mb, GOALS["memory"], False),
         ("CSV over HTTP: csv module / server", ratio("csv module", "http csv"), GOALS["csv"], True),
         ("Parquet over HTTP: server / pyarrow alike", ratio("http parquet", "pyarrow"), alike, False),
         ("NDJSON over HTTP, values/s", rows.levels.size / seconds["http ndjson"], GOALS["ndjson"], True),
     ]
-    if "polars" in taken.wall_s:
-        figures.append(("G11 CSV: arrays / polars", ratio("arrays to csv", "polars"), GOALS["polars"], False))
-        figures.append(("G11 CSV: archive / polars", ratio("archive to csv", "polars"), GOALS["polars"], False))
     is_met = True
     for name, figure, goal, is_least in figures:
         is_good = figure >= goal if is_least else figure <= goal
@@ -192,7 +183,6 @@ class Works:
         self._client = client
         self._sink = path.with_name("out")
         self._names = [f"c{k:02d}" for k in range(CARRIERS)]
-        self._columns = MeasurementColumns([self._names], lambda _: self._names)
         # what a file of measurements asks of the service's context
         self._context: Any = SimpleNamespace(storage=SqlStorage(f"sqlite:///{path}"), kernels="numba")
         self._span = Window(START_US, int(rows.epochs_us[-1]) + 1)
@@ -200,15 +190,11 @@ class Works:
 
     def by_name(self) -> dict[str, Callable[[], float]]:
         """Return all of them."""
-        works: dict[str, Callable[[], float]] = {"csv module": self.by_csv, "json module": self.by_json}
-        floats = [f"{name}_dbm" for name in self._names]
-        works["pyarrow"] = partial(self.by_pyarrow, use_dictionary=["source"], use_byte_stream_split=floats)
-        works["pyarrow plain"] = self.by_pyarrow
+        works: dict[str, Callable[[], float]] = {"csv module": self.by_csv, "pyarrow": self.by_pyarrow}
         for file_format in FORMATS:
             works[f"archive to {file_format}"] = partial(self.from_archive, file_format)
             works[f"http {file_format}"] = partial(self.from_server, file_format)
-        works["arrays to csv"] = self.from_arrays
-        return works | self.by_polars()
+        return works
 
     def from_archive(self, file_format: Any) -> float:
         """Write what the archive gives."""
@@ -232,15 +218,6 @@ class Works:
         while ready_kernels("numba") != "numba":
             time.sleep(0.1)
 
-    def from_arrays(self) -> float:
-        """Write rows that lie in memory."""
-        epochs_us, levels = self._rows
-        blocks = (
-            MeasurementBlock(("sa-1",), 1, epochs_us[first : first + DAY_ROWS], levels[first : first + DAY_ROWS])
-            for first in range(0, len(levels), DAY_ROWS)
-        )
-        return self._write(file_bytes(measurement_file(self._columns, "csv"), blocks))
-
     def by_csv(self) -> float:
         """Write a part of the rows with the standard library."""
         with self._sink.open("w", newline="") as file:
@@ -249,38 +226,15 @@ class Works:
                 writer.writerow([format_epoch(epoch_us), "sa-1", *levels])
         return self._part_scale
 
-    def by_json(self) -> float:
-        """Write a part of the rows as objects with the standard library."""
-        names = [f"{name}_dbm" for name in self._names]
-        with self._sink.open("w") as file:
-            for epoch_us, levels in self._part():
-                row = {"epoch": format_epoch(epoch_us), "source": "sa-1", **dict(zip(names, levels, strict=True))}
-                file.write(json.dumps(row) + "\n")
-        return self._part_scale
-
-    def by_pyarrow(self, **options: Any) -> float:
+    def by_pyarrow(self) -> float:
         """Write arrays in memory as one table."""
         epochs = pa.array(self._rows.epochs_us).cast(pa.timestamp("us", tz="UTC"))
         levels = {f"{name}_dbm": pa.array(self._by_column[k]) for k, name in enumerate(self._names)}
         source = pa.DictionaryArray.from_arrays(np.zeros(len(epochs), dtype=np.int32), ["sa-1"])
         table = pa.table({"epoch": epochs, "source": source, **levels})
+        options = {"use_dictionary": ["source"], "use_byte_stream_split": list(levels)}
         parquet.write_table(table, self._sink, compression="zstd", **options)
         return 1.0
-
-    def by_polars(self) -> dict[str, Callable[[], float]]:
-        """Return what polars does with a frame in memory, where it is installed."""
-        if importlib.util.find_spec("polars") is None:
-            return {}
-        pl: Any = importlib.import_module("polars")
-        levels = {f"{name}_dbm": self._by_column[k] for k, name in enumerate(self._names)}
-        frame = pl.DataFrame({"epoch": self._rows.epochs_us, **levels})
-        frame = frame.with_columns(pl.col("epoch").cast(pl.Datetime("us", "UTC")), source=pl.lit("sa-1"))
-
-        def write() -> float:
-            frame.write_csv(self._sink, datetime_format="%Y-%m-%dT%H:%M:%S%.6fZ")
-            return 1.0
-
-        return {"polars": write}
 
     @property
     def _part_scale(self) -> float:

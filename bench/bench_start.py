@@ -3,6 +3,7 @@
 Run ``python -m bench.bench_start``. Starts: without a database, with an empty one, with one of 8 million values that
 were consumed. Memory: as started, with the kernels of the filter warm (``SOO_KERNELS=numba``), and with numpy's. Each
 start is done several times and the best counts, for a start is work of one core and whatever else runs only adds to it.
+``python -m bench.bench_start serve ...`` is ``soo serve`` with warm kernels.
 """
 
 import argparse
@@ -20,8 +21,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench.bench_chain import measure_filter
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
+from service.__main__ import main as serve
+from service.composition.settings import Settings
+from service.pipeline.kernels import kernels_named
 from service.ports import LIVE
 from service.records.levels.measurement import MeasurementBatch
 from tests.fakes.worlds.synthetic_payload import SC, START_US, S, SyntheticPayload
@@ -56,8 +61,8 @@ def main() -> bool:
         none = min(started(empty) for _ in range(options.repeats))
         fill(full, options.rows)
         filled = min(started(full) for _ in range(options.repeats))
-        warm = started(full, "numba", module="bench.load.warm_server")
-        lean = started(full, "numpy", module="bench.load.warm_server")
+        warm = started(full, "numba", module="bench.bench_start")
+        lean = started(full, "numpy", module="bench.bench_start")
     is_met = [
         _show_start("first start, database made", first, GOAL_EMPTY_S),
         _show_start("start, empty database", none, GOAL_EMPTY_S),
@@ -136,5 +141,14 @@ def _storage(database: Path) -> Iterator[SqlStorage]:
     storage.close()
 
 
+def serve_warm() -> None:
+    """Serve as ``soo serve``, its filter kernels warm as in a service that has been up for a while."""
+    measure_filter(16, 5, kernels_named(Settings.model_validate({}).kernels))
+    serve()
+
+
 if __name__ == "__main__":
-    sys.exit(0 if main() else 1)
+    if sys.argv[1:2] == ["serve"]:
+        serve_warm()
+    else:
+        sys.exit(0 if main() else 1)

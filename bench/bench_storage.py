@@ -1,22 +1,16 @@
-"""Rate of durable ingest, bytes a row and rate of reading: batches of 100 rows of 32 carriers into a SQLite file.
+"""Bytes of a row and rate of reading: days of rows in batches of 100 of 32 carriers, and their results.
 
-Run ``python -m bench.bench_storage``; ``--help`` tells the options. Every batch counted is committed with
-``synchronous=FULL``. Rates depend on disk and minute, so the same rows go through the bare driver in the same run:
-one thread, ``executemany``, eight batches a commit, no receipts, no journal numbers, no duplicates. The ratio counts.
-
-Then days of one source are read into arrays as rows, sealed, and read again, for each kind of levels: of carriers
-spread over 20 dB, in hundredths and thousandths of a decibel as analyzers tell them, in five decimals and with flags as
-the front end sends them, and with every bit of a float32. At last come the rows of results. ``--url`` takes an empty
-database of a PostgreSQL server for each kind, with ``{}`` for their numbers from 0 on.
+Run ``python -m bench.bench_storage``; ``--help`` tells the options. Days of one source are read into arrays as rows,
+sealed, and read again, for each kind of levels: of carriers spread over 20 dB, in hundredths and thousandths of a
+decibel as analyzers tell them, in five decimals and with flags as the front end sends them, and with every bit of a
+float32. At last come the rows of results. ``--url`` takes an empty database of a PostgreSQL server for each kind, with
+``{}`` for their numbers from 0 on.
 """
 
 import argparse
-import sqlite3
 import sys
 import tempfile
 import time
-from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,10 +24,9 @@ from service.records.catalogue import LIVE_METHODS, Carrier, Method, Site, Space
 from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Status
 from service.records.levels.carrier_results import CarrierResults
 from service.records.levels.command import Pulse, TorqueCommand
-from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.levels.measurement import Measurement, MeasurementBatch
 
 START_US = 1_795_000_000_000_000
-STEP_US = 100_000
 #: rows of one day at a row every ten seconds
 DAY_ROWS = 8640
 #: bytes of a row over those of its powers as float32: in the table of rows, in sealed days of two decimals
@@ -46,26 +39,18 @@ GOAL_RESULTS = 290.0
 GOAL_CARRIERS = 400.0
 #: decimals of levels, None = as they come
 KINDS: dict[str, int | None] = {"0.01 dB": 2, "0.001 dB": 3, "front end": 5, "all bits": None}
-#: batches a thread keeps under way, as a server with several connections does
-DEPTH = 4
 
 
 def main() -> bool:
-    """Print batches a second, rows a second and bytes a row; return whether the goals are met."""
+    """Print bytes a row and rows a second; return whether the goals are met."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--threads", type=int, default=4)
-    parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--rows", type=int, default=100)
     parser.add_argument("--carriers", type=int, default=32)
-    parser.add_argument("--flags", action="store_true", help="send quality flags with every row")
     parser.add_argument("--days", type=int, default=4, help="days of 8640 rows to read as rows and sealed")
     parser.add_argument("--url", help="empty databases to measure instead of a SQLite file")
     options, _ = parser.parse_known_args()
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as name:
         folder = Path(name)
-        bare = measure_driver(folder / "driver.db", options)
-        rate = measure(folder / "bench.db", options)
-        print(f"ratio to the bare driver {rate / bare:.2f}")
         urls = {kind: f"sqlite:///{folder / str(position)}.db" for position, kind in enumerate(KINDS)}
         if options.url:
             urls = {kind: options.url.format(position) for position, kind in enumerate(KINDS)}
@@ -75,69 +60,6 @@ def main() -> bool:
             url = f"sqlite:///{folder / 'results'}{has_carriers:d}.db"
             is_met.append(measure_results(url, options, has_carriers=has_carriers))
     return all(is_met)
-
-
-def measure_driver(path: Path, options: argparse.Namespace) -> float:
-    """Return batches a second of plain inserts through sqlite3."""
-    connection = sqlite3.connect(path, isolation_level=None)
-    connection.execute("PRAGMA journal_mode=WAL")
-    connection.execute("PRAGMA synchronous=FULL")
-    connection.execute(
-        "CREATE TABLE row (source INT, epoch INT, powers BLOB, PRIMARY KEY (source, epoch)) WITHOUT ROWID"
-    )
-    powers, sent = bytes(4 * options.carriers), 0
-    started = time.perf_counter()
-    while (elapsed_s := time.perf_counter() - started) < options.seconds:
-        connection.execute("BEGIN IMMEDIATE")
-        for _ in range(8):
-            rows = [(1, START_US + (sent * options.rows + row) * STEP_US, powers) for row in range(options.rows)]
-            connection.executemany("INSERT INTO row VALUES (?, ?, ?)", rows)
-            sent += 1
-        connection.execute("COMMIT")
-    connection.close()
-    report("driver", sent, elapsed_s, options, path)
-    return sent / elapsed_s
-
-
-def report(name: str, batches: int, elapsed_s: float, options: argparse.Namespace, path: Path) -> None:
-    """Print one line of figures."""
-    rows = batches * options.rows
-    size = path.stat().st_size / rows
-    print(f"{name:8} {batches / elapsed_s:8.0f} batches/s {rows / elapsed_s:9.0f} rows/s {size:6.1f} B/row")
-
-
-def measure(path: Path, options: argparse.Namespace) -> float:
-    """Return batches a second through the archive."""
-    storage = SqlStorage(f"sqlite:///{path}")
-    storage.prepare()
-    plan_id = prepare_catalogue(storage, options)
-    until = time.perf_counter() + options.seconds
-
-    def feed(worker: int) -> int:
-        """Send batches of one front end in order of epoch and return how many."""
-        templates = [batch(worker, plan_id, seed, options) for seed in range(16)]
-        waiting: deque[Future[BatchReceipt]] = deque()
-        sent = 0
-        while time.perf_counter() < until:
-            epochs_us = START_US + (sent * options.rows + np.arange(options.rows)) * STEP_US
-            template = templates[sent % len(templates)]
-            waiting.append(storage.archive.append_measurements(replace(template, epochs_us=epochs_us)))
-            sent += 1
-            if len(waiting) == DEPTH:
-                waiting.popleft().result()
-        for future in waiting:
-            future.result()
-        return sent
-
-    started = time.perf_counter()
-    with ThreadPoolExecutor(options.threads) as pool:
-        batches = sum(pool.map(feed, range(options.threads)))
-    elapsed_s = time.perf_counter() - started
-    stored = sum(source.rows for source in storage.archive.sources("bench"))
-    storage.close()
-    assert stored == batches * options.rows, f"{stored} rows stored of {batches * options.rows} acknowledged"
-    report("archive", batches, elapsed_s, options, path)
-    return batches / elapsed_s
 
 
 def measure_reading(url: str, kind: str, options: argparse.Namespace) -> bool:
@@ -177,7 +99,7 @@ def send_days(storage: SqlStorage, plan_id: int, kind: str, options: argparse.Na
     zeros = ((0,) * options.carriers,) * options.rows
     for start in range(0, rows, options.rows):
         epochs_us = first_us + (start + np.arange(options.rows)) * (DAY_US // DAY_ROWS)
-        made = batch(0, plan_id, start, options, KINDS[kind])
+        made = batch(plan_id, start, options, KINDS[kind])
         made = replace(made, epochs_us=epochs_us, received_at_us=int(epochs_us[-1]) + 700_000, first_seq=start)
         if kind == "front end":
             made = replace(made, flags=zeros)
@@ -334,22 +256,20 @@ def prepare_catalogue(storage: SqlStorage, options: argparse.Namespace) -> int:
     return storage.catalogue.put_plan("bench", carriers, "bench").id
 
 
-def batch(
-    worker: int, plan_id: int, seed: int, options: argparse.Namespace, decimals: int | None = 2
-) -> MeasurementBatch:
+def batch(plan_id: int, seed: int, options: argparse.Namespace, decimals: int | None = 2) -> MeasurementBatch:
     """Return a batch of one front end: carriers spread over 20 dB, each with noise of 0.1 dB."""
     rows = options.rows
-    random = np.random.default_rng(1000 * worker + seed)
+    random = np.random.default_rng(seed)
     levels = np.linspace(-70.0, -50.0, options.carriers) + random.normal(0.0, 0.1, (rows, options.carriers))
     return MeasurementBatch(
         spacecraft_id="bench",
-        source=f"sa-{worker}",
+        source="sa-0",
         plan_id=plan_id,
         received_at_us=START_US,
         index=np.arange(rows),
         epochs_us=np.arange(rows),
         power_dbm=(levels if decimals is None else np.round(levels, decimals)).astype(np.float32),
-        flags=((0,) * options.carriers,) * rows if options.flags else (None,) * rows,
+        flags=(None,) * rows,
         is_stale=np.zeros(rows, dtype=bool),
         first_seq=0,
     )

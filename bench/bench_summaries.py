@@ -158,7 +158,7 @@ def align(storage: SqlStorage, plan_id: int) -> None:
 
 def append(storage: SqlStorage, plan_id: int, first: int, count: int) -> list[Measurement]:
     """Store some rows a minute and return them."""
-    made = batch(0, plan_id, first, argparse.Namespace(carriers=CARRIERS, rows=count, flags=False))
+    made = batch(plan_id, first, argparse.Namespace(carriers=CARRIERS, rows=count))
     epochs_us = START_US + (first + np.arange(count)) * STEP_US + 123_457
     made = replace(made, epochs_us=epochs_us, received_at_us=int(epochs_us[-1]) + 700_000)
     storage.archive.append_measurements(made).result()

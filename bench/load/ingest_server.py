@@ -2,25 +2,31 @@
 
 Run ``python -m bench.load.ingest_server --archive durable --database sqlite:///file.db``. It announces its address as
 ``soo serve`` does. The endpoint is always the same. With ``--archive none`` rows count as stored the moment they come,
-with ``--archive each`` every request is committed by a thread of its own, with ``--archive single`` by the product's
-one writer, which takes nothing along.
+with ``--archive each`` every request is committed by a thread of its own.
 """
 
 import argparse
 import json
 import os
 import socket
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from threading import local
 from typing import Any
 
 import uvicorn
 
-import db.connection.writer
-from bench.load.commit_per_request import CommitPerRequest, slow_down
+from db.connection.engines import open_engines
+from db.encoding.segments import SegmentCache
+from db.measurements.ingest import store_batch
+from db.measurements.prepared_batch import PreparedBatch, prepare
 from service.api.server_process import StreamingServer, calm_collector
 from service.composition.bootstrap import build_app, build_storage
 from service.composition.settings import Settings
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
+
+#: as many as the framework's own pool has
+THREADS = 40
 
 
 class NoArchive:
@@ -56,23 +62,55 @@ class NoArchive:
         return []
 
 
+class CommitPerRequest:
+    """An archive that commits every batch by itself; everything else is asked of the real one.
+
+    A batch is stored by a thread of a pool over a connection of its own, as services on a thread pool do.
+
+    Parameters
+    ----------
+    archive : Any
+        The real one.
+    url : str
+        Its database.
+    """
+
+    def __init__(self, archive: Any, url: str) -> None:
+        self._archive = archive
+        self._url = url
+        self._pool = ThreadPoolExecutor(THREADS)
+        self._of_thread = local()
+        self._cache = SegmentCache()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._archive, name)
+
+    def append_measurements(self, batch: MeasurementBatch) -> "Future[BatchReceipt]":
+        """Store the rows of a batch; the future resolves after their own commit."""
+        key = self._archive._database.key(batch.spacecraft_id)  # noqa: SLF001 - no port tells keys
+        prepared = prepare(key, batch)
+        return self._pool.submit(partial(self._store, prepared))
+
+    def _store(self, prepared: PreparedBatch) -> BatchReceipt:
+        if not hasattr(self._of_thread, "engine"):
+            self._of_thread.engine = open_engines(self._url).write
+        with self._of_thread.engine.begin() as connection:
+            return store_batch(connection, prepared, self._cache)
+
+
 def main() -> None:
     """Serve until told to stop."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--archive", choices=("durable", "none", "each", "single"), required=True)
+    parser.add_argument("--archive", choices=("durable", "none", "each"), required=True)
     parser.add_argument("--database", required=True)
-    parser.add_argument("--sync-ms", type=float, default=0.0, help="what each commit takes longer, the lock held")
     options = parser.parse_args()
     os.environ |= {"SOO_DATABASE_URL": options.database, "SOO_CLOCK": "data"}
     settings = Settings()
-    if options.archive == "single":
-        db.connection.writer.GROUP_LIMIT = 1
     storage = build_storage(settings)
     if options.archive == "none":
         storage.archive = NoArchive(storage.archive)
     elif options.archive == "each":
-        storage.archive = CommitPerRequest(storage.archive, options.database, options.sync_ms / 1e3)
-    slow_down(storage._database.engines.write, options.sync_ms / 1e3)  # noqa: SLF001 - a slower disk for the product
+        storage.archive = CommitPerRequest(storage.archive, options.database)
     app = build_app(settings, storage)
     # as the service itself does
     calm_collector()
