@@ -24,16 +24,7 @@ class SlewRequest(NamedTuple):
     rate_deg_s: FloatArray
 
 
-def tracking_request(
-    gains: Gains,
-    attitude_deg: ArrayLike,
-    rates_deg_s: ArrayLike,
-    horizon_s: float,
-    *,
-    target_deg: ArrayLike = (0.0, 0.0, 0.0),
-    disturbance_n_m: ArrayLike = (0.0, 0.0, 0.0),
-    least_deg: float = 0.0,
-) -> SlewRequest:
+def tracking_request(gains: Gains, attitude_deg: ArrayLike, rates_deg_s: ArrayLike, horizon_s: float) -> SlewRequest:
     """Return the slew that takes a share of the error within a command period.
 
     Parameters
@@ -44,12 +35,6 @@ def tracking_request(
         Filtered angles and rates.
     horizon_s : float, s
         Command period.
-    target_deg : array_like, shape (3,), deg
-        Attitude to hold.
-    disturbance_n_m : array_like, shape (3,), N m
-        Estimated torque that nobody commanded; what it will have turned in the middle of the period is taken out.
-    least_deg : float, deg
-        Errors below it are left alone: only their rate is taken.
 
     Raises
     ------
@@ -64,20 +49,16 @@ def tracking_request(
     >>> tracking_request(gains, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0], 600.0).angle_change_deg.round(4).tolist()
     [0.0, -0.0252, 0.0]
     """
-    given = np.array([attitude_deg, rates_deg_s, target_deg, disturbance_n_m], dtype=np.float64)
-    if given.shape != (4, 3) or not np.isfinite(given).all():
-        raise ValueError("attitude, rates, target and disturbance must each be three finite numbers: yaw, roll, pitch")
+    angles_deg, present_deg_s = np.array([attitude_deg, rates_deg_s], dtype=np.float64)
+    if angles_deg.shape != (3,) or not (np.isfinite(angles_deg).all() and np.isfinite(present_deg_s).all()):
+        raise ValueError("attitude and rates must each be three finite numbers: yaw, roll, pitch")
     if not (math.isfinite(horizon_s) and horizon_s > 0.0):
         raise ValueError("the horizon must be finite and positive")
-    error_deg = np.degrees(error_angles_rad(given[0], given[2]))
-    error_deg = np.where(np.abs(error_deg) < least_deg, 0.0, error_deg)
+    error_deg = np.degrees(error_angles_rad(angles_deg, np.zeros(3)))
     share = 1.0 - math.exp(-gains.stiffness_1_s2 / gains.friction_1_s * horizon_s)
     change_deg = -share * error_deg + 0.0
     # of the present rate, that which holds the spacecraft where it stands turns into that which holds it where it will
     # be
     yaw_deg, roll_deg, _ = change_deg.tolist()
     exchanged_deg_s = gains.orbital_rate_rad_s * np.array([-roll_deg, yaw_deg, 0.0])
-    rate_deg_s = given[1] + exchanged_deg_s
-    if given[3].any():
-        rate_deg_s += np.degrees(np.linalg.solve(gains.inertia_kg_m2, given[3])) * horizon_s / 2.0
-    return SlewRequest(change_deg, rate_deg_s)
+    return SlewRequest(change_deg, present_deg_s + exchanged_deg_s)

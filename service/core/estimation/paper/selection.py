@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.observability import condition_number, dilution_of_precision_deg_per_db
+from service.core.estimation.observability import condition_number
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -53,8 +53,6 @@ class AxisSelection(NamedTuple):
         :class:`SelectionReason`.
     condition : float
         Condition number of the chosen carriers' sensitivities.
-    dilution_deg_per_db : ndarray, shape (3,), deg/dB
-        Dilution of precision of the chosen carriers.
     """
 
     chosen: IntArray
@@ -63,7 +61,6 @@ class AxisSelection(NamedTuple):
     dominance: FloatArray
     reason: IntArray
     condition: float
-    dilution_deg_per_db: FloatArray
 
 
 def axis_margin(symmetric: FloatArray, *, yaw_scale: float = 8.0) -> FloatArray:
@@ -153,5 +150,4 @@ def select_by_axis(symmetric: FloatArray, eligible: BoolArray, count: int, *, ya
         dominance=dominance[np.arange(len(axis)), axis],
         reason=reason.astype(np.int64),
         condition=condition_number(symmetric[chosen]),
-        dilution_deg_per_db=dilution_of_precision_deg_per_db(symmetric[chosen]),
     )

@@ -43,8 +43,6 @@ class TurnSensitivity(NamedTuple):
         Free level, the error of the reference.
     residual_db : ndarray, shape (N,), dB
         Root mean square of what the model leaves, over the samples used.
-    rows_per_side : ndarray of int, shape (3, 2)
-        Rows with an excursion beyond ``MIN_EXCURSION_DEG`` and at least one carrier present.
     is_missing : ndarray of bool, shape (N, 3, 2)
         Sides that the carrier did not see turned.
     samples_used, samples_rejected : ndarray of int, shape (N,)
@@ -58,7 +56,6 @@ class TurnSensitivity(NamedTuple):
     minus_sigma: FloatArray
     level_db: FloatArray
     residual_db: FloatArray
-    rows_per_side: IntArray
     is_missing: BoolArray
     samples_used: IntArray
     samples_rejected: IntArray
@@ -132,7 +129,6 @@ def fit_turn_sensitivity(
         minus_sigma=sigma[:, 1],
         level_db=np.array([fit.level_db for fit in fits]),
         residual_db=np.array([fit.residual_db for fit in fits]),
-        rows_per_side=is_turned[np.flatnonzero(is_present.any(axis=1))].sum(axis=0).reshape(2, 3).T.astype(np.int64),
         is_missing=np.moveaxis(np.isnan(slope), 1, 2),
         samples_used=used,
         samples_rejected=np.where(used > 0, is_present.sum(axis=0) - used, 0).astype(np.int64),

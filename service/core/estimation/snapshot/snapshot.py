@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse, response_errors
-from service.core.estimation.snapshot.fault_bounds import FaultBounds, fault_bounds
 from service.core.estimation.snapshot.snapshot_groups import group_memberships, moved_groups
 from service.core.estimation.snapshot.snapshot_start import trimmed_start
 from service.core.estimation.snapshot.snapshot_steps import (
@@ -73,16 +72,10 @@ class Snapshots(NamedTuple):
         :class:`CarrierUse`.
     group : ndarray of int, shape (T,)
         Label of the group found moved, -1 = none.
-    group_db : ndarray, shape (T,), dB
-        By how much, beyond the common level; NaN = none.
     spread : ndarray, shape (T,)
         Root mean square of the used carriers' residuals over their sigmas, freed of the unknowns; about 1.
     carriers_used : ndarray of int, shape (T,)
         Carriers neither absent nor excluded.
-    detectable_fault_db : ndarray, shape (T, N), dB
-        Smallest fault of a carrier that is excluded in nine cases of ten; infinite where nothing checks it.
-    undetected_shift_deg : ndarray, shape (T, N, 3), deg
-        What a fault just below that does to the attitude before the weight sees it.
     """
 
     attitude_deg: FloatArray
@@ -94,11 +87,8 @@ class Snapshots(NamedTuple):
     weight: FloatArray
     use: IntArray
     group: IntArray
-    group_db: FloatArray
     spread: FloatArray
     carriers_used: IntArray
-    detectable_fault_db: FloatArray
-    undetected_shift_deg: FloatArray
 
 
 class _Row(NamedTuple):
@@ -204,7 +194,7 @@ def _widening(residual_db: FloatArray, sigma_db: FloatArray, is_present: BoolArr
 
 
 def _assembled(row: _Row, sigma: FloatArray, theta: FloatArray, membership: FloatArray, group: IntArray) -> Snapshots:
-    """Return the fixes with weights, covariance and bounds at the final unknowns."""
+    """Return the fixes with weights and covariance at the final unknowns."""
     measured = Measured(row.value_db, np.stack([np.ones_like(membership), membership], axis=-1))
     design, residual = linearised(row.model, measured, theta)
     weight = np.where(row.is_present, efficient_weight(residual / sigma), 0.0)
@@ -219,7 +209,6 @@ def _assembled(row: _Row, sigma: FloatArray, theta: FloatArray, membership: Floa
     unknowns = 4 + (group >= 0)
     count = is_used.sum(axis=1)
     spread = np.sqrt((is_used * np.square(residual / sigma)).sum(axis=1) / np.maximum(count - unknowns, 1))
-    bounds: FaultBounds = fault_bounds(design, gain, np.where(row.is_present, sigma, math.nan))
     is_fix = is_determined & (count >= MIN_CARRIERS + (group >= 0))
     use = np.select(
         [~row.is_present, is_excluded, membership > 0.0],
@@ -240,11 +229,8 @@ def _assembled(row: _Row, sigma: FloatArray, theta: FloatArray, membership: Floa
         weight=weight,
         use=use.astype(np.int64),
         group=np.where(is_fix, group, -1),
-        group_db=np.where(is_fix & (group >= 0), theta[:, 4], math.nan),
         spread=blank(spread),
         carriers_used=count.astype(np.int64),
-        detectable_fault_db=blank(bounds.detectable_db),
-        undetected_shift_deg=blank(bounds.shift_deg),
     )
 
 

@@ -56,8 +56,6 @@ def test_more_than_there_are_gives_all_eligible():
 def test_figures_are_those_of_the_chosen():
     selection = select_by_axis(SYMMETRIC, ALL, 16)
     assert selection.condition == condition_number(SYMMETRIC[selection.chosen])
-    assert np.isfinite(selection.dilution_deg_per_db).all()
-    assert np.isnan(select_by_axis(SYMMETRIC, ALL, 2).dilution_deg_per_db).all()
 
 
 def test_it_beats_a_random_choice_on_every_axis():
