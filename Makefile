@@ -98,7 +98,7 @@ coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
 
 bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 	$(BIN)/python -m bench
-	$(BIN)/python -m pytest -q -s -p no:randomly tests/speed tests/growth
+	$(BIN)/python -m pytest -q -s -p no:randomly tests/growth
 
 # every step runs, whatever failed before it; the table says which
 nightly: export SOO_TEST_PROFILE := nightly

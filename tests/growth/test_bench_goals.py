@@ -1,5 +1,6 @@
 """Light runs of the benchmarks: what may grow with carriers, rows and estimators, against the goals of `make bench`."""
 
+import statistics
 from argparse import Namespace
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -8,9 +9,11 @@ import numpy as np
 import pytest
 
 from bench import bench_chain, bench_summaries
+from bench.bench_ingest import measure as ingest_rates
 from bench.bench_storage import measure_results
 from bench.load import fleet
 from bench.load.bench_memory import GOALS_MB, fill_replay, replay_mb
+from bench.load.http_load import Shape
 from service.records.catalogue import Method
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone, pytest.mark.timeout(1200)]
@@ -23,6 +26,16 @@ REPLAY_ROWS = 3000
 #: of the larger archive: six weeks at a row a minute
 ARCHIVE_ROWS = 60_000
 SPACECRAFT, ESTIMATED_ROWS = 8, 60
+#: durable ingest over that without storage: half of the goal
+LEAST_INGEST = 1 / 6
+
+
+def test_durable_ingest_reaches_a_sixth_of_the_rate_without_storage(tmp_path):
+    shape, options = Shape(rows=100, carriers=32, connections=4), Namespace(repeats=3, seconds=0.7)
+    rates = ingest_rates(("none", "durable"), shape, lambda kind: f"sqlite:///{tmp_path / kind}.db", options)
+    print(rates)
+    pairs = zip(rates["durable"], rates["none"], strict=True)
+    assert statistics.median(durable.per_second / none.per_second for durable, none in pairs) >= LEAST_INGEST
 
 
 def test_a_row_grows_by_at_most_the_square_of_its_carriers():
