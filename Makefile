@@ -61,7 +61,7 @@ test: $(DEV_STAMP) ## run the tests of every change
 
 test-all: export SOO_TEST_PROFILE := ci
 test-all: $(DEV_STAMP) ## run the slow tests too, as continuous integration does
-	$(PARALLEL) $(REPORT)/all.xml -m "not nightly"
+	$(PARALLEL) $(REPORT)/all.xml -m "not nightly and not alone"
 
 mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; print how many were killed
 	$(BIN)/python tests/mutation/mutants.py
