@@ -1,4 +1,1 @@
-"""Relational storage: tables, engine, mapping row to record, repositories.
-
-Public: storage.
-"""
+"""Relational storage: tables, engine, mapping row to record, repositories."""

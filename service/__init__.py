@@ -1,4 +1,1 @@
-"""SOO: attitude of a geostationary satellite from the powers of the carriers it retransmits.
-
-Public: errors.
-"""
+"""SOO: attitude of a geostationary satellite from the powers of the carriers it retransmits."""

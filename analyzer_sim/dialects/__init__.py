@@ -1,4 +1,1 @@
-"""SCPI dialects of the makers' analyzers: tables of commands, queries and answers.
-
-Public: dialect, dialects, rs.
-"""
+"""SCPI dialects of the makers' analyzers: tables of commands, queries and answers."""

@@ -1,4 +1,1 @@
-"""Raw sockets and HiSLIP: sessions, dispatch, locks, faults of the line.
-
-Public: line_faults, server.
-"""
+"""Raw sockets and HiSLIP: sessions, dispatch, locks, faults of the line."""

@@ -1,4 +1,1 @@
-"""Maintenance of an archive: backup, restore, integrity check.
-
-Public: archive_tools.
-"""
+"""Maintenance of an archive: backup, restore, integrity check."""

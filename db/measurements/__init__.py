@@ -1,4 +1,1 @@
-"""Measurements (L1): ingest, paging, sealing of closed days, retention.
-
-Public: archive, checksum_check, journal_heads, measurement_pages, power_summaries, retention, slow_inputs.
-"""
+"""Measurements (L1): ingest, paging, sealing of closed days, retention."""

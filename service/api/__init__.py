@@ -1,4 +1,1 @@
-"""REST interface, version 1.
-
-Public: app, server_process.
-"""
+"""REST interface, version 1."""

@@ -1,4 +1,1 @@
-"""Command line, one command group a file.
-
-Public: app, extras.
-"""
+"""Command line, one command group a file."""

@@ -1,4 +1,1 @@
-"""Client of the REST interface.
-
-Public: archive_download, backoff, documents, problem, service_client.
-"""
+"""Client of the REST interface."""

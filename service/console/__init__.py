@@ -1,4 +1,1 @@
-"""Console of the operators: static pages, read by a browser, that use the REST interface alone.
-
-Public: pages.
-"""
+"""Console of the operators: static pages, read by a browser, that use the REST interface alone."""

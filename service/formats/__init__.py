@@ -1,4 +1,1 @@
-"""Writers and readers of archive formats: bytes in, bytes out.
-
-Public: aem, carrier_plan_csv, numbers, tdm.
-"""
+"""Writers and readers of archive formats: bytes in, bytes out."""

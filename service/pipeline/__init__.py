@@ -1,4 +1,1 @@
-"""Stages of the chain, one a file: level in, level out; chain.py writes their order once.
-
-Public: chain, config, first_rows, ingest_screening, kernels.
-"""
+"""Stages of the chain, one a file: level in, level out; chain.py writes their order once."""

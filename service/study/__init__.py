@@ -1,4 +1,1 @@
-"""Studies: demonstrations and campaigns on simulated truth.
-
-Public: executors, published.
-"""
+"""Studies: demonstrations and campaigns on simulated truth."""

@@ -1,4 +1,1 @@
-"""Faults and weather: what the events of a scenario do to levels.
-
-Public: faults.
-"""
+"""Faults and weather: what the events of a scenario do to levels."""

@@ -1,4 +1,1 @@
-"""Orbit of the satellite and directions seen from it.
-
-Public: geometry, orbit.
-"""
+"""Orbit of the satellite and directions seen from it."""

@@ -1,4 +1,1 @@
-"""Scenarios as data: phases, events, and the catalogue of scenarios.
-
-Public: events, manoeuvres, scenario, story, turns.
-"""
+"""Scenarios as data: phases, events, and the catalogue of scenarios."""

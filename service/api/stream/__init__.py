@@ -1,4 +1,1 @@
-"""Live stream: events, ids, backlog.
-
-Public: event_ids, event_stream, open_streams.
-"""
+"""Live stream: events, ids, backlog."""

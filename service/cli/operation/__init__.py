@@ -1,4 +1,1 @@
-"""Commands of an operator: calibrate, align, replay, export; their connection and the user's profile.
-
-Public: connection, operate, profile.
-"""
+"""Commands of an operator: calibrate, align, replay, export; their connection and the user's profile."""

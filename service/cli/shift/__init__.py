@@ -1,4 +1,1 @@
-"""Commands of a shift: read the state, answer alarms, order control, release torques, hand over, watch.
-
-Public: reading, words.
-"""
+"""Commands of a shift: read the state, answer alarms, order control, release torques, hand over, watch."""

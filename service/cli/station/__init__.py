@@ -1,4 +1,1 @@
-"""Commands of a measuring station: acquire, send.
-
-Public: state_folder.
-"""
+"""Commands of a measuring station: acquire, send."""

@@ -1,4 +1,1 @@
-"""Commands `soo study ...`.
-
-Public: exit_code.
-"""
+"""Commands `soo study ...`."""

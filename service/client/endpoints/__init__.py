@@ -2,6 +2,4 @@
 
 Nothing is interpreted here; epochs go in as RFC 3339 text or as int64 microseconds UTC, answers come as the
 dictionaries of the contract. Errors are those of `service.client.problem`.
-
-Public: every_endpoint.
 """

@@ -2,6 +2,4 @@
 
 Axes here, and only here: z along the radius vector (up), y along the orbital angular velocity, x = y x z in flight; yaw
 turns about up. The service's axes (x East, y South, z nadir) have roll alike, pitch and yaw reversed.
-
-Public: orbital_frame_analysis, orbital_frame_flight, orbital_frame_kernel, orbital_frame_model, orbital_frame_step.
 """

@@ -1,4 +1,1 @@
-"""Decibels, carrier power from a trace, presence, predicted sigma.
-
-Public: band_weights, carrier_power, decibel, leakage, predicted_sigma, presence.
-"""
+"""Decibels, carrier power from a trace, presence, predicted sigma."""

@@ -1,4 +1,1 @@
-"""Orbit of the satellite from two-line elements or an OEM.
-
-Public: oem, orbit, tle.
-"""
+"""Orbit of the satellite from two-line elements or an OEM."""

@@ -1,4 +1,1 @@
-"""Rows as CSV, NDJSON and Parquet.
-
-Public: joined_table, measurement_file, row_text, series_tables, table_file.
-"""
+"""Rows as CSV, NDJSON and Parquet."""

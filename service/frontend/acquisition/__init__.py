@@ -1,4 +1,1 @@
-"""Rows from sweeps: the state machine that runs one analyzer, its orders, pace and evaluation.
-
-Public: acquisition, evaluation, settings, states.
-"""
+"""Rows from sweeps: the state machine that runs one analyzer, its orders, pace and evaluation."""

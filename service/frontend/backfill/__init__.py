@@ -1,4 +1,1 @@
-"""Backfill: archive files sent to the service in resumable pieces.
-
-Public: backfill, columns, reader, survey.
-"""
+"""Backfill: archive files sent to the service in resumable pieces."""

@@ -1,4 +1,1 @@
-"""Spectrum analyzer drivers, one dialect a file.
-
-Public: base, choice, scpi_driver, siglent, visa_session.
-"""
+"""Spectrum analyzer drivers, one dialect a file."""

@@ -1,4 +1,1 @@
-"""Checks and plans of measurement tasks, zoom sweeps, station files.
-
-Public: station_file, task_plan, zoom_plan.
-"""
+"""Checks and plans of measurement tasks, zoom sweeps, station files."""

@@ -1,4 +1,1 @@
-"""From the spool to the service: lanes, answers, binding of rows to carrier plans.
-
-Public: answers, uploader.
-"""
+"""From the spool to the service: lanes, answers, binding of rows to carrier plans."""

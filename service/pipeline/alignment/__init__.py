@@ -1,4 +1,1 @@
-"""Alignment: references of both methods from a window with attitude sensors.
-
-Public: alignment.
-"""
+"""Alignment: references of both methods from a window with attitude sensors."""

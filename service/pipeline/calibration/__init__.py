@@ -1,4 +1,1 @@
-"""Calibration of both methods from quiet days and turns.
-
-Public: geometry_calibration, minute_rows, paper_calibration, window_harmonics, windows.
-"""
+"""Calibration of both methods from quiet days and turns."""

@@ -1,4 +1,1 @@
-"""Carrier model: arrays of a calibration, expected levels, level control, beams.
-
-Public: beam_report, calibrated_arrays, expected_level, level_control.
-"""
+"""Carrier model: arrays of a calibration, expected levels, level control, beams."""

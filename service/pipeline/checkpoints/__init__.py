@@ -1,4 +1,1 @@
-"""Checkpoints: the state of a chain as bytes, from which another chain goes on bit for bit.
-
-Public: chain_state.
-"""
+"""Checkpoints: the state of a chain as bytes, from which another chain goes on bit for bit."""

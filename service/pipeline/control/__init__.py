@@ -1,4 +1,1 @@
-"""Control (L5): computed commands and the release of torques.
-
-Public: control_conditions.
-"""
+"""Control (L5): computed commands and the release of torques."""

@@ -1,4 +1,1 @@
-"""Records about the archive itself: maintenance, backups, diagnoses.
-
-Public: archive_maintenance, backup, checkpoint, diagnosis, storage_state.
-"""
+"""Records about the archive itself: maintenance, backups, diagnoses."""

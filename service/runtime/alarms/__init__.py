@@ -1,4 +1,1 @@
-"""Alarm service: alarm engine over the archive, notifications by mail and webhook.
-
-Public: alarm_service, mail, notifications, webhook.
-"""
+"""Alarm service: alarm engine over the archive, notifications by mail and webhook."""

@@ -1,4 +1,1 @@
-"""Release service: interlock and torque commands over the archive.
-
-Public: automatic_release, release_publisher, release_service.
-"""
+"""Release service: interlock and torque commands over the archive."""

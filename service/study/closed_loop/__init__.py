@@ -1,4 +1,1 @@
-"""Closed loops: the product in process against the plant, its spacecraft in a process of its own.
-
-Public: campaign, controllers, ground_knowledge, plant_process, report.
-"""
+"""Closed loops: the product in process against the plant, its spacecraft in a process of its own."""

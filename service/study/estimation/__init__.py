@@ -1,4 +1,1 @@
-"""Campaign of the estimation: both methods over the simulator's worlds, judged by the bounds that were set for them.
-
-Public: campaign, report, report_document, scenarios.
-"""
+"""Campaign of the estimation: both methods over the simulator's worlds, judged by the bounds that were set for them."""

@@ -1,4 +1,1 @@
-"""Reproduction of the study of relay-pulse wheel control of a flexible spacecraft.
-
-Public: report.
-"""
+"""Reproduction of the study of relay-pulse wheel control of a flexible spacecraft."""

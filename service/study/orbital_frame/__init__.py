@@ -1,4 +1,1 @@
-"""Reproduction of the orbital-frame control of Meteor-M No. 2 (Belenkii, Vasilev, Semenov).
-
-Public: reproduction.
-"""
+"""Reproduction of the orbital-frame control of Meteor-M No. 2 (Belenkii, Vasilev, Semenov)."""

@@ -1,4 +1,1 @@
-"""Reproduction of attitude from retransmitted carriers on Yamal-200 (Sevast'yanov).
-
-Public: reproduction.
-"""
+"""Reproduction of attitude from retransmitted carriers on Yamal-200 (Sevast'yanov)."""

@@ -1,4 +1,1 @@
-"""Import of a folder: a manifest proposed from its files, compared with the service, and sent.
-
-Public: entries, manifest.
-"""
+"""Import of a folder: a manifest proposed from its files, compared with the service, and sent."""

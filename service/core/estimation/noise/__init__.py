@@ -1,4 +1,1 @@
-"""Noise of the carriers' levels, identified from quiet days.
-
-Public: allan, components, periodogram, quantisation.
-"""
+"""Noise of the carriers' levels, identified from quiet days."""

@@ -1,4 +1,1 @@
-"""Attitude of one epoch alone, robust against several wrong carriers.
-
-Public: fault_bounds, snapshot, snapshot_start.
-"""
+"""Attitude of one epoch alone, robust against several wrong carriers."""

@@ -1,4 +1,1 @@
-"""Capture: from which rates one axis comes to rest.
-
-Public: capture, capture_analysis.
-"""
+"""Capture: from which rates one axis comes to rest."""

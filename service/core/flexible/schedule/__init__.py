@@ -1,4 +1,1 @@
-"""Check of a torque schedule against the flexible modes of one axis.
-
-Public: schedule_check, schedule_metrics, schedule_response.
-"""
+"""Check of a torque schedule against the flexible modes of one axis."""

@@ -1,4 +1,1 @@
-"""Published method: harmonic removal, snapshot fix, rate filter.
-
-Public: harmonic_removal, runner, snapshot_fix.
-"""
+"""Published method: harmonic removal, snapshot fix, rate filter."""

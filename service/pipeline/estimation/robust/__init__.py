@@ -1,4 +1,1 @@
-"""Robust method: attitude filter over all carriers.
-
-Public: attitude_rows, row_recorder, runner, saved_state.
-"""
+"""Robust method: attitude filter over all carriers."""

@@ -1,4 +1,1 @@
-"""Smoothed angles: the robust method's rows after the rows that came later.
-
-Public: lagged_rows, smoothed_rows, smoother.
-"""
+"""Smoothed angles: the robust method's rows after the rows that came later."""

@@ -1,4 +1,1 @@
-"""Trials of single steps of the method: snapshots, levels.
-
-Public: snapshot_trials.
-"""
+"""Trials of single steps of the method: snapshots, levels."""

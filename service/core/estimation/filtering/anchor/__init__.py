@@ -1,4 +1,1 @@
-"""Anchor of the attitude filter: the references of the alignment, and what they say of the filter's error.
-
-Public: anchor_watch, carrier_mixture.
-"""
+"""Anchor of the attitude filter: the references of the alignment, and what they say of the filter's error."""

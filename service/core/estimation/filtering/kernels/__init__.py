@@ -1,4 +1,1 @@
-"""Arithmetic of the attitude filter, as numpy runs it or compiled.
-
-Public: anchor_kernels, kernels, state_kernels.
-"""
+"""Arithmetic of the attitude filter, as numpy runs it or compiled."""

@@ -1,4 +1,1 @@
-"""Oracle of a campaign: the linear filter that knows true statistics, and what it knows of measured motion.
-
-Public: filter.
-"""
+"""Oracle of a campaign: the linear filter that knows true statistics, and what it knows of measured motion."""
