@@ -63,7 +63,7 @@ test-all: export SOO_TEST_PROFILE := ci
 test-all: $(DEV_STAMP) ## run the slow tests too, as continuous integration does
 	$(PARALLEL) $(REPORT)/all.xml -m "not nightly and not alone"
 
-mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; print how many were killed
+mutants: $(DEV_STAMP) ## put sixty errors into the code, one at a time; print the test that finds each
 	$(BIN)/python tests/mutation/mutants.py
 
 console-check: $(DEV_STAMP) ## look at the console in the system's chromium; pictures in build/console

@@ -1,0 +1,155 @@
+"""Sixty errors that a developer could make and a user would suffer from.
+
+Each one names a function by its qualified name, wherever its file lies below service or db, a text that stands in it
+once, and the text of the error. Who moves a function changes nothing here; who edits the text repairs the mutant:
+`test_mutants_apply.py` names it.
+"""
+
+from typing import NamedTuple
+
+
+class Mutant(NamedTuple):
+    """One error: in the function or method `name`, `old` becomes `new`."""
+
+    name: str
+    old: str
+    new: str
+
+
+CORE = (
+    # pitch turns the other way
+    Mutant("body_from_nadir", "[cp * cy, cp * sy, -sp]", "[cp * cy, cp * sy, sp]"),
+    Mutant("attitude_of_quaternion", "-np.arcsin(", "np.arcsin("),
+    # a quaternion and its negative give torques of opposite sign
+    Mutant("error_angles_rad", "math.copysign(2.0, scalar)", "2.0"),
+    Mutant("body_rate_rad_s", "roll_rate - yaw_rate * math.sin(pitch)", "roll_rate + yaw_rate * math.sin(pitch)"),
+    # roll and yaw exchange the wrong way round
+    Mutant("feedback_torque", "np.array([-roll_rate, yaw_rate, 0.0])", "np.array([roll_rate, -yaw_rate, 0.0])"),
+    # a wheel turns the body its own way
+    Mutant("allocate_to_wheels", "-torque_n_m @", "torque_n_m @"),
+    Mutant("allocate", "momentum + (given + null) * duration_s", "momentum + given * duration_s"),
+    # a saturated request is saved up
+    Mutant("shape_pulses", "np.where(is_saturated, 0.0, wanted - impulse)", "wanted - impulse"),
+    # an effect that is no number passes the envelope
+    Mutant("envelope_excesses", "if not value <= limit * (1.0 + _ROUNDING)", "if value > limit * (1.0 + _ROUNDING)"),
+    # an instant at a node belongs to the orbit before
+    Mutant("latest_node_us", 'side="right"', 'side="left"'),
+    Mutant("fit_harmonics", "np.arctan2(-a2, a1)", "np.arctan2(a2, a1)"),
+    Mutant("fade_sign_test", "present < -depth_db", "present < depth_db"),
+    # minutes of rain before a gap count after it
+    Mutant("step_fade_watch", "(0.0, 0.0, 0.0) if is_gap", "(state.wet_s, state.dry_s, elapsed_s) if is_gap"),
+    # slopes of negative angles change their sign
+    Mutant("one_sided_columns", "np.minimum(angle_deg, 0.0)", "-np.minimum(angle_deg, 0.0)"),
+    # a new level stays correlated with the attitude
+    Mutant("reset_carriers", "covariance[:, flat] = 0.0", "covariance[flat, :] = 0.0"),
+    # drift without process noise: sigma too small
+    Mutant("turn", "0.5 * (own + own.T) + drift_noise", "0.5 * (own + own.T)"),
+    Mutant("reduce", "covariance - 0.5 * (product + product.T)", "covariance + 0.5 * (product + product.T)"),
+    Mutant(
+        "_rotation",
+        "[value.real, -value.imag, 0.0], [value.imag, value.real, 0.0]",
+        "[value.real, value.imag, 0.0], [-value.imag, value.real, 0.0]",
+    ),
+    Mutant("linearise", "+ 0.5 * (bend @ at_deg)", "- 0.5 * (bend @ at_deg)"),
+    # noise of one bin is taken off a carrier of many
+    Mutant("measure_carriers", "total_mw - noise_bin_mw * weights.band_sum", "total_mw - noise_bin_mw"),
+)
+PIPELINE = (
+    # every row counts as late
+    Mutant("system_bounds", "now_us - _us(late_after_s)", "now_us + _us(late_after_s)"),
+    # flags of another plan are taken
+    Mutant("_has_width", "(masks is None or len(masks) == width)", "True"),
+    # a second row of one epoch moves the filter again
+    Mutant("Chain.step", "measurement.epoch_us <= (self._newest_us", "measurement.epoch_us < (self._newest_us"),
+    Mutant("remove_harmonic", "power_dbm - expected_dbm", "expected_dbm - power_dbm"),
+    # rates a thousand times too small
+    Mutant("rate_deg_s", "history.epochs_us[-1]) / US_PER_S", "history.epochs_us[-1]) / 1_000"),
+    # a sigma that is no number allows control
+    Mutant(
+        "_of_fix",
+        "not roll_sigma_deg <= config.roll_sigma_limit_deg",
+        "roll_sigma_deg > config.roll_sigma_limit_deg",
+    ),
+    # yaw and roll are judged, pitch is not
+    Mutant("filtered_row", "announced.attitude_deg[1:]", "announced.attitude_deg[:2]"),
+    Mutant("frozen", "(readings.rows >= _ROWS) & (", "(readings.rows >= _ROWS) | ("),
+    # the angle at the alignment counts twice
+    Mutant("reference_powers", "- turned_db", "+ turned_db"),
+    # an alarm returns within its deadband
+    Mutant("_is_gone", "return reported >= bound + limits.deadband", "return reported >= bound"),
+    # shelved and suppressed alarms are sent again
+    Mutant(
+        "AlarmEngine._is_to_repeat",
+        "alarm.process is Process.UNACKNOWLEDGED and alarm.cover is Cover.NONE",
+        "alarm.process is Process.UNACKNOWLEDGED",
+    ),
+    # the sign of yaw counts as proven without a turn about yaw
+    Mutant("report_signs", "is_yaw_proven = is_turned and verdict", "is_yaw_proven = verdict"),
+    # the daily wave of the known torque runs backwards
+    Mutant("known_disturbance", "[0.0, -sin, cos]", "[0.0, sin, cos]"),
+    Mutant("control_inhibitions", "spacecraft.onboard.fast_loop and", "spacecraft.onboard.fast_loop or"),
+    # an axis whose torque is withheld gets one
+    Mutant("mean_pulses", "wanted = np.where(is_allowed, wanted, 0.0)", "wanted = wanted + 0.0"),
+)
+RELEASE = (
+    # one person is enough
+    Mutant(
+        "_confirm_refusal",
+        "if event.by == command.prepared_by or not event.is_approver:",
+        "if not event.is_approver:",
+    ),
+    Mutant("_confirm_refusal", "if event.digest != command.digest:", "if not event.digest:"),
+    # a command goes while the one before is not reported
+    Mutant("release_checks", '_check("reports", not waiting,', '_check("reports", len(waiting) < 2,'),
+    # an estimate from the future is believed
+    Mutant(
+        "row_conditions",
+        "not -stale_us <= now_us - row.epoch_us <= stale_us",
+        "now_us - row.epoch_us > stale_us",
+    ),
+    # impulses of the last hour are not counted
+    Mutant("sent_within_an_hour", "now_us - sent.at_us < _HOUR_US", "now_us - sent.at_us > _HOUR_US"),
+    # the second person of an authorisation may be the first
+    Mutant("_is_second", "former.by == asked.by or former.terms", "former.terms"),
+    # wheels that run backwards are never full
+    Mutant("_momentum_share", "max(map(abs, momentum_n_m_s))", "max(momentum_n_m_s)"),
+    # standing authorisation: a command over the one that is under way
+    Mutant("_send", "if is_busy or at.now_us", "if at.now_us"),
+    # a row from before the trip, computed after it, gets a torque
+    Mutant("without_torque_after", "trip.number > command.number", "trip.number < command.number"),
+    Mutant("allowed_row", "(yaw and not interlock.is_yaw_withheld, roll", "(yaw, roll"),
+)
+ARCHIVE = (
+    # the newest row, sent again, is stored twice or fails
+    Mutant("sort_rows", "prepared.epochs_us[0] > newest_us", "prepared.epochs_us[0] >= newest_us"),
+    # other content for a stored row passes as a duplicate
+    Mutant("sort_rows", "elif earlier == content:", "elif earlier is not content:"),
+    # a row behind the consumed ones counts as in time
+    Mutant("_lateness", "batch.is_stale | (batch.epochs_us < consumed_us)", "batch.is_stale"),
+    # compare and swap: two processes release from one state
+    Mutant("_swap", "if (found or 0) != version:", "if (found or 0) < version:"),
+    # a former leader writes on
+    Mutant("FileLeases.under", "if self._is_wanted and not", "if not self._is_wanted and not"),
+    # content does not enter the checksum of a sealed day
+    Mutant("crc32_of", 'zlib.crc32(b"" if blob is None else blob, crc)', 'zlib.crc32(b"", crc)'),
+    # rows of one epoch are lost where a page ends between them
+    Mutant("newest_rows", "before[0] + 1", "before[0]"),
+    Mutant("SequenceNumbers._advanced", "block.first - tail.last - 1", "block.first - tail.last"),
+)
+EDGES = (
+    # pages leave out the row at which they meet
+    Mutant("PageQuery.cut", "found[self.limit - 1]", "found[self.limit]"),
+    # a key that has expired opens the service
+    Mutant("StoredKeys.principal", "if not stored.key.is_valid(now_us):", "if stored.key.revoked_at_us is not None:"),
+    # who was silent for an hour may send without a limit
+    Mutant("Bucket.consume", "min(self._tokens + gained, self._burst)", "self._tokens + gained"),
+    # rows that the service did not answer for leave the spool
+    Mutant("read_receipt", "len(refused) == rows and", "len(refused) <= rows and"),
+    # a semicolon within quotes splits an answer
+    Mutant("split_answers", 'if letter == ";" and not quote:', 'if letter == ";":'),
+    # the offset from UTC with the wrong sign
+    Mutant("parse_epoch", "- _offset_us(match)", "+ _offset_us(match)"),
+    # an absent figure is exported as "nan"
+    Mutant("text_of_float", '"" if math.isnan(value) else repr(float(value))', "repr(float(value))"),
+)
+MUTANTS = (*CORE, *PIPELINE, *RELEASE, *ARCHIVE, *EDGES)
