@@ -45,6 +45,11 @@ def test_the_error_is_the_rotation_from_target_to_body():
     np.testing.assert_allclose(turn @ body_from_nadir(target), body_from_nadir(attitude), atol=1e-14)
 
 
+def test_the_error_is_the_shorter_of_the_two_rotations_to_the_target():
+    error = error_angles_rad([170.0, 0.0, 0.0], [-170.0, 0.0, 0.0])
+    np.testing.assert_allclose(error, [-2.0 * math.sin(math.radians(10.0)), 0.0, 0.0], atol=1e-12)
+
+
 def test_the_rate_about_the_body_axes_is_that_of_the_turning_frame():
     attitude, rates = np.array([20.0, -15.0, 10.0]), np.array([0.3, -0.2, 0.5])
     step_s = 1e-5
