@@ -1,7 +1,8 @@
 """Mutants: each error of `sixty_mutants`, in a copy of the tree, against the quick tests.
 
-Test files come in the order in which they are likely to find the error: those that name or import the function's
-module, those of its package, then all others. The first failure ends a mutant; a test that fails without it kills none.
+Test files come in the order in which they are likely to find the error: those that import the function's module or lie
+few imports away from it, those of its package, then all others. The first failure ends a mutant; a test that fails
+without the mutant kills none.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+import grimp
 from sixty_mutants import MUTANTS, Mutant
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,7 +28,9 @@ TREES = (*CODE, "analyzer_sim", "tests", "docs", "bench", "deploy")
 #: no suite of these is quick, or each needs an environment of its own
 SLOW = {"clients", "console", "growth", "speed", "mutation", "fakes"}
 #: tests that reach a package through the interface or a port, and therefore name no module of it
-THROUGH = {"db": ("contract",), "service/api": ("api",), "service/frontend": ("conformance",)}
+THROUGH = {"db": "contract", "service/api": "api"}
+#: a test is near where no more imports than these lie between it and the function
+HOPS = 2
 QUICK = "not nightly and not slow"
 #: these bound endless loops: one test, all tests of a mutant
 TEST_S, MUTANT_S = 120, 3600
@@ -84,25 +88,50 @@ def test_texts() -> dict[Path, str]:
     return {test: test.read_text() for test in sorted((ROOT / "tests").rglob("test_*.py")) if _is_quick(test)}
 
 
+@cache
+def import_graph() -> grimp.ImportGraph:
+    """Return the imports of the code."""
+    return grimp.build_graph(*CODE, cache_dir=None)
+
+
+def _imported(text: str) -> set[str]:
+    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom) and node.module]
+    return {name for node in nodes for name in (node.module, *(f"{node.module}.{each.name}" for each in node.names))}
+
+
+@cache
+def imports_by_test() -> dict[Path, set[str]]:
+    """Return the modules that each file of quick tests imports, by itself or by the fakes that it uses."""
+    fakes = {fake.stem: _imported(fake.read_text()) for fake in (ROOT / "tests" / "fakes").rglob("*.py")}
+    modules, imports = import_graph().modules, {}
+    for test, text in test_texts().items():
+        names = _imported(text)
+        imports[test] = names.union(*(fakes[name] for name in names & fakes.keys())) & modules
+    return imports
+
+
 def near_tests(path: Path, name: str) -> list[Path]:
     """Return the test files that are likely to find an error of a function, likeliest first."""
-    package, stem = path.relative_to(ROOT).parent, path.stem
-    dotted = re.escape(".".join(package.parts))
-    imports = re.compile(rf"from {dotted}\.{stem} import|from {dotted} import [^\n]*\b{stem}\b")
+    package, module = path.relative_to(ROOT).parent, ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    # number of imports between a module and that of the function
+    hops = {module: 0}
+    for hop in range(1, HOPS + 1):
+        for reached in list(hops):
+            for each in import_graph().find_modules_that_directly_import(reached):
+                hops.setdefault(each, hop)
     calls = re.compile(rf"\b{re.escape(name.rpartition('.')[2])}\b")
     mirror = ROOT / "tests" / "unit" / package
     while not any(mirror.rglob("test_*.py")):
         mirror = mirror.parent
-    through = [ROOT / "tests" / each for prefix, folders in THROUGH.items() for each in folders
-               if package.as_posix().startswith(prefix)]  # fmt: skip
+    through = [folder for prefix, folder in THROUGH.items() if package.as_posix().startswith(prefix)]
     ranks = {}
-    for test, text in test_texts().items():
-        does_import = imports.search(text) is not None
+    for test, imports in imports_by_test().items():
+        suite = test.relative_to(ROOT / "tests").parts[0]
+        hop = min((hops[each] for each in imports & hops.keys()), default=HOPS + 1)
         is_of_package = test.is_relative_to(mirror)
-        if does_import or is_of_package or any(test.is_relative_to(folder) for folder in through):
-            is_slow = test.relative_to(ROOT / "tests").parts[0] in ("system", "docs")
-            does_call = does_import and calls.search(text) is not None
-            ranks[test] = (is_slow, not does_call, stem not in test.stem, not does_import, not is_of_package)
+        if hop <= HOPS or is_of_package or suite in through:
+            does_call = hop == 0 and calls.search(test_texts()[test]) is not None
+            ranks[test] = (suite == "system", not does_call, path.stem not in test.stem, hop, not is_of_package)
     return sorted(ranks, key=lambda test: (ranks[test], test))
 
 

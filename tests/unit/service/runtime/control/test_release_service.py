@@ -280,10 +280,11 @@ def test_time_passes_for_a_spacecraft_when_the_release_of_another_one_cannot_be_
     assert "release loop failed for unknown-1: spacecraft.unknown" in caplog.text
 
 
-def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
+@pytest.mark.parametrize("momentum_n_m_s", [17.0, -17.0])
+def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver, momentum_n_m_s):
     driver.armed()
     driver.prepare()
-    driver.momentum(17.0)
+    driver.momentum(momentum_n_m_s)
     driver.rows(1)
     assert driver.service.command(SC, 1).state == "REJECTED"
     hold = driver.releases.reported[-1]

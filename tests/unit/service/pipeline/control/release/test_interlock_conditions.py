@@ -39,6 +39,11 @@ def after_a_gap(driver):
     driver.rows(1, lag_s=0.0)
 
 
+def from_the_future(driver):
+    for ahead_s in (80.0, 150.0, 220.0):
+        driver.rows(1, lag_s=-ahead_s)
+
+
 def bad_innovations(driver):
     driver.rows(31, replace(GOOD, is_innovation_in_band=False))
 
@@ -81,7 +86,7 @@ def engage(driver):
 
 
 CASES = {
-    Condition.ESTIMATE_OLD: [lambda driver: driver.tick(201.0)],
+    Condition.ESTIMATE_OLD: [lambda driver: driver.tick(201.0), from_the_future],
     Condition.ESTIMATOR: [row(inhibitions=("chain_step",))],
     Condition.NOT_ALIGNED: [reported(is_aligned=False)],
     Condition.SIGMA_ROLL: [row(sigma_deg=Axes(0.1, 0.061, 0.03)), row(sigma_deg=Axes(0.1, NAN, 0.03))],
