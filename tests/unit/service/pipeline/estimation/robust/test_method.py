@@ -71,6 +71,16 @@ def test_an_exact_payload_is_told_within_a_hundredth_of_a_degree(has_track):
     assert row.common_db == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("angles", "is_beyond"),
+    [((0.0, 0.45, 0.0), True), ((0.0, 0.0, -0.45), True), ((0.45, 0.0, 0.0), False)],
+    ids=["roll", "pitch", "yaw"],
+)
+def test_roll_and_pitch_beyond_what_the_calibration_covers_forbid_control(angles, is_beyond):
+    row = Stepped(angles=angles).step(1).row
+    assert ("beyond_validity" in row.inhibitions, row.control_allowed) == (is_beyond, not is_beyond)
+
+
 def test_an_alignment_that_was_a_little_off_is_put_right_by_the_powers():
     alignment = PAYLOAD.alignment(ALIGNED_US)
     stated = replace(alignment, sigma_deg=replace_axes(alignment.sigma_deg, yaw=0.1, roll=0.05, pitch=0.05))

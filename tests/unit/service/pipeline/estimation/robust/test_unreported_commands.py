@@ -370,10 +370,14 @@ def test_a_twentieth_too_little_fed_forward_is_learned_about_pitch_and_known_abo
     flight = chain_of(spacecraft=replace(record, onboard=fed))
     robust = flight.chain._runners[0]
     around = 2.0 * np.pi / 86_400.0
-    for minute in range(2, 181, 2):
-        turned = np.degrees(0.05 * np.array([0.0, 1e-5, 7e-6]) / np.array([1.0, INERTIA[0][0], INERTIA[1][1]]))
-        swept = (1.0 - np.cos(around * 60.0 * minute)) / around**2
-        flight.robust(flight.row(minute, flight.truth_deg + np.array([0.0, 1.0, 1.0]) * turned * swept))
+
+    def fly(minutes):
+        for minute in minutes:
+            turned = np.degrees(0.05 * np.array([0.0, 1e-5, 7e-6]) / np.array([1.0, INERTIA[0][0], INERTIA[1][1]]))
+            swept = (1.0 - np.cos(around * 60.0 * minute)) / around**2
+            flight.robust(flight.row(minute, flight.truth_deg + np.array([0.0, 1.0, 1.0]) * turned * swept))
+
+    fly(range(2, 181, 2))
     announced = robust.disturbance()
     torque = announced.torque_n_m(announced.epoch_us)
     expected = 0.05 * np.cos(around * 60.0 * 180.0)
@@ -381,6 +385,11 @@ def test_a_twentieth_too_little_fed_forward_is_learned_about_pitch_and_known_abo
     assert torque.roll / 1e-5 == pytest.approx(torque.pitch / 7e-6, abs=0.02)
     assert announced.sigma_n_m.pitch < 0.02 * 7e-6
     assert announced.sigma_n_m.roll < 0.02 * 1e-5
+    # two hours on, and six hours from there: the wave goes round in the direction of time
+    fly(range(182, 301, 2))
+    announced = robust.disturbance()
+    expected = 0.05 * np.cos(around * 60.0 * 300.0 + np.pi / 2.0)
+    assert announced.torque_n_m(announced.epoch_us + 6 * HOUR).pitch / 7e-6 == pytest.approx(expected, abs=0.01)
     # of a torque of unknown shape less is known
     unshaped = chain_of(spacecraft=replace(record, onboard=replace(record.onboard, residual_torque_n_m=5e-7)))
     flown(unshaped, {}, last=1, announced=())
