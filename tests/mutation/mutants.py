@@ -129,9 +129,10 @@ def near_tests(path: Path, name: str) -> list[Path]:
         suite = test.relative_to(ROOT / "tests").parts[0]
         hop = min((hops[each] for each in imports & hops.keys()), default=HOPS + 1)
         is_of_package = test.is_relative_to(mirror)
-        if hop <= HOPS or is_of_package or suite in through:
+        # tests of whole processes take longest
+        if suite != "system" and (hop <= HOPS or is_of_package or suite in through):
             does_call = hop == 0 and calls.search(test_texts()[test]) is not None
-            ranks[test] = (suite == "system", not does_call, path.stem not in test.stem, hop, not is_of_package)
+            ranks[test] = (not does_call, path.stem not in test.stem, hop, not is_of_package)
     return sorted(ranks, key=lambda test: (ranks[test], test))
 
 
@@ -181,7 +182,7 @@ class Judge:
             shutil.copy(path, copy)
             if code in (0, 5):
                 return ""
-            failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+            failed = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", output, re.MULTILINE)
             # no test is named where they did not end
             test = failed[0] if failed else "-"
             if "::" not in test or self._is_passing(test, is_compiled=is_compiled):
