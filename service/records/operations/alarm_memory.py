@@ -1,7 +1,7 @@
 """Memory of the alarm engine beside open alarms, so that a restart neither forgets nor repeats a notice."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
@@ -17,7 +17,8 @@ class ValueMemory:
     pending_us: int | None = None
     #: since when it has been gone
     gone_us: int | None = None
-    value: float = math.nan
+    #: newest value; not compared: NaN, by which it is stored, is not equal to itself
+    value: float = field(default=math.nan, compare=False)
     newest_us: int = -(1 << 62)
 
     @property

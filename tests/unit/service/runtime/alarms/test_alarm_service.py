@@ -151,6 +151,9 @@ def test_an_alarm_that_stands_is_not_written_down_again_and_again(rig, monkeypat
     for minute in range(6, 15):
         rig.row(minute + 0.001 * (minute % 2), -40.0, NAN)
         rig.poll()
+    # what was read from the archive is the same as what was written there
+    rig.restart()
+    rig.poll()
     assert written == []
     rig.row(40, -40.0, NAN)
     rig.poll()
