@@ -125,12 +125,11 @@ def _is_inhibiting(operation: Operation, now_us: int) -> bool:
 
 
 def _momentum_share(spacecraft: Spacecraft, momentum_n_m_s: Sequence[float] | None) -> float | None:
-    """Return how full the fullest wheel is; not a number where telemetry holds one that is none."""
+    """Return how full the fullest wheel is; infinite for NaN, by which inputs would differ from themselves."""
     if not momentum_n_m_s:
         return None
-    if any(math.isnan(each) for each in momentum_n_m_s):
-        return math.nan
-    return max(map(abs, momentum_n_m_s)) / spacecraft.wheels.momentum_limit_n_m_s
+    fullest_n_m_s = max(math.inf if math.isnan(each) else abs(each) for each in momentum_n_m_s)
+    return fullest_n_m_s / spacecraft.wheels.momentum_limit_n_m_s
 
 
 def _ephemeris(storage: Storage, spacecraft_id: str) -> tuple[int | None, int | None]:

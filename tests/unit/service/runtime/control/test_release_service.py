@@ -1,5 +1,6 @@
 """Orders reach the interlock, everything is stored before it holds, a restart sends nothing again."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -15,6 +16,7 @@ from service.records.inputs import Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.command import ReportedCommand
 from service.records.operations.release import CommandRequest, InterlockHold, ProductForm
+from service.runtime.control.release_inputs import interlock_inputs, read_facts
 
 
 @pytest.fixture
@@ -297,6 +299,15 @@ def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver, momentum_n_
     assert driver.releases.reported[-1].is_withheld is False
     actions = [event.action for event in driver.archive.audit_events]
     assert actions == ["interlock_armed", "interlock_tripped", "interlock_inhibited"]
+
+
+def test_a_momentum_that_is_no_number_trips_and_is_the_same_fact_at_the_next_look(driver):
+    driver.armed()
+    driver.momentum(math.nan)
+    assert (driver.state, "momentum" in driver.codes) == ("TRIPPED", True)
+    facts = read_facts(driver.archive, SC, driver.clock.now)
+    first, second = (interlock_inputs(facts, driver.clock.now, lease_holders=1, is_disagreeing=False) for _ in range(2))
+    assert first == second
 
 
 def test_under_automatic_release_the_interlock_watches_and_a_trip_withholds():
