@@ -70,6 +70,8 @@ async def stream(
 ) -> EventStreamResponse:
     """Follow a spacecraft: events measurement, attitude, torque, alarm, status, dropped; Last-Event-ID resumes.
 
+    Without Last-Event-ID the stream starts with the present: the status, then the rows that are not computed yet, then
+    what is stored from then on. Earlier rows, results and alarms do not come. A result comes after its measurement.
     Events command, job, link, note and smoothed tell changes while the stream is open, within some seconds; after a new
     connection the lists tell what was missed of these. An attitude row comes with the results of its carriers.
     """

@@ -58,7 +58,9 @@ class ArchiveReader:
         """Return the next measurements, results and changes of alarms beyond a place, in this order."""
         head = self._storage.archive.head(self._spacecraft_id)
         rows, number, lost_rows = self._rows(position)
-        results, sequence, lost_results = self._results(position._replace(number=number), head.result_sequence)
+        # no result comes before its row: one that was stored after the rows were read waits for the next page
+        last = number if number > position.number else head.newest_number
+        results, sequence, lost_results = self._results(position._replace(number=number), head.result_sequence, last)
         lost = lost_to_retention(lost_rows, lost_results) if lost_rows or lost_results else None
         changes = self._changes(position._replace(number=number, sequence=sequence))
         reached = changes[-1].cursor if changes else position._replace(number=number, sequence=sequence)
@@ -80,20 +82,22 @@ class ArchiveReader:
                 events.append(FeedEvent("measurement", position._replace(number=number), entry.content))
         return events, number, lost
 
-    def _results(self, position: Cursor, newest: int) -> tuple[list[FeedEvent], int, int]:
-        """Return the next results, the sequence that they reach to, and how many sequences are missing."""
+    def _results(self, position: Cursor, newest: int, last_number: int) -> tuple[list[FeedEvent], int, int]:
+        """Return the next results of rows up to a number, the sequence that they reach to, and how many are missing."""
         events, sequence, lost = [], position.sequence, 0
         results = self._storage.results
         found = results.results_after(self._spacecraft_id, sequence, self._results_at_once)
         carriers = results.carriers_after(self._spacecraft_id, found[0][0] - 1, found[-1][0]) if found else {}
         for at, result in found:
+            if result.number > last_number:
+                break
             lost += at - sequence - 1
             sequence = at
             kind = "attitude" if isinstance(result, AttitudeRow) else "torque"
             events.append(FeedEvent(kind, position._replace(sequence=sequence), result, carriers.get(sequence)))
         for plan_id in {each.plan_id for each in carriers.values()}:
             self._names.of(self._spacecraft_id, plan_id)
-        if events or sequence >= newest:
+        if found or sequence >= newest:
             self._results_at_once = _AT_ONCE
             return events, sequence, lost
         # nothing is kept of this stretch: look further each time

@@ -68,7 +68,27 @@ async def test_stream_without_an_id_starts_with_the_present(served, source):
         source.publish(published)
         fresh = source.store(1)
         source.publish(fresh)
+        # only what was stored since, in this order
         assert named(reader.consume(3)) == [(event.kind, format_epoch(event.content.epoch_us)) for event in fresh]
+
+
+async def test_a_result_comes_after_its_row_also_where_both_are_stored_while_the_archive_is_read(
+    served, source, bench, monkeypatch
+):
+    journal, stored = bench.storage.archive.journal, []
+
+    def store_after_the_rows_were_read(spacecraft_id, after, limit):
+        entries = journal(spacecraft_id, after, limit)
+        monkeypatch.setattr(bench.storage.archive, "journal", journal)
+        stored.extend(source.store(1))
+        return entries
+
+    monkeypatch.setattr(bench.storage.archive, "journal", store_after_the_rows_were_read)
+    with served.open() as response:
+        reader = Reader(response)
+        wait_until(lambda: stored)
+        source.publish(tuple(stored))
+        assert named(reader.consume(3)) == [(event.kind, format_epoch(event.content.epoch_us)) for event in stored]
 
 
 @pytest.mark.parametrize("cut", [0, 4, 9, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2, 3, 5, 6, 7, 8))])
