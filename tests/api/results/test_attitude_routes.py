@@ -155,4 +155,4 @@ async def test_versions_are_apart(bench, make):
     (again,) = (await bench.get("/attitude/history", version=version))["rows"]
     assert again == live | {"residual_rms_db": 0.25, "version": version}
     assert len((await bench.get("/torques/history", version=version))["rows"]) == 1
-    assert bench.storage.results.newest_attitude(make.sc, LIVE, Method.PAPER) == make.row(row)
+    assert repr(bench.storage.results.newest_attitude(make.sc, LIVE, Method.PAPER)) == repr(make.row(row))

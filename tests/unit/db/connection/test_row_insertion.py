@@ -29,6 +29,7 @@ def test_rows_that_stand_stay_as_they_are(rows):
         changed = [{**row, "carriers": b"other"} for row in rows]
         assert insert_new(connection, attitude, changed) == 1
         stored = connection.execute(select(attitude).order_by(attitude.c.epoch_us)).all()
+    engine.dispose()
     assert [row.carriers for row in stored] == [None, None, b"other"]
     assert [row.checksum for row in stored] == [checksum_of(attitude, row) for row in (*rows[:2], changed[2])]
     assert all(math.isnan(row.common_db) for row in stored)

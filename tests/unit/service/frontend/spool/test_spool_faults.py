@@ -4,6 +4,7 @@ import os
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -119,7 +120,8 @@ def test_what_can_be_read_of_a_spoiled_file_is_carried_over(tmp_path: Path) -> N
         made.append(row(5000))
         assert made.state.last_seq == 3001
         assert "integrity" not in warning.detail
-    assert sqlite3.connect(path).execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    with closing(sqlite3.connect(path)) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
 
 
 def test_a_file_that_is_spoiled_while_in_use_loses_no_row_that_can_be_read(tmp_path: Path) -> None:
