@@ -27,7 +27,8 @@ _Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 def port_error(name: str, port: int, host: str, error: OSError) -> OSError:
     """Return what to raise in place of an error of a listening socket: its text names the port."""
-    reason = str(error.strerror or error).rpartition(": ")[2].lower()
+    # asyncio puts the address before the reason, since Python 3.13 also the number of the error in brackets
+    reason = str(error.strerror or error).rpartition(": ")[2].rpartition("] ")[2].lower()
     return OSError(f"{name} port {port} of {host}: {reason}")
 
 
