@@ -125,6 +125,9 @@ def attitude_row(of: Measurement, method: Method = Method.ROBUST, **changes: obj
         residual_rms_db=0.15,
         calibration_id=1,
         alignment_id=1,
+        protection_deg=Axes(0.05, 0.01, 0.015),
+        # no figure is NaN: a row that comes back is equal to the one that was stored
+        lag_s=900.0,
     )
     return replace(row, **changes)  # type: ignore[arg-type]
 

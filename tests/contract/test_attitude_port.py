@@ -28,8 +28,8 @@ def outcomes(setting, make, methods=BOTH):
     return [Outcome(tuple(make.attitude_row(row, method) for method in methods), None) for row in setting.rows()]
 
 
-FIGURES = ("attitude_deg", "sigma_deg", "rates_deg_s")
-SINGLES = ("downlink_fade_db", "common_db", "residual_rms_db")
+FIGURES = ("attitude_deg", "sigma_deg", "rates_deg_s", "protection_deg")
+SINGLES = ("downlink_fade_db", "common_db", "residual_rms_db", "lag_s")
 
 
 @settings(
@@ -39,7 +39,7 @@ SINGLES = ("downlink_fade_db", "common_db", "residual_rms_db")
     max_examples=examples(40),
 )
 @given(
-    figures=st.lists(st.floats(), min_size=12, max_size=12),
+    figures=st.lists(st.floats(), min_size=16, max_size=16),
     has_rates=st.booleans(),
     claims=st.lists(st.booleans(), min_size=5, max_size=5),
     status=st.sampled_from(Status),
@@ -53,7 +53,7 @@ def test_an_attitude_row_comes_back_bit_for_bit(new_setting, make, figures, has_
     row = make.attitude_row(
         setting.rows()[0],
         **axes,
-        **dict(zip(SINGLES, figures[9:], strict=True)),
+        **dict(zip(SINGLES, figures[12:], strict=True)),
         status=status,
         control_allowed=claims[0],
         control_allowed_axes=tuple(claims[1:4]),
