@@ -51,13 +51,17 @@ def step_with_record(
 def with_momenta(
     state: RobustState, model: RobustModel, knowledge: Knowledge
 ) -> tuple[RobustState, list[SensorEffect]]:
-    """Return the state after the records of the wheels that are due at its epoch, and the effect of each."""
-    epoch_us, spacecraft = state.filter.epoch_us, knowledge.spacecraft
-    if model.settings.momentum is None or model.wheel_axes is None or spacecraft is None:
+    """Return the state after the records of the wheels that are due at its epoch, and the effect of each.
+
+    Of the records up to the alignment the newest one is used: with more of them the filter would take the first wrong
+    one for wild.
+    """
+    epoch_us, spacecraft, alignment = state.filter.epoch_us, knowledge.spacecraft, knowledge.alignment
+    if model.settings.momentum is None or model.wheel_axes is None or spacecraft is None or alignment is None:
         return state, []
-    after_us = max(state.momentum.newest_us, epoch_us - _LATE_US - 1)
-    effects = []
-    for record in records_between(knowledge.momenta, after_us, epoch_us):
+    after_us, effects = max(state.momentum.newest_us, epoch_us - _LATE_US - 1), []
+    first = records_between(knowledge.momenta, after_us, min(alignment.epoch_us, epoch_us))[-1:]
+    for record in (*first, *records_between(knowledge.momenta, max(after_us, alignment.epoch_us), epoch_us)):
         state, effect = _with_momentum(state, model, spacecraft, record)
         effects.append(effect)
     return state, effects

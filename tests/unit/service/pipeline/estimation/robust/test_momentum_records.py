@@ -70,6 +70,10 @@ def test_every_record_of_a_batch_is_used_once_in_its_order() -> None:
         for minute in minutes
     )
     at_once = Stepped(spacecraft=spacecraft, momenta=batch)
+    # of those up to an alignment the newest one is used, and that of the filter is just now
+    assert len(with_momenta(at_once.state, at_once.model, at_once.knowledge)[1]) == 1
+    alignment = replace(at_once.knowledge.alignment, epoch_us=ALIGNED_US - 60 * MINUTE)
+    at_once.knowledge = replace(at_once.knowledge, alignment=alignment)
     state, effects = with_momenta(at_once.state, at_once.model, at_once.knowledge)
     assert [effect.update is not None for effect in effects] == [True] * 4
     assert state.momentum.newest_us == ALIGNED_US
