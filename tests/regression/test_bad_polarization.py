@@ -141,6 +141,7 @@ def test_a_bad_polarimeter_leads_to_no_wrong_torque_and_costs_little(kind: str) 
     assert advice is None or advice in said
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_polarimeter_that_falls_silent_makes_yaw_no_worse_but_by_chance() -> None:
     silent, none = (np.array([flown(kind, seed).rms_deg(1.0)[0] for seed in SEEDS]) for kind in ("saturated", ""))
@@ -229,6 +230,7 @@ def moved(turn_deg: float) -> Flown:
         world.ground = kept
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_catalogue_that_is_wrong_by_a_degree_costs_nothing() -> None:
     right, believed = stated(TRUE_DEG), stated(TRUE_DEG, is_learned=False)

@@ -13,7 +13,7 @@ import pytest
 from analyzer_sim.world.scenario.scenario import downlink_rain, scenario_named
 
 SEEDS = range(1, 11)
-SLOPES_DB_MIN = (0.05, 0.1, 0.3, 1.0, 3.0)
+SLOPES_DB_MIN = (0.05, *(pytest.param(slope, marks=pytest.mark.nightly) for slope in (0.1, 0.3, 1.0)), 3.0)
 #: rows are a minute apart
 LATEST_STOP_MIN = 20
 

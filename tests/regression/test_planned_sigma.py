@@ -72,6 +72,7 @@ def test_sigma_before_the_turns_is_the_error_after_them():
     assert not is_near(found["nominal"][0], found["weather_far"][2])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_sigma_before_the_turns_of_one_world():
     sigma, _, rms = kept(predicted_and_reached, "nominal", 1)

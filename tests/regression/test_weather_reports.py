@@ -78,6 +78,7 @@ def with_reports(scenario, seed, days, *attenuations):
     return found
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_reports_change_levels_and_wrong_ones_bring_no_wrong_torque():
     found = with_reports(*STORM, 0.8, reported, reported_everywhere, reported_inverted)

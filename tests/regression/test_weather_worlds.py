@@ -33,6 +33,7 @@ def assert_honest(scenario, seed):
     return yardsticks
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_rain_teaches_no_wrong_angle():
     yardsticks = assert_honest(*RELEARNED)

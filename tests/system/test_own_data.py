@@ -147,12 +147,14 @@ def refused_calibration(site: Site) -> str:
     return done.stderr
 
 
+@pytest.mark.nightly
 def test_a_flipped_sensor_is_refused_by_the_calibration(site: Site) -> None:
     known = write_station(site.folder / "files", SEED)
     write_tracker(site.folder / "files" / "star-tracker.csv", known, SEED, signs=(1, -1, 1))
     assert "roll" in refused_calibration(site)
 
 
+@pytest.mark.nightly
 def test_too_few_carriers_are_refused_by_the_calibration(site: Site) -> None:
     write_station(site.folder / "files", SEED)
     plan = site.folder / "files" / "carriers.csv"
@@ -161,6 +163,7 @@ def test_too_few_carriers_are_refused_by_the_calibration(site: Site) -> None:
     assert "only 3 carriers can be used, 4 are needed for three angles and the common level" in said
 
 
+@pytest.mark.nightly
 def test_without_a_service_the_import_says_so(site: Site) -> None:
     write_station(site.folder / "files", SEED, minutes=30)
     init, _, _, propose, send, _ = commands_of_the_page()

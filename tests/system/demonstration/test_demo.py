@@ -62,6 +62,7 @@ def test_no_row_is_lost_and_live_equals_its_replay(kept):
     require_whole(kept[1])
 
 
+@pytest.mark.nightly
 def test_no_row_is_lost_and_live_equals_its_replay_where_slews_are_followed(compiled_environment):
     figures = statistics_of(compiled_environment, "--open")
     require_whole(figures)

@@ -14,7 +14,7 @@ import pytest
 
 from service.client.service_client import ServiceClient
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.nightly]
 
 CRAFT = "yamal-202"
 #: bounds hangs; half a quiet day is measured first

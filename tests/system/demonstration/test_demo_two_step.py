@@ -18,7 +18,7 @@ from service.study.demonstration.demonstration import Scene, run_story
 from service.study.demonstration.merit import AXES
 from service.study.demonstration.two_step_centre import RowPaces, TwoStepCentre
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.nightly]
 
 SEED, DAYS, QUIET_DAYS = 1, 0.2, 0.5
 CRAFT = "yamal-202"

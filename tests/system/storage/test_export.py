@@ -112,6 +112,7 @@ def resident_mb(process: int) -> float:
     return int(next(line.split()[1] for line in text.splitlines() if line.startswith("VmHWM"))) / 1024
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory of a process is read from /proc")
 def test_memory_of_an_export_does_not_grow_with_its_span(start_service: Any, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from db.maintenance.doctor import diagnose
 from service.records.epoch import format_epoch
 from service.runtime.clock import system_now_us
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.nightly]
 
 ROOT = Path(__file__).resolve().parents[3]
 SEED = 15

@@ -99,6 +99,7 @@ def machine(tmp_path: Path) -> Iterator[Machine]:
 
 @pytest.mark.slow
 @pytest.mark.system
+@pytest.mark.nightly
 def test_blocks_run_as_they_stand(machine: Machine) -> None:
     listing, install, user, unit, new, change_over, back, restore = re.findall(
         r"^```bash\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE

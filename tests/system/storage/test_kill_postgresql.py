@@ -12,7 +12,7 @@ import pytest
 from db.maintenance.doctor import diagnose
 from service.runtime.clock import system_now_us
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.nightly]
 
 SEED = 21
 KILLS_OF_A_NIGHT = 50

@@ -31,7 +31,7 @@ from service.records.operations.job import Job, JobState, Replay
 from service.records.storage.checkpoint import Checkpoint
 from service.runtime.clock import system_now_us
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.nightly]
 
 SEED = 23
 DAYS = 3

@@ -18,7 +18,7 @@ from service.records.epoch import US_PER_S, format_epoch
 from service.runtime.clock import system_now_us
 from service.runtime.jobs.lagged_run import LaggedOrder, LaggedRun
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.nightly]
 
 SEED = 31
 LAG_MIN = 20

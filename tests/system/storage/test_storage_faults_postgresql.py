@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import create_engine
 from storage_trial import IMPATIENT
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.nightly]
 
 
 def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster):

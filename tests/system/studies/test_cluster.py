@@ -25,7 +25,7 @@ from service.pipeline.config import ChainConfig
 from service.records.operations.job import JobState, Replay
 from service.study.executors import ClusterError, WorkerChoice, executor_of
 
-pytestmark = [pytest.mark.system, pytest.mark.slow]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.nightly]
 
 DASK = Path(sys.executable).parent / "dask"
 #: of a hash: ten seconds and more of a processor
