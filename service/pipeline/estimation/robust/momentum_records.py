@@ -7,7 +7,7 @@ import numpy as np
 
 from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
-from service.core.estimation.filtering.watches.momentum_watch import push_record, with_impossible
+from service.core.estimation.filtering.watches.momentum_watch import NEVER_US, push_record, with_impossible
 from service.pipeline.estimation.robust.method import RobustState, RobustStep, step_robust
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.robust.polarization_records import with_polarization
@@ -53,15 +53,14 @@ def with_momenta(
 ) -> tuple[RobustState, list[SensorEffect]]:
     """Return the state after the records of the wheels that are due at its epoch, and the effect of each.
 
-    Of the records up to the alignment the newest one is used: with more of them the filter would take the first wrong
-    one for wild.
+    A filter begins with the newest of them: after several true ones it would leave out the first wrong one as wild.
     """
-    epoch_us, spacecraft, alignment = state.filter.epoch_us, knowledge.spacecraft, knowledge.alignment
-    if model.settings.momentum is None or model.wheel_axes is None or spacecraft is None or alignment is None:
+    epoch_us, spacecraft, newest_us = state.filter.epoch_us, knowledge.spacecraft, state.momentum.newest_us
+    if model.settings.momentum is None or model.wheel_axes is None or spacecraft is None:
         return state, []
-    after_us, effects = max(state.momentum.newest_us, epoch_us - _LATE_US - 1), []
-    first = records_between(knowledge.momenta, after_us, min(alignment.epoch_us, epoch_us))[-1:]
-    for record in (*first, *records_between(knowledge.momenta, max(after_us, alignment.epoch_us), epoch_us)):
+    records = records_between(knowledge.momenta, max(newest_us, epoch_us - _LATE_US - 1), epoch_us)
+    effects = []
+    for record in records if newest_us != NEVER_US else records[-1:]:
         state, effect = _with_momentum(state, model, spacecraft, record)
         effects.append(effect)
     return state, effects

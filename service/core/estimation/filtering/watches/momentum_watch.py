@@ -30,7 +30,8 @@ _MISLED_DEG = (0.2, 0.02, 0.02)
 _REPORTED_US = 3_600_000_000
 #: without anything of use for this long yaw is known as without the sensor, us; records of each hour may miss one
 SILENT_US = 3 * 3_600_000_000
-_NEVER_US = -(1 << 62)
+#: epoch of the newest record before the first
+NEVER_US = -(1 << 62)
 
 
 class MomentumWatch(NamedTuple):
@@ -51,12 +52,12 @@ class MomentumWatch(NamedTuple):
 
 def fresh_watch() -> MomentumWatch:
     """Return the watch before the first record."""
-    return MomentumWatch(_NEVER_US, np.zeros(3), 0, 0.0, 0.0, 0.0, _NEVER_US, False)
+    return MomentumWatch(NEVER_US, np.zeros(3), 0, 0.0, 0.0, 0.0, NEVER_US, False)
 
 
 def with_impossible(watch: MomentumWatch) -> MomentumWatch:
     """Return the watch after a record that no wheel can hold: telemetry that begins so is refused."""
-    return watch._replace(is_refused=True) if watch.newest_us == _NEVER_US else watch
+    return watch._replace(is_refused=True) if watch.newest_us == NEVER_US else watch
 
 
 def has_jumped(watch: MomentumWatch, epoch_us: int) -> bool:
@@ -92,7 +93,7 @@ def push_record(
     """
     if watch.is_refused or record_us <= watch.newest_us or np.array_equal(reported, watch.newest):
         return watch, gaussian, NO_EFFECT
-    is_first = watch.newest_us == _NEVER_US
+    is_first = watch.newest_us == NEVER_US
     keep = 0.0 if is_first else math.exp(-(record_us - watch.newest_us) / (_MEMORY_H * 3.6e9))
     watch = watch._replace(
         newest_us=record_us,

@@ -70,18 +70,18 @@ def test_every_record_of_a_batch_is_used_once_in_its_order() -> None:
         for minute in minutes
     )
     at_once = Stepped(spacecraft=spacecraft, momenta=batch)
-    # of those up to an alignment the newest one is used, and that of the filter is just now
-    assert len(with_momenta(at_once.state, at_once.model, at_once.knowledge)[1]) == 1
-    alignment = replace(at_once.knowledge.alignment, epoch_us=ALIGNED_US - 60 * MINUTE)
-    at_once.knowledge = replace(at_once.knowledge, alignment=alignment)
-    state, effects = with_momenta(at_once.state, at_once.model, at_once.knowledge)
-    assert [effect.update is not None for effect in effects] == [True] * 4
+    # a filter begins with the newest one
+    newest_alone, effects = with_momenta(at_once.state, at_once.model, at_once.knowledge)
+    assert (len(effects), newest_alone.momentum.newest_us) == (1, ALIGNED_US)
+    one_by_one, _ = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[:1]))
+    assert one_by_one is at_once.state, "older than 15 min"
+    one_by_one, _ = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[1:2]))
+    state, effects = with_momenta(one_by_one, at_once.model, at_once.knowledge)
+    assert [effect.update is not None for effect in effects] == [True] * 3
     assert state.momentum.newest_us == ALIGNED_US
-    one_by_one = at_once.state
-    for record in batch[1:5]:
+    for record in batch[2:5]:
         one_by_one, _ = with_momenta(one_by_one, at_once.model, replace(at_once.knowledge, momenta=(record,)))
     np.testing.assert_array_equal(state.filter.gaussian.covariance, one_by_one.filter.gaussian.covariance)
-    newest_alone, _ = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[4:5]))
     begin = sensors_first(at_once.model.filter, state.filter.gaussian, at_once.model.settings)
     own = slice(begin, begin + 3)
     sigmas = [np.sqrt(each.filter.gaussian.covariance.diagonal()[own]) for each in (state, newest_alone)]
