@@ -51,19 +51,27 @@ def step_with_record(
 def with_momenta(
     state: RobustState, model: RobustModel, knowledge: Knowledge
 ) -> tuple[RobustState, list[SensorEffect]]:
-    """Return the state after the records of the wheels that are due at its epoch, and the effect of each.
-
-    A filter begins with the newest of them: after several true ones it would leave out the first wrong one as wild.
-    """
-    epoch_us, spacecraft, newest_us = state.filter.epoch_us, knowledge.spacecraft, state.momentum.newest_us
-    if model.settings.momentum is None or model.wheel_axes is None or spacecraft is None:
+    """Return the state after the records of the wheels that are due at its epoch, and the effect of each."""
+    if model.settings.momentum is None or model.wheel_axes is None or knowledge.spacecraft is None:
         return state, []
-    records = records_between(knowledge.momenta, max(newest_us, epoch_us - _LATE_US - 1), epoch_us)
     effects = []
-    for record in records if newest_us != NEVER_US else records[-1:]:
-        state, effect = _with_momentum(state, model, spacecraft, record)
+    for record in _due_momenta(state, knowledge):
+        state, effect = _with_momentum(state, model, knowledge.spacecraft, record)
         effects.append(effect)
     return state, effects
+
+
+def _due_momenta(state: RobustState, knowledge: Knowledge) -> tuple[TelemetryRecord, ...]:
+    """Return the records up to the epoch of a state that were not used.
+
+    A filter begins with the first record of after its alignment; one of before it serves only while none follows.
+    """
+    epoch_us, newest_us = state.filter.epoch_us, state.momentum.newest_us
+    records = records_between(knowledge.momenta, max(newest_us, epoch_us - _LATE_US - 1), epoch_us)
+    if newest_us != NEVER_US or knowledge.alignment is None or not records:
+        return records
+    after_alignment = records_between(records, knowledge.alignment.epoch_us - 1, epoch_us)
+    return after_alignment or tuple(record for record in records if record is knowledge.momenta[-1])
 
 
 def _with_momentum(
