@@ -1,21 +1,35 @@
-"""Whatever a client sends, in any dialect: the simulated analyzer neither raises nor falls silent nor grows.
-
-Counts: 4 dialects x 4 kinds x ``EXAMPLES`` in the process, the framer apart, and the same kinds over live sockets and
-HiSLIP in ``test_scpi_never_dies_wire.py``. ``test_nightly_*`` repeat it with fresh examples, a hundred thousand in all.
-"""
+"""The analyzer answers whatever it is asked."""
 
 import itertools
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from typing import Any
 
+import numpy as np
 import pytest
+from analyzer_thread import AnalyzerThread, start_in_thread
 from dialect_facts import FACTS
 from example_counts import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scpi_bench import Bench
+from scpi_bench import Bench, standing_instrument
 from scpi_soup import KINDS
+from wire_lines import HislipLine, RawLine
 
 from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.scpi.framing import MessageFramer
+from service.frontend.drivers.scpi import (
+    AnswerError,
+    levels_of_block,
+    levels_of_text,
+    parse_date_time,
+    parse_flag,
+    parse_identity,
+    parse_message,
+    parse_number,
+    split_answers,
+    split_block,
+)
 
 EXAMPLES = examples(250)
 NIGHTLY_EXAMPLES = 6_400
@@ -97,3 +111,159 @@ def test_block_of_any_bytes_is_one_datum_of_one_message(payload: bytes, tail: by
     bench = Bench("rs")
     assert bench.send(b"FREQ:CENT " + _block(payload) + tail + b"\n*ESE?\n") == b"0\n"
     assert bench.errors() == [-168]
+
+
+PARSERS: list[Callable[[str], Any]] = [
+    parse_identity,
+    parse_message,
+    parse_number,
+    parse_flag,
+    split_answers,
+    lambda text: levels_of_text(text, 3),
+    lambda text: parse_date_time(text, text),
+]
+
+
+@pytest.mark.parametrize("parse", PARSERS)
+@given(text=st.one_of(st.text(max_size=60), st.from_regex(r'[-+0-9,;"#.eE ]{0,30}', fullmatch=True)))
+def test_text_of_any_kind(parse: Callable[[str], Any], text: str) -> None:
+    try:
+        value = parse(text)
+    except AnswerError:
+        return
+    assert value is not None
+
+
+@given(st.one_of(st.binary(max_size=60), st.from_regex(rb"#[0-9(][0-9)]{0,4}[\x00-\xff]{0,20}", fullmatch=True)))
+def test_blocks_of_any_kind(data: bytes) -> None:
+    try:
+        payload, rest = split_block(data)
+    except AnswerError:
+        return
+    assert payload + rest in data + b"\n"
+
+
+@given(st.lists(st.floats(min_value=-200, max_value=50, width=32), min_size=1, max_size=50), st.binary(max_size=8))
+def test_a_real_block_comes_back(levels: list[float], tail: bytes) -> None:
+    content = np.array(levels, dtype="<f4").tobytes()
+    size = str(len(content)).encode()
+    payload, rest = split_block(b"#" + str(len(size)).encode() + size + content + tail)
+    assert rest == tail
+    np.testing.assert_array_equal(levels_of_block(payload, len(levels)), np.array(levels))
+
+
+@given(
+    st.lists(st.text(alphabet='ab1,. "', max_size=8).filter(lambda t: t.count('"') % 2 == 0), min_size=1, max_size=6)
+)
+def test_answers_come_apart_where_they_were_joined(answers: list[str]) -> None:
+    assert split_answers(";".join(answers)) == [answer.strip() for answer in answers]
+
+
+EXAMPLES_SCPI_NEVER_DIES_WIRE = examples(150)
+NIGHTLY_EXAMPLES_SCPI_NEVER_DIES_WIRE = 1000
+_NONCES = itertools.cycle(range(1, 128))
+
+
+@pytest.fixture(params=sorted(DIALECTS))
+def name(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def analyzer(name: str) -> Iterator[AnalyzerThread]:
+    dialect = DIALECTS[name]
+    with start_in_thread(standing_instrument(dialect), dialect=dialect, hislip_port=0) as handle:
+        yield handle
+
+
+class SocketThrower:
+    """Throws bytes at one connection for as long as it lives."""
+
+    def __init__(self, analyzer: AnalyzerThread, identity: str) -> None:
+        self.line = RawLine(analyzer.port)
+        self._identity = identity
+        self._analyzer = analyzer
+        #: knows what stands open, as a client knows that forgot a quote
+        self._framer = MessageFramer()
+
+    def throw(self, data: bytes) -> None:
+        """Send bytes, close what stands open, ask who is there."""
+        self._analyzer.instrument.settings.points = 101
+        self._framer.feed(data)
+        close = self._framer.missing + b"\n\n"
+        self._framer.feed(close)
+        nonce = next(_NONCES)
+        self.line.write(data + close + f"*ESE {nonce};*IDN?;*ESE?\n".encode())
+        self.line.read_until(f"{self._identity};{nonce}\n".encode())
+
+
+class HislipThrower:
+    """Throws messages at one session for as long as it lives; the end of a message closes what stands open."""
+
+    def __init__(self, analyzer: AnalyzerThread, identity: str) -> None:
+        self.line = HislipLine(analyzer.hislip_port or 0)
+        self._identity = identity
+        self._analyzer = analyzer
+
+    def throw(self, data: bytes) -> None:
+        """Send a message, clear the device, ask who is there."""
+        self._analyzer.instrument.settings.points = 101
+        self.line.write(data)
+        self.line.clear()
+        nonce = next(_NONCES)
+        assert self.line.ask(f"*ESE {nonce};*IDN?;*ESE?") == f"{self._identity};{nonce}"
+
+
+THROWERS: list[Callable[[AnalyzerThread, str], SocketThrower | HislipThrower]] = [SocketThrower, HislipThrower]
+
+
+def fuzz_scpi_never_dies_wire(
+    analyzer: AnalyzerThread, name: str, make: Callable[..., SocketThrower | HislipThrower], examples: int
+) -> None:
+    """Throw examples of all kinds at one line; the repeatable ones when they are few."""
+    kinds = st.one_of(*(kind(name) for kind in KINDS.values()))
+    thrower = make(analyzer, DIALECTS[name].identity)
+    with closing(thrower.line):
+        check = given(kinds)(thrower.throw)
+        options = settings(
+            max_examples=examples,
+            deadline=None,
+            derandomize=examples == EXAMPLES_SCPI_NEVER_DIES_WIRE,
+            database=None,
+            suppress_health_check=[HealthCheck.too_slow],  # a busy machine is no fault of the strategy
+        )
+        options(check)()
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("make", THROWERS)
+def test_anything_leaves_the_line_alive(
+    analyzer: AnalyzerThread, name: str, make: Callable[..., SocketThrower]
+) -> None:
+    fuzz_scpi_never_dies_wire(analyzer, name, make, EXAMPLES_SCPI_NEVER_DIES_WIRE)
+
+
+@pytest.mark.system
+@pytest.mark.nightly
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("make", THROWERS)
+def test_nightly_anything_leaves_the_line_alive(
+    analyzer: AnalyzerThread, name: str, make: Callable[..., SocketThrower]
+) -> None:
+    fuzz_scpi_never_dies_wire(analyzer, name, make, NIGHTLY_EXAMPLES_SCPI_NEVER_DIES_WIRE)
+
+
+@pytest.mark.system
+def test_bytes_that_are_no_hislip_end_only_their_own_session(analyzer: AnalyzerThread, name: str) -> None:
+    neighbour = HislipLine(analyzer.hislip_port or 0)
+
+    @given(data=st.binary(min_size=16, max_size=200), is_first=st.booleans())
+    @settings(max_examples=EXAMPLES_SCPI_NEVER_DIES_WIRE, deadline=None, derandomize=True, database=None)
+    def throw(data: bytes, is_first: bool) -> None:
+        line = RawLine(analyzer.hislip_port or 0) if is_first else HislipLine(analyzer.hislip_port or 0)
+        (line.socket if isinstance(line, RawLine) else line.synchronous).sendall(data)
+        line.close()
+        assert neighbour.ask("*IDN?") == DIALECTS[name].identity
+
+    throw()
+    neighbour.close()

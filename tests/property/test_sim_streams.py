@@ -1,4 +1,4 @@
-"""Streams of the simulated world: a fault more changes nothing that was drawn for something else."""
+"""Streams and geometry of the simulation."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,6 +8,7 @@ from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from analyzer_sim.world.orbit.geometry import antenna_angles_deg, body_from_orbital
 from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,
@@ -102,3 +103,30 @@ def test_what_a_fault_of_all_adds_is_what_it_says_and_the_noise_stays(name: str,
         - (after.downlink_fade_db - before.downlink_fade_db)[:, None] * after_world.plan.rain_share
     )
     np.testing.assert_allclose(after.carrier_dbm - before.carrier_dbm, reported, atol=1e-9)  # rounding of -43 dBm
+
+
+angle = st.floats(-30.0, 30.0, allow_nan=False)
+small = st.floats(-0.5, 0.5, allow_nan=False)
+position = st.floats(-8.5, 8.5, allow_nan=False)
+
+
+@settings(max_examples=examples(100), derandomize=True)
+@given(yaw=angle, roll=angle, pitch=angle)
+def test_every_attitude_is_a_rotation(yaw: float, roll: float, pitch: float) -> None:
+    turn = body_from_orbital(np.array([[yaw, roll, pitch]]))[0]
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-14)  # rounding
+    assert abs(np.linalg.det(turn) - 1.0) < 1e-14
+
+
+@settings(max_examples=examples(100), derandomize=True)
+@given(yaw=small, roll=small, pitch=small, az=position, el=position)
+def test_signs_hold_everywhere_on_the_disc(yaw: float, roll: float, pitch: float, az: float, el: float) -> None:
+    direction = np.array([np.tan(np.radians(az)), -np.tan(np.radians(el)), 1.0])
+    turned = body_from_orbital(np.array([[yaw, roll, pitch]]))[0] @ direction
+    az_new, el_new = antenna_angles_deg(turned)
+    first_az = -pitch - yaw * np.radians(el)
+    first_el = -roll + yaw * np.radians(az)
+    # terms left out: angle times 0.15^2 (2.2 %) and products of two turns of 0.5 deg (0.009 deg)
+    slack = 0.025 * (abs(yaw) + abs(roll) + abs(pitch)) + 0.009
+    assert abs(az_new - az - first_az) < slack
+    assert abs(el_new - el - first_el) < slack

@@ -1,18 +1,26 @@
-"""Figures of a calibration by geometry on the simulator's worlds, beside the goals of the study.
+"""Figures of the calibration and of beams."""
 
-Goals: levels predicted to 0.02 dB on day 1 and 0.05 dB on day 7 after the calibration (must: 0.05 and 0.12); the error
-of the yaw column below 0.05 dB/deg, that of a free fit being 0.04 to 0.09. Each test prints what it measured.
-"""
-
+import re
+import tempfile
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration_world import calibrated_world
+from calibration_world import CalibratedWorld, calibrated_world
+from kept_results import kept
 
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.carrier_model.beam_report import HOUR_US, Group, HourlyMeans, WaveCause, beam_report
+from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.pipeline.carrier_model.expected_level import ExpectedLevel
 from service.pipeline.config import CalibrationConfig
+from service.pipeline.inputs.documents import JournalDocuments
+from service.records.calibration import Window
+from service.records.epoch import parse_epoch
+from service.study.estimation.flight.drive import calibrate
+from service.study.estimation.flight.world import export_world, read_world
 
 SEEDS = (1, 2, 3)
 #: at 0.3 deg, every sign of every axis, and between
@@ -107,3 +115,136 @@ def test_healthy_worlds_have_no_warning_of_the_joint_fit(name):
     for one in worlds(name):
         reported = [text for text in one.result.warnings if not text.startswith("paper method")]
         assert reported == [], (name, one.world.seed)
+
+
+#: the calibration ends before the operation phase
+OPERATION_DAYS = 0.05
+DRAWS, FEW = range(1, 21), range(1, 6)
+
+
+def calibrated(scenario, seed, share=1.0):
+    """Return a world and its calibration by the first share of the turns."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "world.npz"
+        export_world(scenario, seed, path, OPERATION_DAYS)
+        world = read_world(path)
+    turns = world.ground.phases["turns"]
+    flown = Window(turns.start_us, turns.start_us + round(share * (turns.stop_us - turns.start_us)))
+    ground = replace(world.ground, phases=world.ground.phases | {"turns": flown})
+    documents = JournalDocuments()
+    documents.add_plan(ground.carriers)
+    documents.add_ephemeris(ground.ephemeris)
+    return world, calibrate(ground, documents.plans[1], documents.ephemerides[1]).result
+
+
+def normalised_errors(scenario, seed):
+    """Return errors of the slopes over their sigmas (n, 3), yaw, roll, pitch, of the carriers used."""
+    world, result = calibrated(scenario, seed)
+    response = geometry_model(result.geometry, result.carriers).response
+    column = [world.ground.carrier_ids.index(carrier.id) for carrier in result.carriers]
+    error = response.slope - world.truth.sensitivity_db_per_deg[column]
+    sigma = np.sqrt(np.einsum("nii->ni", response.covariance)[:, :3])
+    return (error / sigma)[np.array(result.geometry.is_used)]
+
+
+def pooled(scenario, seeds):
+    every = np.concatenate([kept(normalised_errors, scenario, seed) for seed in seeds])
+    rms = np.sqrt((every**2).mean(axis=0))
+    print(f"{scenario}, {len(seeds)} draws: normalised errors of yaw, roll, pitch {np.round(rms, 2)}, n {len(every)}")
+    return rms
+
+
+@pytest.mark.slow
+def test_slopes_are_as_sure_as_they_say():
+    # carriers of a draw share a downlink and a sensor: the rms of a draw itself lies between 0.5 and 1.3
+    rms = pooled("nominal", FEW)
+    assert ((rms > 0.6) & (rms < 1.5)).all()
+
+
+def again(scenario, seed, share=1.0):
+    """Return the demands to fly turns again."""
+    _, result = kept(calibrated, scenario, seed, share)
+    return [text for text in result.warnings if text.startswith("fly the turns of ")]
+
+
+@pytest.mark.slow
+def test_turns_in_a_storm_are_to_be_flown_again_and_say_so_before_they_are_over():
+    for share in (0.3, 1.0):
+        (text,) = again("weather_turns", 1, share)
+        first, last = (parse_epoch(word) for word in re.findall(r"\d{4}-\S+Z", text)[:2])
+        world, _ = kept(calibrated, "weather_turns", 1, share)
+        turns = world.ground.phases["turns"]
+        assert turns.start_us <= first < last < turns.start_us + share * (turns.stop_us - turns.start_us)
+        is_named = (world.ground.epochs_us >= first) & (world.ground.epochs_us <= last)
+        assert (world.truth.station_loss_db[is_named] > 0.3).sum(axis=1).mean() > 2.0
+    assert again("nominal", 1) == []
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("scenario", ["nominal", "weather_far", "weather_turns"])
+def test_slopes_are_as_sure_as_they_say_over_draws(scenario):
+    rms = pooled(scenario, DRAWS)
+    assert ((rms > 0.8) & (rms < 1.2)).all()
+
+
+SEEDS_BEAMS = (1, 2)
+DAYS = 3.0
+#: deg, noise of the simulated star tracker
+TRACKER_DEG = (0.015, 0.008, 0.008)
+
+
+def flown(name, seed):
+    """Return the report of a world with a working star tracker, and the true shift of its patterns by the hour."""
+    one = CalibratedWorld.of(name, seed, DAYS)
+    rows = one.world.rows
+    epochs_us = one.arrays["epoch_us"]
+    chosen = epochs_us >= one.world.scenario.operation_start_us
+    fit, at_us = one.result.geometry, epochs_us[chosen]
+    expected = ExpectedLevel(geometry_model(fit, one.result.carriers), fit, one.data.ephemeris)
+    deviation = one.arrays["power_dbm"][chosen] - np.array([expected(int(at)) for at in at_us])
+    angles = rows.attitude_deg[chosen]
+    angles = angles + np.random.default_rng(seed).normal(0.0, TRACKER_DEG, angles.shape)
+    hour = at_us // HOUR_US
+    begins = np.unique(hour)
+
+    def hourly(values, take=np.nanmean):
+        return np.array([take(values[hour == k], axis=0) for k in begins])
+
+    hours = HourlyMeans(
+        begins * HOUR_US,
+        hourly(deviation),
+        hourly(np.isfinite(deviation), np.sum),
+        hourly(angles),
+        hourly(angles[:, 1:], np.ptp).max(axis=1),
+    )
+    report = beam_report(one.result, fit, one.data.request.quiet, None, hours, Group.BAND)
+    return report, hourly(rows.pattern_shift_deg[chosen])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", SEEDS_BEAMS)
+def test_a_wave_of_the_boresight_is_recovered(seed):
+    report, truth_deg = flown("antenna_wave", seed)
+    (antenna,) = report.antennas
+    error = antenna.series.boresight_deg - truth_deg
+    rms = np.sqrt(np.nanmean(np.square(error), axis=0))
+    waves = [antenna.east.daily, antenna.north.daily]
+    size = np.array([wave.amplitude_deg for wave in waves])
+    print(
+        f"seed {seed}: amplitudes {size.round(4)} of 0.0300 0.0200 deg, sigma {[round(w.sigma_deg, 4) for w in waves]}"
+    )
+    print(f"seed {seed}: hours {rms.round(4)} deg, zero {np.sqrt(np.mean(truth_deg**2, axis=0)).round(4)}")
+    # the study's bound; the answer "it does not move" errs by 0.03 and 0.02
+    np.testing.assert_allclose(size, [0.03, 0.02], atol=0.008)
+    # the study's live figure is 0.021 and 0.014
+    assert (rms < [0.021, 0.016]).all()
+    assert antenna.cause is WaveCause.ANTENNA_OR_SENSOR
+
+
+@pytest.mark.slow
+def test_a_still_antenna_shows_no_wave():
+    report, _ = flown("nominal", 1)
+    (antenna,) = report.antennas
+    print("seed 1:", antenna.east.daily, antenna.north.daily)
+    assert antenna.cause is WaveCause.NONE
+    assert max(antenna.east.daily.amplitude_deg, antenna.north.daily.amplitude_deg) < 0.012

@@ -1,6 +1,6 @@
 """phi1(z) = (1 - e^-z) / z and phi2(z) = (z - 1 + e^-z) / z^2, with series where differences would lose digits.
 
-Within 4e-16 of fifty-digit arithmetic, relative (`tests/unit/service/core/flexible/test_phi_functions.py`).
+Within 4e-16 of fifty-digit arithmetic, relative (`tests/unit/service/core/flexible/test_propagation.py`).
 """
 
 import math

@@ -38,7 +38,7 @@ def occupied_bandwidth_hz(power_mw: FloatArray, noise_bin_mw: FloatArray, weight
     -----
     The resolution filter widens a carrier by less than one RBW; nothing outside of the integration band counts.
     Within 1.5 % of the raised-cosine shape's own figure for RBW up to 3 % of the symbol rate and C/N from 10 dB
-    (``tests/unit/service/core/radio/test_occupied_bandwidth.py``).
+    (``tests/unit/service/core/radio/test_carrier_power.py``).
     """
     bands = weights.bands
     return np.array(

@@ -24,7 +24,7 @@ _GOOD_WEIGHT = 0.25
 _SCATTER_ROWS, _GREATEST_SCATTER = 10, 25.0
 #: sigma of the beams grows with this power of the scatter: more than its root, because rain outlasts the means and the
 #: fit takes a part of it for turns. Normalised errors of slopes over 20 draws: 1.42 by the root, 1.04 by this one where
-#: turns were flown in a storm; 0.98 in `nominal` (tests/regression/test_calibration_covariance.py)
+#: turns were flown in a storm; 0.98 in `nominal` (tests/regression/test_geometry_calibration_figures.py)
 _SCATTER_POWER = 0.75
 
 

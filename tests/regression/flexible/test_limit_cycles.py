@@ -1,4 +1,4 @@
-"""T1: limit cycles of the pulse law, their multipliers, and what closed forms say of them."""
+"""Cycles, bands and captures of the flexible craft as published."""
 
 import math
 
@@ -6,14 +6,33 @@ import numpy as np
 import pytest
 from flexible_oracles import staggered_forms
 
+from service.core.flexible.capture.capture import (
+    SwitchOn,
+    critical_amplitude_rad,
+    least_capturing_amplitude_rad,
+    lowest_angle_rad,
+    perpetual_amplitude_rad,
+    rigid_frequency_rad_s,
+    stable_band,
+)
 from service.core.flexible.closed_forms import cycle_period_s, single_pulse_forms
 from service.core.flexible.limit_cycle import critical_viscous_loss_n_m, cycle_multiplier, find_limit_cycles
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState
 from service.core.flexible.return_kernels import one_return
+from service.core.flexible.spacecraft import HubMode
 from service.core.flexible.succession import one_sided_motion
 from service.study.limit_cycles import reference
+from service.study.limit_cycles.capture_tables import (
+    agrees_with_published,
+    cycle_switch,
+    is_captured,
+    mode_of,
+    perpetual_lock,
+    switch_of,
+)
 from service.study.limit_cycles.cycle_tables import cycle_of, motion_of
+from service.study.limit_cycles.reference import CaptureCase, PerpetualCase
 
 CASES = list(reference.CYCLES)
 
@@ -146,3 +165,155 @@ def test_no_slope_is_taken_across_a_jump() -> None:
     slope = cycle_multiplier(near, motion)
     # a difference across the jump of 1.5e-4 rad/s within steps of 2e-8 would be thousands
     assert math.isnan(slope) or abs(slope) < 5.0
+
+
+CELLS = [(coupling, swing, band) for coupling, bands in reference.BANDS.items() for swing, band in bands.items()]
+
+
+@pytest.mark.parametrize(("coupling", "swing", "band"), CELLS)
+def test_a_cell_of_the_table(coupling: float, swing: float, band: tuple[float, float] | None) -> None:
+    found = stable_band(cycle_switch(), coupling, swing)
+    if band is None:
+        assert math.isnan(found.low_rad_s)
+        assert math.isnan(found.high_rad_s)
+    else:
+        assert found == pytest.approx(band, rel=1e-6)
+
+
+@pytest.mark.parametrize(("swing", "omega", "printed"), reference.SURFACE)
+def test_the_surface(swing: float, omega: float, printed: float) -> None:
+    found = rigid_frequency_rad_s(cycle_switch(), HubMode(omega, 0.01, 0.5), swing)
+    assert found == pytest.approx(printed, rel=1e-6)
+
+
+def test_the_own_frequency_of_the_cycle() -> None:
+    own = 2.0 * math.pi / cycle_period_s(reference.BASE, 1.0, 1)
+    assert own == pytest.approx(reference.RIGID_FREQUENCY_RAD_S, rel=1e-6)
+
+
+@pytest.mark.parametrize("omega", [0.7, 4.0, 11.0])
+@pytest.mark.parametrize("rate", [2e-5, 1e-4, 4e-4])
+def test_the_surface_is_the_boundary_with_the_rate_of_the_cycle(omega: float, rate: float) -> None:
+    mode = HubMode(omega, 0.01, 0.6)
+    switch = SwitchOn(1.9895e-4, 1.05e-6, rate, 0.0175, 0.0175)
+    swing = 2.0 * critical_amplitude_rad(switch, mode) / switch.alpha_rad
+    period_s = 2.0 * rate * (1.0 / switch.pulse_rad_s2 + 1.0 / switch.passive_rad_s2)
+    assert rigid_frequency_rad_s(switch, mode, swing) == pytest.approx(2.0 * math.pi / period_s, rel=1e-12)
+
+
+@pytest.mark.parametrize("omega", [3.5, 4.2, 12.0, 70.0])
+def test_the_band_is_where_the_event_simulator_stays_free(omega: float) -> None:
+    coupling, swing = 0.5, 3e-4
+    band, rate = stable_band(cycle_switch(), coupling, swing), cycle_switch().rate_rad_s
+    case = CaptureCase(omega, coupling, 0.0, rate, 0.0175, 0.0175, math.inf, math.nan, math.nan)
+    is_inside = band.low_rad_s < omega < band.high_rad_s
+    assert is_captured(case, 0.5 * swing * reference.ALPHA_RAD) is not is_inside
+
+
+def limit_rad(case: PerpetualCase) -> float:
+    switch = SwitchOn(2e-4, 0.0, 1e-4, reference.ALPHA_RAD, reference.BETA_RAD)
+    return perpetual_amplitude_rad(switch, HubMode(case.omega_rad_s, case.damping_ratio, case.coupling))
+
+
+@pytest.mark.parametrize(
+    "case",
+    reference.PERPETUAL,
+    ids=lambda case: f"w{case.omega_rad_s:g}-kn{case.coupling:g}-xi{case.damping_ratio:g}-p{case.amplitude_rad:g}",
+)
+def test_a_run_of_150_periods_ends_as_told(case: PerpetualCase) -> None:
+    # printed with two decimals
+    assert limit_rad(case) / reference.BETA_RAD == pytest.approx(case.lock_ratio, abs=6e-3)
+    lock = perpetual_lock(case)
+    assert agrees_with_published(case, lock, limit_rad(case)), lock
+    if case.is_captured:
+        assert lock.firings_per_period == pytest.approx(case.firings_per_period, abs=0.021)
+        assert lock.amplitude_rad == pytest.approx(case.final_amplitude_rad, rel=1e-2)
+
+
+def test_a_run_that_locks_is_not_taken_for_a_free_one() -> None:
+    locked = next(case for case in reference.PERPETUAL if case.is_captured)
+    free = locked._replace(is_captured=False)
+    assert not agrees_with_published(free, perpetual_lock(locked), limit_rad(locked))
+
+
+def name_of(case: CaptureCase) -> str:
+    return f"w{case.omega_rad_s:g}-kn{case.coupling:g}-xi{case.damping_ratio:g}-tau{case.pulse_s:g}"
+
+
+every_case = pytest.mark.parametrize("case", reference.CAPTURES, ids=name_of)
+
+
+@every_case
+def test_the_formula_gives_the_printed_boundary(case: CaptureCase) -> None:
+    assert critical_amplitude_rad(switch_of(case), mode_of(case)) == pytest.approx(case.formula_rad, rel=1e-6)
+
+
+@every_case
+def test_following_the_motion_gives_the_printed_least_swing(case: CaptureCase) -> None:
+    found = least_capturing_amplitude_rad(switch_of(case), mode_of(case))
+    assert found == pytest.approx(case.least_rad, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "case", [one for one in reference.CAPTURES if one.least_rad > 0.0 and math.isinf(one.pulse_s)], ids=name_of
+)
+def test_the_event_simulator_is_free_just_below_and_captured_just_above(case: CaptureCase) -> None:
+    least = least_capturing_amplitude_rad(switch_of(case), mode_of(case))
+    assert not is_captured(case, 0.99 * least)
+    assert is_captured(case, 1.01 * least)
+
+
+def test_where_no_swing_is_needed_the_simulator_is_captured_without_one() -> None:
+    case = reference.CAPTURES[1]
+    assert critical_amplitude_rad(switch_of(case), mode_of(case)) < 0.0
+    assert is_captured(case, 0.0)
+
+
+@every_case
+def test_the_formula_is_exact_without_damping_or_says_by_how_much_it_is_not(case: CaptureCase) -> None:
+    switch, mode = switch_of(case), mode_of(case)._replace(damping_ratio=0.0)
+    least = least_capturing_amplitude_rad(switch, mode)
+    refined = critical_amplitude_rad(switch, mode, is_refined=True)
+    if least == 0.0:
+        assert refined <= 0.0
+    elif switch.rate_rad_s <= math.pi * switch.pulse_rad_s2 / mode.omega_rad_s:
+        # the timed form looks at half a period, and the lowest angle of one case comes 1e-7 earlier
+        assert refined == pytest.approx(least, rel=1e-9 if math.isinf(switch.pulse_s) else 1e-7)
+    else:
+        plain = critical_amplitude_rad(switch, mode)
+        assert least < plain <= 1.065 * least
+        assert refined == pytest.approx(least, rel=6e-3)
+
+
+def test_damping_raises_the_boundary_so_that_leaving_it_out_is_safe() -> None:
+    for case in reference.CAPTURES:
+        if case.damping_ratio > 0.0:
+            critical = critical_amplitude_rad(switch_of(case), mode_of(case))
+            assert critical < case.least_rad <= 1.017 * critical
+
+
+def test_special_forms_of_the_boundary() -> None:
+    omega, kn, rate, eps_a, eps_c = 2.0, 0.7, 3e-4, 1.9e-4, 1.1e-6
+    mode, pi = HubMode(omega, 0.01, kn), math.pi
+    one_line = SwitchOn(eps_a, eps_c, rate, 0.0175, 0.0175)
+    by_19 = pi * rate / omega - eps_a / omega**2 * (pi**2 / 2 + 2 * kn) - 2 * kn * eps_c / omega**2
+    assert 2.0 * critical_amplitude_rad(one_line, mode) == pytest.approx(by_19, rel=1e-12)
+    free_rotor = SwitchOn(eps_a, 0.0, rate, 0.0175, 0.0349)
+    by_20 = 0.0174 + pi * rate / omega - eps_a / omega**2 * (2 * kn + pi**2 / 2)
+    assert 2.0 * critical_amplitude_rad(free_rotor, mode) == pytest.approx(by_20, rel=1e-12)
+
+
+def test_at_a_given_net_pulse_friction_away_from_the_line_moves_the_boundary_up() -> None:
+    case = reference.CAPTURES[8]
+    toward = critical_amplitude_rad(switch_of(case), mode_of(case))
+    away = switch_of(case)._replace(passive_rad_s2=-reference.PASSIVE_RAD_S2)
+    assert critical_amplitude_rad(away, mode_of(case)) > toward
+    found = least_capturing_amplitude_rad(away, mode_of(case))
+    assert found == pytest.approx(critical_amplitude_rad(away, mode_of(case), is_refined=True), rel=6e-3)
+
+
+def test_at_the_least_swing_the_lowest_angle_is_the_line_of_release() -> None:
+    for case in reference.CAPTURES:
+        if case.least_rad > 0.0:
+            least = least_capturing_amplitude_rad(switch_of(case), mode_of(case))
+            assert lowest_angle_rad(switch_of(case), mode_of(case), least) == pytest.approx(case.alpha_rad, abs=1e-15)

@@ -152,7 +152,7 @@ def fit_harmonic(
     Notes
     -----
     The published curve (am 0.3489 dB, phi -0.6178 rad, h -72.8866 dBW) is recovered to 1e-9 from 1440 samples
-    (``tests/regression/test_paper_harmonic.py``).
+    (``tests/regression/test_demo_world.py``).
 
     References
     ----------

@@ -129,7 +129,7 @@ def solve_octants(
     -----
     Columns scaled to unit length, normal equations of 27 systems solved in closed form. Never worse
     than a grid of 0.01 deg over +-0.6 deg polished by an independent optimiser
-    (``tests/unit/service/core/estimation/paper/test_octants_grid.py``).
+    (``tests/unit/service/core/estimation/paper/test_octants.py``).
 
     References
     ----------

@@ -10,7 +10,7 @@ Captured: p0 > p_cr (all p and x are hub angles, rad; eps in rad/s^2). This is t
 another question (`perpetual_amplitude_rad`).
 
 Checked against brute force: equal within 1e-9 without damping wherever the body moves inward half a period later;
-otherwise up to 6 % too large, 0.6 % with `is_refined` (`tests/regression/flexible/test_capture_boundary.py`).
+otherwise up to 6 % too large, 0.6 % with `is_refined` (`tests/regression/flexible/test_limit_cycles.py`).
 """
 
 import math

@@ -1,14 +1,21 @@
-"""The chain: journal entries in, outcomes out; what moves its state, and what must not."""
+"""The chain from ingest to result."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import synthetic_payload as synthetic
+from geometry_flight import Flight, FlightPayload
 
+from bench.bench_chain import measure
+from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels
+from service.pipeline import kernels as filter_kernels
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.records.catalogue import CarrierPlan, Method, Release
+from service.pipeline.first_rows import compile_filter
+from service.pipeline.inputs.knowledge import Knowledge, update
+from service.pipeline.kernels import kernels_named
+from service.records.catalogue import CarrierPlan, FlexibleMode, Method, Release
 from service.records.inputs import (
     AlignmentSet,
     AttitudeReference,
@@ -16,14 +23,17 @@ from service.records.inputs import (
     EphemerisChange,
     PlanChange,
     SpacecraftChange,
+    TelemetryRecord,
 )
 from service.records.levels.attitude import Axes
+from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand
+from service.records.operations.release import InterlockHold
 
 TRUTH = (0.1, -0.15, 0.2)
 CONFIG = ChainConfig()
 
 
-class Flight:
+class ExactFlight:
     """A chain over an exact payload, aligned one hour after the start."""
 
     def __init__(self, payload, synthetic, *, spacecraft=None, calibration=None, opening=True):
@@ -51,11 +61,11 @@ class Flight:
 @pytest.fixture
 def flight(payload):
     """An aligned chain before its first row."""
-    return Flight(payload, synthetic)
+    return ExactFlight(payload, synthetic)
 
 
 def test_before_an_alignment_rows_lead_to_nothing(payload):
-    flight = Flight(payload, synthetic, opening=False)
+    flight = ExactFlight(payload, synthetic, opening=False)
     assert flight.chain.carrier_states() is None
     assert flight.step(1) is None
     for content in synthetic.opening(payload.spacecraft())[:-1]:
@@ -91,19 +101,19 @@ def test_every_row_has_one_attitude_and_one_command(flight):
 
 
 def test_released_by_itself_a_command_counts_as_applied_in_two_steps_it_does_not(payload):
-    automatic = Flight(payload, synthetic).run(range(1, 40))
+    automatic = ExactFlight(payload, synthetic).run(range(1, 40))
     assert [outcome.applied is not None for outcome in automatic] == [
         outcome.command.control_allowed for outcome in automatic
     ]
     assert automatic[-1].applied.command is automatic[-1].command
     record = payload.spacecraft(release=Release.TWO_STEP)
-    stepped = Flight(payload, synthetic, spacecraft=record).run(range(1, 40))
+    stepped = ExactFlight(payload, synthetic, spacecraft=record).run(range(1, 40))
     assert stepped[-1].command.control_allowed
     assert all(outcome.applied is None for outcome in stepped)
 
 
 def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload):
-    flight = Flight(payload, synthetic, opening=False)
+    flight = ExactFlight(payload, synthetic, opening=False)
     for content in synthetic.opening(payload.spacecraft())[1:]:
         flight.chain.update(content)
     outcome = flight.run(range(1, 20))[-1]
@@ -113,7 +123,7 @@ def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload):
 
 def test_a_method_without_calibration_drives_a_zero_torque_that_says_so(payload):
     record = payload.spacecraft(method=Method.ROBUST)
-    outcomes = Flight(payload, synthetic, spacecraft=record).run(range(1, 40))
+    outcomes = ExactFlight(payload, synthetic, spacecraft=record).run(range(1, 40))
     assert outcomes[-1].rows[0].control_allowed
     assert outcomes[-1].command.inhibitions == ("no_calibration",)
     assert not any(outcome.command.schedule for outcome in outcomes)
@@ -144,7 +154,7 @@ def same(one, other):
     ],
 )
 def test_a_late_row_leaves_everything_after_it_bit_for_bit(payload, odd_row):
-    plain, disturbed = Flight(payload, synthetic), Flight(payload, synthetic)
+    plain, disturbed = ExactFlight(payload, synthetic), ExactFlight(payload, synthetic)
     for flight in (plain, disturbed):
         flight.run(range(1, 31))
     minute, changes = odd_row
@@ -243,7 +253,7 @@ def test_an_ephemeris_with_other_nodes_moves_the_harmonic(flight, payload):
 
 
 def test_an_ephemeris_after_an_alignment_without_calibration_changes_nothing(payload):
-    flight = Flight(payload, synthetic, opening=False)
+    flight = ExactFlight(payload, synthetic, opening=False)
     flight.chain.update(SpacecraftChange(payload.spacecraft(), 1))
     flight.chain.update(AlignmentSet(1))
     flight.chain.update(EphemerisChange(1))
@@ -255,7 +265,7 @@ def test_an_ephemeris_after_an_alignment_without_calibration_changes_nothing(pay
 
 def test_a_replay_may_bring_its_own_calibration(payload):
     other = replace(payload, plus=2.0 * payload.plus, minus=2.0 * payload.minus).calibration(9)
-    flight = Flight(payload, synthetic, calibration=other)
+    flight = ExactFlight(payload, synthetic, calibration=other)
     found = flight.run(range(1, 30))[-1].rows[0]
     assert found.calibration_id == 9
     # twice the sensitivity halves every angle
@@ -266,7 +276,7 @@ def test_a_replay_may_bring_its_own_calibration(payload):
 
 
 def test_a_star_tracker_gone_mad_after_the_alignment_changes_nothing(payload):
-    plain, poisoned = Flight(payload, synthetic), Flight(payload, synthetic)
+    plain, poisoned = ExactFlight(payload, synthetic), ExactFlight(payload, synthetic)
     mad = Axes(1e9, -1e9, 1e9)
     for minute in range(1, 50):
         poisoned.chain.update(AttitudeReference("star_tracker", poisoned.at(minute), mad, Axes(1e-9, 1e-9, 1e-9)))
@@ -276,7 +286,7 @@ def test_a_star_tracker_gone_mad_after_the_alignment_changes_nothing(payload):
 def test_the_order_of_the_carriers_does_not_matter(payload):
     order = np.random.default_rng(4).permutation(12)
     rng = np.random.default_rng(5)
-    straight, shuffled = Flight(payload, synthetic), Flight(payload.permuted(order), synthetic)
+    straight, shuffled = ExactFlight(payload, synthetic), ExactFlight(payload.permuted(order), synthetic)
     for minute in range(1, 40):
         noise = 0.1 * rng.normal(size=12)
         row = straight.row(minute)
@@ -312,3 +322,118 @@ def test_states_of_carriers_tell_what_became_of_each(flight, payload):
     assert [state.flags for state in states] == list(range(12))
     np.testing.assert_array_equal([state.power_dbm for state in states], measurement.power_dbm)
     assert states[3].deviation_db == pytest.approx(measurement.power_dbm[3] - states[3].expected_dbm, abs=1e-12)
+
+
+PAYLOAD = FlightPayload.make()
+S = 1_000_000
+
+
+def hold(*, is_withheld: bool, version: int = 1) -> InterlockHold:
+    return InterlockHold(0, "TRIPPED" if is_withheld else "INHIBITED", ("response",), is_withheld, version)
+
+
+@pytest.fixture
+def flight_chain_commands():
+    """A chain aligned half an hour ago, released by itself."""
+    flown = Flight(PAYLOAD, spacecraft=PAYLOAD.spacecraft(release=Release.AUTOMATIC))
+    flown.run(range(1, 30))
+    return flown
+
+
+def test_while_the_interlock_withholds_every_command_is_zero_and_says_so(flight_chain_commands):
+    assert flight_chain_commands.chain.step(flight_chain_commands.row(30)).command.control_allowed
+    flight_chain_commands.chain.update(hold(is_withheld=True))
+    for minute in (31, 32):
+        outcome = flight_chain_commands.chain.step(flight_chain_commands.row(minute))
+        assert outcome.command.inhibitions == ("tripped",)
+        assert (outcome.command.schedule, outcome.applied) == ((), None)
+        assert all(row.control_allowed for row in outcome.rows if row.method.value == "robust")
+    flight_chain_commands.chain.update(hold(is_withheld=False, version=2))
+    assert flight_chain_commands.chain.step(flight_chain_commands.row(33)).command.control_allowed
+
+
+def test_the_period_is_that_of_the_rows_or_that_of_the_catalogue(flight_chain_commands):
+    assert flight_chain_commands.chain.step(flight_chain_commands.row(30)).command.command_period_s == 60.0
+    record = PAYLOAD.spacecraft(release=Release.TWO_STEP)
+    control = replace(record.control, command_period_s=1200.0)
+    flight_chain_commands.chain.update(SpacecraftChange(replace(record, control=control), 2))
+    command = flight_chain_commands.chain.step(flight_chain_commands.row(31)).command
+    assert command.command_period_s == 1200.0
+    assert command.valid_until_us == command.epoch_us + 1200 * S
+
+
+def test_what_was_sent_is_carried_to_the_next_verdict(flight_chain_commands):
+    record = replace(PAYLOAD.spacecraft(release=Release.TWO_STEP), modes=(FlexibleMode("roll", 0.6, 1e-4, 0.4),))
+    flight_chain_commands.chain.update(SpacecraftChange(record, 2))
+    calm = flight_chain_commands.chain.step(flight_chain_commands.row(30)).command
+    strong = Pulse(flight_chain_commands.at(30), 2.0, Axes(0.0, 0.05, 0.0))
+    flight_chain_commands.chain.update(ReleasedCommand(1, flight_chain_commands.at(30), (strong,)))
+    swung = flight_chain_commands.chain.step(flight_chain_commands.row(31)).command
+    flight_chain_commands.chain.update(
+        AppliedCommand(replace(calm, schedule=(replace(strong, start_us=flight_chain_commands.at(31)),)))
+    )
+    again = flight_chain_commands.chain.step(flight_chain_commands.row(32)).command
+    peaks = [
+        reported.schedule_check.peak_deg for reported in (calm, swung, again) if reported.schedule_check is not None
+    ]
+    assert len(peaks) == 3
+    assert peaks[0] < 0.2 * peaks[1]
+    assert peaks[2] != peaks[1]
+
+
+def test_momentum_and_rate_are_known_while_they_are_fresh_in_whatever_order_they_come():
+    rate = Axes(1e-5, -2e-5, 3e-5)
+    reported = TelemetryRecord(1000 * S, wheel_momentum_n_m_s=(1.0, 2.0, 3.0), body_rate_deg_s=rate)
+    known, zero = update(Knowledge(), reported, None), (0.0,) * 3
+    for epoch_s in (2000, 900):
+        known = update(known, replace(reported, epoch_us=epoch_s * S, wheel_momentum_n_m_s=zero), None)
+    known = update(known, TelemetryRecord(1030 * S), None)
+    assert known.body_rate_deg_s(1060 * S, 60.0) == known.body_rate_deg_s(940 * S, 60.0) == rate
+    assert known.body_rate_deg_s(1061 * S, 60.0) is None
+    assert known.momentum_n_m_s(1000 * S, 60.0) == (1.0, 2.0, 3.0)
+    assert known.momentum_n_m_s(1060 * S, 60.0) == (1.0, 2.0, 3.0)
+    assert known.momentum_n_m_s(1061 * S, 60.0) is None
+    assert known.momentum_n_m_s(999 * S, 60.0) is None
+    assert Knowledge().momentum_n_m_s(0, 60.0) is None
+    assert not Knowledge().is_withheld
+
+
+@pytest.mark.slow
+def test_rows_of_a_spacecraft_find_their_machine_code():
+    compile_filter()
+    kernels = kernels_named("numba")
+    row = kernels.ordinary_row
+    held = (row._hold_model._compiled, row._hold_state._compiled, row._taken._compiled)
+    stages = (kernels.move_state._compiled, *held, kernels.anchor.mix, kernels.anchor.levels)
+    made = [len(stage.signatures) for stage in stages]
+    measure(16, 30, "numba", (Method.ROBUST,), has_commands=False)
+    assert [len(stage.signatures) for stage in stages] == made == [1, 1, 1, 1, 1, 1]
+
+
+@pytest.fixture(autouse=True)
+def _forgotten_choice():
+    """Ask again in every test."""
+    kernels_named.cache_clear()
+    yield
+    kernels_named.cache_clear()
+
+
+def test_numpy_compiles_nothing():
+    assert kernels_named("numpy") is ARRAYS
+
+
+def test_numba_is_compiled_once():
+    assert kernels_named("numba") is kernels_named("numba") is compiled_kernels()
+
+
+def test_without_a_place_for_machine_code_it_is_compiled_all_the_same(monkeypatch):
+    def homeless(*, is_cached: bool = True):
+        if is_cached:
+            raise RuntimeError("cannot cache function: no locator available")
+        return compiled_kernels(is_cached=False)
+
+    monkeypatch.setattr(filter_kernels, "compiled_kernels", homeless)
+    kernels = kernels_named("numba")
+    assert kernels is compiled_kernels(is_cached=False)
+    level_deg = kernels.anchor.levels(np.ones(1), np.zeros((1, 3)), np.full((1, 3), 0.1), 1e-4)
+    np.testing.assert_allclose(level_deg, 0.389, atol=1e-3)  # 3.89 sigma of a normal error

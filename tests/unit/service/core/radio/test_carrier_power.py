@@ -1,4 +1,4 @@
-"""Carrier powers from synthetic traces of known truth."""
+"""From samples of the spectrum to a carrier's power, its bandwidth, its presence and its predicted sigma."""
 
 import math
 
@@ -7,8 +7,27 @@ import pytest
 
 from service.core.radio.band_weights import CarrierBands, TraceGrid, band_fractions, span_hz, swept_dof, weigh_bands
 from service.core.radio.carrier_power import hide_absent, measure_carriers
-from service.core.radio.decibel import mw_from_dbm
-from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO
+from service.core.radio.decibel import DB_PER_NEPER, dbm_from_mw, mw_from_dbm
+from service.core.radio.leakage import leakage, leaked_ratio
+from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO, carrier_sigma_db, degrees_of_freedom, line_sigma_db
+from service.core.radio.presence import HYSTERESIS_DB, initial_presence, presence_threshold_db, step_presence
+
+
+def test_nothing_has_no_level() -> None:
+    assert np.isnan(dbm_from_mw([0.0, -1.0, np.nan])).all()
+
+
+def test_decibels_of_samples_average_low() -> None:
+    rng = np.random.default_rng(1)
+    levels = dbm_from_mw(rng.exponential(1.0, 200_000))
+    # -2.51 dB and 5.57 dB are the textbook figures; 3 standard errors are 0.04 dB
+    assert float(levels.mean()) == pytest.approx(-2.51, abs=0.04)
+    assert float(levels.std()) == pytest.approx(5.57, abs=0.04)
+
+
+def test_small_deviations_are_nepers() -> None:
+    assert float(mw_from_dbm(DB_PER_NEPER * 1e-6)) - 1.0 == pytest.approx(1e-6, rel=1e-5)  # first order only
+
 
 RBW_HZ = 30e3
 N0_DBM_HZ = -120.0
@@ -162,3 +181,277 @@ def test_fractions_add_up_to_the_width() -> None:
     # 1e-3 Hz: rounding of frequencies near 1 GHz in float64, 4e3 terms
     assert fractions.sum() * GRID.step_hz == pytest.approx(high[0] - low[0], abs=1e-2)
     assert span_hz(GRID) == pytest.approx(40e6, abs=1e-3)
+
+
+def two(distance_hz: float, symbol_rate_hz: float = 1e6) -> CarrierBands:
+    """Return two equal carriers at a distance."""
+    return CarrierBands(
+        np.array([970e6, 970e6 + distance_hz]),
+        np.full(2, 1.25 * symbol_rate_hz),
+        np.full(2, symbol_rate_hz),
+        np.zeros(2, dtype=np.bool_),
+        (),
+    )
+
+
+def test_a_far_neighbour_leaks_nothing() -> None:
+    share = leakage(two(1.5e6), np.full(2, 0.25), 30e3)
+    # 250 kHz between the edges are eight RBW: the Gaussian skirt is below any float
+    assert share[0, 1] == pytest.approx(0.0, abs=1e-12)
+    # 1e-3: the raised-cosine shape touches the band's edges with no power left
+    assert share[0, 0] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_touching_bands_share_their_edges_and_overlapping_ones_more() -> None:
+    touching = leakage(two(1.25e6), np.full(2, 0.25), 30e3)[0, 1]
+    overlapping = leakage(two(1.1e6), np.full(2, 0.25), 30e3)[0, 1]
+    assert 0.0 < touching < 1e-4 < overlapping
+    assert overlapping < 0.2  # a fifth: 150 of 1250 kHz overlap, at the weak edge of the shape
+
+
+def test_power_is_conserved_over_contiguous_bands() -> None:
+    bands = CarrierBands(
+        970e6 + 1e6 * np.arange(-3, 4), np.full(7, 1e6), np.full(7, 1e6), np.zeros(7, dtype=np.bool_), ()
+    )
+    share = leakage(bands, np.full(7, 0.25), 100e3)
+    # the middle carrier's power falls entirely into the seven bands that tile 7 MHz
+    assert share[:, 3].sum() == pytest.approx(1.0, abs=1e-9)
+
+
+def test_a_line_falls_into_its_band() -> None:
+    bands = CarrierBands(np.array([970e6]), np.array([300e3]), np.array([30e3]), np.array([True]), ())
+    # a band of ten RBW catches a Gaussian but for 1e-11
+    assert leakage(bands, np.array([0.25]), 30e3)[0, 0] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_leak_over_own_power() -> None:
+    share = np.array([[1.0, 0.01], [0.01, 1.0]])
+    ratio = leaked_ratio(share, np.array([1.0, 4.0]))
+    np.testing.assert_allclose(ratio, [0.04, 0.0025], rtol=1e-12)  # products of two numbers
+    absent = leaked_ratio(share, np.array([1.0, np.nan]))
+    assert absent[0] == pytest.approx(0.0, abs=1e-15)
+    assert np.isnan(absent[1])
+
+
+SYMBOL_RATE_HZ = 1.0e6
+ROLLOFF = 0.25
+NOISE_MW_HZ = 1e-12
+GRID_OCCUPIED_BANDWIDTH = TraceGrid(950e6, 15e3, 2401, RBW_HZ * GAUSSIAN_ENBW_RATIO, 2.0)
+CENTER_HZ = 968.003e6
+BANDS = CarrierBands(
+    np.array([CENTER_HZ]),
+    np.array([1.25e6]),
+    np.array([SYMBOL_RATE_HZ]),
+    np.zeros(1, dtype=np.bool_),
+    (((950.2e6, 951.2e6), (985.0e6, 985.9e6)),),
+)
+
+
+def shape(offset_hz: np.ndarray) -> np.ndarray:
+    """Return the density of a raised-cosine carrier of one milliwatt, 1/Hz."""
+    x = np.abs(offset_hz) / SYMBOL_RATE_HZ
+    low, high = (1 - ROLLOFF) / 2, (1 + ROLLOFF) / 2
+    return 0.5 * (1 + np.cos(np.pi * (np.clip(x, low, high) - low) / ROLLOFF)) / SYMBOL_RATE_HZ
+
+
+def true_width_hz() -> float:
+    """Return the width of 99 % of the shape itself."""
+    axis = np.linspace(-1e6, 1e6, 200_001)
+    below = np.cumsum(shape(axis)) / shape(axis).sum()
+    low, high = np.interp([0.005, 0.995], below, axis)
+    return float(high - low)
+
+
+def mean_trace(c_n_db: float) -> np.ndarray:
+    """Return the mean trace of the carrier over the floor."""
+    fine = np.arange(-40, 41) * RBW_HZ / 20
+    response = np.exp2(-np.square(2 * fine / RBW_HZ))
+    axis = GRID_OCCUPIED_BANDWIDTH.start_hz + GRID_OCCUPIED_BANDWIDTH.step_hz * np.arange(
+        GRID_OCCUPIED_BANDWIDTH.points
+    )
+    seen = sum(
+        shape(axis - CENTER_HZ - df) * weight for df, weight in zip(fine, response / response.sum(), strict=True)
+    )
+    carrier_mw = NOISE_MW_HZ * SYMBOL_RATE_HZ * 10 ** (c_n_db / 10)
+    return np.asarray((NOISE_MW_HZ + carrier_mw * seen) * GRID_OCCUPIED_BANDWIDTH.enbw_hz)
+
+
+def test_the_width_of_a_mean_trace_is_that_of_the_shape() -> None:
+    power = measure_carriers(mean_trace(20.0), weigh_bands(GRID_OCCUPIED_BANDWIDTH, BANDS))
+    # 1.5 % is the claim of the function: RBW is 3 % of the symbol rate
+    assert power.occupied_bandwidth_hz[0] == pytest.approx(true_width_hz(), rel=0.015)
+
+
+@pytest.mark.parametrize("eighth", range(8))
+def test_the_edges_of_the_band_count_by_their_part_of_a_point(eighth: int) -> None:
+    center_hz = CENTER_HZ + eighth * GRID_OCCUPIED_BANDWIDTH.step_hz / 8
+    axis_hz = GRID_OCCUPIED_BANDWIDTH.start_hz + GRID_OCCUPIED_BANDWIDTH.step_hz * np.arange(
+        GRID_OCCUPIED_BANDWIDTH.points
+    )
+    flat_mw = np.where(np.abs(axis_hz - center_hz) < 1e6, 1e-6, 0.0) + NOISE_MW_HZ * GRID_OCCUPIED_BANDWIDTH.enbw_hz
+    power = measure_carriers(
+        flat_mw, weigh_bands(GRID_OCCUPIED_BANDWIDTH, BANDS._replace(center_hz=np.array([center_hz])))
+    )
+    assert power.occupied_bandwidth_hz[0] == pytest.approx(0.99 * BANDS.integration_bw_hz[0], rel=1e-9)
+
+
+def test_the_trivial_answer_is_wrong_by_more() -> None:
+    assert abs(1.25e6 / true_width_hz() - 1) > 0.05
+
+
+def test_scatter_neither_biases_nor_spoils_the_width() -> None:
+    seed = 5
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    dwell_s = GRID_OCCUPIED_BANDWIDTH.sweep_time_s / GRID_OCCUPIED_BANDWIDTH.points
+    dof = float(degrees_of_freedom(GRID_OCCUPIED_BANDWIDTH.enbw_hz, dwell_s))
+    weights = weigh_bands(GRID_OCCUPIED_BANDWIDTH, BANDS)
+    mean_mw = mean_trace(10.0)
+    widths = np.array(
+        [
+            measure_carriers(mean_mw * rng.gamma(dof, 1 / dof, mean_mw.size), weights).occupied_bandwidth_hz[0]
+            for _ in range(200)
+        ]
+    )
+    # the claim, and one part in a hundred for a single sweep of these settings
+    assert widths.mean() == pytest.approx(true_width_hz(), rel=0.015)
+    assert widths.std() < 0.01 * true_width_hz()
+
+
+def test_where_nothing_is_left_or_the_carrier_is_a_line_there_is_no_width() -> None:
+    empty = np.full(GRID_OCCUPIED_BANDWIDTH.points, NOISE_MW_HZ * GRID_OCCUPIED_BANDWIDTH.enbw_hz)
+    empty[1100:1300] *= 0.9
+    assert np.isnan(measure_carriers(empty, weigh_bands(GRID_OCCUPIED_BANDWIDTH, BANDS)).occupied_bandwidth_hz[0])
+    line = BANDS._replace(is_line=np.ones(1, dtype=np.bool_))
+    assert np.isnan(
+        measure_carriers(mean_trace(20.0), weigh_bands(GRID_OCCUPIED_BANDWIDTH, line)).occupied_bandwidth_hz[0]
+    )
+
+
+THRESHOLD = np.array([2.0])
+
+
+def run(ratios: list[float]) -> tuple[list[bool], list[bool]]:
+    """Return visibility and state after each ratio."""
+    state, visible, present = initial_presence(1), [], []
+    for ratio in ratios:
+        state, shown = step_presence(state, np.array([ratio]), THRESHOLD)
+        visible.append(bool(shown[0]))
+        present.append(bool(state.is_present[0]))
+    return visible, present
+
+
+def test_a_start_on_a_present_carrier_loses_no_row() -> None:
+    assert run([10.0, 10.0])[0] == [True, True]
+
+
+def test_an_absent_carrier_appears_after_three_of_five() -> None:
+    assert run([0.0, 10.0, 0.0, 10.0, 10.0])[0] == [False, False, False, False, True]
+
+
+def test_appearing_needs_the_hysteresis() -> None:
+    just_below = float(THRESHOLD[0]) + HYSTERESIS_DB - 0.01
+    assert not any(run([0.0, *[just_below] * 6])[0])
+
+
+def test_staying_needs_only_the_threshold() -> None:
+    assert all(run([10.0, *[float(THRESHOLD[0]) + 0.01] * 6])[0])
+
+
+def test_a_lost_carrier_is_hidden_at_once_and_absent_after_three() -> None:
+    visible, present = run([10.0, 0.0, 0.0, 0.0])
+    assert visible == [True, False, False, False]
+    assert present == [True, True, True, False]
+
+
+def test_a_single_dropout_costs_one_row() -> None:
+    assert run([10.0] * 5 + [0.0] + [10.0] * 3)[0] == [True] * 5 + [False] + [True] * 3
+
+
+def test_an_unmeasured_sweep_casts_no_vote() -> None:
+    visible, present = run([10.0, *[float("nan")] * 6, 10.0])
+    assert visible == [True, *[False] * 6, True]
+    assert all(present)
+
+
+def test_false_alarms_of_pure_noise_are_rare() -> None:
+    rng = np.random.default_rng(11)
+    n_carrier, n_noise = 400.0, 800.0
+    inside = rng.gamma(n_carrier, 1 / n_carrier, 200_000)
+    beside = rng.gamma(n_noise, 1 / n_noise, 200_000)
+    threshold = float(presence_threshold_db(n_carrier, n_noise))
+    # one in a million expected of a normal ratio; the gamma's skewness may add a few in 200 000
+    assert int(np.sum(10 * np.log10(inside / beside) > threshold)) <= 4
+
+
+def test_the_threshold_has_a_floor() -> None:
+    assert float(presence_threshold_db(1e9, 1e9)) == pytest.approx(1.0, abs=1e-12)  # exact by definition
+
+
+@pytest.mark.parametrize(
+    ("rbw_hz", "sweep_time_s", "width_hz", "sigma_db"),
+    [
+        (10e3, 1.0, 0.25e6, 0.43),
+        (10e3, 1.0, 1e6, 0.21),
+        (30e3, 1.0, 1e6, 0.12),
+        (30e3, 1.0, 9e6, 0.041),
+        (30e3, 5.0, 4.5e6, 0.026),
+        (30e3, 10.0, 36e6, 0.006),
+    ],
+)
+def test_the_table_of_the_front_end_study(rbw_hz: float, sweep_time_s: float, width_hz: float, sigma_db: float) -> None:
+    dof = degrees_of_freedom(rbw_hz * GAUSSIAN_ENBW_RATIO, sweep_time_s * width_hz / 36e6)
+    # half of the last printed digit, and 2% for the short-dwell term of the exact formula
+    assert float(carrier_sigma_db(0.0, dof, 1e12, 1e12)) == pytest.approx(sigma_db, rel=0.02, abs=0.005)
+
+
+def test_noise_bandwidth_of_a_gaussian_filter() -> None:
+    offset = np.linspace(-5, 5, 20001)
+    area = float(np.sum(np.exp2(-np.square(2 * offset))) * (offset[1] - offset[0]))
+    assert pytest.approx(area, abs=1e-9) == GAUSSIAN_ENBW_RATIO  # trapezoid of a Gaussian is exact to rounding
+
+
+def envelope(rng: np.random.Generator, rbw_hz: float, rate_hz: float, samples: int) -> np.ndarray:
+    """Return unit complex noise behind a Gaussian filter."""
+    axis = np.fft.fftfreq(samples, 1 / rate_hz)
+    white = rng.standard_normal(samples) + 1j * rng.standard_normal(samples)
+    shaped = np.fft.ifft(np.fft.fft(white) * np.exp2(-np.square(2 * axis / rbw_hz) / 2))
+    unit: np.ndarray = shaped / np.sqrt(np.mean(np.abs(shaped) ** 2))
+    return unit
+
+
+def test_degrees_of_freedom_of_a_simulated_envelope() -> None:
+    rng = np.random.default_rng(3)
+    rbw_hz, rate_hz, bucket = 10e3, 80e3, 32
+    power = np.abs(envelope(rng, rbw_hz, rate_hz, 1 << 19)) ** 2
+    means = power[: power.size // bucket * bucket].reshape(-1, bucket).mean(axis=1)
+    predicted = float(degrees_of_freedom(rbw_hz * GAUSSIAN_ENBW_RATIO, bucket / rate_hz))
+    # 16 384 buckets: the variance estimate has a standard error near 2%
+    assert 1 / float(means.var()) == pytest.approx(predicted, rel=0.06)
+
+
+def test_scatter_of_a_swept_line() -> None:
+    """A line under a swept filter scatters by the noise beside it, as the closed form says."""
+    rng = np.random.default_rng(5)
+    rbw_hz, rate_hz, cnr_db, seconds = 10e3, 40e3, 20.0, 0.02
+    enbw_hz = rbw_hz * GAUSSIAN_ENBW_RATIO
+    samples = 8192
+    time = (np.arange(samples) - samples / 2) / rate_hz
+    swept_hz = time * enbw_hz / seconds
+    line = 10 ** (cnr_db / 20) * np.exp2(-np.square(2 * swept_hz / rbw_hz) / 2)
+    is_band = np.abs(swept_hz) < 3 * rbw_hz
+    sums = []
+    for _ in range(300):
+        noise = envelope(rng, rbw_hz, rate_hz, samples)
+        sums.append(np.sum(np.abs(line + noise)[is_band] ** 2) - is_band.sum())
+    predicted = line_sigma_db(
+        6 * rbw_hz / enbw_hz / 10 ** (cnr_db / 10),
+        enbw_hz * seconds,
+        6 * rbw_hz / enbw_hz,
+        degrees_of_freedom(enbw_hz, 6 * rbw_hz * seconds / enbw_hz),
+        1e12,
+    )
+    values = 10 * np.log10(sums)
+    # 15%: the bound asked of every sigma; 300 draws give a standard error of 4%
+    assert float(values.std()) == pytest.approx(float(predicted), rel=0.15)
+    assert math.isfinite(float(predicted))

@@ -1,5 +1,6 @@
-"""The alarms of one spacecraft: raised, told, covered, remembered."""
+"""Alarms: readings, limit sets, debounce and states."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,12 +9,16 @@ import pytest
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
 from service.pipeline.alarms.condition import AlarmCondition, Kind, Origin
 from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.limit_sets import AlarmContext
+from service.pipeline.alarms.debounce import ConditionChange, limit_of, outermost, poll, severity_level
+from service.pipeline.alarms.limit_sets import DEFAULT_SETS, SETS, AlarmContext, context, faults_of, limits_in_force
+from service.pipeline.alarms.states import COVERS, PROCESS, AlarmEvent, CoverEvent, diagram, next_cover, next_process
 from service.pipeline.alarms.transitions import described
 from service.pipeline.config import AlarmConfig, RobustConfig
+from service.records.catalogue import Carrier, CarrierPlan
+from service.records.inputs import Operation
 from service.records.operations.alarm import ChangeKind, Cover, Handling, Process, Severity
 from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits
-from service.records.operations.alarm_memory import EngineMemory
+from service.records.operations.alarm_memory import EngineMemory, ValueMemory
 
 S = 1_000_000
 CONDITION = AlarmCondition(
@@ -297,3 +302,266 @@ def test_the_conditions_by_default_have_limits_in_order_and_angles_of_the_settin
         assert stated == sorted(stated, reverse=condition.kind is Kind.BELOW)
         assert condition.next_step
         assert Cover.NONE.value not in condition.says
+
+
+CONDITIONS_LIMIT_SETS = condition_table(AlarmConfig(), RobustConfig())
+PLAN = CarrierPlan(1, "sha", tuple(Carrier(f"c{k}", "Ku", f"t{k // 2}", 11e9, 1e6) for k in range(4)))
+
+
+def at(epoch_us, *operations, is_raining=False):
+    return context(operations, PLAN, epoch_us, is_raining=is_raining)
+
+
+def test_nothing_declared_is_the_normal_set():
+    assert at(5) == AlarmContext()
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("station_keeping", "manoeuvre"),
+        ("momentum_unloading", "manoeuvre"),
+        ("calibration_turn", "manoeuvre"),
+        ("eclipse", "eclipse"),
+    ],
+)
+def test_a_set_is_in_force_from_the_start_of_its_operation_to_its_end(kind, name):
+    operation = Operation(1, kind, 10, 20)
+    assert [name in at(epoch_us, operation).sets for epoch_us in (9, 10, 19, 20)] == [False, True, True, False]
+    assert (at(9, operation).until_us, at(15, operation)[2:], at(25, operation).since_us) == (10, (10, 20), 20)
+
+
+def test_an_operation_without_an_end_goes_on():
+    assert at(1 << 50, Operation(1, "eclipse", 10, None)).sets == ("normal", "eclipse")
+
+
+def test_sets_in_force_together_stand_in_their_order():
+    both = (Operation(1, "station_keeping", 0, 9), Operation(2, "eclipse", 0, 9))
+    assert at(5, *both, is_raining=True).sets == SETS
+
+
+@pytest.mark.parametrize("kind", ["carrier_work", "sun_outage", "gain_change", "receive_chain_work"])
+def test_work_keeps_quiet_what_it_names(kind):
+    named = Operation(1, kind, 0, 9, carriers=("c0",), transponders=("t1",))
+    assert at(5, named).quiet_carriers == {"c0", "c2", "c3"}
+    assert at(5, Operation(1, kind, 0, 9)).quiet_carriers == set(PLAN.carrier_ids)
+    assert at(9, named).quiet_carriers == frozenset()
+    holds = at(5, named)
+    assert holds.is_quiet("carrier_absent", "c0")
+    assert not holds.is_quiet("carrier_absent", "c1")
+    assert not holds.is_quiet("attitude_angle", "c0")
+
+
+def test_a_manoeuvre_widens_the_angles_and_quietens_what_it_disturbs():
+    limits = limits_in_force(CONDITIONS_LIMIT_SETS, AlarmLimits(), ("normal", "manoeuvre"))
+    assert (limits["attitude_angle"].warning, limits["attitude_angle"].critical) == (0.5, 0.8)
+    assert limits["methods_disagree"].suppressed
+    assert limits["carrier_absent"] == CONDITIONS_LIMIT_SETS["carrier_absent"].limits
+
+
+def test_what_is_stated_prevails_over_the_default_of_its_set_and_under_that_of_a_later_one():
+    stated = AlarmLimits(1, sets={"normal": {"carrier_level": {"warning": 1.0, "deadband": 0.1}}})
+    normal = limits_in_force(CONDITIONS_LIMIT_SETS, stated, ("normal",))["carrier_level"]
+    rain = limits_in_force(CONDITIONS_LIMIT_SETS, stated, ("normal", "rain"))["carrier_level"]
+    assert (normal.warning, normal.distress, normal.deadband) == (1.0, 6.0, 0.1)
+    assert (rain.warning, rain.distress, rain.deadband) == (8.0, 15.0, 0.1)
+
+
+def test_the_sets_by_default_are_in_order():
+    assert set(DEFAULT_SETS) == set(SETS)
+    assert (
+        faults_of(CONDITIONS_LIMIT_SETS, AlarmLimits(sets={name: dict(each) for name, each in DEFAULT_SETS.items()}))
+        == ()
+    )
+
+
+def test_faults_name_the_condition_and_what_is_wrong():
+    sets = {
+        "normal": {"carrier_level": {"warning": 7.0}, "carrier_c_n0": {"distress": 8.0}, "nonsense": {}},
+        "rain": {"carrier_level": {"warning": 20.0}},
+        "eclipse": {"carrier_absent": {"warning": None}},
+    }
+    faults = faults_of(CONDITIONS_LIMIT_SETS, AlarmLimits(sets=sets))
+    assert [(fault.pointer, fault.code) for fault in faults] == [
+        ("/sets/normal/carrier_level", "alarm_limits.order"),
+        ("/sets/normal/carrier_c_n0", "alarm_limits.order"),
+        ("/sets/normal/nonsense", "alarm_limits.condition"),
+        ("/sets/rain/carrier_level", "alarm_limits.order"),
+    ]
+
+
+STATES = list(Process)
+
+
+def test_every_state_answers_every_event():
+    assert set(PROCESS) == set(Process)
+    assert all(set(row) == set(AlarmEvent) for row in PROCESS.values())
+    assert set(COVERS) == set(Cover)
+    assert all(set(row) == set(CoverEvent) for row in COVERS.values())
+
+
+@pytest.mark.parametrize("is_latching", [False, True])
+@pytest.mark.parametrize("state", STATES)
+def test_clearing_leads_out_of_every_state(state, is_latching):
+    assert next_process(state, AlarmEvent.CLEAR, is_latching=is_latching) is Process.NORMAL
+    assert all(next_cover(cover, CoverEvent.CLEAR) is Cover.NONE for cover in Cover)
+
+
+def test_an_alarm_that_was_seen_and_is_gone_is_closed_in_either_order():
+    for order in ((AlarmEvent.ACKNOWLEDGE, AlarmEvent.RETURN), (AlarmEvent.RETURN, AlarmEvent.ACKNOWLEDGE)):
+        state = next_process(Process.NORMAL, AlarmEvent.RAISE, is_latching=False)
+        for event in order:
+            assert state is not Process.NORMAL
+            state = next_process(state, event, is_latching=False)
+        assert state is Process.NORMAL
+
+
+def test_what_latches_waits_for_its_clearing():
+    for order in (
+        (AlarmEvent.ACKNOWLEDGE, AlarmEvent.RETURN),
+        (AlarmEvent.RETURN, AlarmEvent.ACKNOWLEDGE),
+        (AlarmEvent.RETURN_UNSEEN,),
+    ):
+        state = Process.UNACKNOWLEDGED
+        for event in order:
+            state = next_process(state, event, is_latching=True)
+        assert state is Process.LATCHED
+    assert next_process(Process.NORMAL, AlarmEvent.RETURN, is_latching=True) is Process.NORMAL
+
+
+def test_only_a_worse_condition_takes_an_acknowledgement_away():
+    losing = {event for event in AlarmEvent if PROCESS[Process.ACKNOWLEDGED][event] is Process.UNACKNOWLEDGED}
+    assert losing == {AlarmEvent.ESCALATE}
+
+
+def test_what_nobody_was_told_of_needs_no_acknowledgement():
+    assert PROCESS[Process.UNACKNOWLEDGED][AlarmEvent.RETURN] is Process.RETURNED
+    assert PROCESS[Process.UNACKNOWLEDGED][AlarmEvent.RETURN_UNSEEN] is Process.NORMAL
+
+
+def test_shelving_stands_above_suppression():
+    assert next_cover(Cover.SUPPRESSED, CoverEvent.SHELVE) is Cover.SHELVED
+    assert next_cover(Cover.SHELVED, CoverEvent.SUPPRESS) is Cover.SHELVED
+    assert next_cover(Cover.SHELVED, CoverEvent.RELEASE) is Cover.SHELVED
+    assert next_cover(Cover.SUPPRESSED, CoverEvent.UNSHELVE) is Cover.SUPPRESSED
+
+
+def test_the_diagram_draws_every_change_of_state_once():
+    drawn = diagram()
+    for state, row in PROCESS.items():
+        for target in set(row.values()) - {state}:
+            names = ", ".join(event.name for event in AlarmEvent if row[event] is target)
+            assert drawn.count(f"    {state.value} --> {target.value}: {names}\n") == 1
+    assert "acknowledged --> latched: RETURN, RETURN_UNSEEN (where it latches)" in drawn
+    assert "none --> shelved: SHELVE" in drawn
+
+
+LIMITS = ConditionLimits(warning=3.0, critical=6.0, deadband=0.5, on_s=120.0, off_s=60.0)
+NAN = math.nan
+
+
+def run(values, limits=LIMITS, kind=Kind.ABOVE, step_s=60, watch=None):
+    """Return the verdicts on values, one a minute, as (place, verdict)."""
+    watch = watch or ValueMemory()
+    reported = [(k, poll(watch, kind, value, k * step_s * S, limits)) for k, value in enumerate(values)]
+    return [(k, verdict) for k, verdict in reported if verdict is not None]
+
+
+def test_a_value_alarms_when_it_has_stood_for_its_time_and_not_before():
+    assert run([4, 4]) == []
+    assert run([4, 4, 4]) == [(2, ConditionChange.RAISE)]
+    assert run([4, 4, 2, 4, 4]) == []
+
+
+def test_the_limit_itself_is_no_alarm():
+    assert run([3.0] * 10) == []
+    assert run([3.0001] * 3) == [(2, ConditionChange.RAISE)]
+
+
+def test_a_value_is_over_when_it_is_inside_by_the_deadband_for_its_time():
+    assert run([4, 4, 4, 2.6, 2.6, 2.6]) == [(2, ConditionChange.RAISE)]
+    assert run([4, 4, 4, 2.5, 2.6, 2.5, 2.5]) == [(2, ConditionChange.RAISE), (6, ConditionChange.RETURN)]
+
+
+def test_a_deadband_wider_than_the_limit_leaves_a_way_back():
+    wide = ConditionLimits(warning=3.0, deadband=30.0)
+    assert run([4, 1, 0], wide) == [(0, ConditionChange.RAISE), (2, ConditionChange.RETURN)]
+
+
+def test_a_value_that_flutters_about_its_limit_alarms_once():
+    assert run([4, 4, 4] + [2.9, 3.1] * 50) == [(2, ConditionChange.RAISE)]
+
+
+def test_a_worse_value_escalates_after_its_time_and_the_least_of_the_time_counts():
+    watch = ValueMemory()
+    assert run([4, 4, 7, 7], watch=watch) == [(2, ConditionChange.RAISE)]
+    assert watch.level == 2
+    assert run([4, 4, 4, 7, 7, 7]) == [(2, ConditionChange.RAISE), (5, ConditionChange.ESCALATE)]
+    watch = ValueMemory()
+    run([7, 7, 7], watch=watch)
+    assert watch.level == 4
+
+
+def test_what_is_not_known_begins_anew_and_ends_nothing():
+    assert run([4, 4, NAN, 4, 4]) == []
+    assert run([4, 4, 4, NAN, 2, NAN, 2, 2]) == [(2, ConditionChange.RAISE), (7, ConditionChange.RETURN)]
+
+
+def test_values_of_the_past_change_nothing():
+    watch = ValueMemory()
+    poll(watch, Kind.ABOVE, 4, 600 * S, LIMITS)
+    assert poll(watch, Kind.ABOVE, 4, 0, LIMITS) is None
+    assert watch.pending_us == 600 * S
+
+
+def test_below_is_above_upside_down():
+    limits = ConditionLimits(warning=6.0, distress=3.0, deadband=0.5, off_s=0.0)
+    assert run([7, 5.9, 2.9, 6.4, 6.5], limits, Kind.BELOW) == [
+        (1, ConditionChange.RAISE),
+        (2, ConditionChange.ESCALATE),
+        (4, ConditionChange.RETURN),
+    ]
+    assert outermost(Kind.BELOW, limits) == 6.0
+
+
+def test_what_lasts_alarms_by_the_time_it_has_lasted():
+    limits = ConditionLimits(warning=120.0, distress=240.0, off_s=60.0)
+    watch = ValueMemory()
+    assert run([1, 1, 1, 1, 1], limits, Kind.LASTING, watch=watch) == [
+        (2, ConditionChange.RAISE),
+        (4, ConditionChange.ESCALATE),
+    ]
+    assert (watch.since_us, watch.value) == (0, 240.0)
+    assert run([1, 0, 1, 1, 1], limits, Kind.LASTING) == [(4, ConditionChange.RAISE)]
+    assert run([1, 1, 1, 0, 0], limits, Kind.LASTING) == [(2, ConditionChange.RAISE), (4, ConditionChange.RETURN)]
+
+
+def test_a_limit_of_zero_seconds_alarms_at_once():
+    assert run([0, 1], ConditionLimits(warning=0.0), Kind.LASTING) == [(1, ConditionChange.RAISE)]
+
+
+def test_nothing_is_remembered_of_what_is_as_it_should_be():
+    watch = ValueMemory()
+    run([4, 4, 4, 2, 2], watch=watch)
+    assert watch.is_idle
+    lasting = ValueMemory()
+    run([1, 0], ConditionLimits(warning=600.0), Kind.LASTING, watch=lasting)
+    assert lasting.is_idle
+
+
+def test_limits_that_are_switched_off_alarm_nothing_and_end_what_stands():
+    off = ConditionLimits()
+    assert outermost(Kind.ABOVE, off) is None
+    assert run([1e9] * 5, off) == []
+    assert run([0.0], off, watch=ValueMemory(level=2, since_us=0)) == [(0, ConditionChange.RETURN)]
+
+
+@pytest.mark.parametrize(("value", "level"), [(2.0, 0), (3.5, 2), (6.5, 4), (NAN, 0)])
+def test_the_worst_limit_passed_tells_the_severity(value, level):
+    assert severity_level(Kind.ABOVE, value, LIMITS) == level
+
+
+def test_the_limit_of_a_severity():
+    assert limit_of(LIMITS, 4) == 6.0
+    assert math.isnan(limit_of(LIMITS, 3))
+    assert math.isnan(limit_of(LIMITS, 0))

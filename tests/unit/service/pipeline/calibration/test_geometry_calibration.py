@@ -1,19 +1,23 @@
-"""Calibration by geometry: known figures come back, the record holds them, and what is missing is said in words."""
+"""Calibration of the geometry, its warnings and its minute rows."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_payload import DAY, HOUR, MINUTE, NAN, START_US, GeometryPayload, turned_angles
+from geometry_payload import DAY, HOUR, MINUTE, NAN, START_US, GeometryPayload, S, turned_angles
+from hypothesis import given
+from hypothesis import strategies as st
 
 from db.encoding.json_documents import decode, encode
 from service.core.estimation.noise_identification import LADDER_S
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
-from service.records.calibration import CalibrationResult
-from service.records.catalogue import Site, Station
+from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
+from service.records.catalogue import Site, Station, Track
 from service.records.inputs import Operation
+from service.records.levels.series import MeasurementSeries
 
 CONFIG = CalibrationConfig()
 
@@ -303,3 +307,233 @@ def test_a_noisy_sensor_shrinks_slopes_little_and_says_by_how_much(payload):
     assert scale == pytest.approx([1.0, 1.0], abs=0.05)
     assert result.quality["roll_sensor_sigma_deg"] == pytest.approx(0.06, rel=0.05)
     assert 0.005 < result.quality["roll_slope_shrink"] < 0.04
+
+
+#: first words of every warning of the joint fit
+KINDS = (
+    "quiet window",
+    "no turn",
+    "operation",
+    "no track",
+    "the daily change contradicts",
+    "the sign of yaw",
+    "the track covers",
+    "the roll sensor",
+    "c00 was silent",
+    "c00 is flat",
+    "c00 drifts",
+    "check the coordinates of c00",
+)
+
+
+def kinds(data):
+    """Return which kinds of warning a calibration has; the paper part's advice on numbers is not of the joint fit."""
+    reported = [text for text in calibrate_geometry(data, CONFIG).warnings if not text.startswith("paper method")]
+    found = {kind for kind in KINDS if any(text.startswith(kind) for text in reported)}
+    assert len(found) == len(reported), reported
+    return found
+
+
+def with_column(data, k, change):
+    parts = []
+    for part in (data.quiet, data.turns):
+        power = part.power_dbm.copy()
+        power[:, k] = change(power[:, k], part.epochs_us)
+        parts.append(replace(part, power_dbm=power))
+    return replace(data, quiet=parts[0], turns=parts[1])
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_healthy_calibrations_are_silent(seed):
+    assert kinds(GeometryPayload.make(8, seed=seed).data(noise_db=0.12)) == set()
+
+
+def test_a_short_quiet_window():
+    assert kinds(GeometryPayload.make(8, quiet_days=2.0).data()) == {"quiet window"}
+
+
+@pytest.mark.parametrize(("axis", "sides"), [(0, "+yaw, -yaw"), (1, "+roll, -roll"), (2, "+pitch, -pitch")])
+def test_an_axis_that_was_not_turned_is_named(axis, sides):
+    turned = turned_angles()
+    turned[:, axis] = 0.0
+    payload = GeometryPayload.make(8)
+    result = calibrate_geometry(payload.data(turned=turned), CONFIG)
+    assert [text for text in result.warnings if f"towards {sides}:" in text]
+    assert all(np.isnan(carrier.sensitivity_plus_db_per_deg[axis]) for carrier in result.carriers)
+    assert np.isfinite(result.geometry.gradient).all()
+    found = np.array([carrier.sensitivity_db_per_deg for carrier in result.carriers])
+    # yaw is told by the stations' places; roll and pitch by 0.03 deg of motion over three days
+    limit = {0: 0.02, 1: 0.3, 2: 0.3}[axis]
+    assert np.abs(found - payload.slopes())[:, axis].max() < limit
+
+
+def test_a_side_that_was_not_turned_is_named():
+    turned = turned_angles()
+    turned[turned[:, 1] < 0.0, 1] = 0.0
+    result = calibrate_geometry(GeometryPayload.make(8).data(turned=turned), CONFIG)
+    assert any("towards -roll: its slopes rest on one side" in text for text in result.warnings)
+
+
+def test_no_track():
+    payload = GeometryPayload.make(8)
+    data = payload.data()
+    assert kinds(replace(data, ephemeris=payload.ephemeris(is_tracked=False))) == {"no track"}
+
+
+def moved(track, rows, east_deg=0.0):
+    """Return a track that is some rows ahead, or that of a satellite farther East."""
+    last = len(track.epochs_us) - 1
+    ahead = [min(k + rows, last) for k in range(last + 1)]
+    return Track(
+        track.epochs_us,
+        tuple(track.latitude_deg[k] for k in ahead),
+        tuple(track.longitude_deg[k] + east_deg for k in ahead),
+    )
+
+
+@pytest.mark.parametrize(("rows", "east_deg"), [(6, 0.0), (12, 0.0), (0, 50.0), (10, 50.0)])
+def test_a_track_that_the_daily_change_contradicts(rows, east_deg):
+    """Half-hourly track: three and six hours ahead, and of satellites 50 deg away."""
+    data = GeometryPayload.make(8).data(noise_db=0.12)
+    wrong = replace(data.ephemeris, track=moved(data.ephemeris.track, rows, east_deg))
+    assert kinds(replace(data, ephemeris=wrong)) == {"the daily change contradicts"}
+
+
+def test_a_track_that_ends_too_early():
+    data = GeometryPayload.make(8).data()
+    reported = data.ephemeris.track
+    stop = int(np.searchsorted(reported.epochs_us, data.request.turns.start_us - 86_400_000_000))
+    track = Track(reported.epochs_us[48:stop], reported.latitude_deg[48:stop], reported.longitude_deg[48:stop])
+    result = calibrate_geometry(replace(data, ephemeris=replace(data.ephemeris, track=track)), CONFIG)
+    assert any(text.startswith("the track covers only") for text in result.warnings)
+
+
+def test_a_noisy_sensor():
+    warnings = calibrate_geometry(GeometryPayload.make(8).data(sensor_deg=0.12), CONFIG).warnings
+    assert any(text.startswith("the roll sensor has a noise of 0.1") for text in warnings)
+    assert not any("yaw sensor" in text for text in warnings)
+
+
+def test_a_silent_carrier():
+    data = with_column(GeometryPayload.make(8).data(), 0, lambda power, _: np.full_like(power, np.nan))
+    assert kinds(data) == {"c00 was silent"}
+
+
+def test_a_flat_carrier():
+    payload = GeometryPayload.make(8)
+    beam = payload.beam.copy()
+    beam[0] = (0.02, 0.02, -0.05, 0.0, -0.05)
+    flat = replace(payload, beam=beam, downlink=np.zeros((1, 2)))
+    assert kinds(flat.data(noise_db=0.1)) == {"c00 is flat"}
+
+
+def test_a_carrier_that_drifts():
+    data = GeometryPayload.make(8).data()
+    start_us = data.request.quiet.start_us
+    drifting = with_column(data, 0, lambda power, us: power + 0.5 * (us - start_us) / 86_400e6)
+    assert "c00 drifts" in kinds(drifting)
+
+
+def test_a_station_in_another_country():
+    """Sixty degrees of longitude, 5 deg in the antenna frame."""
+    payload = GeometryPayload.make(8)
+    beam = payload.beam.copy()
+    beam[0, :2] = (-1.5, 1.5)
+    data = replace(payload, beam=beam).data()
+    carriers = list(data.plan.carriers)
+    position = carriers[0].station
+    carriers[0] = replace(carriers[0], station=Station(position.latitude_deg, position.longitude_deg - 60.0))
+    wrong = replace(data, plan=replace(data.plan, carriers=tuple(carriers)))
+    assert kinds(wrong) == {"check the coordinates of c00"}
+
+
+NAMES = ("a", "b")
+
+
+def series(epochs_us, power_dbm=None):
+    epochs_us = np.asarray(epochs_us, dtype=np.int64)
+    if power_dbm is None:
+        power_dbm = np.random.default_rng(1).normal(-45.0, 0.1, (len(epochs_us), len(NAMES)))
+    return MeasurementSeries(NAMES, epochs_us, power_dbm)
+
+
+def parts_of(whole, cuts):
+    stops = [*sorted(min(cut, len(whole.epochs_us)) for cut in cuts), len(whole.epochs_us)]
+    for start, stop in zip([0, *stops[:-1]], stops, strict=True):
+        yield MeasurementSeries(NAMES, whole.epochs_us[start:stop], whole.power_dbm[start:stop])
+
+
+def equal(one, other):
+    arrays = ((found.series.epochs_us, found.series.power_dbm, found.measurements) for found in (one, other))
+    for first, second in zip(*arrays, strict=True):
+        np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.parametrize("period_s", [20, 60, 300])
+def test_rows_that_are_no_closer_than_twenty_seconds_stay_to_the_bit(period_s):
+    rows = series(np.arange(3000) * period_s * S)
+    rows.power_dbm[5, 1] = np.nan
+    found = minute_rows([rows], NAMES, [7 * MINUTE])
+    np.testing.assert_array_equal(found.series.power_dbm, rows.power_dbm)
+    np.testing.assert_array_equal(found.series.epochs_us, rows.epochs_us)
+    assert (found.measurements == 1).all()
+    assert found.usual_measurements == 1.0
+
+
+def test_close_rows_become_means_of_a_minute_without_impulses():
+    rows = series(np.arange(3600) * S)
+    expected = rows.power_dbm.reshape(60, 60, 2).mean(axis=1)
+    kept = np.delete(rows.power_dbm[:60, 0], 7).mean()
+    rows.power_dbm[7, 0] += 6.0
+    rows.power_dbm[60:120, 1] = np.nan
+    found = minute_rows([rows], NAMES, ())
+    assert found.series.epochs_us.tolist() == [MINUTE * k + 29_500_000 for k in range(60)]
+    assert found.series.power_dbm[0, 0] == pytest.approx(kept, abs=1e-12)
+    assert np.isnan(found.series.power_dbm[1, 1])
+    np.testing.assert_allclose(found.series.power_dbm[2:], expected[2:], atol=1e-12)
+    np.testing.assert_array_equal(found.first_dbm, rows.power_dbm[::60])
+    assert found.usual_measurements == 60.0
+
+
+def test_no_mean_reaches_across_a_window_or_an_operation():
+    quiet, turns = Window(0, 90 * S), Window(90 * S, 300 * S)
+    request = CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY)
+    operation = Operation(1, "eclipse", 130 * S, 200 * S)
+    edges_us = mean_edges_us(request, [operation])
+    rows = series(np.arange(300) * S)
+    found = minute_rows([rows], NAMES, edges_us)
+    assert found.measurements.tolist() == [60, 30, 30, 10, 50, 20, 40, 60]
+    # rows that belong to both windows have one epoch
+    twice = minute_rows([series(np.arange(60, 300) * S)], NAMES, edges_us)
+    assert set(twice.series.epochs_us.tolist()) <= set(found.series.epochs_us.tolist())
+
+
+@given(st.lists(st.integers(0, 5000), max_size=6), st.sampled_from([1, 5, 13, 19, 20, 60]), st.integers(0, 59_999_999))
+def test_where_parts_end_does_not_change_the_rows(cuts, period_s, begin_us):
+    rows = series(begin_us + np.arange(5000) * period_s * S)
+    equal(minute_rows(parts_of(rows, cuts), NAMES, ()), minute_rows([rows], NAMES, ()))
+
+
+def test_a_change_of_the_row_period_keeps_every_measurement():
+    epochs_us = np.concatenate([np.arange(2000) * MINUTE, 2000 * MINUTE + np.arange(7200) * S])
+    found = minute_rows([series(epochs_us)], NAMES, ())
+    assert found.measurements.sum() == len(epochs_us)
+    assert (np.diff(found.series.epochs_us) > 0).all()
+    assert len(found.series.epochs_us) < 2000 + 1200
+
+
+def test_nothing_has_its_columns():
+    found = minute_rows([], NAMES, ())
+    assert found.series.power_dbm.shape == found.first_dbm.shape == (0, 2)
+    assert found.usual_measurements == 1.0
+
+
+def test_a_calibration_by_means_tells_the_noise_of_a_measurement_and_the_steps_of_the_analyzer():
+    data = GeometryPayload.make(8, quiet_days=2.0).data(noise_db=0.02)
+    stepped_dbm = np.round(data.quiet.power_dbm / 0.1) * 0.1
+    of_means = replace(data, row_measurements=9.0, quiet_first_dbm=stepped_dbm)
+    plain, means = (calibrate_geometry(each, CalibrationConfig()) for each in (data, of_means))
+    white_db = np.array([[carrier.sigma_white_db for carrier in result.carriers] for result in (plain, means)])
+    np.testing.assert_allclose(white_db[1], 3.0 * white_db[0], rtol=1e-12)
+    assert plain.quality["quantisation_db"] == 0.0
+    assert means.quality["quantisation_db"] == pytest.approx(0.1, rel=0.02)

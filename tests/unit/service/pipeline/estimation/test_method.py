@@ -1,13 +1,19 @@
-"""Columns of a calibration: powers and flags of any plan in the order of the calibrated carriers."""
+"""What both methods share: results of carriers, inhibitions and disagreement."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_flight import START_US, FlightPayload
+from geometry_flight import START_US, Flight, FlightPayload
 
+from service.pipeline.config import InterlockConfig, RobustConfig
 from service.pipeline.estimation.method import CalibratedColumns
-from service.records.catalogue import CarrierPlan, Station
+from service.pipeline.estimation.method_disagreement import Disagreement, compare
+from service.pipeline.estimation.row_inhibitions import INHIBITIONS, RowContext, judge
+from service.records.catalogue import LIVE_METHODS, CarrierPlan, Method, Station
+from service.records.levels.attitude import AttitudeFix, Axes, Status, row_without_attitude
+from service.records.levels.carrier_results import CARRIER_HYPOTHESES, CARRIER_STATES
 from service.records.levels.measurement import Measurement
 
 PAYLOAD = FlightPayload.make(5)
@@ -61,3 +67,175 @@ def test_a_new_name_or_bandwidth_leaves_a_carrier_itself():
     carriers = tuple(replace(one, name="other", bandwidth_hz=2e6, enabled=False) for one in PAYLOAD.carriers())
     reported = CalibratedColumns(PAYLOAD.ids, PLAN).power_dbm(row([1, 2, 3, 4, 5]), CarrierPlan(2, "sha-2", carriers))
     np.testing.assert_array_equal(reported, [1, 2, 3, 4, 5])
+
+
+CONFIG = RobustConfig(disagreement_deg=0.15, disagreement_s=900.0)
+MINUTE = 60_000_000
+
+
+def pair(minute, one, other, status=Status.ACQUIRED):
+    blank = row_without_attitude(minute * MINUTE, minute * MINUTE, minute, Method.ROBUST, ())
+    first = replace(blank, attitude_deg=Axes(*one), status=Status.ACQUIRED)
+    return first, replace(blank, method=Method.PAPER, attitude_deg=Axes(*other), status=status)
+
+
+def test_apart_for_long_enough_it_stands_and_together_again_it_ends():
+    watch = Disagreement()
+    for minute in range(10, 40):
+        watch = compare(watch, pair(minute, (0, 0.1, 0), (0, -0.06, 0)), CONFIG)
+        assert watch.is_standing == (minute >= 25)
+        assert watch.apart_deg == pytest.approx(0.16 if minute >= 25 else 0.0)
+    assert watch.since_us == 10 * MINUTE
+    watch = compare(watch, pair(40, (0, 0.1, 0), (0, -0.04, 0)), CONFIG)
+    assert watch == Disagreement(apart_deg=0.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "is_apart"),
+    [
+        pytest.param((9.0, 0.0, 0.0), False, id="yaw is not compared"),
+        pytest.param((0.0, 0.0, -0.2), True, id="pitch is"),
+        pytest.param((0.0, 0.149, 0.149), False, id="each axis alone"),
+    ],
+)
+def test_roll_and_pitch_are_compared(other, is_apart):
+    watch = compare(Disagreement(), pair(1, (0, 0, 0), other), CONFIG)
+    assert (watch.since_us is not None) == is_apart
+
+
+def test_a_row_without_angles_says_nothing():
+    apart = Disagreement(5, True, 0.2)
+    for rows in (pair(1, (0, 0, 0), (0, 0, 0), Status.INVALID), pair(1, (0, 0, 0), (0, 0, 0))[:1], ()):
+        reported = compare(apart, rows, CONFIG)
+        assert (reported.since_us, reported.is_standing, math.isnan(reported.apart_deg)) == (5, True, True)
+
+
+def test_time_without_angles_does_not_make_it_stand():
+    watch = compare(Disagreement(), pair(1, (0, 0.2, 0), (0, 0, 0)), CONFIG)
+    for minute in range(2, 40):
+        watch = compare(watch, pair(minute, (0, 0.2, 0), (0, 0, 0), Status.INVALID), CONFIG)
+    assert not watch.is_standing
+
+
+CONFIG_ROW_INHIBITIONS = InterlockConfig()
+CALM = RowContext(is_late=False, is_catch_up=False, is_settled=True, is_fading=False, has_inhibiting_operation=False)
+NAN = float("nan")
+
+
+def fix(angles=(0.1, 0.1, -0.1), sigma=(0.1, 0.03, 0.05), carriers_used=12):
+    covariance = np.diag(np.square(np.array(sigma)))
+    return AttitudeFix(0, np.array(angles), covariance, np.zeros(12), np.full(12, 0.05), carriers_used, ())
+
+
+CAUSES = [
+    ("late", fix(), replace(CALM, is_late=True)),
+    ("catch_up", fix(), replace(CALM, is_catch_up=True)),
+    ("settling", fix(), replace(CALM, is_settled=False)),
+    ("no_fix", fix(angles=(NAN, NAN, NAN), sigma=(NAN, NAN, NAN)), CALM),
+    ("redundancy", fix(carriers_used=4), CALM),
+    ("downlink_fade", fix(), replace(CALM, is_fading=True)),
+    ("beyond_validity", fix(angles=(0.0, 0.41, 0.0)), CALM),
+    ("beyond_validity", fix(angles=(0.0, 0.0, -0.41)), CALM),
+    ("sigma_roll", fix(sigma=(0.1, 0.061, 0.05)), CALM),
+    ("sigma_roll", fix(sigma=(0.1, NAN, 0.05)), CALM),
+    ("sigma_pitch", fix(sigma=(0.1, 0.03, 0.101)), CALM),
+    ("sigma_pitch", fix(sigma=(0.1, 0.03, NAN)), CALM),
+    ("operation", fix(), replace(CALM, has_inhibiting_operation=True)),
+]
+#: rows without angles, written by the archive's synthesis and by the chain, and what the robust method's filter says
+ELSEWHERE = {"no_calibration", "not_aligned", "internal_error"}
+ELSEWHERE |= {"chain_step", "innovations", "unannounced_motion", "no_ephemeris"}
+ELSEWHERE |= {"integrity_unmonitored", "protection_level", "smoothed"}
+
+
+@pytest.mark.parametrize(("reason", "of_fix", "context"), CAUSES)
+def test_each_cause_stands_alone_as_the_reason(reason, of_fix, context):
+    verdict = judge(of_fix, context, CONFIG_ROW_INHIBITIONS)
+    assert verdict.inhibitions == (reason,)
+    assert not verdict.is_allowed
+    assert verdict.allowed_axes == (False, False, False)
+
+
+def test_every_listed_reason_is_reachable_and_says_something():
+    assert {reason for reason, _, _ in CAUSES} | ELSEWHERE == set(INHIBITIONS)
+    assert all(len(text) > 10 for text in INHIBITIONS.values())
+
+
+def test_several_reasons_are_listed_in_the_order_of_the_table():
+    bad = fix(angles=(0.0, 0.5, 0.0), sigma=(0.1, 0.07, 0.2), carriers_used=4)
+    all_at_once = RowContext(
+        is_late=True, is_catch_up=True, is_settled=False, is_fading=True, has_inhibiting_operation=True
+    )
+    found = judge(bad, all_at_once, CONFIG_ROW_INHIBITIONS).inhibitions
+    assert found == tuple(reason for reason in INHIBITIONS if reason in found)
+    assert len(found) == len(INHIBITIONS) - len(ELSEWHERE) - 1  # a fix that is there is not `no_fix`
+
+
+def test_a_good_fix_is_allowed_on_all_axes_and_limits_are_inclusive():
+    assert judge(fix(), CALM, CONFIG_ROW_INHIBITIONS).allowed_axes == (True, True, True)
+    # sqrt(x * x) of a double gives x back for these values
+    edge = fix(angles=(0.4, -0.4, 0.4), sigma=(0.2, 0.06, 0.1), carriers_used=5)
+    assert judge(edge, CALM, CONFIG_ROW_INHIBITIONS).allowed_axes == (True, True, True)
+
+
+@pytest.mark.parametrize(
+    "bad_yaw", [{"sigma": (0.21, 0.03, 0.05)}, {"sigma": (NAN, 0.03, 0.05)}, {"angles": (0.41, 0.1, 0.1)}]
+)
+def test_yaw_alone_is_withheld_without_an_inhibition(bad_yaw):
+    verdict = judge(fix(**bad_yaw), CALM, CONFIG_ROW_INHIBITIONS)
+    assert (verdict.inhibitions, verdict.allowed_axes) == ((), (False, True, True))
+
+
+def test_yaw_of_an_unproven_sign_is_withheld_alone():
+    unproven = replace(CALM, is_yaw_controllable=False)
+    assert judge(fix(), CALM, CONFIG_ROW_INHIBITIONS).allowed_axes == (True, True, True)
+    assert judge(fix(), unproven, CONFIG_ROW_INHIBITIONS).allowed_axes == (False, True, True)
+    assert judge(fix(), unproven, CONFIG_ROW_INHIBITIONS).inhibitions == ()
+
+
+PAYLOAD_CARRIER_RESULTS = FlightPayload.make()
+
+
+@pytest.fixture
+def flight():
+    """A chain of both methods, just aligned."""
+    return Flight(PAYLOAD_CARRIER_RESULTS)
+
+
+def test_results_of_a_row_are_the_states_after_it(flight):
+    seen = set()
+    for minute in range(1, 40):
+        measured = flight.row(minute)
+        power_dbm = measured.power_dbm.copy()
+        power_dbm[2] = np.nan
+        power_dbm[4] -= 3.0 * (minute > 20)
+        outcome = flight.chain.step(replace(measured, power_dbm=power_dbm))
+        assert len(outcome.rows) == len(outcome.carriers) == len(LIVE_METHODS)
+        found = outcome.carriers[0]
+        _, states = flight.chain.carrier_states()
+        assert found.plan_id == measured.plan_id
+        assert [CARRIER_STATES[code] for code in found.state] == [state.state for state in states]
+        assert [CARRIER_HYPOTHESES[code] for code in found.hypothesis] == [state.hypothesis for state in states]
+        np.testing.assert_array_equal(found.deviation_db, [state.deviation_db for state in states])
+        np.testing.assert_array_equal(found.residual_db, [state.residual_db for state in states])
+        for each, row in zip(outcome.carriers, outcome.rows, strict=True):
+            assert CARRIER_STATES[each.state[2]] == "absent"
+            left_out = np.flatnonzero(each.state == CARRIER_STATES.index("excluded"))
+            assert {PAYLOAD_CARRIER_RESULTS.ids[k] for k in left_out} <= {
+                exclusion.carrier for exclusion in row.excluded
+            }
+            seen.update((row.method, int(k)) for k in left_out)
+    assert {(method, 4) for method in LIVE_METHODS} <= seen
+
+
+def test_a_late_row_and_a_method_that_fails_have_none(flight, monkeypatch):
+    assert None not in flight.chain.step(flight.row(5)).carriers
+    assert flight.chain.step(flight.row(3)).carriers == ()
+
+    def fail(*_args, **_others):
+        raise ValueError
+
+    monkeypatch.setattr("service.pipeline.estimation.robust.runner.step_with_record", fail)
+    outcome = flight.chain.step(flight.row(6))
+    assert outcome.rows[0].inhibitions == ("internal_error",)
+    assert [each is None for each in outcome.carriers] == [True, False]

@@ -1,14 +1,20 @@
-"""Commanded motion: what the ground commanded reaches the filter once, in time or late."""
+"""Inputs of the motion: operations, rates, angles and torque of the catalogue."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, S
+from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, FlightPayload, S
 
-from service.pipeline.inputs.known_motion import CommandedMotion, consume, heard
-from service.records.catalogue import Spacecraft
-from service.records.inputs import Correction
+from service.pipeline.config import OperationConfig
+from service.pipeline.inputs.catalogue_torque import momentum_model
+from service.pipeline.inputs.declared_operations import CarrierIndices, declared_between, with_chain_step
+from service.pipeline.inputs.known_motion import DEG_H2_N_M, CommandedMotion, angle_inertia_kg_m2, consume, heard
+from service.pipeline.inputs.telemetry_rates import inertial_deg_h
+from service.records.calibration import AxesCheck, Calibration, GatheredTorque, MotionVerdict
+from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft, WheelMomentum
+from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.command import AppliedCommand, Pulse, ReportedCommand, TorqueCommand
 
@@ -196,3 +202,284 @@ def test_an_older_command_and_a_report_end_nothing():
     known, _ = consume(commanded, 0, 20 * MINUTE)
     expected = [gained_deg_h(1e-4, 60.0, INERTIA[2][2]), gained_deg_h(1e-4, 60.0, INERTIA[0][0]), 0.0]
     np.testing.assert_allclose(known.rate_change_deg_h, expected, rtol=EXACT)
+
+
+S_DECLARED_OPERATIONS = 1_000_000
+MINUTE_DECLARED_OPERATIONS, HOUR_DECLARED_OPERATIONS = 60 * S_DECLARED_OPERATIONS, 3600 * S_DECLARED_OPERATIONS
+CONFIG = OperationConfig()
+NAMES = CarrierIndices(("a", "b", "c", "d"), ("K1", "K2"), np.array([0, 0, 1, 1]))
+
+
+def operation(kind, start_us=2 * HOUR_DECLARED_OPERATIONS, stop_us=3 * HOUR_DECLARED_OPERATIONS, **changes):
+    return Operation(1, kind, start_us, stop_us, **changes)
+
+
+def reported(kind, from_us, to_us, **changes):
+    return declared_between((operation(kind, **changes),), NAMES, from_us, to_us, CONFIG)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "station_keeping",
+        "momentum_unloading",
+        "eclipse",
+        "sun_outage",
+        "carrier_work",
+        "gain_change",
+        "receive_chain_work",
+        "calibration_turn",
+        "other",
+    ],
+)
+def test_before_and_after_an_operation_nothing_is_declared(kind):
+    assert reported(kind, HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS - S_DECLARED_OPERATIONS) is None
+    assert (
+        reported(kind, 5 * HOUR_DECLARED_OPERATIONS, 5 * HOUR_DECLARED_OPERATIONS + MINUTE_DECLARED_OPERATIONS) is None
+    )
+    assert declared_between((), NAMES, 0, HOUR_DECLARED_OPERATIONS, CONFIG) is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "usual_deg"),
+    [("station_keeping", 0.1), ("momentum_unloading", 0.05), ("calibration_turn", 0.5), ("other", 0.0)],
+)
+def test_an_operation_that_turns_the_craft_lets_it_walk_to_its_uncertainty(kind, usual_deg):
+    steps = np.arange(HOUR_DECLARED_OPERATIONS, 4 * HOUR_DECLARED_OPERATIONS + 1, 7 * MINUTE_DECLARED_OPERATIONS)
+    variance = np.zeros(3)
+    for from_us, to_us in zip(steps[:-1].tolist(), steps[1:].tolist(), strict=True):
+        declared = reported(kind, from_us, to_us)
+        if declared is not None:
+            variance += declared.attitude_walk_deg**2 * (to_us - from_us) / HOUR_DECLARED_OPERATIONS
+            assert not declared.is_masked.any()
+            assert not declared.attitude_step_deg.any()
+    np.testing.assert_allclose(np.sqrt(variance), usual_deg, atol=EXACT)
+
+
+def test_a_stated_uncertainty_replaces_the_usual_one_axis_by_axis():
+    stated = Axes(0.3, float("nan"), 0.2)
+    declared = reported(
+        "station_keeping", 2 * HOUR_DECLARED_OPERATIONS, 3 * HOUR_DECLARED_OPERATIONS, attitude_uncertainty_deg=stated
+    )
+    np.testing.assert_allclose(declared.attitude_walk_deg, [0.3, 0.0, 0.2], atol=EXACT)
+
+
+def test_an_operation_without_end_spreads_its_uncertainty_over_an_hour_and_goes_on():
+    declared = reported(
+        "momentum_unloading",
+        20 * HOUR_DECLARED_OPERATIONS,
+        20 * HOUR_DECLARED_OPERATIONS + MINUTE_DECLARED_OPERATIONS,
+        stop_us=None,
+    )
+    np.testing.assert_allclose(declared.attitude_walk_deg, 0.05, atol=EXACT)
+
+
+def test_a_short_burn_within_one_step_leaves_all_of_its_uncertainty():
+    declared = reported(
+        "station_keeping",
+        HOUR_DECLARED_OPERATIONS,
+        5 * HOUR_DECLARED_OPERATIONS,
+        stop_us=2 * HOUR_DECLARED_OPERATIONS + MINUTE_DECLARED_OPERATIONS,
+    )
+    np.testing.assert_allclose(declared.attitude_walk_deg * 2.0, 0.1, atol=EXACT)
+    instant = reported(
+        "station_keeping", HOUR_DECLARED_OPERATIONS, 5 * HOUR_DECLARED_OPERATIONS, stop_us=2 * HOUR_DECLARED_OPERATIONS
+    )
+    np.testing.assert_array_equal(instant.attitude_walk_deg, 0.0)
+
+
+def test_an_eclipse_moves_transponders_and_levels_until_an_hour_after():
+    during = reported(
+        "eclipse", 2 * HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS + 30 * MINUTE_DECLARED_OPERATIONS
+    )
+    np.testing.assert_allclose(during.group_step_db, 0.3 * np.sqrt(0.5), atol=EXACT)
+    np.testing.assert_allclose(during.reference_walk_db, 0.06, atol=EXACT)
+    np.testing.assert_array_equal(during.attitude_walk_deg, 0.0)
+    warming = reported(
+        "eclipse",
+        3 * HOUR_DECLARED_OPERATIONS + 30 * MINUTE_DECLARED_OPERATIONS,
+        5 * HOUR_DECLARED_OPERATIONS,
+        transponders=("K2",),
+    )
+    np.testing.assert_allclose(warming.group_step_db, [0.0, 0.3 * np.sqrt(0.5)], atol=EXACT)
+    assert reported("eclipse", 4 * HOUR_DECLARED_OPERATIONS, 5 * HOUR_DECLARED_OPERATIONS) is None
+    assert not during.is_masked.any()
+    stated = reported(
+        "eclipse",
+        2 * HOUR_DECLARED_OPERATIONS,
+        3 * HOUR_DECLARED_OPERATIONS,
+        attitude_uncertainty_deg=Axes(0.0, 0.06, 0.0),
+    )
+    np.testing.assert_allclose(stated.attitude_walk_deg, [0.0, 0.06, 0.0], atol=EXACT)
+    assert reported("eclipse", 9 * HOUR_DECLARED_OPERATIONS, 10 * HOUR_DECLARED_OPERATIONS, stop_us=None).group_step_db[
+        0
+    ] == pytest.approx(0.3, abs=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("named", "masked"),
+    [
+        pytest.param({}, [1, 1, 1, 1], id="all"),
+        pytest.param({"carriers": ("b", "z")}, [0, 1, 0, 0], id="by id, unknown ones passed over"),
+        pytest.param({"transponders": ("K2",)}, [0, 0, 1, 1], id="by transponder"),
+        pytest.param({"carriers": ("a",), "transponders": ("K2",)}, [1, 0, 1, 1], id="both"),
+        pytest.param({"carriers": ()}, [0, 0, 0, 0], id="none"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["sun_outage", "carrier_work"])
+def test_carriers_are_masked_while_an_operation_lasts(kind, named, masked):
+    inside = reported(
+        kind,
+        2 * HOUR_DECLARED_OPERATIONS + MINUTE_DECLARED_OPERATIONS,
+        2 * HOUR_DECLARED_OPERATIONS + 2 * MINUTE_DECLARED_OPERATIONS,
+        **named,
+    )
+    np.testing.assert_array_equal(inside.is_masked, np.array(masked, dtype=bool))
+    # start inclusive, stop exclusive
+    assert reported(kind, HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS, **named).is_masked.tolist() == [
+        bool(one) for one in masked
+    ]
+    assert not reported(
+        kind, 2 * HOUR_DECLARED_OPERATIONS + MINUTE_DECLARED_OPERATIONS, 3 * HOUR_DECLARED_OPERATIONS, **named
+    ).is_masked.any()
+
+
+def test_work_on_carriers_frees_their_references_at_both_ends():
+    for from_us, to_us, steps in (
+        (HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS, 1),
+        (2 * HOUR_DECLARED_OPERATIONS, 3 * HOUR_DECLARED_OPERATIONS - S_DECLARED_OPERATIONS, 0),
+        (2 * HOUR_DECLARED_OPERATIONS, 3 * HOUR_DECLARED_OPERATIONS, 1),
+        (HOUR_DECLARED_OPERATIONS, 4 * HOUR_DECLARED_OPERATIONS, 2),
+    ):
+        declared = reported("carrier_work", from_us, to_us, carriers=("c",))
+        np.testing.assert_allclose(declared.reference_step_db, [0, 0, 3.0 * np.sqrt(steps), 0], atol=EXACT)
+
+
+def test_a_change_of_gain_moves_the_carriers_of_a_transponder_together_at_both_ends():
+    begun = reported("gain_change", HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS, transponders=("K1",))
+    np.testing.assert_allclose(begun.group_step_db, [2.0, 0.0], atol=EXACT)
+    np.testing.assert_array_equal(begun.reference_step_db, 0.0)
+    np.testing.assert_array_equal(
+        reported(
+            "gain_change", 2 * HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS + MINUTE_DECLARED_OPERATIONS
+        ).group_step_db,
+        0.0,
+    )
+    np.testing.assert_allclose(
+        reported("gain_change", 2 * HOUR_DECLARED_OPERATIONS, 3 * HOUR_DECLARED_OPERATIONS).group_step_db,
+        2.0,
+        atol=EXACT,
+    )
+
+
+def test_work_on_the_receiving_chain_lets_the_common_level_walk_and_step():
+    begun = reported("receive_chain_work", HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS)
+    assert begun.chain_step_db == pytest.approx(2.0, abs=EXACT)
+    assert begun.chain_walk_db == 0.0
+    during = reported(
+        "receive_chain_work",
+        2 * HOUR_DECLARED_OPERATIONS,
+        2 * HOUR_DECLARED_OPERATIONS + 30 * MINUTE_DECLARED_OPERATIONS,
+    )
+    assert during.chain_walk_db == pytest.approx(2.0, abs=EXACT)
+    assert during.chain_step_db == 0.0
+    assert not during.is_masked.any()
+
+
+def test_operations_add():
+    both = (operation("gain_change"), operation("receive_chain_work"), operation("carrier_work", carriers=("a",)))
+    declared = declared_between((*both, *both), NAMES, HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS, CONFIG)
+    np.testing.assert_allclose(declared.group_step_db, 2.0 * np.sqrt(2.0), atol=EXACT)
+    assert declared.chain_step_db == pytest.approx(2.0 * np.sqrt(2.0), abs=EXACT)
+    assert declared.reference_step_db[0] == pytest.approx(3.0 * np.sqrt(2.0), abs=EXACT)
+    assert declared.is_masked.tolist() == [True, False, False, False]
+
+
+def test_another_source_is_a_step_of_the_chain():
+    alone = with_chain_step(None, NAMES, 2.0)
+    assert alone.chain_step_db == 2.0
+    assert not any(np.any(value) for name, value in alone._asdict().items() if name != "chain_step_db")
+    worked = reported("receive_chain_work", HOUR_DECLARED_OPERATIONS, 2 * HOUR_DECLARED_OPERATIONS)
+    assert with_chain_step(worked, NAMES, 1.5).chain_step_db == pytest.approx(2.5, abs=EXACT)
+
+
+def test_names_know_how_many_they_are():
+    assert (NAMES.carriers, NAMES.transponders) == (4, 2)
+
+
+def test_a_body_that_points_at_the_earth_has_no_rate() -> None:
+    still = Axes(0.0, 0.0, -np.rad2deg(7.2921159e-5))
+    np.testing.assert_allclose(
+        inertial_deg_h([still, Axes(1.0, 2.0, still.pitch)]), [[0, 0, 0], [3600, 7200, 0]], atol=1e-4
+    )
+    assert inertial_deg_h([]).shape == (0, 3)
+
+
+TORQUE_N_M = (1e-6, 2e-6, 3e-6, 0.0, 1e-5, 0.0, 1e-5, 0.0, -1e-5)
+GATHERED = GatheredTorque(
+    (*TORQUE_N_M, 0.01, -0.02, 1e-3, 2e-3), tuple(map(tuple, (1e-16 * np.eye(13)).tolist())), 800, 0
+)
+DAY_US = 86_400_000_000
+
+
+@pytest.fixture
+def spacecraft() -> Spacecraft:
+    record = FlightPayload.make(8, 1).spacecraft()
+    return replace(record, onboard=replace(record.onboard, momentum=WheelMomentum()))
+
+
+@pytest.fixture
+def calibration() -> Calibration:
+    made = FlightPayload.make(8, 1).calibration()
+    assert made.result is not None
+    return replace(made, result=replace(made.result, gathered=GATHERED))
+
+
+def test_what_quiet_days_told_takes_the_place_of_the_catalogue(
+    spacecraft: Spacecraft, calibration: Calibration
+) -> None:
+    stated = WheelMomentum(torque=FedForwardTorque(epoch_us=0, constant_n_m=AxisTorques(yaw=1.0)))
+    for momentum in (WheelMomentum(), stated):
+        record = replace(spacecraft, onboard=replace(spacecraft.onboard, momentum=momentum))
+        model = momentum_model(record, calibration)
+        assert model is not None
+        assert model.learned is not None
+        assert model.profile is None
+        expected = np.array(TORQUE_N_M) / DEG_H2_N_M / np.tile(angle_inertia_kg_m2(record), 3)
+        np.testing.assert_allclose(model.learned.mean[:9], expected, rtol=1e-12)
+        assert model.learned.mean[9:] == GATHERED.mean[9:]
+        # a sigma of 1e-8 N m is nothing beside what may have changed: a tenth of all, a hundredth of an axis
+        sigma = np.sqrt(np.diag(np.array(model.learned.covariance)))[:9]
+        np.testing.assert_allclose(sigma, np.hypot(0.1, 0.01) * np.abs(expected), atol=1e-8 / DEG_H2_N_M / 300.0)
+
+
+def test_it_is_known_less_well_by_the_time(spacecraft: Spacecraft, calibration: Calibration) -> None:
+    fresh, old = (momentum_model(spacecraft, calibration, days * DAY_US) for days in (0, 30))
+    assert fresh is not None
+    assert old is not None
+    assert fresh.learned is not None
+    assert old.learned is not None
+    assert fresh.learned.mean == old.learned.mean
+    grown = np.diag(np.array(old.learned.covariance) - np.array(fresh.learned.covariance))
+    parts = np.array(fresh.learned.mean[:9]).reshape(3, 3)
+    # 1 % a day: in a month 30 % of the whole torque about the axis
+    np.testing.assert_allclose(grown[:9], np.tile(0.09 * np.square(parts).sum(axis=0), 3), rtol=1e-2)
+    assert (grown[9:] == 0.0).all()
+
+
+def test_a_profile_that_is_fed_forward_keeps_its_own_error(spacecraft: Spacecraft, calibration: Calibration) -> None:
+    onboard = replace(spacecraft.onboard, fed_forward_torque=FedForwardTorque(epoch_us=0))
+    record = replace(spacecraft, onboard=onboard)
+    assert momentum_model(record, calibration) == momentum_model(record)
+
+
+def test_telemetry_that_is_contradicted_or_not_used_has_no_model(
+    spacecraft: Spacecraft, calibration: Calibration
+) -> None:
+    assert calibration.result is not None
+    check = AxesCheck(MotionVerdict.CONTRADICTED, "wrong")
+    wrong = replace(calibration, result=replace(calibration.result, momentum=check))
+    assert momentum_model(spacecraft, wrong) is None
+    unused = replace(spacecraft, onboard=replace(spacecraft.onboard, momentum=WheelMomentum(used=False)))
+    assert momentum_model(unused, calibration) is None
+    assert momentum_model(None) is None

@@ -1,14 +1,27 @@
-"""Demonstration: what is forwarded, and when the front end is replaced; all other processes are played by fakes."""
+"""What the demonstration shows: runs, merit and closed judgement."""
 
 import json
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from service.api.schemas.spacecraft import SpacecraftDocument
 from service.records.epoch import format_epoch
 from service.study.demonstration import demonstration
+from service.study.demonstration.closed_judgement import (
+    TRUTH_BOUNDS_DEG,
+    FlightAlone,
+    judge_control,
+    missed_control,
+    within_bounds_since_us,
+)
+from service.study.demonstration.control_centre import ControlLog
 from service.study.demonstration.demonstration import ProcessAddresses, Story, run_story
+from service.study.demonstration.figures import draw_control
+from service.study.demonstration.judgement import TrackedAngles
+from service.study.demonstration.merit import AXES, AxisMerit, judge_axis, missed_bounds
 
 MINUTE_US = 60_000_000
 START_US = 1_793_491_200_000_000
@@ -318,3 +331,175 @@ def test_where_the_craft_is_flown_each_row_waits_for_the_command_of_the_one_befo
     assert [scene.phase for scene in scenes] == ["start", "calibration", "alignment", "first_row", "operation"]
     assert scenes[-1].until == epoch(30), "the row whose truth was told"
     assert max(story.truth_deg) == START_US + 32 * MINUTE_US
+
+
+TRUTH = 0.3 * np.sin(np.linspace(0.0, 12.0 * np.pi, 2000))
+GOOD = AxisMerit(0.03, 0.06, 0.2, 0.9, 1.0)
+
+
+def merits(**changes):
+    return {axis: changes.get(axis, GOOD) for axis in AXES}
+
+
+def test_the_truth_itself_is_perfect():
+    found = judge_axis(TRUTH, TRUTH)
+    assert (found.rms_deg, found.error_95_deg, found.skill) == (0.0, 0.0, 1.0)
+    assert found.slope == pytest.approx(1.0, rel=1e-12)
+    assert found.truth_rms_deg == pytest.approx(0.3 / math.sqrt(2), rel=1e-3)  # whole waves, 2000 samples
+
+
+def test_a_scaled_and_shifted_answer_has_its_slope_and_error():
+    found = judge_axis(0.5 * TRUTH + 0.1, TRUTH)
+    assert found.slope == pytest.approx(0.5, rel=1e-9)
+    # independent parts: 0.1 of offset and half the truth; the mean of the sine over whole waves is zero
+    assert found.rms_deg == pytest.approx(math.hypot(0.1, 0.5 * found.truth_rms_deg), rel=1e-3)
+    assert found.skill == pytest.approx(1.0 - (found.rms_deg / found.truth_rms_deg) ** 2, rel=1e-12)
+
+
+def test_the_95_percent_error_is_a_quantile_of_the_size():
+    error = np.concatenate([np.full(96, 0.01), np.full(4, -1.0)])
+    truth = np.linspace(-0.2, 0.2, 100)
+    assert judge_axis(truth + error, truth).error_95_deg == pytest.approx(0.01, abs=1e-12)
+
+
+def test_rows_without_an_estimate_do_not_count():
+    estimate = TRUTH.copy()
+    estimate[::3] = np.nan
+    assert judge_axis(estimate, TRUTH).rms_deg == 0.0
+
+
+@pytest.mark.parametrize("present", [0, 1])
+def test_nothing_to_judge_is_nan_and_misses_every_bound(present):
+    estimate = np.full(10, np.nan)
+    estimate[:present] = 0.1
+    nothing = judge_axis(estimate, np.linspace(0, 1, 10))
+    assert np.isnan(nothing).all()
+    assert len(missed_bounds(dict.fromkeys(AXES, nothing), "paper")) == 7
+
+
+def test_the_answer_that_never_moves_misses_the_bounds():
+    zero = judge_axis(np.zeros(len(TRUTH)), TRUTH)
+    assert zero.skill == pytest.approx(0.0, abs=1e-12)
+    missed = missed_bounds(dict.fromkeys(AXES, zero), "paper")
+    assert [text.split(" ")[0:2] for text in missed] == [
+        ["roll", "rms"],
+        ["roll", "slope"],
+        ["pitch", "rms"],
+        ["pitch", "slope"],
+    ]
+
+
+def test_good_figures_miss_nothing_and_bounds_are_inclusive():
+    assert missed_bounds(merits(), "paper") == []
+    assert missed_bounds(merits(), "robust") == []
+    assert missed_bounds(merits(roll=AxisMerit(0.08, 0.2, 0.12, 0.5, 1.0)), "paper") == []
+    assert missed_bounds(merits(roll=AxisMerit(0.03, 0.2, 0.12, 0.5, 1.04)), "robust") == []
+
+
+@pytest.mark.parametrize(
+    ("method", "axis", "changes", "text"),
+    [
+        ("paper", "roll", {"rms_deg": 0.081}, "roll rms 0.081 deg above 0.08"),
+        ("paper", "pitch", {"rms_deg": 0.101}, "pitch rms 0.101 deg above 0.1"),
+        ("paper", "roll", {"slope": 1.16}, "roll slope 1.160 not within 1 +- 0.15"),
+        ("paper", "pitch", {"slope": 0.84}, "pitch slope 0.840 not within 1 +- 0.15"),
+        ("paper", "yaw", {"truth_rms_deg": 0.119}, "yaw truth rms 0.119 deg below 0.12: too little moved"),
+        ("robust", "roll", {"rms_deg": 0.031}, "roll rms 0.031 deg above 0.03"),
+        ("robust", "pitch", {"slope": 0.94}, "pitch slope 0.940 not within 1 +- 0.05"),
+        ("robust", "yaw", {"rms_deg": 0.181}, "yaw rms 0.181 deg above 0.18"),
+        ("robust", "yaw", {"slope": 0.69}, "yaw slope 0.690 not within 1 +- 0.3"),
+    ],
+)
+def test_each_bound_is_named_when_it_is_missed(method, axis, changes, text):
+    assert missed_bounds(merits(**{axis: GOOD._replace(**changes)}), method) == [text]
+
+
+def test_yaw_of_the_paper_method_is_shown_and_not_bounded():
+    assert missed_bounds(merits(yaw=GOOD._replace(rms_deg=9.0, slope=0.0)), "paper") == []
+
+
+def test_a_craft_that_is_kept_still_is_judged_by_its_errors_alone():
+    still = AxisMerit(0.02, 0.04, 0.02, 0.0, 0.1)
+    far = AxisMerit(0.5, 0.9, 0.02, -600.0, 0.1)
+    assert missed_bounds(merits(yaw=still, roll=still, pitch=still), "robust", is_moved=False) == []
+    assert missed_bounds(merits(yaw=still, roll=far, pitch=still), "robust", is_moved=False) == [
+        "roll rms 0.500 deg above 0.03"
+    ]
+    assert len(missed_bounds(merits(yaw=still, roll=still, pitch=still), "robust")) == 6
+
+
+START = "2026-11-05T10:00:00Z"
+START_US_CLOSED_JUDGEMENT = 1_793_872_800_000_000
+HOURS = np.arange(100) / 60.0
+STILL = np.zeros((100, 3))
+#: roll leaves its bound after an hour
+ALONE = FlightAlone(HOURS, np.stack([0.0 * HOURS, 0.3 * HOURS, 0.0 * HOURS], axis=1))
+
+
+def story(angles_deg: np.ndarray) -> Story:
+    """Return a story with an hour before operation in which the spacecraft was turned far."""
+    before = {START_US_CLOSED_JUDGEMENT - 60_000_000 * k: (5.0, 5.0, 5.0) for k in range(1, 60)}
+    rows = {START_US_CLOSED_JUDGEMENT + 60_000_000 * k: tuple(row) for k, row in enumerate(angles_deg.tolist())}
+    return Story(phases={"operation": (START, "2026-11-06T10:00:00Z")}, truth_deg={**rows, **before})
+
+
+def test_the_figures_are_those_of_the_operation_alone():
+    angles_deg = np.zeros((100, 3))
+    angles_deg[:, 0] = np.linspace(-0.3, 0.1, 100)
+    angles_deg[7, 1] = -0.15
+    log = ControlLog(rows=100, inhibited_rows=3)
+    log.inhibitions["fade"] = 3
+    found = judge_control(story(angles_deg), log, ALONE)
+    assert found["largest_deg"] == {"yaw": 0.3, "roll": 0.15, "pitch": 0.0}
+    assert found["size_95_deg"]["yaw"] == pytest.approx(0.28, abs=0.002)
+    assert found["size_95_deg"]["roll"] == 0.0
+    assert (found["inhibited_share"], found["inhibited_rows"]) == (0.03, {"fade": 3})
+    assert (found["missed"], missed_control(found)) == ([], [])
+
+
+@pytest.mark.parametrize(("axis", "name"), list(enumerate(TRUTH_BOUNDS_DEG)))
+def test_one_row_at_its_bound_misses_it(axis, name):
+    angles_deg = np.zeros((100, 3))
+    angles_deg[50, axis] = -TRUTH_BOUNDS_DEG[name]
+    found = judge_control(story(angles_deg), ControlLog(), ALONE)
+    assert found["missed"] == [
+        f"true {name} reached {TRUTH_BOUNDS_DEG[name]:.3f} deg, not below {TRUTH_BOUNDS_DEG[name]}"
+    ]
+    assert missed_control(found) == found["missed"]
+
+
+def test_a_craft_that_needs_no_control_proves_nothing():
+    found = judge_control(story(np.zeros((100, 3))), ControlLog(), FlightAlone(HOURS, STILL))
+    assert missed_control(found) == ["the spacecraft keeps its bounds without control"]
+    assert found["control_off"]["hours_within_bounds"] is None
+    assert missed_control(None) == []
+
+
+def test_the_craft_left_alone_is_judged_by_the_same_bounds():
+    found = ALONE.statistics()
+    assert (found["hours"], found["hours_within_bounds"]) == (1.65, 1.0)
+    assert found["largest_deg"] == {"yaw": 0.0, "roll": 0.495, "pitch": 0.0}
+    assert found["missed"] == ["true roll reached 0.495 deg, not below 0.3"]
+
+
+@pytest.mark.parametrize(("row", "since_row"), [(None, 0), (50, 51), (98, 99), (99, None)])
+def test_the_bounds_are_kept_since_the_row_after_the_last_that_left_them(row, since_row):
+    angles_deg = np.zeros((100, 3))
+    if row is not None:
+        angles_deg[row, 2] = TRUTH_BOUNDS_DEG["pitch"]
+    wanted = None if since_row is None else START_US_CLOSED_JUDGEMENT + 60_000_000 * since_row
+    assert within_bounds_since_us(story(angles_deg)) == wanted
+
+
+def test_the_attitude_without_control_is_that_of_the_same_time():
+    assert ALONE.angles_deg(0.5) == pytest.approx((0.0, 0.15, 0.0))
+    assert ALONE.angles_deg(1.65) == pytest.approx((0.0, 0.495, 0.0))
+    assert ALONE.angles_deg(1.66) is None
+
+
+def test_the_drawn_figure_is_written(tmp_path):
+    tracked = TrackedAngles(
+        START_US_CLOSED_JUDGEMENT + 60_000_000 * np.arange(100), STILL, STILL + 0.1, STILL, HOURS < 1.0
+    )
+    draw_control(tracked, ALONE, tmp_path / "closed.png")
+    assert (tmp_path / "closed.png").read_bytes().startswith(b"\x89PNG")

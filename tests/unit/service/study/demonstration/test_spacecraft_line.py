@@ -1,4 +1,4 @@
-"""Craft line: schedules out, reports and rows in; a refusal and a spacecraft that leaves are told."""
+"""The demonstration's link to the ground and its line to the spacecraft."""
 
 import json
 import socket
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from service.study.demonstration.ground_link import GroundLink
 from service.study.demonstration.spacecraft_line import SpacecraftLine, SpacecraftLineError
 
 FED_FORWARD = {"epoch": "2026-11-05T10:00:00.000000Z", "period_s": 86400.0}
@@ -114,3 +115,57 @@ def test_a_craft_that_leaves_ends_the_wait(record):
         pytest.raises(SpacecraftLineError, match="closed its line"),
     ):
         line.await_flown(epoch(1))
+
+
+@pytest.fixture
+def simulator():
+    """A listening socket on a free port."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        yield listener
+
+
+def report_ground_link(listener, lines, heard):
+    """Accept one client, send lines, wait for one answer."""
+
+    def serve():
+        connection, _ = listener.accept()
+        with connection:
+            connection.sendall(lines)
+            heard.append(connection.makefile("rb").readline())
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_messages_come_in_order_until_the_end_and_a_hold_is_answered(simulator):
+    heard = []
+    lines = b'{"kind":"phase","name":"quiet"}\n{"kind":"hold"}\n{"kind":"end"}\n{"kind":"after"}\n'
+    thread = report_ground_link(simulator, lines, heard)
+    kinds = []
+    with GroundLink(*simulator.getsockname(), timeout_s=120.0) as link:
+        for message in link.messages():
+            kinds.append(message["kind"])
+            if message["kind"] == "hold":
+                link.proceed()
+    thread.join(120)
+    assert kinds == ["phase", "hold", "end"]
+    assert heard == [b'{"kind":"proceed"}\n']
+
+
+def test_a_simulator_that_leaves_ends_the_messages(simulator):
+    def leave():
+        connection, _ = simulator.accept()
+        connection.sendall(b'{"kind":"phase"}\n')
+        connection.close()
+
+    thread = threading.Thread(target=leave, daemon=True)
+    thread.start()
+    with GroundLink(*simulator.getsockname(), timeout_s=120.0) as link:
+        assert [message["kind"] for message in link.messages()] == ["phase"]
+    thread.join(120)
+
+
+def test_silence_is_not_waited_for_for_ever(simulator):
+    with GroundLink(*simulator.getsockname(), timeout_s=0.05) as link, pytest.raises(TimeoutError):
+        next(link.messages())

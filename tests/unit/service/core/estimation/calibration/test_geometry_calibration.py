@@ -1,9 +1,10 @@
-"""Joint calibration on payloads that follow its model exactly, so that every coefficient is known."""
+"""Calibration of the geometry and of the level over the days."""
 
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+from flight_geometry import turned_direction
 
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows, fit_geometry
 from service.core.estimation.calibration.geometry_columns import (
@@ -15,7 +16,21 @@ from service.core.estimation.calibration.geometry_columns import (
     solar_columns,
 )
 from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
-from service.core.estimation.calibration.quadratic_response import predict_deviation
+from service.core.estimation.calibration.level_drift import level_drift, without_common
+from service.core.estimation.calibration.quadratic_response import (
+    QuadraticResponse,
+    displacement_matrix,
+    exact_response,
+    predict_deviation,
+    predict_jacobian,
+    response_errors,
+    response_monomials,
+    response_transform,
+    symmetric_matrix,
+)
+from service.core.estimation.calibration.trimmed_start import spread_sets, trimmed_fit
+from service.core.estimation.noise_identification import LADDER_S, IdentifiedNoise
+from service.core.geometry.frames import AntennaDirection
 
 SEED = 21
 CARRIERS = 6
@@ -206,3 +221,193 @@ def test_no_rows_at_all():
         fit = fit_geometry(rows, payload.geometry)
         assert np.isnan(fit.level_dbm).all()
         assert np.isnan(fit.covariance).all()
+
+
+SEED_TRIMMED_START = 8
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.45])
+def test_a_block_of_outliers_does_not_move_level_and_harmonic(share):
+    """Three dB on one stretch: level and amplitude stay within 0.03 dB (acceptance test 2)."""
+    rng = np.random.default_rng(SEED_TRIMMED_START)
+    phase = np.linspace(0.0, 6.0 * np.pi, 430)
+    columns = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=-1)
+    values = columns @ [0.2, 0.3, -0.1] + 0.05 * rng.normal(size=430)
+    values[40 : 40 + int(share * 430)] -= 3.0
+    fit = trimmed_fit(columns[None], values[None], np.ones((1, 430), dtype=bool))[0]
+    print(f"seed {SEED_TRIMMED_START}, {share:.0%}: error {fit - [0.2, 0.3, -0.1]}")
+    assert fit == pytest.approx([0.2, 0.3, -0.1], abs=0.03)
+
+
+def test_absent_samples_and_carriers():
+    """A carrier with fewer samples than coefficients is zero; absent samples change nothing."""
+    columns = np.stack([np.ones(30), np.arange(30.0)], axis=-1)
+    values = np.tile(columns @ [1.0, 2.0], (2, 1))
+    is_present = np.ones((2, 30), dtype=bool)
+    is_present[0, 2:], is_present[1, 5:9] = False, False
+    values[1, 5:9] = 1e6
+    fit = trimmed_fit(np.tile(columns, (2, 1, 1)), values, is_present)
+    assert fit[0].tolist() == [0.0, 0.0]
+    assert fit[1] == pytest.approx([1.0, 2.0], abs=1e-3)  # the pull of 1e-6 towards zero
+
+
+def test_a_column_of_zeros_is_survived():
+    """An axis that was not turned."""
+    columns = np.stack([np.ones(40), np.zeros(40)], axis=-1)
+    fit = trimmed_fit(columns[None], np.full((1, 40), 3.0), np.ones((1, 40), dtype=bool))
+    assert fit[0] == pytest.approx([3.0, 0.0], abs=1e-3)  # the pull of 1e-6 towards zero
+
+
+def test_sets_fill_the_samples():
+    """Every tenth of the samples is met about as often as any other."""
+    sets = spread_sets(1000, 6, 80)
+    share = np.histogram(sets, bins=10, range=(0, 1000))[0] / sets.size
+    assert sets.min() >= 0
+    assert sets.max() < 1000
+    assert share == pytest.approx(np.full(10, 0.1), abs=0.02)  # chance would scatter by 0.014
+
+
+SEED_QUADRATIC_RESPONSE = 11
+STATIONS = AntennaDirection(np.array([-5.2, 0.1, 5.0]), np.array([6.3, 8.6, 7.0]))
+
+
+def moved_deg(attitude_deg):
+    """Exact displacement (3, 2) of the stations."""
+    turned = turned_direction(STATIONS, attitude_deg)
+    return np.stack(turned, axis=-1) - np.stack(STATIONS, axis=-1)
+
+
+def test_displacement_is_the_derivative_of_the_exact_rotation():
+    """Central differences of the rotation."""
+    step_deg = 0.01
+    exact = np.stack([(moved_deg(step_deg * e) - moved_deg(-step_deg * e)) / (2 * step_deg) for e in np.eye(3)], -1)
+    # third derivatives are of order 1 / rad^2: (0.01 deg)^2 in rad is 3e-8
+    assert displacement_matrix(*STATIONS) == pytest.approx(exact, abs=1e-7)
+
+
+def test_exact_rotation_would_not_pay():
+    """At 0.4 deg about all axes the rotation leaves 0.005 deg beyond its derivative, at 0.3 deg 0.003."""
+    for size_deg, most_deg in ((0.4, 0.005), (0.3, 0.003)):
+        corners = size_deg * np.array([[y, r, p] for y in (1, -1) for r in (1, -1) for p in (1, -1)])
+        left = max(np.abs(moved_deg(c) - displacement_matrix(*STATIONS) @ c).max() for c in corners)
+        print(f"{size_deg} deg: {left:.5f} deg beyond the derivative")
+        # yaw times roll in rad: 0.4 * 0.4 / 57.3 = 0.0028 deg, and its neighbours
+        assert left < most_deg
+
+
+def random_response(rng, carriers=6, shared=2):
+    slope, half = rng.normal(size=(carriers, 3)), rng.normal(size=(carriers, 3, 3))
+    root = 0.1 * rng.normal(size=(carriers, 9, 9))
+    common = 0.05 * rng.normal(size=(carriers, 9, shared))
+    covariance = root @ np.swapaxes(root, 1, 2) + common @ np.swapaxes(common, 1, 2)
+    return QuadraticResponse(slope, half + np.swapaxes(half, 1, 2), covariance, common)
+
+
+def test_prediction_and_derivative_agree():
+    """A quadratic's central difference is exact."""
+    rng = np.random.default_rng(SEED_QUADRATIC_RESPONSE)
+    model, attitude = random_response(rng), rng.uniform(-0.5, 0.5, (4, 3))
+    steps = 0.1 * np.eye(3)
+    slope = np.stack(
+        [(predict_deviation(attitude + s, model) - predict_deviation(attitude - s, model)) / 0.2 for s in steps], -1
+    )
+    assert predict_jacobian(attitude, model) == pytest.approx(slope, abs=1e-12)  # rounding
+    assert predict_deviation(attitude[0], model) == pytest.approx(predict_deviation(attitude, model)[0], abs=1e-14)
+
+
+def test_monomials_carry_slopes_and_curvature():
+    """The nine factors times the nine coefficients are the prediction."""
+    rng = np.random.default_rng(SEED_QUADRATIC_RESPONSE)
+    model, attitude = random_response(rng), rng.uniform(-0.5, 0.5, 3)
+    six = model.curvature[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    nine = np.concatenate([model.slope, six], axis=1)
+    assert symmetric_matrix(six) == pytest.approx(model.curvature, abs=0.0)
+    assert nine @ response_monomials(attitude) == pytest.approx(predict_deviation(attitude, model), abs=1e-13)
+
+
+def test_errors_are_those_of_the_coefficients():
+    """Variance and common part at one attitude and at many."""
+    rng = np.random.default_rng(SEED_QUADRATIC_RESPONSE)
+    model, attitude = random_response(rng), rng.uniform(-0.5, 0.5, (5, 3))
+    variance, common = response_errors(attitude, model)
+    for row, factors in enumerate(response_monomials(attitude)):
+        expected = [factors @ one @ factors for one in model.covariance]
+        assert variance[row] == pytest.approx(np.array(expected), rel=1e-10)
+        assert common[row] == pytest.approx(factors @ model.common_root, rel=1e-10)
+    one, _ = response_errors(attitude[2], model)
+    assert one == pytest.approx(variance[2], rel=1e-12)
+
+
+def test_transform_gives_what_the_beam_would():
+    """Gradient, Hessian and downlink act on displacements; the collected quadratic gives the same."""
+    rng = np.random.default_rng(SEED_QUADRATIC_RESPONSE)
+    position = displacement_matrix(*STATIONS)
+    site = displacement_matrix(np.array([-3.6]), np.array([7.1]))[0]
+    own, downlink = response_transform(position, site)
+    beam, gradient = rng.normal(size=(3, 5)), rng.normal(size=2)
+    nine = np.einsum("nij,nj->ni", own, beam) + downlink @ gradient
+    model = exact_response(nine[:, :3], symmetric_matrix(nine[:, 3:]))
+    attitude = rng.uniform(-0.5, 0.5, 3)
+    moved = position @ attitude
+    az, el = moved.T
+    direct = beam[:, 0] * az + beam[:, 1] * el + 0.5 * beam[:, 2] * az**2 + beam[:, 3] * az * el
+    direct = direct + 0.5 * beam[:, 4] * el**2 + (site @ attitude - moved) @ gradient
+    assert predict_deviation(attitude, model) == pytest.approx(direct, abs=1e-12)  # rounding
+
+
+FLOOR = 0.006
+EPOCH_S = np.arange(4320) * 60.0
+
+
+def white_noise(carriers, sigma_db=0.1):
+    nothing = np.zeros((carriers, len(LADDER_S)))
+    return IdentifiedNoise(np.full(carriers, sigma_db), nothing, np.array(LADDER_S), nothing[0])
+
+
+def walks(seed, walk_db, carriers=16):
+    rng = np.random.default_rng(seed)
+    steps = walk_db * np.sqrt(1.0 / 60.0) * rng.normal(size=(len(EPOCH_S), carriers))
+    return np.cumsum(steps, axis=0) + 0.1 * rng.normal(size=steps.shape)
+
+
+def test_levels_that_stand_have_the_floor():
+    found = [level_drift(walks(seed, 0.0), EPOCH_S, white_noise(16), FLOOR).walk_db for seed in range(10)]
+    assert np.max(found) == FLOOR
+
+
+def test_a_walk_comes_out_of_all_carriers_together():
+    found = [level_drift(walks(seed, 0.03), EPOCH_S, white_noise(16), FLOOR).walk_db for seed in range(10)]
+    print(f"seeds 0..9: walk {np.sqrt(np.mean(np.square(found)))} of 0.03 dB per root of hour")
+    # 160 slopes: one sigma of their mean square is 11 %, of its root 6 %
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.03, rel=0.2)
+
+
+def test_a_slope_is_told_with_what_noise_leaves():
+    rng = np.random.default_rng(4)
+    values = 0.1 * rng.normal(size=(len(EPOCH_S), 8))
+    values[:, 3] += 0.4 * EPOCH_S / 86_400.0
+    drift = level_drift(values, EPOCH_S, white_noise(8), FLOOR)
+    # the median of eight follows the one that goes away only as long as it is among them
+    assert drift.slope_db_per_day[3] == pytest.approx(0.4, abs=0.03)
+    assert np.abs(np.delete(drift.slope_db_per_day, 3)).max() < 0.02
+    # white: 0.1 sqrt(12 / 4320) / 3 d
+    assert drift.sigma_db_per_day == pytest.approx(np.full(8, 0.1 * np.sqrt(12.0 / 4320.0) / 3.0), rel=0.01)
+
+
+def test_what_all_do_together_is_no_walk():
+    values = walks(2, 0.0) + np.cumsum(np.random.default_rng(9).normal(size=(len(EPOCH_S), 1)), axis=0) * 0.01
+    assert level_drift(values, EPOCH_S, white_noise(16), FLOOR).walk_db == pytest.approx(np.full(16, FLOOR))
+
+
+def test_carriers_that_are_absent_have_the_walk_of_all():
+    values = walks(1, 0.03)
+    values[:, 0] = np.nan
+    drift = level_drift(values, EPOCH_S, white_noise(16), FLOOR)
+    assert np.isnan(drift.slope_db_per_day[0])
+    assert FLOOR < drift.walk_db[0] < 0.06
+
+
+def test_rows_of_few_carriers_are_left_alone():
+    values = np.array([[1.0, 1.0, 1.0, np.nan], [1.0, 2.0, 3.0, 2.0]])
+    assert without_common(values)[0, :3] == pytest.approx(np.ones(3))
+    assert without_common(values)[1] == pytest.approx([-1.0, 0.0, 1.0, 0.0])

@@ -1,4 +1,4 @@
-"""Snapshot fix on exact models: exclusions, groups, absences, covariance."""
+"""Snapshot of the attitude and the bounds of a faulty carrier."""
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from service.core.estimation.calibration.quadratic_response import (
 )
 from service.core.estimation.carrier_sets import judge_set
 from service.core.estimation.observability import crlb_deg
+from service.core.estimation.snapshot.fault_bounds import GATE_SIGMAS, fault_bounds
 from service.core.estimation.snapshot.snapshot import CarrierUse, solve_snapshots
 from service.core.estimation.snapshot.snapshot_groups import group_memberships
 from service.core.estimation.snapshot.snapshot_start import subset_orders
@@ -170,3 +171,19 @@ def test_rows_of_a_batch_are_those_of_single_calls():
     batch = solve(model, values)
     for row in range(5):
         assert batch.attitude_deg[row] == pytest.approx(solve(model, values[row]).attitude_deg[0], abs=1e-8)
+
+
+def test_a_carrier_that_nothing_checks_has_no_bound():
+    """Leverage one: infinite for the angle it moves, nothing for the others; absent carriers are NaN."""
+    design = np.eye(4)[np.newaxis]
+    bounds = fault_bounds(design, np.swapaxes(design, 1, 2), np.array([[0.1, 0.1, 0.1, np.nan]]))
+    assert np.isinf(bounds.detectable_db[0, :3]).all()
+    assert np.isnan(bounds.detectable_db[0, 3])
+    assert bounds.shift_deg[0, 0].tolist() == [np.inf, 0.0, 0.0]
+
+
+def test_a_carrier_without_leverage_is_seen_at_gate_and_quantile():
+    """No leverage: gate plus 1.28 sigmas, and no shift."""
+    bounds = fault_bounds(np.zeros((1, 1, 4)), np.zeros((1, 4, 1)), np.array([[0.2]]))
+    assert bounds.detectable_db[0, 0] == pytest.approx(0.2 * (GATE_SIGMAS + 1.2815515655446), rel=1e-12)
+    assert not bounds.shift_deg.any()

@@ -1,27 +1,38 @@
-"""Every condition of the table, alone: what it does to control, and that it clears or latches as the table says."""
+"""The interlock: its conditions, the checks of signs and the document of the state."""
 
+import json
+import math
 from dataclasses import replace
 
 import pytest
 from release_driver import GOOD, INPUTS, MINUTE_US, START_US, US, ReleaseDriver, slew
 
 from service.core.control.sign_check import SignState
+from service.pipeline.control.release.advance import restored
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.events import (
     Applied,
+    BeginSignCheck,
     Cancel,
     Engage,
     InputsChanged,
+    JournalEffect,
     OrderKind,
     Prepare,
+    PrepareLeg,
+    Refusal,
+    ReleaseState,
     Report,
     ResponseJudged,
     SignJudged,
+    UplinkEffect,
 )
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence, interlock_row
+from service.pipeline.control.release.sign_checks import is_leg_due, profile_of
+from service.pipeline.control.release.state_document import document_of, state_of
 from service.records.catalogue import Method
 from service.records.levels.attitude import Axes, row_without_attitude
-from service.records.operations.release import Purpose
+from service.records.operations.release import CommandState, Purpose, SignCheck, SignRatios
 
 NAN = float("nan")
 
@@ -387,3 +398,166 @@ def test_a_row_without_attitude_inhibits():
     facts = interlock_row(stored, 60.0, is_innovation_in_band=True)
     assert (facts.epoch_us, facts.period_s, facts.redundancy) == (5_000_000, 60.0, -3)
     assert facts.inhibitions == ("no_fix", "invalid")
+
+
+@pytest.fixture
+def driver() -> ReleaseDriver:
+    driver = ReleaseDriver().armed()
+    driver.forget("roll")
+    return driver
+
+
+def leg(driver):
+    return replace(driver.proposal(roll_deg=0.05), purpose=Purpose.SIGN_CHECK)
+
+
+def begun(driver):
+    step = driver.send(BeginSignCheck(driver.at, "ann", "roll", leg(driver)))
+    assert step.refusal is None
+    return driver.state.sign_check
+
+
+def judged(driver, verdict):
+    return driver.send(SignJudged(driver.at, "roll", verdict))
+
+
+def test_the_first_leg_is_a_command_that_two_persons_release_and_the_filter_does_not_get(driver):
+    check = begun(driver)
+    assert (check.state, check.leg, check.legs, check.started_by) == ("running", 1, 4, "ann")
+    effects = [type(effect) for effect in driver.confirm("bob").effects]
+    assert UplinkEffect in effects
+    effects += [type(effect) for effect in driver.send(Report(driver.at, 1, CommandTransition.EXECUTED)).effects]
+    assert JournalEffect not in effects
+    check = driver.state.sign_check
+    assert (check.legs_done, check.leg, check.flown) == (1, None, (driver.command(1).schedule,))
+    assert check.until_us == driver.command(1).start_us + 2700 * US
+
+
+def test_a_leg_is_due_when_none_is_under_way_and_its_side_had_its_time(driver):
+    check = begun(driver)
+    assert not is_leg_due(check, driver.now_us)
+    waiting = replace(check, leg=None)
+    assert is_leg_due(waiting, driver.now_us)
+    assert not is_leg_due(replace(waiting, state="open"), driver.now_us)
+    assert not is_leg_due(replace(waiting, legs_done=check.legs), driver.now_us)
+    flown = replace(waiting, legs_done=1, flown=(driver.command(1).schedule,))
+    due_us = driver.command(1).start_us + round(profile_of("roll").legs[1].start_s * US)
+    assert (is_leg_due(flown, due_us - 1), is_leg_due(flown, due_us)) == (False, True)
+
+
+def test_a_second_check_and_a_first_leg_that_may_not_go_are_refused_and_change_nothing(driver):
+    begun(driver)
+    assert driver.send(BeginSignCheck(driver.at, "cas", "pitch", leg(driver))).refusal.code == "sign_check.running"
+    idle = ReleaseDriver()
+    idle.rows(1)
+    assert idle.send(BeginSignCheck(idle.at, "ann", "roll", leg(idle))).refusal is not None
+    assert idle.state.sign_check is None
+
+
+def test_a_leg_that_was_lost_is_prepared_again_and_a_reason_against_it_is_shown(driver):
+    begun(driver)
+    driver.confirm("bob")
+    driver.send(Report(driver.at, 1, CommandTransition.FAILED))
+    assert (driver.state.sign_check.leg, driver.state.sign_check.legs_done) == (None, 0)
+    driver.send(PrepareLeg(driver.at, Refusal("command.empty", "the drive cannot give it")))
+    assert driver.state.sign_check.detail == "command.empty: the drive cannot give it"
+    driver.send(PrepareLeg(driver.at, replace(leg(driver), schedule=())))
+    assert driver.state.sign_check.detail.startswith("command.empty")
+    driver.send(PrepareLeg(driver.at, leg(driver)))
+    assert (driver.state.sign_check.leg, driver.state.sign_check.detail) == (2, "")
+
+
+def test_a_leg_carried_out_in_part_interrupts(driver):
+    begun(driver)
+    driver.confirm("bob")
+    start_us = driver.command(1).start_us
+    driver.send(Report(driver.at, 1, CommandTransition.FAILED, start_us, start_us + 100 * US))
+    check = driver.state.sign_check
+    assert (check.state, check.detail) == ("interrupted", "leg 1 was carried out in part")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "proven", "name"),
+    [(SignState.PLUS, True, "ARMED"), (SignState.MINUS, False, "TRIPPED"), (SignState.CONTRADICTED, False, "ARMED")],
+)
+def test_a_verdict_ends_the_check_and_takes_its_open_leg_back(driver, verdict, proven, name):
+    begun(driver)
+    judged(driver, verdict)
+    assert driver.state.sign_check.state == verdict.value
+    assert driver.command(1).state is CommandState.CANCELLED
+    assert ("roll" in driver.state.interlock.proven_axes, driver.name) == (proven, name)
+
+
+def test_an_open_verdict_ends_the_check_when_its_time_is_over(driver):
+    until_us = begun(driver).until_us
+    judged(driver, SignState.OPEN)
+    assert driver.state.sign_check.state == "running"
+    driver.rows((until_us - driver.now_us) // (60 * US) + 1)
+    judged(driver, SignState.OPEN)
+    assert (driver.state.sign_check.state, driver.state.sign_check.detail) == ("open", "its time is over")
+
+
+def test_a_trip_and_a_restart_interrupt(driver):
+    begun(driver)
+    assert restored(driver.state).sign_check.state == "interrupted"
+    driver.order(OrderKind.STOP)
+    assert (driver.state.sign_check.state, driver.command(1).state) == ("interrupted", CommandState.REJECTED)
+
+
+#: of states without commands
+NO_COMMAND = {}.__getitem__
+
+
+def stories():
+    yield ReleaseDriver()
+    engaged = ReleaseDriver().engaged()
+    engaged.automatic(is_reported=False)
+    yield engaged
+    armed = ReleaseDriver().armed()
+    armed.engage("ann")
+    armed.prepare()
+    yield armed
+    armed.order(OrderKind.STOP)
+    yield armed
+
+
+@pytest.mark.parametrize("driver", list(stories()))
+def test_a_state_comes_back_equal(driver):
+    check = SignCheck("roll", "running", 5, "ann", 9, 4, 1, log_ratio=SignRatios(0.0, -3.5, -math.inf))
+    for state in (driver.state, replace(driver.state, sign_check=check)):
+        assert state_of(document_of(state), driver.command) == state
+
+
+def test_not_a_number_and_infinity_come_back():
+    driver = ReleaseDriver().armed()
+    driver.rows(1, replace(GOOD, attitude_deg=Axes(math.nan, -0.0, math.inf)))
+    angles = state_of(document_of(driver.state), driver.command).interlock.row.attitude_deg
+    assert repr(tuple(angles)) == "(nan, -0.0, inf)"
+
+
+def test_of_commands_the_counters_are_stored():
+    driver = ReleaseDriver().engaged()
+    driver.automatic(is_reported=False)
+    assert json.loads(document_of(driver.state))["state"]["commands"] == [1]
+
+
+def test_an_empty_text_is_the_state_before_the_first_event():
+    assert state_of("", NO_COMMAND) == ReleaseState()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"next_counter": "one"},
+        {"interlock": {"state": "OPEN"}},
+        {"commands": [{"state": "SENT"}]},
+        {"former": 7},
+        {"sent": 5},
+        {"interlock": None},
+        {"sent": [{"at_us": 1, "impulse_n_m_s": [0.0]}]},
+    ],
+)
+def test_a_text_that_does_not_fit_is_refused(change):
+    document = json.loads(document_of(ReleaseState()))
+    with pytest.raises(ValueError, match=r"."):
+        state_of(json.dumps({**document, "state": {**document["state"], **change}}), NO_COMMAND)

@@ -1,4 +1,4 @@
-"""The paper method as a step over values: what a row changes, and what leaves the state alone."""
+"""The published method in the pipeline."""
 
 from dataclasses import replace
 
@@ -6,11 +6,24 @@ import numpy as np
 import pytest
 import synthetic_payload as synthetic
 
-from service.pipeline.config import ChainConfig
+from service.core.estimation.paper.octants import predict_deviation_db
+from service.pipeline.config import ChainConfig, EstimationConfig
+from service.pipeline.estimation.paper.harmonic_removal import (
+    expected_power,
+    harmonic_arrays,
+    harmonic_db,
+    references_of,
+    remove_harmonic,
+)
 from service.pipeline.estimation.paper.method import initial_state, paper_model, step_paper
+from service.pipeline.estimation.paper.rate_filter import NO_FIXES, rate_deg_s, remember_fix
+from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
 from service.pipeline.inputs.knowledge import Knowledge, update
+from service.records.calibration import CarrierReference
+from service.records.catalogue import Method
 from service.records.inputs import Operation
-from service.records.levels.attitude import Status
+from service.records.levels.attitude import Axes, Exclusion, Status
+from service.records.noise import NoiseComponent
 
 CONFIG = ChainConfig()
 TRUTH = (0.1, -0.15, 0.2)
@@ -168,3 +181,260 @@ def test_a_declared_operation_forbids_control_while_it_lasts(bench):
     bench.knowledge = update(bench.knowledge, operation, bench.documents)
     reasons = [step.row.inhibitions for step in bench.run(range(24, 29))]
     assert reasons == [(), ("operation",), ("operation",), (), ()]
+
+
+ANGLES = np.array([0.2, -0.15, 0.1])
+CONFIG_SNAPSHOT_FIX = EstimationConfig()
+
+
+@pytest.fixture
+def model(payload):
+    """The payload's true model."""
+    return sensitivity_model(payload.calibration())
+
+
+@pytest.fixture
+def deviation(payload):
+    """Deviations at the angles of this file."""
+    return predict_deviation_db(payload.plus, payload.minus, ANGLES)
+
+
+def solve(model, deviation_db, rows=15, span_s=840.0):
+    return solve_attitude(5, deviation_db, rows, span_s, model, CONFIG_SNAPSHOT_FIX)
+
+
+def test_the_model_holds_the_figures_of_the_calibration(payload, model):
+    np.testing.assert_array_equal(model.plus_db_per_deg, payload.plus)
+    np.testing.assert_array_equal(model.minus_db_per_deg, payload.minus)
+    assert model.carrier_ids == payload.ids
+    assert model.is_selected.all()
+    # carriers without a coloured part have a zero there, not a hole
+    np.testing.assert_array_equal(model.sigma_coloured_db[:, 0], np.tile([0.0, 0.02], 6))
+    np.testing.assert_array_equal(model.correlation_time_s[:, 0], np.tile([0.0, 1200.0], 6))
+
+
+def test_an_unfinished_calibration_is_an_empty_model(payload):
+    empty = sensitivity_model(replace(payload.calibration(), result=None))
+    assert empty.plus_db_per_deg.shape == (0, 3)
+    assert solve(empty, np.zeros(0)).carriers_used == 0
+
+
+def test_an_exact_deviation_gives_the_exact_attitude(model, deviation):
+    fix = solve(model, deviation)
+    np.testing.assert_allclose(fix.attitude_deg, ANGLES, atol=1e-9)  # rounding of a condition of about 30
+    assert (fix.epoch_us, fix.carriers_used, fix.excluded) == (5, 12, ())
+    np.testing.assert_allclose(fix.residual_db, 0.0, atol=1e-9)
+
+
+def test_a_carrier_in_uplink_rain_is_left_out_with_its_reason(model, deviation):
+    deviation[3] -= 4.0
+    fix = solve(model, deviation)
+    np.testing.assert_allclose(fix.attitude_deg, ANGLES, atol=1e-9)
+    assert (fix.carriers_used, fix.excluded) == (11, (Exclusion("c03", "uplink_fade"),))
+    assert fix.residual_db[3] == pytest.approx(-4.0, abs=1e-9)
+
+
+def test_unselected_carriers_neither_enter_nor_count_as_excluded(payload, deviation):
+    calibration = payload.calibration()
+    carriers = (replace(calibration.result.carriers[0], selected=False), *calibration.result.carriers[1:])
+    model = sensitivity_model(replace(calibration, result=replace(calibration.result, carriers=carriers)))
+    deviation[0] += 50.0
+    fix = solve(model, deviation)
+    np.testing.assert_allclose(fix.attitude_deg, ANGLES, atol=1e-9)
+    assert (fix.carriers_used, fix.excluded) == (11, ())
+
+
+def test_absent_levels_and_coefficients_are_not_counted_as_used(payload, deviation):
+    calibration = payload.calibration()
+    holed = replace(calibration.result.carriers[1], sensitivity_minus_db_per_deg=Axes(float("nan"), 1.0, 1.0))
+    carriers = (calibration.result.carriers[0], holed, *calibration.result.carriers[2:])
+    model = sensitivity_model(replace(calibration, result=replace(calibration.result, carriers=carriers)))
+    deviation[0] = np.nan
+    fix = solve(model, deviation)
+    assert fix.carriers_used == 10
+    assert fix.excluded == (Exclusion("c00", "absent"), Exclusion("c01", "absent"))
+
+
+@pytest.mark.parametrize("present", [0, 3])
+def test_too_few_carriers_give_no_fix_and_no_exception(model, deviation, present):
+    deviation[present:] = np.nan
+    fix = solve(model, deviation)
+    assert np.isnan(fix.attitude_deg).all()
+    assert np.isnan(fix.covariance_deg2).all()
+    assert fix.carriers_used == present
+    assert len(fix.excluded) == 12 - present
+
+
+def test_the_sigma_is_never_better_than_the_learned_noise_allows(payload, model, deviation):
+    """Residuals that agree by chance do not shrink it: then the learned noise of the mean holds."""
+    rng = np.random.default_rng(11)
+    fix = solve(model, deviation + 1e-4 * rng.normal(size=12))
+    slopes = np.where(ANGLES >= 0.0, payload.plus, payload.minus)
+    identified = np.sqrt(np.mean(fix.sigma_db**2) * np.diag(np.linalg.inv(slopes.T @ slopes)))
+    np.testing.assert_allclose(np.sqrt(np.diag(fix.covariance_deg2)), identified, rtol=1e-9)  # the same products
+    rough = solve(model, deviation + 0.3 * rng.normal(size=12))
+    assert (np.diag(rough.covariance_deg2) > 4.0 * np.diag(fix.covariance_deg2)).all()
+
+
+def test_a_sigma_that_is_not_known_does_not_hide_those_that_are(model, deviation):
+    rng = np.random.default_rng(12)
+    noisy = deviation + 1e-4 * rng.normal(size=12)
+    holed = replace(model, sigma_white_db=np.where(np.arange(12) == 4, np.nan, model.sigma_white_db))
+    whole = np.diag(solve(model, noisy).covariance_deg2)
+    # one of twelve like carriers less in the mean of the learned variances: at most 12 % either way
+    np.testing.assert_allclose(np.diag(solve(holed, noisy).covariance_deg2), whole, rtol=0.12)
+    unknown = replace(model, sigma_white_db=np.full(12, np.nan))
+    assert (np.diag(solve(unknown, noisy).covariance_deg2) < 0.01 * whole).all()
+
+
+def test_perfect_agreement_is_no_division_by_zero(model):
+    fix = solve(model, np.zeros(12))
+    np.testing.assert_array_equal(fix.attitude_deg, 0.0)
+    assert np.isfinite(fix.covariance_deg2).all()
+
+
+def test_all_coloured_parts_of_a_carrier_count(payload, deviation):
+    calibration = payload.calibration(noise=(NoiseComponent(300.0, 0.06), NoiseComponent(7200.0, 0.08)))
+    model = sensitivity_model(calibration)
+    assert model.sigma_coloured_db.shape == (12, 2)
+    fix = solve(model, deviation)
+    # a mean of 14 minutes keeps nearly all of the slow part and half of the fast one
+    assert (fix.sigma_db > 0.08).all()
+    assert (fix.sigma_db < np.sqrt(0.05**2 / 15 + 0.06**2 + 0.08**2)).all()
+
+
+@pytest.fixture
+def at_us():
+    """Instants over two nodal periods."""
+    return synthetic.START_US + np.arange(0, 2 * synthetic.DAY, synthetic.DAY // 7)
+
+
+def test_at_the_reference_attitude_nothing_is_left_at_any_phase(payload, at_us):
+    alignment = payload.alignment(synthetic.START_US)
+    calibration, ephemeris = payload.calibration(), payload.ephemeris()
+    expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
+    powers = payload.power_dbm(at_us, np.zeros(3))
+    for epoch_us, power in zip(at_us.tolist(), powers, strict=True):
+        deviation = remove_harmonic(power, epoch_us, expected, ephemeris)
+        assert deviation.epoch_us == epoch_us
+        # rounding of sums of 50 dBm
+        np.testing.assert_allclose(deviation.deviation_db, 0.0, atol=1e-12)
+        np.testing.assert_allclose(deviation.expected_dbm, power, atol=1e-12)
+
+
+def test_absent_powers_and_carriers_without_reference_have_no_deviation(payload):
+    alignment = payload.alignment(synthetic.START_US)
+    alignment = replace(alignment, references=alignment.references[1:])
+    calibration, ephemeris = payload.calibration(), payload.ephemeris()
+    expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
+    power = payload.power_dbm(np.array([synthetic.START_US]), np.zeros(3))[0]
+    power[2] = np.nan
+    deviation = remove_harmonic(power, synthetic.START_US, expected, ephemeris)
+    assert np.flatnonzero(np.isnan(deviation.deviation_db)).tolist() == [0, 2]
+    assert np.flatnonzero(np.isnan(deviation.expected_dbm)).tolist() == [0]
+
+
+def test_harmonics_of_a_calibration_are_those_of_its_carriers(payload, at_us):
+    amplitude, phase = harmonic_arrays(payload.calibration())
+    np.testing.assert_array_equal(amplitude, payload.amplitude_db)
+    np.testing.assert_array_equal(phase, payload.phase_rad)
+    found = harmonic_db(payload.calibration(), payload.ephemeris(), at_us)
+    # the same cosine, rounding only
+    np.testing.assert_allclose(found, payload.harmonic_db(at_us), atol=1e-12)
+
+
+def test_an_unfinished_calibration_has_no_harmonics(payload):
+    amplitude, phase = harmonic_arrays(replace(payload.calibration(), result=None))
+    assert (amplitude.size, phase.size) == (0, 0)
+
+
+def test_a_new_calibration_keeps_the_mean_power_of_the_alignment_window(payload):
+    old, alignment = payload.calibration(1), payload.alignment(synthetic.START_US + 5 * synthetic.HOUR)
+    turned = replace(payload, amplitude_db=2.0 * payload.amplitude_db, phase_rad=payload.phase_rad + 1.0)
+    new = turned.calibration(2)
+    moved = expected_power(new, alignment, Method.PAPER, payload.ephemeris(), old)
+    window_us = np.linspace(alignment.window.start_us, alignment.window.stop_us, 400)
+    before = payload.level_dbm + harmonic_db(old, payload.ephemeris(), window_us).mean(axis=0)
+    after = moved.reference_dbm + harmonic_db(new, payload.ephemeris(), window_us).mean(axis=0)
+    # sixty instants against four hundred over a quarter of an hour of a daily wave
+    np.testing.assert_allclose(after, before, atol=1e-4)
+    assert np.abs(moved.reference_dbm - payload.level_dbm).max() > 0.05
+
+
+def test_a_new_calibration_moves_references_by_the_change_at_the_angles_of_the_alignment(payload):
+    old, angles = payload.calibration(1), np.array([0.2, -0.15, 0.2])
+    new = replace(payload, plus=1.3 * payload.plus, minus=1.3 * payload.minus).calibration(2)
+    made = payload.alignment(synthetic.START_US + synthetic.HOUR)
+    alignment = replace(made, attitude_deg=Axes(*angles))
+    moved = expected_power(new, alignment, Method.PAPER, payload.ephemeris(), old)
+    change_db = predict_deviation_db(payload.plus, payload.minus, angles)
+    # the power in the window is the same, and 1.3 times the change belongs to its angles now
+    np.testing.assert_allclose(moved.reference_dbm - payload.level_dbm, -0.3 * change_db, atol=1e-12)
+
+
+def test_a_carrier_that_the_former_calibration_did_not_have_gets_no_reference(payload):
+    old = payload.calibration(1)
+    old = replace(old, result=replace(old.result, carriers=old.result.carriers[1:]))
+    alignment = payload.alignment(synthetic.START_US + synthetic.HOUR)
+    found = expected_power(payload.calibration(2), alignment, Method.PAPER, payload.ephemeris(), old)
+    assert np.flatnonzero(np.isnan(found.reference_dbm)).tolist() == [0]
+
+
+def test_a_former_calibration_without_result_gives_no_reference_at_all(payload):
+    old = replace(payload.calibration(1), result=None)
+    alignment = payload.alignment(synthetic.START_US + synthetic.HOUR)
+    found = expected_power(payload.calibration(2), alignment, Method.PAPER, payload.ephemeris(), old)
+    assert np.isnan(found.reference_dbm).all()
+
+
+def test_without_a_window_references_stay_as_they_are(payload):
+    alignment = replace(payload.alignment(synthetic.START_US), window=None)
+    found = expected_power(payload.calibration(2), alignment, Method.PAPER, payload.ephemeris(), payload.calibration(1))
+    np.testing.assert_array_equal(found.reference_dbm, payload.level_dbm)
+
+
+def test_an_unfinished_calibration_expects_nothing(payload):
+    empty = replace(payload.calibration(1), result=None)
+    found = expected_power(empty, payload.alignment(synthetic.START_US), Method.PAPER, payload.ephemeris(), empty)
+    assert (found.carrier_ids, found.reference_dbm.size) == ((), 0)
+
+
+def test_a_method_may_have_references_of_its_own(payload):
+    own = (CarrierReference("c00", -1.0, 0.1, 9, 0.0),)
+    alignment = replace(payload.alignment(synthetic.START_US), references_by_method={"robust": own})
+    assert references_of(alignment, Method.ROBUST) == own
+    assert references_of(alignment, Method.PAPER) == alignment.references
+
+
+S = 1_000_000
+WINDOW_S = 1800.0
+
+
+def history(count, step_s=60, rate=(1e-5, -2e-5, 3e-5), start_us=10**15):
+    fixes = NO_FIXES
+    for k in range(count):
+        angles = np.array([0.1, 0.2, 0.3]) + np.array(rate) * k * step_s
+        fixes = remember_fix(fixes, start_us + k * step_s * S, angles, WINDOW_S)
+    return fixes
+
+
+def test_a_steady_turn_gives_its_rate():
+    # least squares of a straight line: rounding of angles of 0.3 deg over half an hour
+    np.testing.assert_allclose(rate_deg_s(history(31), WINDOW_S), [1e-5, -2e-5, 3e-5], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("count", "is_known"), [(0, False), (2, False), (10, False), (11, True), (31, True)])
+def test_less_than_a_third_of_the_window_gives_none(count, is_known):
+    assert (rate_deg_s(history(count), WINDOW_S) is not None) == is_known
+
+
+def test_two_fixes_far_apart_are_not_enough():
+    assert rate_deg_s(history(2, step_s=900), WINDOW_S) is None
+    assert np.isfinite(rate_deg_s(history(3, step_s=400), WINDOW_S)).all()
+
+
+def test_old_fixes_are_forgotten_and_the_former_history_is_left_alone():
+    before = history(31)
+    after = remember_fix(before, before.epochs_us[-1] + 600 * S, np.zeros(3), WINDOW_S)
+    assert (len(before.epochs_us), len(after.epochs_us)) == (30, 21)
+    assert after.epochs_us[-1] - after.epochs_us[0] < WINDOW_S * S

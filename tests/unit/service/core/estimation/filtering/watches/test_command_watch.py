@@ -1,4 +1,4 @@
-"""Claims about the watch on commanded corrections."""
+"""Watches of commands, of the polarimeter, of noise, and integrity."""
 
 import filter_models
 import numpy as np
@@ -6,7 +6,15 @@ import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
+from service.core.estimation.filtering.model.filter_model import (
+    FilterSettings,
+    KnownMotion,
+    LearnedFeed,
+    PolarimeterModel,
+    no_motion,
+    pattern_change,
+)
+from service.core.estimation.filtering.model.filter_state import Gaussian
 from service.core.estimation.filtering.watches.command_watch import (
     CommandWatch,
     believed_motion,
@@ -15,6 +23,14 @@ from service.core.estimation.filtering.watches.command_watch import (
     likelier_share,
     pass_commands,
     push_row,
+)
+from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess
+from service.core.estimation.filtering.watches.noise_watch import SLOW_LIMITS, calm_watch, push_values
+from service.core.estimation.filtering.watches.polarimeter_watch import (
+    AngleBlock,
+    PolarimeterWatch,
+    polarimeter_advice,
+    push_block,
 )
 
 MINUTE_US = 60_000_000
@@ -185,3 +201,208 @@ def test_nothing_commanded_costs_nothing(spacecraft):
     )
     assert not watch.sensitivity.any()
     assert not watch.is_doubted
+
+
+READ = PolarimeterModel((1.0, 0.0, 0.0))
+FIRST, SIZE, STEP_US = 11, 15, 300_000_000
+Judged = tuple[PolarimeterWatch, Gaussian]
+
+
+def settled() -> Judged:
+    """Return the watch and the state after the first angle, 1 deg at a yaw of 0."""
+    sigma = [0.1, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 3.0, 0.05, 0.05, 0.05]
+    return pushed((PolarimeterWatch(0), Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
+
+
+def pushed(judged: Judged, angle_deg: float, power_dbm: float = -55.0, number: int | None = None) -> Judged:
+    """Return watch and state after a block, five minutes after the one before, in which yaw may have turned."""
+    watch, gaussian = judged
+    gaussian = Gaussian(gaussian.mean, gaussian.covariance + np.diag([0.05**2, *(0.0,) * (SIZE - 1)]))
+    epoch_us = max(watch.newest_us, 0) + STEP_US if number is None else number * STEP_US
+    block = AngleBlock(epoch_us, angle_deg, 0.001, power_dbm)
+    return push_block(watch, gaussian, FIRST, block, epoch_us, READ)[:2]
+
+
+def advice(judged: Judged) -> list[str]:
+    return [name for name, stands in polarimeter_advice((judged[0],), judged[0].newest_us).items() if stands]
+
+
+def test_a_change_of_the_angle_is_one_of_yaw_and_a_wild_one_of_nothing() -> None:
+    before = settled()
+    assert pushed(before, 1.1)[1].mean[0] > 0.02
+    wild = pushed(before, 3.0)
+    np.testing.assert_array_equal(wild[1].mean, before[1].mean)
+    assert wild[0].skipped == 1
+    # beyond two sigma the pull grows no more as the angle does
+    pull = [pushed(before, 1.0 + change)[1].mean[0] for change in (0.1, 0.2)]
+    assert pull[1] < 1.7 * pull[0]
+
+
+def test_three_blocks_beside_in_quiet_power_are_a_moved_feed() -> None:
+    judged = settled()
+    for _block in range(3):
+        judged = pushed(judged, 3.0)
+    assert advice(judged) == ["polarimeter_moved"]
+    assert judged[1].mean[0] == pytest.approx(0.0, abs=2e-3)
+    after = pushed(judged, 3.0)
+    assert after[1].mean[FIRST] == pytest.approx(3.0, abs=0.05)
+    assert after[1].mean[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_a_fade_widens_and_a_deep_one_leaves_the_block_out() -> None:
+    before = settled()
+    quiet, faded, deep = (pushed(before, 1.1, power_dbm)[1].mean[0] for power_dbm in (-55.0, -58.0, -62.0))
+    assert quiet > 3.0 * faded > 0.0
+    assert deep == pytest.approx(before[1].mean[0], abs=1e-12)
+    # a step under a fade is no moved feed
+    judged = before
+    for _block in range(6):
+        judged = pushed(judged, 6.0, -57.0)
+    assert advice(judged) == []
+
+
+def test_a_deep_fade_is_told_after_three_hours_until_the_power_is_back() -> None:
+    judged = settled()
+    for _block in range(36):
+        judged = pushed(judged, 1.0, -62.0)
+        assert advice(judged) == []
+    judged = pushed(judged, 1.0, -62.0)
+    assert advice(judged) == ["polarimeter_silent"]
+    assert advice(pushed(judged, 1.0)) == []
+
+
+def test_a_polarimeter_that_never_spoke_is_told_and_a_refused_one_is_not() -> None:
+    watch = PolarimeterWatch(STEP_US)
+    for hours, is_told in ((3.0, False), (3.1, True)):
+        epoch_us = STEP_US + round(hours * 3.6e9)
+        assert polarimeter_advice((watch,), epoch_us)["polarimeter_silent"] is is_told
+        assert not polarimeter_advice((watch._replace(is_refused=True),), epoch_us)["polarimeter_silent"]
+    assert not any(polarimeter_advice((), 10**15).values())
+
+
+def test_blocks_that_are_not_newer_tell_nothing() -> None:
+    before = settled()
+    watch, gaussian = pushed(before, 1.5, number=1)
+    assert watch is before[0]
+    np.testing.assert_array_equal(gaussian.mean, before[1].mean)
+
+
+def test_a_polarimeter_that_keeps_disagreeing_is_refused_and_yaw_known_less() -> None:
+    judged, rng = settled(), np.random.default_rng(1)
+    for _block in range(80):
+        judged = pushed(judged, 1.0 + float(rng.normal(0.0, 0.6)))
+    assert "polarimeter_refused" in advice(judged)
+    assert judged[1].covariance[0, 0] >= 0.2**2
+    assert pushed(judged, 1.0)[0] is judged[0]
+
+
+@pytest.mark.parametrize(
+    ("moved_deg", "is_free", "is_reported"), [(0.1, False, False), (0.25, True, False), (0.6, True, True)]
+)
+def test_a_first_angle_off_what_the_calibration_saw_frees_the_offset(
+    moved_deg: float, is_free: bool, is_reported: bool
+) -> None:
+    sigma = [0.02, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 0.02, 0.03, 0.03, 0.05]
+    begun, block = Gaussian(np.zeros(SIZE), np.diag(np.square(sigma))), AngleBlock(STEP_US, moved_deg, 0.002, -55.0)
+    learned = READ._replace(learned=LearnedFeed((0.0,) * 3, tuple(map(tuple, np.diag([4e-4, 9e-4, 9e-4]).tolist()))))
+    watch, gaussian, _ = push_block(PolarimeterWatch(0), begun, FIRST, block, STEP_US, learned)
+    assert advice((watch, gaussian)) == ["polarimeter_moved"] * is_reported
+    assert bool(gaussian.mean[FIRST] > 0.9 * moved_deg) is is_free
+    # what was learned of the wave was learned of another feed
+    assert bool(gaussian.covariance[FIRST + 1, FIRST + 1] > 0.05**2) is is_free
+    # without a calibration of the feed nothing of the kind is asked
+    free = push_block(PolarimeterWatch(0), begun, FIRST, block, STEP_US, READ)[1]
+    assert free.mean[FIRST] < 0.5 * moved_deg
+
+
+def minute_update(values):
+    """Return the watch of a filter whose test values follow the factors: a wider sigma makes them smaller."""
+    watch = calm_watch(values.shape[1])
+    for row in values:
+        tested = row / watch.white_scale
+        watch = push_values(watch, tested, float(np.nansum(tested**2)), values.shape[1])
+    return watch
+
+
+def test_what_the_model_says_keeps_the_factors_at_one():
+    watch = minute_update(np.random.default_rng(1).standard_normal((3000, 16)))
+    assert abs(watch.slow_scale - 1.0) < 0.15  # six hours of memory over sixteen carriers
+    assert np.abs(watch.white_scale - 1.0).max() < 0.2
+    assert abs(watch.nis_ratio - 1.0) < 0.1
+
+
+def test_louder_white_noise_raises_its_own_carrier_only():
+    values = np.random.default_rng(2).standard_normal((1500, 8))
+    values[:, 3] *= 1.8
+    watch = minute_update(values)
+    assert abs(watch.white_scale[3] - 1.8) < 0.25  # four hours of memory, outliers cut
+    assert np.delete(watch.white_scale, 3).max() < 1.25
+
+
+def test_slow_noise_that_the_model_does_not_know_raises_the_slow_factor():
+    rng = np.random.default_rng(3)
+    values, slow = rng.standard_normal((1500, 8)), np.zeros(8)
+    for row in range(1500):
+        slow = 0.98 * slow + 0.1 * rng.standard_normal(8)
+        values[row] += slow
+    watch = minute_update(values)
+    assert watch.slow_scale > 1.5
+    assert minute_update(values * 9.0).slow_scale <= SLOW_LIMITS[1]
+
+
+def test_absent_carriers_teach_nothing():
+    values = np.full((50, 4), np.nan)
+    watch = calm_watch(4)
+    for row in values:
+        watch = push_values(watch, row, 4.0, 4)
+    assert watch.slow_scale == 1.0
+    assert (watch.white_scale == 1.0).all()
+
+
+SIGMA, LEVEL = np.array([0.09, 0.01, 0.02]), np.array([0.4, 0.08, 0.12])
+CALM = IntegrityInputs(SIGMA, LEVEL, 16, False, False, 1.0, (False, False, False), 0, 16)
+
+
+def test_a_calm_row_allows_all_axes():
+    verdict = assess(CALM, IntegrityLimits())
+    assert verdict.is_control_allowed
+    assert verdict.is_axis_allowed == (True, True, True)
+    assert verdict.reasons == ()
+    assert not verdict.is_realignment_advised
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"is_raining": True}, "downlink_fade"),
+        ({"is_chain_held": True}, "chain_step"),
+        ({"sigma_deg": np.array([0.09, 0.06, 0.02])}, "sigma_roll"),
+        ({"sigma_deg": np.array([0.09, 0.01, 0.1])}, "sigma_pitch"),
+        ({"sigma_deg": np.array([0.09, 0.01, np.nan])}, "sigma_pitch"),
+        ({"protection_deg": np.array([0.4, 0.08, 0.23])}, "protection_level"),
+        ({"protection_deg": np.array([0.4, 0.23, 0.12])}, "protection_level"),
+        ({"protection_deg": np.array([0.4, np.nan, 0.12])}, "integrity_unmonitored"),
+        ({"carriers_used": 5}, "redundancy"),
+        ({"nis_ratio": 2.1}, "innovations"),
+        ({"is_unannounced": (False, True, False)}, "unannounced_motion"),
+        ({"is_command_doubted": True}, "unannounced_motion"),
+    ],
+)
+def test_each_condition_withholds_control_and_says_so(change, reason):
+    verdict = assess(CALM._replace(**change), IntegrityLimits())
+    assert verdict.reasons == (reason,)
+    assert verdict.is_axis_allowed == (False, False, False)
+
+
+@pytest.mark.parametrize(
+    "change", [{"sigma_deg": np.array([0.14, 0.01, 0.02])}, {"is_unannounced": (True, False, False)}]
+)
+def test_yaw_alone_may_be_withheld(change):
+    verdict = assess(CALM._replace(**change), IntegrityLimits())
+    assert verdict.is_control_allowed
+    assert verdict.is_axis_allowed == (False, True, True)
+
+
+def test_a_third_of_the_references_learned_anew_advises_an_alignment():
+    assert not assess(CALM._replace(relearned=5), IntegrityLimits()).is_realignment_advised
+    assert assess(CALM._replace(relearned=6), IntegrityLimits()).is_realignment_advised
