@@ -110,9 +110,7 @@ def test_within_the_body_limit_no_wheel_exceeds_its_own(axes, share):
 
 ANGLES = st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)
 RATES = st.lists(st.floats(-5e-5, 5e-5), min_size=3, max_size=3)
-DRIVES_SLEW_SCHEDULES = st.builds(
-    Drive, st.floats(0.02, 0.2), st.floats(5e-4, 4e-3), st.sampled_from([0.1, 0.5]), st.just(0.001)
-)
+SLEW_DRIVES = st.builds(Drive, st.floats(0.02, 0.2), st.floats(5e-4, 4e-3), st.sampled_from([0.1, 0.5]), st.just(0.001))
 #: with products of inertia; always a body's: diagonal plus a small symmetric part
 TENSORS = st.lists(st.floats(-60.0, 60.0), min_size=3, max_size=3).map(
     lambda p: np.diag([2600.0, 2500.0, 1400.0]) + np.array([[0.0, p[0], p[1]], [p[0], 0.0, p[2]], [p[1], p[2], 0.0]])
@@ -120,7 +118,7 @@ TENSORS = st.lists(st.floats(-60.0, 60.0), min_size=3, max_size=3).map(
 
 
 @settings(max_examples=examples(60))
-@given(ANGLES, RATES, DRIVES_SLEW_SCHEDULES, TENSORS, st.floats(600.0, 3600.0))
+@given(ANGLES, RATES, SLEW_DRIVES, TENSORS, st.floats(600.0, 3600.0))
 def test_a_slew_leaves_no_rate_and_keeps_to_drive_and_horizon(angles, rates, drive, tensor, horizon_s):
     pulses = plan_slew(angles, rates, tensor, horizon_s, drive)
     effect = predicted_effect(pulses, tensor, np.eye(3), horizon_s)
@@ -138,7 +136,7 @@ def test_a_slew_leaves_no_rate_and_keeps_to_drive_and_horizon(angles, rates, dri
 
 
 @settings(max_examples=examples(60))
-@given(ANGLES, DRIVES_SLEW_SCHEDULES, st.floats(600.0, 3600.0))
+@given(ANGLES, SLEW_DRIVES, st.floats(600.0, 3600.0))
 def test_from_rest_the_angle_is_met_or_too_small_for_a_pulse(angles, drive, horizon_s):
     tensor = np.diag([2600.0, 2600.0, 1400.0])
     pulses = plan_slew(angles, [0.0] * 3, tensor, horizon_s, drive)
@@ -179,7 +177,7 @@ def test_the_predicted_effect_is_what_a_craft_flies(angles, rates, tensor):
     np.testing.assert_allclose(np.abs(effect.peak_rate_deg_s), np.degrees(np.abs(rate).max(axis=0)), atol=1e-9)
 
 
-AXES_SLEW_SCHEDULES = (
+WHEEL_AXES = (
     st.lists(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3), min_size=3, max_size=6)
     .map(np.array)
     .filter(lambda axes: (np.linalg.norm(axes, axis=1) > 0.1).all())
@@ -188,7 +186,7 @@ AXES_SLEW_SCHEDULES = (
 
 
 @settings(max_examples=examples(150))
-@given(AXES_SLEW_SCHEDULES, st.data(), st.floats(1.0, 300.0), st.sampled_from([0.0, 0.5, 2.0]))
+@given(WHEEL_AXES, st.data(), st.floats(1.0, 300.0), st.sampled_from([0.0, 0.5, 2.0]))
 def test_allocation_keeps_direction_and_every_limit(axes, data, duration_s, least):
     wheels = wheel_set(axes, 0.05, 20.0, least)
     torque = np.array(data.draw(st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3)))
@@ -219,7 +217,7 @@ pulses = st.builds(
 )
 
 
-def flown(schedule: list[TorqueElement]) -> np.ndarray:
+def flown(schedule):
     """Return the attitude after five minutes, deg."""
     subject = spacecraft_at_rest(INERTIA_KG_M2, STILL, simulated_wheels(1, MOMENTUM))
     subject.fly((0, 300 * S), schedule, STILL, STILL, STILL)

@@ -159,7 +159,7 @@ def test_an_arrival_of_the_map_is_one_of_the_motion(seed):
 
 
 INERTIA = 4000.0
-MODES_FLEXIBLE_SCHEDULES = st.builds(HubMode, st.floats(0.1, 4.0), st.floats(1e-4, 0.3), st.floats(0.01, 3.0))
+SWUNG_MODES = st.builds(HubMode, st.floats(0.1, 4.0), st.floats(1e-4, 0.3), st.floats(0.01, 3.0))
 #: gaps and lengths make pulses that never overlap
 PARTS = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.01, 10.0), st.floats(-0.3, 0.3)), min_size=1, max_size=6)
 CARRIED = st.complex_numbers(max_magnitude=1e-3, allow_nan=False, allow_infinity=False)
@@ -173,7 +173,7 @@ def schedule_of(parts):
     return tuple(pulses)
 
 
-@given(PARTS, MODES_FLEXIBLE_SCHEDULES, CARRIED)
+@given(PARTS, SWUNG_MODES, CARRIED)
 def test_responses_superpose(parts, mode, carried):
     pulses = schedule_of(parts)
     whole = schedule_response(pulses, mode, INERTIA, carried_rad=carried)
@@ -185,7 +185,7 @@ def test_responses_superpose(parts, mode, carried):
     assert abs(total - complex(whole.phasor_rad[0])) <= 1e-11 * scale
 
 
-@given(PARTS, MODES_FLEXIBLE_SCHEDULES, st.floats(0.0, 50.0))
+@given(PARTS, SWUNG_MODES, st.floats(0.0, 50.0))
 def test_a_later_schedule_leaves_the_same(parts, mode, later_s):
     pulses = schedule_of(parts)
     moved = tuple(pulse._replace(start_s=pulse.start_s + later_s) for pulse in pulses)
@@ -194,7 +194,7 @@ def test_a_later_schedule_leaves_the_same(parts, mode, later_s):
     np.testing.assert_allclose(other.residual_rad, one.residual_rad, rtol=1e-7, atol=1e-15)
 
 
-@given(PARTS, MODES_FLEXIBLE_SCHEDULES)
+@given(PARTS, SWUNG_MODES)
 def test_twice_the_torque_is_twice_the_response(parts, mode):
     pulses = schedule_of(parts)
     doubled = tuple(pulse._replace(torque_n_m=2.0 * pulse.torque_n_m) for pulse in pulses)
@@ -203,7 +203,7 @@ def test_twice_the_torque_is_twice_the_response(parts, mode):
     np.testing.assert_allclose(two.peak_rad, 2.0 * one.peak_rad, rtol=1e-12, atol=1e-300)
 
 
-@given(PARTS, MODES_FLEXIBLE_SCHEDULES, CARRIED)
+@given(PARTS, SWUNG_MODES, CARRIED)
 def test_no_sample_of_the_motion_is_above_the_peak(parts, mode, carried):
     pulses = schedule_of(parts)
     response = schedule_response(pulses, mode, INERTIA, carried_rad=carried)
@@ -225,7 +225,7 @@ def test_no_sample_of_the_motion_is_above_the_peak(parts, mode, carried):
     assert response.swing_rad[0] >= response.residual_rad[0]
 
 
-@given(PARTS, MODES_FLEXIBLE_SCHEDULES)
+@given(PARTS, SWUNG_MODES)
 def test_a_stronger_schedule_never_gets_a_better_verdict(parts, mode):
     rank = {"accept": 0, "warn": 1, "reject": 2}
 

@@ -314,7 +314,7 @@ PROFILES = {"roll": roll_profile(), "pitch": pitch_profile()}
 SEED = 20261122
 
 
-def verdicts(axis: str, sign: Sign, runs: int, noise: tuple = NOMINAL, seed: int = 3):
+def verdicts(axis, sign, runs, noise=NOMINAL, seed=3):
     model = payload(seed)
     rng = np.random.default_rng([SEED, seed, sign.value + 1])
     return decisions(

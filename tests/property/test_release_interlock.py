@@ -167,10 +167,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.driver.send(replace(event, at=self.driver.at))
 
     @rule(
-        wanted=SLEWS,
-        row=BAD_ROWS,
-        change=CHANGES,
-        kind=st.sampled_from(["row", "change", "jump", "stop", "silence"]),
+        wanted=SLEWS, row=BAD_ROWS, change=CHANGES, kind=st.sampled_from(["row", "change", "jump", "stop", "silence"])
     )
     def something_stands_in_the_way_of_a_release(self, wanted, row, change, kind):
         self.driver.prepare("ann")

@@ -1,7 +1,7 @@
 """The analyzer answers whatever it is asked."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
@@ -38,7 +38,7 @@ CASES = [
 ]
 
 
-def throw(name: str, data: bytes) -> None:
+def throw(name, data):
     """Send bytes to a new instrument; fail unless it answers in lines and goes on answering."""
     bench = Bench(name)
     bench.instrument.settings.points = 101
@@ -52,7 +52,7 @@ def throw(name: str, data: bytes) -> None:
     assert bench.instrument.status.error_count <= FACTS[name].queue_depths[1]
 
 
-def fuzz(name: str, kind: str, examples: int, *, is_repeatable: bool) -> None:
+def fuzz(name, kind, examples, *, is_repeatable):
     """Throw examples of one kind at one dialect."""
     check = given(KINDS[kind](name))(lambda data: throw(name, data))
     options = settings(
@@ -66,18 +66,18 @@ def fuzz(name: str, kind: str, examples: int, *, is_repeatable: bool) -> None:
 
 
 @pytest.mark.parametrize(("name", "kind"), CASES)
-def test_anything_leaves_the_instrument_alive(name: str, kind: str) -> None:
+def test_anything_leaves_the_instrument_alive(name, kind):
     fuzz(name, kind, EXAMPLES, is_repeatable=True)
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize(("name", "kind"), CASES)
-def test_nightly_anything_leaves_the_instrument_alive(name: str, kind: str) -> None:
+def test_nightly_anything_leaves_the_instrument_alive(name, kind):
     fuzz(name, kind, NIGHTLY_EXAMPLES, is_repeatable=False)
 
 
-def framer_fed_in_pieces(data: bytes, cuts: list[int]) -> list[object]:
+def framer_fed_in_pieces(data, cuts):
     """Return what a framer makes of bytes that arrive in pieces."""
     framer = MessageFramer()
     edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
@@ -86,13 +86,13 @@ def framer_fed_in_pieces(data: bytes, cuts: list[int]) -> list[object]:
 
 @given(data=st.binary(max_size=300), cuts=st.lists(st.integers(0, 300), max_size=5))
 @settings(max_examples=2 * EXAMPLES, deadline=None, derandomize=True)
-def test_messages_do_not_depend_on_how_the_bytes_arrive(data: bytes, cuts: list[int]) -> None:
+def test_messages_do_not_depend_on_how_the_bytes_arrive(data, cuts):
     assert framer_fed_in_pieces(data, cuts) == MessageFramer().feed(data)
 
 
 @given(chunks=st.lists(st.binary(max_size=50), max_size=40))
 @settings(max_examples=2 * EXAMPLES, deadline=None, derandomize=True)
-def test_framer_keeps_no_more_than_its_limit(chunks: list[bytes]) -> None:
+def test_framer_keeps_no_more_than_its_limit(chunks):
     framer = MessageFramer(limit_bytes=64)
     for chunk in chunks:
         for message in framer.feed(chunk):
@@ -100,14 +100,14 @@ def test_framer_keeps_no_more_than_its_limit(chunks: list[bytes]) -> None:
         assert framer.pending_bytes <= 64
 
 
-def _block(payload: bytes) -> bytes:
+def _block(payload):
     size = str(len(payload)).encode()
     return b"#" + str(len(size)).encode() + size + payload
 
 
 @given(payload=st.binary(max_size=80), tail=st.sampled_from([b"", b" ", b"\r"]))
 @settings(max_examples=EXAMPLES, deadline=None, derandomize=True)
-def test_block_of_any_bytes_is_one_datum_of_one_message(payload: bytes, tail: bytes) -> None:
+def test_block_of_any_bytes_is_one_datum_of_one_message(payload, tail):
     bench = Bench("rs")
     assert bench.send(b"FREQ:CENT " + _block(payload) + tail + b"\n*ESE?\n") == b"0\n"
     assert bench.errors() == [-168]
@@ -126,7 +126,7 @@ PARSERS: list[Callable[[str], Any]] = [
 
 @pytest.mark.parametrize("parse", PARSERS)
 @given(text=st.one_of(st.text(max_size=60), st.from_regex(r'[-+0-9,;"#.eE ]{0,30}', fullmatch=True)))
-def test_text_of_any_kind(parse: Callable[[str], Any], text: str) -> None:
+def test_text_of_any_kind(parse, text):
     try:
         value = parse(text)
     except AnswerError:
@@ -135,7 +135,7 @@ def test_text_of_any_kind(parse: Callable[[str], Any], text: str) -> None:
 
 
 @given(st.one_of(st.binary(max_size=60), st.from_regex(rb"#[0-9(][0-9)]{0,4}[\x00-\xff]{0,20}", fullmatch=True)))
-def test_blocks_of_any_kind(data: bytes) -> None:
+def test_blocks_of_any_kind(data):
     try:
         payload, rest = split_block(data)
     except AnswerError:
@@ -144,7 +144,7 @@ def test_blocks_of_any_kind(data: bytes) -> None:
 
 
 @given(st.lists(st.floats(min_value=-200, max_value=50, width=32), min_size=1, max_size=50), st.binary(max_size=8))
-def test_a_real_block_comes_back(levels: list[float], tail: bytes) -> None:
+def test_a_real_block_comes_back(levels, tail):
     content = np.array(levels, dtype="<f4").tobytes()
     size = str(len(content)).encode()
     payload, rest = split_block(b"#" + str(len(size)).encode() + size + content + tail)
@@ -155,22 +155,22 @@ def test_a_real_block_comes_back(levels: list[float], tail: bytes) -> None:
 @given(
     st.lists(st.text(alphabet='ab1,. "', max_size=8).filter(lambda t: t.count('"') % 2 == 0), min_size=1, max_size=6)
 )
-def test_answers_come_apart_where_they_were_joined(answers: list[str]) -> None:
+def test_answers_come_apart_where_they_were_joined(answers):
     assert split_answers(";".join(answers)) == [answer.strip() for answer in answers]
 
 
-EXAMPLES_SCPI_NEVER_DIES_WIRE = examples(150)
-NIGHTLY_EXAMPLES_SCPI_NEVER_DIES_WIRE = 1000
+WIRE_EXAMPLES = examples(150)
+NIGHTLY_WIRE_EXAMPLES = 1000
 _NONCES = itertools.cycle(range(1, 128))
 
 
 @pytest.fixture(params=sorted(DIALECTS))
-def name(request: pytest.FixtureRequest) -> str:
+def name(request):
     return str(request.param)
 
 
 @pytest.fixture
-def analyzer(name: str) -> Iterator[AnalyzerThread]:
+def analyzer(name):
     dialect = DIALECTS[name]
     with start_in_thread(standing_instrument(dialect), dialect=dialect, hislip_port=0) as handle:
         yield handle
@@ -179,14 +179,14 @@ def analyzer(name: str) -> Iterator[AnalyzerThread]:
 class SocketThrower:
     """Throws bytes at one connection for as long as it lives."""
 
-    def __init__(self, analyzer: AnalyzerThread, identity: str) -> None:
+    def __init__(self, analyzer, identity):
         self.line = RawLine(analyzer.port)
         self._identity = identity
         self._analyzer = analyzer
         #: knows what stands open, as a client knows that forgot a quote
         self._framer = MessageFramer()
 
-    def throw(self, data: bytes) -> None:
+    def throw(self, data):
         """Send bytes, close what stands open, ask who is there."""
         self._analyzer.instrument.settings.points = 101
         self._framer.feed(data)
@@ -200,12 +200,12 @@ class SocketThrower:
 class HislipThrower:
     """Throws messages at one session for as long as it lives; the end of a message closes what stands open."""
 
-    def __init__(self, analyzer: AnalyzerThread, identity: str) -> None:
+    def __init__(self, analyzer, identity):
         self.line = HislipLine(analyzer.hislip_port or 0)
         self._identity = identity
         self._analyzer = analyzer
 
-    def throw(self, data: bytes) -> None:
+    def throw(self, data):
         """Send a message, clear the device, ask who is there."""
         self._analyzer.instrument.settings.points = 101
         self.line.write(data)
@@ -217,9 +217,7 @@ class HislipThrower:
 THROWERS: list[Callable[[AnalyzerThread, str], SocketThrower | HislipThrower]] = [SocketThrower, HislipThrower]
 
 
-def fuzz_scpi_never_dies_wire(
-    analyzer: AnalyzerThread, name: str, make: Callable[..., SocketThrower | HislipThrower], examples: int
-) -> None:
+def fuzz_line(analyzer, name, make, examples):
     """Throw examples of all kinds at one line; the repeatable ones when they are few."""
     kinds = st.one_of(*(kind(name) for kind in KINDS.values()))
     thrower = make(analyzer, DIALECTS[name].identity)
@@ -228,7 +226,7 @@ def fuzz_scpi_never_dies_wire(
         options = settings(
             max_examples=examples,
             deadline=None,
-            derandomize=examples == EXAMPLES_SCPI_NEVER_DIES_WIRE,
+            derandomize=examples == WIRE_EXAMPLES,
             database=None,
             suppress_health_check=[HealthCheck.too_slow],  # a busy machine is no fault of the strategy
         )
@@ -237,29 +235,25 @@ def fuzz_scpi_never_dies_wire(
 
 @pytest.mark.system
 @pytest.mark.parametrize("make", THROWERS)
-def test_anything_leaves_the_line_alive(
-    analyzer: AnalyzerThread, name: str, make: Callable[..., SocketThrower]
-) -> None:
-    fuzz_scpi_never_dies_wire(analyzer, name, make, EXAMPLES_SCPI_NEVER_DIES_WIRE)
+def test_anything_leaves_the_line_alive(analyzer, name, make):
+    fuzz_line(analyzer, name, make, WIRE_EXAMPLES)
 
 
 @pytest.mark.system
 @pytest.mark.nightly
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("make", THROWERS)
-def test_nightly_anything_leaves_the_line_alive(
-    analyzer: AnalyzerThread, name: str, make: Callable[..., SocketThrower]
-) -> None:
-    fuzz_scpi_never_dies_wire(analyzer, name, make, NIGHTLY_EXAMPLES_SCPI_NEVER_DIES_WIRE)
+def test_nightly_anything_leaves_the_line_alive(analyzer, name, make):
+    fuzz_line(analyzer, name, make, NIGHTLY_WIRE_EXAMPLES)
 
 
 @pytest.mark.system
-def test_bytes_that_are_no_hislip_end_only_their_own_session(analyzer: AnalyzerThread, name: str) -> None:
+def test_bytes_that_are_no_hislip_end_only_their_own_session(analyzer, name):
     neighbour = HislipLine(analyzer.hislip_port or 0)
 
     @given(data=st.binary(min_size=16, max_size=200), is_first=st.booleans())
-    @settings(max_examples=EXAMPLES_SCPI_NEVER_DIES_WIRE, deadline=None, derandomize=True, database=None)
-    def throw(data: bytes, is_first: bool) -> None:
+    @settings(max_examples=WIRE_EXAMPLES, deadline=None, derandomize=True, database=None)
+    def throw(data, is_first):
         line = RawLine(analyzer.hislip_port or 0) if is_first else HislipLine(analyzer.hislip_port or 0)
         (line.socket if isinstance(line, RawLine) else line.synchronous).sendall(data)
         line.close()

@@ -22,7 +22,7 @@ from analyzer_sim.world.scenario.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.scenario.scenario import SCENARIOS, Scenario
+from analyzer_sim.world.scenario.scenario import SCENARIOS
 from analyzer_sim.world.world import World
 
 #: events of one carrier, c03, which no scenario's level control holds
@@ -45,25 +45,25 @@ _OF_ALL: tuple[Fault, ...] = (
 _NAMES = sorted(set(SCENARIOS) - {"nominal_10s"})
 
 
-def short(name: str) -> Scenario:
+def short(name):
     """Return a scenario of few hours whose operator does not see the powers, or corrections would pass a fault on."""
     keeping = replace(SCENARIOS[name].keeping, is_steered_by_powers=False)
     return replace(SCENARIOS[name], quiet_h=1.0, alignment_h=0.75, operation_h=2.5, keeping=keeping)
 
 
 @cache
-def plain(name: str, seed: int) -> World:
+def plain(name, seed):
     return World(short(name), seed)
 
 
-def with_extra(name: str, seed: int, fault: Fault) -> World:
+def with_extra(name, seed, fault):
     scenario = short(name)
     return World(replace(scenario, faults=(fault, *scenario.faults)), seed)
 
 
 @settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(st.sampled_from(_NAMES), st.integers(0, 3), st.sampled_from(_OF_ONE))
-def test_a_fault_of_one_carrier_leaves_everything_else_bit_identical(name: str, seed: int, fault: Fault) -> None:
+def test_a_fault_of_one_carrier_leaves_everything_else_bit_identical(name, seed, fault):
     before, after = plain(name, seed).rows, with_extra(name, seed, fault).rows
     others = [k for k in range(before.power_dbm.shape[1]) if k != 3]
     assert after.carrier_dbm[:, others].tobytes() == before.carrier_dbm[:, others].tobytes()
@@ -75,7 +75,7 @@ def test_a_fault_of_one_carrier_leaves_everything_else_bit_identical(name: str, 
 
 @settings(max_examples=examples(40), deadline=None, derandomize=True)
 @given(st.sampled_from(_NAMES), st.integers(0, 3), st.sampled_from(_OF_ONE + _OF_ALL))
-def test_no_fault_moves_attitude_knowledge_or_orbit(name: str, seed: int, fault: Fault) -> None:
+def test_no_fault_moves_attitude_knowledge_or_orbit(name, seed, fault):
     before, after = plain(name, seed), with_extra(name, seed, fault)
     assert after.rows.attitude_deg.tobytes() == before.rows.attitude_deg.tobytes()
     assert after.references.attitude_deg.tobytes() == before.references.attitude_deg.tobytes()
@@ -86,7 +86,7 @@ def test_no_fault_moves_attitude_knowledge_or_orbit(name: str, seed: int, fault:
 
 @settings(max_examples=examples(30), deadline=None, derandomize=True)
 @given(st.sampled_from(_NAMES), st.integers(0, 3), st.sampled_from(_OF_ALL))
-def test_what_a_fault_of_all_adds_is_what_it_says_and_the_noise_stays(name: str, seed: int, fault: Fault) -> None:
+def test_what_a_fault_of_all_adds_is_what_it_says_and_the_noise_stays(name, seed, fault):
     noise = SCENARIOS[name].noise
     station = None if noise.station is None else replace(noise.station, quantum_db=0.0)
     figures = replace(noise, quantum_db=0.0, station=station)
@@ -112,7 +112,7 @@ position = st.floats(-8.5, 8.5, allow_nan=False)
 
 @settings(max_examples=examples(100), derandomize=True)
 @given(yaw=angle, roll=angle, pitch=angle)
-def test_every_attitude_is_a_rotation(yaw: float, roll: float, pitch: float) -> None:
+def test_every_attitude_is_a_rotation(yaw, roll, pitch):
     turn = body_from_orbital(np.array([[yaw, roll, pitch]]))[0]
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-14)  # rounding
     assert abs(np.linalg.det(turn) - 1.0) < 1e-14
@@ -120,7 +120,7 @@ def test_every_attitude_is_a_rotation(yaw: float, roll: float, pitch: float) -> 
 
 @settings(max_examples=examples(100), derandomize=True)
 @given(yaw=small, roll=small, pitch=small, az=position, el=position)
-def test_signs_hold_everywhere_on_the_disc(yaw: float, roll: float, pitch: float, az: float, el: float) -> None:
+def test_signs_hold_everywhere_on_the_disc(yaw, roll, pitch, az, el):
     direction = np.array([np.tan(np.radians(az)), -np.tan(np.radians(el)), 1.0])
     turned = body_from_orbital(np.array([[yaw, roll, pitch]]))[0] @ direction
     az_new, el_new = antenna_angles_deg(turned)

@@ -5,16 +5,14 @@ integration stands in this file: it shares nothing with the simulator's function
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.instrument.imperfections import IDEAL, Imperfections
+from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.lines.session import Session, command_tree
@@ -61,16 +59,14 @@ DETAILS = (Detail.FAST, pytest.param(Detail.ENVELOPE, marks=pytest.mark.slow))
 
 
 @pytest.fixture(params=sorted(WORDS))
-def dialect(request: pytest.FixtureRequest) -> Dialect:
+def dialect(request):
     return DIALECTS[request.param]
 
 
 class Client:
     """A client of one instrument that looks at a world that stands still."""
 
-    def __init__(
-        self, dialect: Dialect, emission: Emission, detail: Detail, figures: Imperfections = IDEAL, seed: int = SEED
-    ) -> None:
+    def __init__(self, dialect, emission, detail, figures=IDEAL, seed=SEED):
         seed += sorted(WORDS).index(dialect.name)  # four makes, four draws
         self._emission = emission
         self.words = WORDS[dialect.name]
@@ -78,13 +74,13 @@ class Client:
         self._session = Session(instrument, dialect, command_tree(dialect))
         self._framer = MessageFramer()
 
-    def advance(self) -> Emission:
+    def advance(self):
         return self._emission
 
-    def current(self) -> Emission:
+    def current(self):
         return self._emission
 
-    def ask(self, text: str) -> str:
+    def ask(self, text):
         (message,) = self._framer.feed(text.encode() + b"\n")
         self._session.submit(message)
         answer = self._session.run() or b""
@@ -92,29 +88,29 @@ class Client:
             answer += self._session.run() or b""
         return answer.decode("ascii").rstrip("\n")
 
-    def set_up(self, detector: str, time_s: float = TIME_S, more: str = "") -> None:
+    def set_up(self, detector, time_s=TIME_S, more=""):
         self.ask(f"*RST;*CLS;:INIT:CONT OFF;:FREQ:STAR {START_HZ};STOP {STOP_HZ};:BAND 30 KHZ;:BAND:VID 1 MHZ")
         self.ask(f"{self.words.points}:SWE:TIME {time_s};:{detector}{more}")
         assert self.ask("SYST:ERR?").lstrip("+").startswith("0,")
 
-    def sweep(self) -> np.ndarray:
+    def sweep(self):
         """Return the levels of a new sweep, dBm."""
         assert self.ask("INIT;*OPC?") == "1"
         return self.trace()
 
-    def trace(self) -> np.ndarray:
+    def trace(self):
         """Return the levels of the sweep there is: Anritsu in a block, Siglent with a comma at the end."""
         text = self.ask(self.words.trace)
         if text.startswith("#"):
             text = text[2 + int(text[1]) :]
         return np.array(text.rstrip(",").split(","), dtype=float)
 
-    def sweeps(self, count: int) -> np.ndarray:
+    def sweeps(self, count):
         """Return sweeps in mW, shape (count, points)."""
         return 10 ** (np.array([self.sweep() for _ in range(count)]) / 10)
 
 
-def band_mw(traces_mw: np.ndarray, low_hz: float, high_hz: float) -> np.ndarray:
+def band_mw(traces_mw, low_hz, high_hz):
     """Return the power in a band: sum over points, those at the edges by the part of their bin, times df over ENBW."""
     axis_hz = np.linspace(START_HZ, STOP_HZ, traces_mw.shape[-1])
     spacing_hz = axis_hz[1] - axis_hz[0]
@@ -122,30 +118,28 @@ def band_mw(traces_mw: np.ndarray, low_hz: float, high_hz: float) -> np.ndarray:
     return traces_mw @ np.clip(inside, 0, 1) * spacing_hz / ENBW_HZ
 
 
-def noise_mw_hz(traces_mw: np.ndarray) -> np.ndarray:
+def noise_mw_hz(traces_mw):
     windows = [band_mw(traces_mw, low_hz, high_hz) / (high_hz - low_hz) for low_hz, high_hz in NOISE_WINDOWS_HZ]
     return np.mean(windows, axis=0)
 
 
-def carrier_mw(traces_mw: np.ndarray, carrier: Signal, guard_hz: float = 60e3) -> np.ndarray:
+def carrier_mw(traces_mw, carrier, guard_hz=60e3):
     """Return the power of a carrier, the noise of its band taken off; two filters of guard take in its skirts."""
     half_hz = 0.5 * (1 + ROLLOFF) * carrier.symbol_rate_hz + guard_hz
     total_mw = band_mw(traces_mw, carrier.center_hz - half_hz, carrier.center_hz + half_hz)
     return total_mw - 2 * half_hz * noise_mw_hz(traces_mw)
 
 
-def decibels(value: np.ndarray | float) -> np.ndarray:
+def decibels(value):
     return 10 * np.log10(value)
 
 
-def predicted_sigma_db(symbol_rate_hz: float, time_s: float = TIME_S) -> float:
+def predicted_sigma_db(symbol_rate_hz, time_s=TIME_S):
     """Return the scatter of section 6: 4.343 / sqrt(1.505 RBW T B / span)."""
     return 4.343 / math.sqrt(1.505 * RBW_HZ * time_s * symbol_rate_hz / SPAN_HZ)
 
 
-def bias_and_scatter(
-    dialect: Dialect, detail: Detail, sweeps: int, seed: int = SEED
-) -> Iterator[tuple[Signal, float, float]]:
+def bias_and_scatter(dialect, detail, sweeps, seed=SEED):
     """Give for each carrier the bias of its mean power and the scatter of its level over predicted, both printed."""
     client = Client(dialect, Emission(0, CARRIERS, NOISE_DBM_HZ), detail, seed=seed)
     client.set_up(client.words.rms)
@@ -162,7 +156,7 @@ def bias_and_scatter(
 
 
 @pytest.mark.parametrize("detail", DETAILS)
-def test_integrated_carrier_is_unbiased_and_scatters_as_predicted(dialect: Dialect, detail: Detail) -> None:
+def test_integrated_carrier_is_unbiased_and_scatters_as_predicted(dialect, detail):
     print(f"seed {SEED}, {SWEEPS} sweeps")
     for _, bias_db, ratio in bias_and_scatter(dialect, detail, SWEEPS):
         assert abs(bias_db) < 0.03
@@ -170,7 +164,7 @@ def test_integrated_carrier_is_unbiased_and_scatters_as_predicted(dialect: Diale
 
 
 @pytest.mark.parametrize("detail", DETAILS)
-def test_trivial_estimators_miss(dialect: Dialect, detail: Detail) -> None:
+def test_trivial_estimators_miss(dialect, detail):
     # the bounds of the test above catch the peak of the trace and sums of mean decibels
     client = Client(dialect, Emission(0, CARRIERS, NOISE_DBM_HZ), detail)
     client.set_up(client.words.rms)
@@ -191,9 +185,7 @@ def test_trivial_estimators_miss(dialect: Dialect, detail: Detail) -> None:
 
 
 @pytest.mark.parametrize(("c_n_db", "naive_db"), [(10.0, 0.5), (3.0, 2.1)])
-def test_noise_taken_off_leaves_no_bias_beside_a_stronger_neighbour(
-    dialect: Dialect, c_n_db: float, naive_db: float
-) -> None:
+def test_noise_taken_off_leaves_no_bias_beside_a_stronger_neighbour(dialect, c_n_db, naive_db):
     # RBW / Rs = 3 %, neighbour 6 dB higher; 200 sweeps of 10 s: standard error 0.002 dB
     wanted = Signal("wanted", 961.0e6, 1e6, ROLLOFF, -45.0)
     neighbour = replace(wanted, center_hz=962.4e6, power_dbm=-39.0)
@@ -213,7 +205,7 @@ def test_noise_taken_off_leaves_no_bias_beside_a_stronger_neighbour(
     assert decibels(naive) - wanted.power_dbm == pytest.approx(naive_db, abs=0.2)
 
 
-def test_samples_in_decibels_are_low_and_scatter_as_the_logarithm_of_an_exponential(dialect: Dialect) -> None:
+def test_samples_in_decibels_are_low_and_scatter_as_the_logarithm_of_an_exponential(dialect):
     client = Client(dialect, Emission(0, (), -100.0), Detail.FAST)
     client.set_up(client.words.sample)
     levels_db = decibels(client.sweeps(20)) - (-100.0 + decibels(ENBW_HZ))
@@ -223,9 +215,7 @@ def test_samples_in_decibels_are_low_and_scatter_as_the_logarithm_of_an_exponent
 
 
 @pytest.mark.parametrize("detail", DETAILS)
-def test_rms_points_averaged_in_decibels_are_low_by_their_freedom_and_peaks_are_high(
-    dialect: Dialect, detail: Detail
-) -> None:
+def test_rms_points_averaged_in_decibels_are_low_by_their_freedom_and_peaks_are_high(dialect, detail):
     client = Client(dialect, Emission(0, (), -100.0), detail)
     level_dbm = -100.0 + float(decibels(ENBW_HZ))
     points = 751 if dialect.name == "siglent" else 1001
@@ -253,7 +243,7 @@ CHANNEL_POWER = {
 
 
 @pytest.mark.parametrize("detail", list(Detail))
-def test_own_function_of_the_instrument_agrees_with_the_integrated_trace(dialect: Dialect, detail: Detail) -> None:
+def test_own_function_of_the_instrument_agrees_with_the_integrated_trace(dialect, detail):
     middle = Signal("middle", 963e6, 1e6, ROLLOFF, -40.0)
     client = Client(dialect, Emission(0, (middle,), NOISE_DBM_HZ), detail)
     setup, query = CHANNEL_POWER[dialect.name]
@@ -266,7 +256,7 @@ def test_own_function_of_the_instrument_agrees_with_the_integrated_trace(dialect
 
 
 @pytest.mark.parametrize("detail", list(Detail))
-def test_channel_power_of_a_sweep_of_its_own_is_unbiased(detail: Detail) -> None:
+def test_channel_power_of_a_sweep_of_its_own_is_unbiased(detail):
     middle = Signal("middle", 963e6, 1e6, ROLLOFF, -40.0)
     client = Client(DIALECTS["keysight"], Emission(0, (middle,), -400.0), detail)
     client.set_up(client.words.rms)
@@ -284,7 +274,7 @@ DISPLAYED_NOISE_DBM_HZ = {"rs": -150.0, "keysight": -148.0, "siglent": -145.0}
 
 @pytest.mark.parametrize("name", sorted(DISPLAYED_NOISE_DBM_HZ))
 @pytest.mark.parametrize("attenuation_db", [0, 10])
-def test_floor_is_that_of_the_make_the_attenuator_and_the_filter(name: str, attenuation_db: int) -> None:
+def test_floor_is_that_of_the_make_the_attenuator_and_the_filter(name, attenuation_db):
     dialect = DIALECTS[name]
     figures = replace(IDEAL, own_noise_dbm_hz=dialect.imperfections.own_noise_dbm_hz)
     client = Client(dialect, Emission(0, (), -400.0), Detail.FAST, figures)
@@ -295,14 +285,14 @@ def test_floor_is_that_of_the_make_the_attenuator_and_the_filter(name: str, atte
     assert floor_dbm == pytest.approx(expected_dbm, abs=0.03)  # 1000 points of N = 450: 0.007 dB
 
 
-def test_every_dialect_is_measured() -> None:
+def test_every_dialect_is_measured():
     assert set(DIALECTS) == set(WORDS) == set(CHANNEL_POWER)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("detail", list(Detail))
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_long_run_is_ten_times_closer(dialect: Dialect, detail: Detail, seed: int) -> None:
+def test_long_run_is_ten_times_closer(dialect, detail, seed):
     # 2000 sweeps: standard error of the worst bias 0.004 dB, of a deviation 1.6 %
     print(f"seed {seed}, 2000 sweeps")
     for carrier, bias_db, ratio in bias_and_scatter(dialect, detail, 2000, seed):

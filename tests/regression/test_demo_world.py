@@ -13,11 +13,10 @@ from analyzer_sim.world.world import World
 from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
 from service.core.geometry.node_phase import node_phase_rad
 from service.records.levels.attitude import Axes
-from service.records.levels.measurement import Measurement
 from service.study.closed_loop import run
-from service.study.closed_loop.controllers import LEAD_S, ByTruth, ControllerOutput, Sensing
+from service.study.closed_loop.controllers import LEAD_S, ByTruth, Sensing
 from service.study.closed_loop.merit import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
-from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
+from service.study.closed_loop.plant_process import SpacecraftTruth
 from service.study.demonstration.merit import AXES, judge_axis, missed_bounds
 from service.study.estimation.flight.drive import drive
 from service.study.estimation.flight.world import read_world
@@ -117,7 +116,7 @@ class ByCorrections:
     rates_deg_s: np.ndarray = field(default_factory=lambda: np.zeros(3))
     sent: list = field(default_factory=list)
 
-    def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:
+    def decide(self, measurement, truth, counter):
         step_s = (measurement.epoch_us - self.epoch_us) / 1e6 if self.epoch_us else 0.0
         due = [pulse for pulse in self.sent if pulse.start_us < measurement.epoch_us]
         self.sent = [pulse for pulse in self.sent if pulse not in due]
@@ -132,7 +131,7 @@ class ByCorrections:
         self.sent += decision.schedule
         return decision
 
-    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
+    def on_input(self, reports):
         """Take every command as carried out."""
 
 

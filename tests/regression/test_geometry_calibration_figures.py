@@ -187,7 +187,7 @@ def test_slopes_are_as_sure_as_they_say_over_draws(scenario):
     assert ((rms > 0.8) & (rms < 1.2)).all()
 
 
-SEEDS_BEAMS = (1, 2)
+BEAM_SEEDS = (1, 2)
 DAYS = 3.0
 #: deg, noise of the simulated star tracker
 TRACKER_DEG = (0.015, 0.008, 0.008)
@@ -222,7 +222,7 @@ def flown(name, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", SEEDS_BEAMS)
+@pytest.mark.parametrize("seed", BEAM_SEEDS)
 def test_a_wave_of_the_boresight_is_recovered(seed):
     report, truth_deg = flown("antenna_wave", seed)
     (antenna,) = report.antennas

@@ -9,7 +9,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from service.core.dynamics.orbital_frame_flight import (
@@ -44,11 +43,11 @@ Fly = Callable[..., FlightRecord]
 
 
 @pytest.fixture(scope="module")
-def fly() -> Fly:
+def fly():
     return partial(fly_spacecraft, kernel=compiled_fly())
 
 
-def _at(flight: FlightRecord, time_s: float) -> tuple[float, float, float]:
+def _at(flight, time_s):
     k = round(time_s / 0.125)
     return float(flight.roll_deg[k]), float(flight.pitch_deg[k]), float(flight.yaw_deg[k])
 
@@ -70,11 +69,7 @@ def _at(flight: FlightRecord, time_s: float) -> tuple[float, float, float]:
         (
             MIN_GAINS,
             Start(yaw_deg=10.0),
-            {
-                100: (-0.4538, 0.0031, 8.9820),
-                300: (-0.2478, -0.0200, 3.6571),
-                500: (-0.0698, -0.0033, 0.9152),
-            },
+            {100: (-0.4538, 0.0031, 8.9820), 300: (-0.2478, -0.0200, 3.6571), 500: (-0.0698, -0.0033, 0.9152)},
         ),
         (
             MAX_GAINS,
@@ -89,15 +84,13 @@ def _at(flight: FlightRecord, time_s: float) -> tuple[float, float, float]:
     ],
     ids=["yaw 10, max", "yaw 10, min", "roll 2, max"],
 )
-def test_trajectories(
-    fly: Fly, gains: OrbitalFrameGains, start: Start, points: dict[int, tuple[float, float, float]]
-) -> None:
+def test_trajectories(fly, gains, start, points):
     flight = fly(rigid_spacecraft(gains), start, 1000.0)
     for time_s, wanted in points.items():
         assert _at(flight, time_s) == pytest.approx(wanted, abs=0.002), time_s
 
 
-def test_pitch_tells_which_product_is_coded(fly: Fly) -> None:
+def test_pitch_tells_which_product_is_coded(fly):
     extreme = {}
     for product in (0, AS_PRINTED, YAW_FIRST):
         spacecraft = rigid_spacecraft()._replace(law=Law(product=product))
@@ -111,7 +104,7 @@ def test_pitch_tells_which_product_is_coded(fly: Fly) -> None:
 @pytest.mark.parametrize(
     ("gains", "wanted_s", "roll_deg", "at_s"), [(MAX_GAINS, 966.0, 0.440, 106.0), (MIN_GAINS, 700.0, 0.458, 115.0)]
 )
-def test_yaw_of_ten_degrees(fly: Fly, gains: OrbitalFrameGains, wanted_s: float, roll_deg: float, at_s: float) -> None:
+def test_yaw_of_ten_degrees(fly, gains, wanted_s, roll_deg, at_s):
     flight = fly(rigid_spacecraft(gains), Start(yaw_deg=10.0), 3000.0)
     first_s = float(flight.time_s[np.flatnonzero(np.abs(flight.yaw_deg) <= 0.1)[0]])
     assert first_s == pytest.approx(wanted_s, rel=0.01)
@@ -120,7 +113,7 @@ def test_yaw_of_ten_degrees(fly: Fly, gains: OrbitalFrameGains, wanted_s: float,
     assert flight.time_s[np.abs(flight.roll_deg).argmax()] == pytest.approx(at_s, rel=0.03)
 
 
-def test_roll_of_two_degrees(fly: Fly) -> None:
+def test_roll_of_two_degrees(fly):
     for gains, coarse_s, fine_s, yaw_deg in ((MAX_GAINS, 456.0, 783.0, 5.38), (MIN_GAINS, 500.0, 742.0, 5.50)):
         flight = fly(rigid_spacecraft(gains), Start(roll_deg=2.0), 3000.0)
         assert time_within(flight.time_s, flight.roll_deg, 0.1) == pytest.approx(coarse_s, rel=0.01)
@@ -128,13 +121,13 @@ def test_roll_of_two_degrees(fly: Fly) -> None:
         assert np.abs(flight.yaw_deg).max() == pytest.approx(yaw_deg, rel=0.01)
 
 
-def test_slope_of_a_half_is_too_slow(fly: Fly) -> None:
+def test_slope_of_a_half_is_too_slow(fly):
     spacecraft = rigid_spacecraft()._replace(law=Law(slope=0.5))
     flight = fly(spacecraft, Start(yaw_deg=10.0), 3000.0)
     assert flight.time_s[np.flatnonzero(np.abs(flight.yaw_deg) <= 0.1)[0]] == pytest.approx(1509.0, abs=15.0)
 
 
-def _closed_form_harmonic(gains: OrbitalFrameGains) -> tuple[float, float]:
+def _closed_form_harmonic(gains):
     """Return amplitudes of yaw and roll, deg, from the torque of the products by hand."""
     torque = ORBITAL_RATE_RAD_S**2 * math.hypot(NOMINAL_INERTIA.xy, 4.0 * NOMINAL_INERTIA.yz)
     x = torque / complex(gains.yaw_stiffness / math.sqrt(2.0), gains.yaw_damping * ORBITAL_RATE_RAD_S)
@@ -145,9 +138,7 @@ def _closed_form_harmonic(gains: OrbitalFrameGains) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("gains", "yaw_deg", "roll_deg"), [(MAX_GAINS, 0.0170, 0.00182), (MIN_GAINS, 0.0642, 0.00389)], ids=["max", "min"]
 )
-def test_products_of_inertia_move_the_craft_at_the_orbital_frequency(
-    fly: Fly, gains: OrbitalFrameGains, yaw_deg: float, roll_deg: float
-) -> None:
+def test_products_of_inertia_move_the_craft_at_the_orbital_frequency(fly, gains, yaw_deg, roll_deg):
     flight = fly(rigid_spacecraft(gains, NOMINAL_INERTIA), Start(), 15_000.0)
     late = flight.time_s > 15_000.0 - ORBIT_S
     yaw, roll = (
@@ -166,9 +157,7 @@ def test_products_of_inertia_move_the_craft_at_the_orbital_frequency(
     [(MAX_GAINS, 0.0457, 0.0010, 0.0050, 0.0001), (MIN_GAINS, 0.140, 0.002, 0.0098, 0.0003)],
     ids=["max", "min"],
 )
-def test_quantum_of_torque(
-    fly: Fly, gains: OrbitalFrameGains, yaw_deg: float, yaw_by: float, roll_deg: float, roll_by: float
-) -> None:
+def test_quantum_of_torque(fly, gains, yaw_deg, yaw_by, roll_deg, roll_by):
     spacecraft = rigid_spacecraft(gains, NOMINAL_INERTIA, is_sampled=True)
     flight = fly(spacecraft, Start(), 15_000.0)
     roll, _, yaw = largest_after(flight, 1500.0)
@@ -179,7 +168,7 @@ def test_quantum_of_torque(
     assert np.abs(codes).max() <= 127.0
 
 
-def test_noise_of_the_rates_lowers_the_peaks_of_the_quantum(fly: Fly) -> None:
+def test_noise_of_the_rates_lowers_the_peaks_of_the_quantum(fly):
     spacecraft = rigid_spacecraft(inertia=NOMINAL_INERTIA, is_sampled=True)._replace(
         rate_sensor=RateSensor(null_rad_s=(0.0, 0.0, 0.0), quantum_rad_s=1e-12, delay_periods=0)
     )
@@ -190,7 +179,7 @@ def test_noise_of_the_rates_lowers_the_peaks_of_the_quantum(fly: Fly) -> None:
         assert 0.0034 < roll < 0.0039
 
 
-def test_null_of_the_roll_rate_turns_the_craft_by_yaw(fly: Fly) -> None:
+def test_null_of_the_roll_rate_turns_the_craft_by_yaw(fly):
     means = []
     for sign in (1.0, -1.0):
         sensor = RateSensor(null_rad_s=(sign * 1.8e-7, 0.0, 0.0))
@@ -201,11 +190,11 @@ def test_null_of_the_roll_rate_turns_the_craft_by_yaw(fly: Fly) -> None:
     assert means == pytest.approx([-0.0100, 0.0100], abs=0.0005)
 
 
-def _corrected(spacecraft: OrbitalFrameSpacecraft, correction_rad_s: float) -> OrbitalFrameSpacecraft:
+def _corrected(spacecraft, correction_rad_s):
     return spacecraft._replace(computer=spacecraft.computer._replace(yaw_rate_correction_rad_s=correction_rad_s))
 
 
-def test_everything_at_once_with_the_smallest_gains(fly: Fly) -> None:
+def test_everything_at_once_with_the_smallest_gains(fly):
     spacecraft = OrbitalFrameSpacecraft(law=Law(gains=MIN_GAINS))
     before = fly(spacecraft, Start(), 15_000.0)
     assert mean_over_orbits(before, ORBITAL_RATE_RAD_S) == pytest.approx(-0.31, abs=0.02)
@@ -224,21 +213,21 @@ def test_everything_at_once_with_the_smallest_gains(fly: Fly) -> None:
 
 
 @pytest.mark.slow
-def test_everything_at_once_with_the_largest_gains(fly: Fly) -> None:
+def test_everything_at_once_with_the_largest_gains(fly):
     spacecraft = OrbitalFrameSpacecraft()
     correction = trimmed_correction_rad_s(spacecraft, 15_000.0, compiled_fly())
     yaw = largest_after(fly(_corrected(spacecraft, correction), Start(), 15_000.0), 1500.0)[2]
     assert 0.05 < yaw < 0.09
 
 
-def test_side_on_which_the_wheel_turns_is_that_of_the_product(fly: Fly) -> None:
+def test_side_on_which_the_wheel_turns_is_that_of_the_product(fly):
     flipped = NOMINAL_INERTIA._replace(yz=-NOMINAL_INERTIA.yz)
     flight = fly(OrbitalFrameSpacecraft(law=Law(gains=MIN_GAINS), inertia=flipped), Start(), 15_000.0)
     assert mean_over_orbits(flight, ORBITAL_RATE_RAD_S) == pytest.approx(0.28, abs=0.04)
 
 
 @pytest.mark.slow
-def test_eight_statements_without_a_figure_of_their_own(fly: Fly) -> None:
+def test_eight_statements_without_a_figure_of_their_own(fly):
     """Transients of the smallest gains, constant yaw and its correction, noise, friction, tones, resonance."""
     rows = reproduce(compiled_fly())
     found = {(row.what, row.parameters.rpartition(", ")[2]): row for row in rows}
@@ -263,7 +252,7 @@ def test_eight_statements_without_a_figure_of_their_own(fly: Fly) -> None:
     assert sum(row.is_known_miss for row in rows if row.verdict == "not reproduced") == 3
 
 
-def test_rates_are_as_old_as_their_sensor_says(fly: Fly) -> None:
+def test_rates_are_as_old_as_their_sensor_says(fly):
     """Four periods differ from one; before, every delay above zero was one period."""
     high = MAX_GAINS._replace(yaw_stiffness=40.0, yaw_damping=8000.0)
     torques = [
@@ -278,7 +267,7 @@ def test_rates_are_as_old_as_their_sensor_says(fly: Fly) -> None:
         fly(OrbitalFrameSpacecraft(rate_sensor=RateSensor(delay_periods=-1)), Start(), 10.0)
 
 
-def test_free_libration_has_the_period_of_the_gravity_gradient(fly: Fly) -> None:
+def test_free_libration_has_the_period_of_the_gravity_gradient(fly):
     spacecraft = rigid_spacecraft(OrbitalFrameGains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     rate = (0.0, ORBITAL_RATE_RAD_S, 0.0)
     flight = fly(spacecraft, Start(pitch_deg=1.0, rate_rad_s=rate), 16_000.0)
@@ -288,7 +277,7 @@ def test_free_libration_has_the_period_of_the_gravity_gradient(fly: Fly) -> None
     assert np.diff(crossing_s).mean() == pytest.approx(4965.0, abs=2.0)
 
 
-def _equations(_time_s: float, y: NDArray[np.float64]) -> NDArray[np.float64]:
+def _equations(_time_s, y):
     """Return the derivative of the continuous model, written here from the equations alone."""
     j = np.array([[8000.0, 100.0, 60.0], [100.0, 6000.0, 114.0], [60.0, 114.0, 5000.0]])
     w0 = ORBITAL_RATE_RAD_S
@@ -314,7 +303,7 @@ def _equations(_time_s: float, y: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @pytest.mark.slow
-def test_continuous_model_against_an_adaptive_integrator(fly: Fly) -> None:
+def test_continuous_model_against_an_adaptive_integrator(fly):
     flight = fly(rigid_spacecraft(inertia=NOMINAL_INERTIA, steps=4), Start(roll_deg=2.0), 1000.0)
     half = math.radians(1.0)
     k0 = ORBITAL_RATE_RAD_S * np.array([100.0, 6000.0, 114.0])
@@ -326,19 +315,19 @@ def test_continuous_model_against_an_adaptive_integrator(fly: Fly) -> None:
     assert turned < 1e-7
 
 
-def test_printed_sign_of_the_momentum_equation_breaks_conservation() -> None:
+def test_printed_sign_of_the_momentum_equation_breaks_conservation():
     j = np.diag([8000.0, 6000.0, 5000.0])
 
-    def inertial_momentum_drift(sign: float) -> float:
+    def inertial_momentum_drift(sign):
         """Return how far the inertial momentum moves in 3000 s, relative; quaternion and momentum by hand."""
 
-        def slope(y: NDArray[np.float64]) -> NDArray[np.float64]:
+        def slope(y):
             s, v, k = y[0], y[1:4], y[4:7]
             w = np.linalg.solve(j, k)
             turning = 0.5 * np.concatenate([[-v @ w], s * w + np.cross(v, w)])
             return np.concatenate([turning, sign * np.cross(k, w)])
 
-        def inertial(y: NDArray[np.float64]) -> NDArray[np.float64]:
+        def inertial(y):
             s, v, k = y[0], y[1:4], y[4:7]
             return (s * s - v @ v) * k + 2.0 * v * (v @ k) + 2.0 * s * np.cross(v, k)
 
@@ -350,13 +339,13 @@ def test_printed_sign_of_the_momentum_equation_breaks_conservation() -> None:
     assert inertial_momentum_drift(-1.0) > 0.3
 
 
-def test_kernels_agree(fly: Fly) -> None:
+def test_kernels_agree(fly):
     spacecraft = OrbitalFrameSpacecraft()
     one, other = fly(spacecraft, Start(yaw_deg=3.0), 200.0), fly_spacecraft(spacecraft, Start(yaw_deg=3.0), 200.0)
     assert np.abs(one.yaw_deg - other.yaw_deg).max() < 1e-9
 
 
-def test_yaw_from_anywhere(fly: Fly) -> None:
+def test_yaw_from_anywhere(fly):
     for yaw_deg in (120.0, 170.0):
         flight = fly(rigid_spacecraft(), Start(yaw_deg=yaw_deg, is_literal=False), 8000.0)
         assert abs(flight.yaw_deg[-1]) < 0.1

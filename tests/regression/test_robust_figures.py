@@ -1,6 +1,5 @@
 """Figures of the robust method and of its filter."""
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +8,7 @@ import robust_world
 
 from analyzer_sim.export import export_arrays
 from analyzer_sim.world.payload.payload import nominal_gain_db
-from analyzer_sim.world.scenario.scenario import downlink_rain, scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion
@@ -23,7 +22,6 @@ from service.core.estimation.calibration.quadratic_response import (
 from service.core.estimation.design import choose_carriers
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.observability import crlb_deg
-from service.core.estimation.paper.octants import predict_deviation_db, solve_octants
 from service.core.estimation.snapshot.snapshot import CarrierUse, solve_snapshots
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.core.geometry.frames import station_direction
@@ -236,33 +234,6 @@ def test_yaw_scale_and_efficiency_with_a_fitted_calibration():
     assert np.mean(excluded) <= 0.003
 
 
-@pytest.mark.slow
-def test_octants_of_noise_free_powers_with_a_calibration_from_noise():
-    """Acceptance test 5: corners of 0.3 deg, calibration from `nominal`."""
-    corners = 0.3 * np.array([[y, r, p] for y in (1, -1) for r in (1, -1) for p in (1, -1)])
-    errors = []
-    for seed in range(1, 6):
-        one = calibrated("nominal", seed)
-        fixes = solve_snapshots(one.response, one.truth_db(corners), np.full(16, 0.02), subset_orders(16))
-        errors.append(fixes.attitude_deg - corners)
-    found = rms(np.concatenate(errors))
-    print(f"seeds 1..5: corner rms {found} deg")
-    assert found[1] <= 0.02
-    assert found[2] <= 0.04
-
-
-def test_octants_of_noise_free_powers_by_the_paper_method():
-    """Acceptance test 5, `paper`: the enumeration is the best of the eight bounded problems, to 1e-6."""
-    rng = np.random.default_rng(5)
-    plus, minus = (rng.normal(0.0, [0.16, 1.4, 1.2], (12, 3)) for _ in range(2))
-    for signs in ((1, 1, 1), (-1, 1, -1), (-1, -1, -1)):
-        attitude = 0.3 * np.array(signs)
-        fix = solve_octants(plus, minus, predict_deviation_db(plus, minus, attitude), None)
-        # noise-free powers of the model itself: the minimum is zero
-        assert fix.cost <= 1e-12
-        assert fix.attitude_deg == pytest.approx(attitude, abs=1e-6)
-
-
 def test_calibration_predicts_levels_days_later():
     """Daily change by the dish law on day 4 against the simulator's dishes and orbit, noise-free."""
     one = calibrated("white", 3)
@@ -432,25 +403,6 @@ def test_innovations_have_the_variance_they_are_given():
     band = 1.96 * np.sqrt(2.0 / (reported.nis[60:].size * reported.is_used.shape[1]))
     print(f"white seed {SEEDS[0]}: normalised innovation squared {ratio:.4f}, band 1 +- {band:.4f}")
     assert abs(ratio - 1.0) <= band
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("slope_db_min", [0.02, 0.05, 0.1, 0.3, 1.0, 3.0])
-def test_downlink_rain_is_found_within_a_minute(slope_db_min):
-    """Delay after 0.3 dB, coverage of the wet rows, control back after the end."""
-    seed = SEEDS[0]
-    scenario = replace(downlink_rain(slope_db_min, 3.0, 60.0), operation_h=14.0)
-    reported = robust_world.RobustWorld(scenario, seed).drive()
-    wet = reported.fade_db > 0.3
-    begin, end = int(np.argmax(wet)), int(np.flatnonzero(reported.fade_db > 0.05)[-1])
-    delay, coverage = int(np.argmax(reported.is_raining[begin:])), float(reported.is_raining[wet].mean())
-    back = int(np.argmin(reported.is_raining[end:]))
-    print(f"{slope_db_min} dB/min, seed {seed}: delay {delay} min, coverage {coverage:.3f}, back after {back} min")
-    assert reported.is_raining[begin : begin + 2].any()
-    assert not reported.is_raining[: begin - 60].any(), "no rain in the dry"
-    assert delay <= 1
-    assert coverage >= 0.98
-    assert back <= 15
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 from calibration_world import calibration_input
-from driven_world import Flown, shared_world, tolerated_deg
+from driven_world import shared_world, tolerated_deg
 from kept_results import kept
 
 from analyzer_sim.export import export_arrays
@@ -21,7 +21,6 @@ from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import MotionVerdict
 from service.records.inputs import PolarizationRecord
-from service.records.journal import SlowInput
 from service.study.estimation.accuracy import AXES
 from service.study.estimation.flight.drive import calibrate, drive
 from service.study.estimation.flight.world import GroundEvent, export_world, read_world
@@ -37,10 +36,10 @@ Records = list[PolarizationRecord]
 Change = Callable[[Records], list[tuple[int, PolarizationRecord]]]
 
 
-def turned(function: Callable[[float, float], tuple[float, float]]) -> Change:
+def turned(function):
     """Return records whose angle, deg, and co-polar power, dBm, are functions of hour and angle of the true ones."""
 
-    def change(records: Records) -> list[tuple[int, PolarizationRecord]]:
+    def change(records):
         start_us, made = records[0].epoch_us, []
         for one in records:
             assert one.ratio_db is not None
@@ -55,7 +54,7 @@ def turned(function: Callable[[float, float], tuple[float, float]]) -> Change:
     return change
 
 
-def saturated(records: Records) -> list[tuple[int, PolarizationRecord]]:
+def saturated(records):
     """Return records of a receiver that is compressed by 20 dB from hour 4 on: the ratio shrinks."""
     start_us = records[0].epoch_us
     return [
@@ -69,35 +68,35 @@ def saturated(records: Records) -> list[tuple[int, PolarizationRecord]]:
     ]
 
 
-def stale(records: Records) -> list[tuple[int, PolarizationRecord]]:
+def stale(records):
     """Return records that repeat the first one."""
     return [(one.epoch_us, replace(one, ratio_db=records[0].ratio_db)) for one in records]
 
 
-def late(records: Records) -> list[tuple[int, PolarizationRecord]]:
+def late(records):
     """Return records that are handed over three hours late, with their true epochs."""
     return [(one.epoch_us + 3 * HOUR_US, one) for one in records]
 
 
-def disordered(records: Records) -> list[tuple[int, PolarizationRecord]]:
+def disordered(records):
     """Return records that are handed over four at a time in a drawn order."""
     order = np.random.default_rng(1)
     fours = [records[k : k + 4] for k in range(0, len(records), 4)]
     return [(four[-1].epoch_us, four[k]) for four in fours for k in order.permutation(len(four)).tolist()]
 
 
-def rain(hour: float, angle_deg: float) -> tuple[float, float]:
+def rain(hour, angle_deg):
     """Rain of 4 dB for two hours that turns the polarisation by 0.4 deg."""
     depth = float(np.clip(4.0 * min(hour - 5.0, 7.0 - hour), 0.0, 1.0))
     return angle_deg + 0.4 * depth, -4.0 * depth
 
 
-def wild(hour: float, angle_deg: float) -> tuple[float, float]:
+def wild(hour, angle_deg):
     rng = np.random.default_rng(round(1e6 * hour))
     return angle_deg + float((rng.random() < 0.3) * rng.normal(0.0, 5.0)), 0.0
 
 
-def reversed_angle(content: SlowInput) -> SlowInput:
+def reversed_angle(content):
     """Return a record whose ratio tells the angle of the other sign; other inputs stay."""
     if not isinstance(content, PolarizationRecord) or content.ratio_db is None:
         return content
@@ -121,7 +120,7 @@ BAD: dict[str, tuple[Change, str | None]] = {
 
 
 @cache
-def flown(kind: str, seed: int = SEED) -> Flown:
+def flown(kind, seed=SEED):
     """Return the flight with records of a kind; "" = without any."""
     world = shared_world("polarized", seed, DAYS)
     is_own = [
@@ -137,7 +136,7 @@ def flown(kind: str, seed: int = SEED) -> Flown:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", BAD)
-def test_a_bad_polarimeter_leads_to_no_wrong_torque_and_costs_little(kind: str) -> None:
+def test_a_bad_polarimeter_leads_to_no_wrong_torque_and_costs_little(kind):
     advice = BAD[kind][1]
     found, plain_deg = flown(kind), flown("").rms_deg(1.0)
     said = [
@@ -151,7 +150,7 @@ def test_a_bad_polarimeter_leads_to_no_wrong_torque_and_costs_little(kind: str) 
 
 @pytest.mark.nightly
 @pytest.mark.slow
-def test_a_polarimeter_that_falls_silent_makes_yaw_no_worse_but_by_chance() -> None:
+def test_a_polarimeter_that_falls_silent_makes_yaw_no_worse_but_by_chance():
     silent, none = (np.array([flown(kind, seed).rms_deg(1.0)[0] for seed in SEEDS]) for kind in ("saturated", ""))
     print("seeds", SEEDS, "silent", silent.round(4), "none", none.round(4))
     pooled_deg, none_deg = (float(np.sqrt(np.mean(one**2))) for one in (silent, none))
@@ -160,7 +159,7 @@ def test_a_polarimeter_that_falls_silent_makes_yaw_no_worse_but_by_chance() -> N
 
 
 @pytest.mark.slow
-def test_a_polarimeter_that_is_not_used_changes_no_bit() -> None:
+def test_a_polarimeter_that_is_not_used_changes_no_bit():
     world = shared_world("polarized", SEED, DAYS)
     kept, spacecraft = world.ground, world.ground.spacecraft
     unused = tuple(replace(each, used=False) for each in spacecraft.polarimeters)
@@ -177,10 +176,9 @@ def test_a_polarimeter_that_is_not_used_changes_no_bit() -> None:
 
 
 @pytest.mark.slow
-def test_a_polarimeter_whose_sign_is_wrong_from_the_turns_on_is_refused_to_the_last_bit() -> None:
+def test_a_polarimeter_whose_sign_is_wrong_from_the_turns_on_is_refused_to_the_last_bit():
     world = shared_world("polarized", SEED, DAYS)
     kept, calibration = world.ground, world.documents.calibrations[1]
-    assert calibration.result is not None
     assert [check.verdict for check in calibration.result.polarimeters] == [MotionVerdict.CONSISTENT]
     wrong = tuple(GroundEvent(one.reported_us, reversed_angle(one.content)) for one in kept.events)
     try:
@@ -188,7 +186,6 @@ def test_a_polarimeter_whose_sign_is_wrong_from_the_turns_on_is_refused_to_the_l
         plan, ephemeris = world.documents.plans[1], world.documents.ephemerides[1]
         world.documents.calibrations[1] = calibrate(world.ground, plan, ephemeris)
         result = world.documents.calibrations[1].result
-        assert result is not None
         (check,) = result.polarimeters
         print(f"seed {SEED}: {check}")
         assert check.verdict is MotionVerdict.CONTRADICTED
@@ -202,7 +199,7 @@ def test_a_polarimeter_whose_sign_is_wrong_from_the_turns_on_is_refused_to_the_l
     np.testing.assert_array_equal(found.sigma_deg, plain.sigma_deg)
 
 
-def stated(stated_deg: float, *, is_learned: bool = True) -> Flown:
+def stated(stated_deg, *, is_learned=True):
     """Return the flight under a catalogue that states a turn of the feed; else calibration tells nothing of it."""
     world = shared_world("polarized", SEED, DAYS)
     kept, calibration = world.ground, world.documents.calibrations[1]
@@ -210,9 +207,7 @@ def stated(stated_deg: float, *, is_learned: bool = True) -> Flown:
     try:
         world.ground = replace(kept, spacecraft=replace(kept.spacecraft, polarimeters=polarimeters))
         made = calibrate(world.ground, world.documents.plans[1], world.documents.ephemerides[1])
-        assert made.result is not None
         (check,) = made.result.polarimeters
-        assert check.feed is not None
         print(f"seed {SEED}, catalogue {stated_deg} deg: {check.feed.mean[0]:.3f} deg with leakage")
         blind = replace(made.result, polarimeters=(replace(check, feed=None),))
         world.documents.calibrations[1] = made if is_learned else replace(made, result=blind)
@@ -221,7 +216,7 @@ def stated(stated_deg: float, *, is_learned: bool = True) -> Flown:
         world.ground, world.documents.calibrations[1] = kept, calibration
 
 
-def moved(turn_deg: float) -> Flown:
+def moved(turn_deg):
     """Return the flight with a feed that was turned between calibration and alignment."""
     world = shared_world("polarized", SEED, DAYS)
     kept, start_us, events = world.ground, world.ground.phases["alignment"].start_us, []
@@ -240,7 +235,7 @@ def moved(turn_deg: float) -> Flown:
 
 @pytest.mark.nightly
 @pytest.mark.slow
-def test_a_catalogue_that_is_wrong_by_a_degree_costs_nothing() -> None:
+def test_a_catalogue_that_is_wrong_by_a_degree_costs_nothing():
     right, believed = stated(TRUE_DEG), stated(TRUE_DEG, is_learned=False)
     print(
         "yaw rms", right.rms_deg(1.0)[0].round(4), "with nothing learned of the feed", believed.rms_deg(1.0)[0].round(4)
@@ -254,7 +249,7 @@ def test_a_catalogue_that_is_wrong_by_a_degree_costs_nothing() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", [0.1, 0.2, -0.3, 0.5, -2.0])
-def test_a_feed_that_moved_after_the_calibration_leads_to_no_wrong_torque_and_costs_little(turn_deg: float) -> None:
+def test_a_feed_that_moved_after_the_calibration_leads_to_no_wrong_torque_and_costs_little(turn_deg):
     found, plain_deg = moved(turn_deg), flown("").rms_deg(1.0)
     told = [name for name in ("polarimeter_moved", "polarimeter_refused") if found.advises(name).any()]
     print(f"seed {SEED}, {turn_deg} deg: {found.rms_deg(1.0).round(4)}, without {plain_deg.round(4)}, {told}")
@@ -325,7 +320,7 @@ def test_a_healthy_world_is_proven_and_silent(name, seed):
     assert not [text for text in result.warnings if "sign" in text or "scale" in text]
 
 
-SEEDS_SMOOTHED_SENSORS = (1, 2, 3)
+SMOOTHED_SEEDS = (1, 2, 3)
 
 
 def gained(scenario, seed, days=None):
@@ -351,7 +346,7 @@ def figures(scenario, seeds, days=None):
 @pytest.mark.timeout(1800)  # three flights of two days
 @pytest.mark.parametrize("scenario", ["wheels", "polarized", "rates"])
 def test_smoothing_gains_on_each_axis_where_motion_is_measured(scenario):
-    found = figures(scenario, SEEDS_SMOOTHED_SENSORS)
+    found = figures(scenario, SMOOTHED_SEEDS)
     for name in ("smoothed", "smoothed_2h"):
         for axis in AXES:
             assert found[f"{name}.over_filter.{axis}"] < 0.95

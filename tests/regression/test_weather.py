@@ -99,7 +99,7 @@ def test_reports_over_worlds(scenario, seed):
 
 
 RELEARNED = ("weather_far", 6)
-NIGHTLY_WEATHER_WORLDS = (
+NIGHTLY_WORLDS = (
     ("weather_far", 2),
     ("weather_far", 8),
     ("weather_near", 5),
@@ -137,7 +137,7 @@ def test_rain_teaches_no_wrong_angle():
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("scenario", "seed"), NIGHTLY_WEATHER_WORLDS)
+@pytest.mark.parametrize(("scenario", "seed"), NIGHTLY_WORLDS)
 def test_rain_teaches_no_wrong_angle_over_worlds(scenario, seed):
     assert_honest(scenario, seed)
 
@@ -148,7 +148,7 @@ SLOPES_DB_MIN = (0.05, 0.1, 0.3, 1.0, 3.0)
 LATEST_STOP_MIN = 20
 
 
-def _stop_delay_min(slope_db_min: float, seed: int) -> int | None:
+def _stop_delay_min(slope_db_min, seed):
     """Return how long after 0.3 dB control was stopped, None = never; fails when it was stopped in the dry before."""
     scenario = replace(downlink_rain(slope_db_min, 2.0, 40.0), operation_h=8.0)
     driven = exported_world.driven(scenario, seed)

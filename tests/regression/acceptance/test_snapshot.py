@@ -177,18 +177,18 @@ def test_yaw_is_told_in_its_own_scale(tmp_path):
     assert slope[1:] == pytest.approx([1.0, 1.0], abs=0.03)
 
 
-SEED_PAPER = 12
+PAPER_SEED = 12
 METHODS = (Method.ROBUST, Method.PAPER)
 
 
 @pytest.mark.slow
 def test_the_paper_method_goes_through_octants():
     """Bounds of the paper method on `octants`; an answer on every settled row, so no row cycles; no rain is told."""
-    reported = shared_world("octants", SEED_PAPER).fly(method=Method.PAPER)
+    reported = shared_world("octants", PAPER_SEED).fly(method=Method.PAPER)
     settled = reported.between(1.0)
     rms = reported.rms_deg(1.0)
     slope = np.polyfit(reported.truth_deg[settled, 0], reported.estimate_deg[settled, 0], 1)[0]
-    print(f"octants seed {SEED_PAPER}: paper rms {rms.round(3)}, yaw slope {slope:.2f}")
+    print(f"octants seed {PAPER_SEED}: paper rms {rms.round(3)}, yaw slope {slope:.2f}")
     assert all(
         row.status is Status.ACQUIRED for row, is_settled in zip(reported.rows, settled, strict=True) if is_settled
     )
@@ -201,7 +201,7 @@ def test_the_paper_method_goes_through_octants():
 def test_the_order_of_the_carriers_does_not_matter_from_calibration_to_attitude(tmp_path):
     """Acceptance test 15: another order in the plan, calibrated, aligned and flown again by both methods."""
     straight = shared_world("nominal", 5)
-    order = np.random.default_rng(SEED_PAPER).permutation(16)
+    order = np.random.default_rng(PAPER_SEED).permutation(16)
     shuffled = DrivenWorld(straight.simulated.scenario, 5, tmp_path, order=order)
     assert shuffled.documents.plans[1].carrier_ids != straight.documents.plans[1].carrier_ids
     for method in METHODS:
@@ -211,12 +211,12 @@ def test_the_order_of_the_carriers_does_not_matter_from_calibration_to_attitude(
         np.testing.assert_allclose(other.sigma_deg, one.sigma_deg, atol=1e-9)
 
 
-SEED_BAD_INPUT = 5
+BAD_SEED = 5
 
 
 @pytest.fixture(scope="module")
 def world():
-    return shared_world("nominal", SEED_BAD_INPUT)
+    return shared_world("nominal", BAD_SEED)
 
 
 def with_references(ground, change):
@@ -302,15 +302,15 @@ def test_a_window_without_turns_is_refused_in_words(world):
 @pytest.mark.slow
 def test_stations_given_twice_are_flown_all_the_same(tmp_path):
     """Two pairs of carriers from one station each: less geometry, and an answer as good as sixteen less two give."""
-    world = shared_world("nominal", SEED_BAD_INPUT)
+    world = shared_world("nominal", BAD_SEED)
     carriers, power_dbm = list(world.ground.carriers), world.ground.power_dbm.copy()
     for copy, original in ((3, 7), (12, 1)):
         carriers[copy] = replace(carriers[original], id=carriers[copy].id)
         power_dbm[:, copy] = power_dbm[:, original] + 2.0
-    twin = DrivenWorld(world.simulated.scenario, SEED_BAD_INPUT, tmp_path)
+    twin = DrivenWorld(world.simulated.scenario, BAD_SEED, tmp_path)
     twin.adopt(replace(world.ground, carriers=tuple(carriers), power_dbm=power_dbm))
     reported = twin.fly(until_h=6.0)
-    print(f"seed {SEED_BAD_INPUT}: rms {reported.rms_deg(1.0).round(4)}")
+    print(f"seed {BAD_SEED}: rms {reported.rms_deg(1.0).round(4)}")
     assert all(row.status is Status.ACQUIRED for row in reported.rows)
     # the must of nominal, roll and pitch
     assert (reported.rms_deg(1.0)[1:] <= [0.025, 0.030]).all()
@@ -330,7 +330,7 @@ def test_blocks_of_45_per_cent_in_the_quiet_days_move_no_level():
 
     Noise that wanders would move levels by itself when half of the samples are left, an unstable user's by 0.1 dB.
     """
-    world, hit = shared_world("white", SEED_BAD_INPUT), [2, 8, 13]
+    world, hit = shared_world("white", BAD_SEED), [2, 8, 13]
     quiet, epochs_us = world.ground.phases["quiet"], world.ground.epochs_us
     length_us = quiet.stop_us - quiet.start_us
     begin_us = quiet.start_us + length_us // 5
@@ -339,7 +339,7 @@ def test_blocks_of_45_per_cent_in_the_quiet_days_move_no_level():
     spoilt = recalibrated(world, replace(world.ground, power_dbm=power_dbm))
     moved_db = daily_levels(world, spoilt) - daily_levels(world, world.documents.calibrations[1].result)
     mean_db, swing_db = np.abs(moved_db.mean(axis=0)), 0.5 * np.ptp(moved_db, axis=0)
-    print(f"seed {SEED_BAD_INPUT}: means moved by {mean_db[hit].round(4)}, amplitudes by {swing_db[hit].round(4)} dB")
+    print(f"seed {BAD_SEED}: means moved by {mean_db[hit].round(4)}, amplitudes by {swing_db[hit].round(4)} dB")
     assert (mean_db <= 0.03).all()
     assert (swing_db <= 0.03).all()
 

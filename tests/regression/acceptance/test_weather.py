@@ -115,7 +115,7 @@ def test_no_input_makes_a_confident_wrong_angle_over_seeds(change):
     assert sum(wrong_minutes(seed, change) for seed in NIGHTLY_SEEDS) <= 20
 
 
-SEED_RAIN, NIGHTLY_SEEDS_RAIN = 5, (21, 22, 23, 24, 25)
+RAIN_SEED, NIGHTLY_RAIN = 5, (21, 22, 23, 24, 25)
 #: dB/min, and dB
 RAINS = ((0.02, 2.0), (0.05, 3.0), (0.1, 3.0), (0.3, 4.0), (1.0, 5.0), (3.0, 6.0))
 START_H = 2.0
@@ -151,11 +151,11 @@ def assert_rain_is_found(world, slope_db_min, depth_db):
 @pytest.mark.parametrize(("slope_db_min", "depth_db"), RAINS)
 def test_rain_is_found_within_a_minute(slope_db_min, depth_db):
     """A minute after 0.3 dB, 95 % of the wet rows, no wrong torque."""
-    assert_rain_is_found(shared_world("nominal", SEED_RAIN), slope_db_min, depth_db)
+    assert_rain_is_found(shared_world("nominal", RAIN_SEED), slope_db_min, depth_db)
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("seed", NIGHTLY_SEEDS_RAIN)
+@pytest.mark.parametrize("seed", NIGHTLY_RAIN)
 @pytest.mark.parametrize(("slope_db_min", "depth_db"), RAINS)
 def test_rain_is_found_within_a_minute_over_seeds(slope_db_min, depth_db, seed):
     assert_rain_is_found(shared_world("nominal", seed), slope_db_min, depth_db)
@@ -176,7 +176,7 @@ def test_excursions_are_no_rain():
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("seed", NIGHTLY_SEEDS_RAIN)
+@pytest.mark.parametrize("seed", NIGHTLY_RAIN)
 def test_excursions_are_no_rain_over_seeds(seed):
     assert_no_rain_in_octants(shared_world("octants", seed, 2.0))
 
@@ -195,13 +195,13 @@ def assert_long_rain(world, slope_db_min):
 @pytest.mark.parametrize("slope_db_min", [0.1, 100.0])
 def test_a_long_rain_turns_little_and_control_comes_back(slope_db_min):
     """Two decibels for 3.3 hours, slow and sudden; control is back 15 minutes after the end."""
-    back = assert_long_rain(shared_world("nominal", SEED_RAIN), slope_db_min)
+    back = assert_long_rain(shared_world("nominal", RAIN_SEED), slope_db_min)
     print(f"control back after {back} min")
     assert back <= 15
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("seed", NIGHTLY_SEEDS_RAIN)
+@pytest.mark.parametrize("seed", NIGHTLY_RAIN)
 @pytest.mark.parametrize("slope_db_min", [0.1, 100.0])
 def test_a_long_rain_turns_little_over_seeds(slope_db_min, seed):
     print(f"control back after {assert_long_rain(shared_world('nominal', seed), slope_db_min)} min")
@@ -219,7 +219,7 @@ def test_control_is_back_in_time_also_where_the_chain_drifted_meanwhile():
     assert back <= 15
 
 
-SEEDS, NIGHTLY_SEEDS_COMMON_LEVEL = {"nominal": 5, "dual_band": 11}, (4, 6, 11, 12, 13, 14)
+SEEDS, NIGHTLY_LEVEL = {"nominal": 5, "dual_band": 11}, (4, 6, 11, 12, 13, 14)
 #: the seed on which a fall of ten hours is worst
 LONG_SEED = 5
 STEPS_DB, WORLDS = (3.0, 0.5, -0.4, -3.0), tuple(SEEDS)
@@ -269,11 +269,11 @@ def test_a_step_of_all_carriers_turns_little(name, step_db):
 def test_a_step_of_all_carriers_turns_little_over_seeds(name, step_db):
     """Mean of six seeds, as all figures of the method are stated."""
     shifts = []
-    for seed in NIGHTLY_SEEDS_COMMON_LEVEL:
+    for seed in NIGHTLY_LEVEL:
         reported, shift, off = stepped(shared_world(name, seed), step_db)
         assert_control(reported, step_db, off)
         shifts.append(shift)
-    print(f"{name}, seeds {NIGHTLY_SEEDS_COMMON_LEVEL}: mean shift {np.mean(shifts, axis=0).round(4)}")
+    print(f"{name}, seeds {NIGHTLY_LEVEL}: mean shift {np.mean(shifts, axis=0).round(4)}")
     assert (np.mean(shifts, axis=0) <= SHIFT_DEG).all()
 
 
@@ -298,7 +298,7 @@ def test_a_fall_that_stands_for_ten_hours_turns_no_more():
     assert not reported.says("unannounced_motion").any()
 
 
-SEED_GAPS, NIGHTLY_SEEDS_GAPS = 5, (3, 4, 6, 11, 12, 13, 14, 15)
+GAP_SEED, NIGHTLY_GAPS = 5, (3, 4, 6, 11, 12, 13, 14, 15)
 STARTS_H, GAP_H = (1.5, 4.5, 7.5), 3.0
 INSIDE_DEG = np.array([0.25, 0.04, 0.10])
 #: roll and pitch, an hour after the end
@@ -328,8 +328,8 @@ def rms(errors):
 
 @pytest.mark.slow
 def test_errors_in_three_dark_hours_and_one_hour_after():
-    inside, after = judged(shared_world("nominal", SEED_GAPS))
-    print(f"seed {SEED_GAPS}, three gaps: rms inside {rms(inside).round(4)}, an hour after {after.round(4).tolist()}")
+    inside, after = judged(shared_world("nominal", GAP_SEED))
+    print(f"seed {GAP_SEED}, three gaps: rms inside {rms(inside).round(4)}, an hour after {after.round(4).tolist()}")
     assert (rms(inside) <= INSIDE_DEG).all()
     assert (np.abs(after[:, 1:]) <= AFTER_DEG).all()
 
@@ -337,7 +337,7 @@ def test_errors_in_three_dark_hours_and_one_hour_after():
 @cache
 def judged_over_seeds():
     """Return what `judged` does, of all gaps of all seeds; one gap scatters much, so they are pooled."""
-    reported = [judged(shared_world("nominal", seed)) for seed in NIGHTLY_SEEDS_GAPS]
+    reported = [judged(shared_world("nominal", seed)) for seed in NIGHTLY_GAPS]
     inside, after = (np.concatenate([one[k] for one in reported]) for k in range(2))
     print(f"{len(after)} gaps: inside {rms(inside).round(4)}, an hour after rms {rms(after).round(4)}")
     return inside, after
@@ -361,7 +361,7 @@ def test_roll_in_three_dark_hours_over_seeds():
 @pytest.mark.parametrize("present", [0, 3])
 def test_with_fewer_than_four_carriers_the_product_coasts(present):
     """Angles go on with a growing sigma, the row says that it is no fix, and control waits; then all comes back."""
-    world, begin_h = shared_world("nominal", SEED_GAPS), 4.5
+    world, begin_h = shared_world("nominal", GAP_SEED), 4.5
     reported = coasted(world, begin_h, slice(present, None))
     dark = reported.between(begin_h, begin_h + GAP_H)
     before = int(np.argmax(dark)) - 1
@@ -384,12 +384,12 @@ def test_with_fewer_than_four_carriers_the_product_coasts(present):
         np.testing.assert_array_equal(reported.estimate_deg[dark], nothing.estimate_deg[dark])
 
 
-SEED_RETURNS, NIGHTLY_SEEDS_RETURNS = 5, (3, 4, 6, 11, 12, 13)
+RETURN_SEED, NIGHTLY_RETURNS = 5, (3, 4, 6, 11, 12, 13)
 AWAY_H, BACK_H = 2.0, 8.0
 #: carriers that go, and by how much they are changed when they return, dB
 GONE, CHANGE_DB = [5, 9], np.array([1.5, -0.8])
 STEP_DEG = np.array([0.02, 0.005, 0.005])
-SHIFT_DEG_RETURNS = np.array([0.05, 0.02, 0.02])
+RETURN_SHIFT_DEG = np.array([0.05, 0.02, 0.02])
 
 
 def assert_return_turns_little(world):
@@ -402,7 +402,7 @@ def assert_return_turns_little(world):
     step, shift = np.abs(np.diff(apart, axis=0)).max(axis=0), np.abs(apart - apart[0]).max(axis=0)
     print(f"return at {CHANGE_DB} dB: largest step of a row {step.round(4)}, shift {shift.round(4)}")
     assert (step <= STEP_DEG).all()
-    assert (shift <= SHIFT_DEG_RETURNS).all()
+    assert (shift <= RETURN_SHIFT_DEG).all()
     out = {
         item.carrier
         for row, hour in zip(reported.rows, reported.hours, strict=True)
@@ -415,11 +415,11 @@ def assert_return_turns_little(world):
 
 @pytest.mark.slow
 def test_carriers_that_return_at_another_level_turn_little():
-    assert_return_turns_little(shared_world("nominal", SEED_RETURNS))
+    assert_return_turns_little(shared_world("nominal", RETURN_SEED))
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("seed", NIGHTLY_SEEDS_RETURNS)
+@pytest.mark.parametrize("seed", NIGHTLY_RETURNS)
 def test_carriers_that_return_at_another_level_turn_little_over_seeds(seed):
     assert_return_turns_little(shared_world("nominal", seed))
 
@@ -427,14 +427,14 @@ def test_carriers_that_return_at_another_level_turn_little_over_seeds(seed):
 @pytest.mark.slow
 def test_when_references_are_learned_anew_an_alignment_is_advised():
     """One user after the other changes the level for good; the advice comes with the sixth of sixteen and stays."""
-    world = shared_world("nominal", SEED_RETURNS)
-    rng = np.random.default_rng(SEED_RETURNS)
+    world = shared_world("nominal", RETURN_SEED)
+    rng = np.random.default_rng(RETURN_SEED)
     starts_h = 1.0 + 0.6 * np.arange(16)
     sizes_db = rng.uniform(0.8, 3.0, 16) * rng.choice([-1.0, 1.0], 16)
     reported = world.fly(world.ground.power_dbm + np.where(world.hours[:, None] >= starts_h, sizes_db, 0.0))
     is_advised = reported.advises("realign")
     first_h = float(reported.hours[np.argmax(is_advised)])
-    print(f"seed {SEED_RETURNS}: advice after {first_h:.2f} h, rms {reported.rms_deg(1.0).round(4)}")
+    print(f"seed {RETURN_SEED}: advice after {first_h:.2f} h, rms {reported.rms_deg(1.0).round(4)}")
     assert is_advised.any()
     # a third of sixteen are 5.3; a higher level is learned an hour after the flag or later, a lower one, which may be
     # rain, after six

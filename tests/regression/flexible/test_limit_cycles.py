@@ -32,13 +32,13 @@ from service.study.limit_cycles.capture_tables import (
     switch_of,
 )
 from service.study.limit_cycles.cycle_tables import cycle_of, motion_of
-from service.study.limit_cycles.reference import CaptureCase, PerpetualCase
+from service.study.limit_cycles.reference import CaptureCase
 
 CASES = list(reference.CYCLES)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_cycle_of_the_reference_comes_back_to_its_printed_digits(name: str) -> None:
+def test_a_cycle_of_the_reference_comes_back_to_its_printed_digits(name):
     case, cycle = reference.CYCLES[name], cycle_of(name)
     assert cycle.pulses == case.law.pulse_count
     assert cycle.speed_rad_s == pytest.approx(case.speed_rad_s, rel=1e-6)
@@ -50,12 +50,12 @@ def test_a_cycle_of_the_reference_comes_back_to_its_printed_digits(name: str) ->
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_period_is_that_of_the_balance_of_momentum(name: str) -> None:
+def test_the_period_is_that_of_the_balance_of_momentum(name):
     case, cycle = reference.CYCLES[name], cycle_of(name)
     assert cycle.period_s == pytest.approx(cycle_period_s(case.drive, case.law.pulse_s, cycle.pulses), rel=1e-10)
 
 
-def test_the_single_pulse_cycle_of_the_paper_is_unstable_and_only_the_truncated_equation_makes_it_stable() -> None:
+def test_the_single_pulse_cycle_of_the_paper_is_unstable_and_only_the_truncated_equation_makes_it_stable():
     cycle, forms = cycle_of("A0"), single_pulse_forms(reference.BASE, 1.0)
     assert not cycle.is_stable
     assert cycle.multiplier < -1.0
@@ -65,12 +65,12 @@ def test_the_single_pulse_cycle_of_the_paper_is_unstable_and_only_the_truncated_
     assert forms.multiplier == pytest.approx(cycle.multiplier, abs=1e-5)
 
 
-def test_stable_cycles_exist() -> None:
+def test_stable_cycles_exist():
     assert {name for name in CASES if cycle_of(name).is_stable} == {"A1", "A2", "A3", "B2", "B3", "C2"}
 
 
 @pytest.mark.parametrize("dry_friction_n_m", list(reference.CRITICAL_LOSSES))
-def test_the_loss_that_makes_a_single_pulse_stable(dry_friction_n_m: float) -> None:
+def test_the_loss_that_makes_a_single_pulse_stable(dry_friction_n_m):
     exact, formula = reference.CRITICAL_LOSSES[dry_friction_n_m]
     drive = reference.BASE._replace(dry_friction_n_m=dry_friction_n_m, momentum_n_m_s=reference.CRITICAL_MOMENTUM_N_M_S)
     assert critical_viscous_loss_n_m(drive, reference.law_of()) == pytest.approx(exact, rel=1e-6)
@@ -78,7 +78,7 @@ def test_the_loss_that_makes_a_single_pulse_stable(dry_friction_n_m: float) -> N
     assert single_pulse_forms(drive, 1.0).critical_viscous_loss_n_m == pytest.approx(formula, rel=5e-5)
 
 
-def test_at_one_line_the_same_cycle_is_only_shifted() -> None:
+def test_at_one_line_the_same_cycle_is_only_shifted():
     law = reference.law_of()._replace(beta_rad=reference.ALPHA_RAD)
     (cycle,) = find_limit_cycles(reference.BASE, law)
     shift, wide = reference.BETA_RAD - reference.ALPHA_RAD, cycle_of("A0")
@@ -87,7 +87,7 @@ def test_at_one_line_the_same_cycle_is_only_shifted() -> None:
     assert cycle.outer_rad == pytest.approx(wide.outer_rad - shift, abs=1e-14)
 
 
-def test_two_lines_have_no_cycle_of_two_pulses() -> None:
+def test_two_lines_have_no_cycle_of_two_pulses():
     for step_mrad in (0.5, 1.0, 2.0, 3.0):
         law = reference.law_of(2, 1e-3 * step_mrad)
         assert [cycle for cycle in find_limit_cycles(reference.BASE, law) if cycle.pulses == 2] == []
@@ -98,8 +98,8 @@ def test_two_lines_have_no_cycle_of_two_pulses() -> None:
     ("pulses", "first_mrad", "gone_mrad"),
     [(3, 1.7836, (3.25, 3.30)), pytest.param(5, 1.2217, (1.75, 1.80), marks=pytest.mark.slow)],
 )
-def test_windows_of_stable_steps(pulses: int, first_mrad: float, gone_mrad: tuple[float, float]) -> None:
-    def multiplier(step_mrad: float) -> float:
+def test_windows_of_stable_steps(pulses, first_mrad, gone_mrad):
+    def multiplier(step_mrad):
         law = reference.law_of(pulses, 1e-3 * step_mrad)
         found = [one.multiplier for one in find_limit_cycles(reference.BASE, law) if one.pulses == pulses]
         return found[0] if found else math.nan
@@ -110,15 +110,14 @@ def test_windows_of_stable_steps(pulses: int, first_mrad: float, gone_mrad: tupl
     assert math.isnan(multiplier(gone_mrad[1]))
 
 
-def test_instantaneous_pulses_are_near() -> None:
+def test_instantaneous_pulses_are_near():
     for name in ("B3", "C2"):
         forms = staggered_forms(motion_of(name))
-        assert forms is not None
         assert forms.speeds_rad_s[0] == pytest.approx(cycle_of(name).speed_rad_s, rel=0.08)
         assert forms.multiplier == pytest.approx(cycle_of(name).multiplier, abs=0.08)
 
 
-def test_the_motion_itself_closes_after_a_period() -> None:
+def test_the_motion_itself_closes_after_a_period():
     for name in ("A0", "B3", "C2"):
         case, cycle = reference.CYCLES[name], cycle_of(name)
         momentum = case.drive.momentum_n_m_s - case.drive.inertia_kg_m2 * cycle.speed_rad_s
@@ -130,7 +129,7 @@ def test_the_motion_itself_closes_after_a_period() -> None:
 
 
 @pytest.mark.parametrize("name", ["A2", "A3"])
-def test_two_cycles_of_the_reference_do_not_belong_to_their_drive(name: str) -> None:
+def test_two_cycles_of_the_reference_do_not_belong_to_their_drive(name):
     # 0.05 N m s of rotor against 1000 kg m^2 at 1e-4 rad/s: the rotor comes to rest, dry friction holds it there
     case, cycle = reference.CYCLES[name], cycle_of(name)
     assert cycle.momentum_n_m_s[0] < 0.0 < cycle.momentum_n_m_s[1]
@@ -144,7 +143,7 @@ def test_two_cycles_of_the_reference_do_not_belong_to_their_drive(name: str) -> 
     assert all(cycle_of(other).is_momentum_consistent for other in CASES if other not in {"A2", "A3"})
 
 
-def test_the_same_stable_cycle_exists_with_a_rotor_that_keeps_its_sense() -> None:
+def test_the_same_stable_cycle_exists_with_a_rotor_that_keeps_its_sense():
     # same c and same eps_c as A2: less dry friction, more momentum
     drive = reference.CYCLES["A2"].drive._replace(momentum_n_m_s=0.25, dry_friction_n_m=0.98e-3)
     (cycle,) = find_limit_cycles(drive, reference.law_of())
@@ -156,7 +155,7 @@ def test_the_same_stable_cycle_exists_with_a_rotor_that_keeps_its_sense() -> Non
     assert motion.end.angle_rad == pytest.approx(start.angle_rad, abs=1e-11)
 
 
-def test_no_slope_is_taken_across_a_jump() -> None:
+def test_no_slope_is_taken_across_a_jump():
     motion = motion_of("B3")
     speeds = np.linspace(1e-6, 2e-5, 400)
     pulses = [one_return(float(speed), motion).pulses for speed in speeds]
@@ -171,7 +170,7 @@ CELLS = [(coupling, swing, band) for coupling, bands in reference.BANDS.items() 
 
 
 @pytest.mark.parametrize(("coupling", "swing", "band"), CELLS)
-def test_a_cell_of_the_table(coupling: float, swing: float, band: tuple[float, float] | None) -> None:
+def test_a_cell_of_the_table(coupling, swing, band):
     found = stable_band(cycle_switch(), coupling, swing)
     if band is None:
         assert math.isnan(found.low_rad_s)
@@ -181,19 +180,19 @@ def test_a_cell_of_the_table(coupling: float, swing: float, band: tuple[float, f
 
 
 @pytest.mark.parametrize(("swing", "omega", "printed"), reference.SURFACE)
-def test_the_surface(swing: float, omega: float, printed: float) -> None:
+def test_the_surface(swing, omega, printed):
     found = rigid_frequency_rad_s(cycle_switch(), HubMode(omega, 0.01, 0.5), swing)
     assert found == pytest.approx(printed, rel=1e-6)
 
 
-def test_the_own_frequency_of_the_cycle() -> None:
+def test_the_own_frequency_of_the_cycle():
     own = 2.0 * math.pi / cycle_period_s(reference.BASE, 1.0, 1)
     assert own == pytest.approx(reference.RIGID_FREQUENCY_RAD_S, rel=1e-6)
 
 
 @pytest.mark.parametrize("omega", [0.7, 4.0, 11.0])
 @pytest.mark.parametrize("rate", [2e-5, 1e-4, 4e-4])
-def test_the_surface_is_the_boundary_with_the_rate_of_the_cycle(omega: float, rate: float) -> None:
+def test_the_surface_is_the_boundary_with_the_rate_of_the_cycle(omega, rate):
     mode = HubMode(omega, 0.01, 0.6)
     switch = SwitchOn(1.9895e-4, 1.05e-6, rate, 0.0175, 0.0175)
     swing = 2.0 * critical_amplitude_rad(switch, mode) / switch.alpha_rad
@@ -202,7 +201,7 @@ def test_the_surface_is_the_boundary_with_the_rate_of_the_cycle(omega: float, ra
 
 
 @pytest.mark.parametrize("omega", [3.5, 4.2, 12.0, 70.0])
-def test_the_band_is_where_the_event_simulator_stays_free(omega: float) -> None:
+def test_the_band_is_where_the_event_simulator_stays_free(omega):
     coupling, swing = 0.5, 3e-4
     band, rate = stable_band(cycle_switch(), coupling, swing), cycle_switch().rate_rad_s
     case = CaptureCase(omega, coupling, 0.0, rate, 0.0175, 0.0175, math.inf, math.nan, math.nan)
@@ -210,7 +209,7 @@ def test_the_band_is_where_the_event_simulator_stays_free(omega: float) -> None:
     assert is_captured(case, 0.5 * swing * reference.ALPHA_RAD) is not is_inside
 
 
-def limit_rad(case: PerpetualCase) -> float:
+def limit_rad(case):
     switch = SwitchOn(2e-4, 0.0, 1e-4, reference.ALPHA_RAD, reference.BETA_RAD)
     return perpetual_amplitude_rad(switch, HubMode(case.omega_rad_s, case.damping_ratio, case.coupling))
 
@@ -220,7 +219,7 @@ def limit_rad(case: PerpetualCase) -> float:
     reference.PERPETUAL,
     ids=lambda case: f"w{case.omega_rad_s:g}-kn{case.coupling:g}-xi{case.damping_ratio:g}-p{case.amplitude_rad:g}",
 )
-def test_a_run_of_150_periods_ends_as_told(case: PerpetualCase) -> None:
+def test_a_run_of_150_periods_ends_as_told(case):
     # printed with two decimals
     assert limit_rad(case) / reference.BETA_RAD == pytest.approx(case.lock_ratio, abs=6e-3)
     lock = perpetual_lock(case)
@@ -230,13 +229,13 @@ def test_a_run_of_150_periods_ends_as_told(case: PerpetualCase) -> None:
         assert lock.amplitude_rad == pytest.approx(case.final_amplitude_rad, rel=1e-2)
 
 
-def test_a_run_that_locks_is_not_taken_for_a_free_one() -> None:
+def test_a_run_that_locks_is_not_taken_for_a_free_one():
     locked = next(case for case in reference.PERPETUAL if case.is_captured)
     free = locked._replace(is_captured=False)
     assert not agrees_with_published(free, perpetual_lock(locked), limit_rad(locked))
 
 
-def name_of(case: CaptureCase) -> str:
+def name_of(case):
     return f"w{case.omega_rad_s:g}-kn{case.coupling:g}-xi{case.damping_ratio:g}-tau{case.pulse_s:g}"
 
 
@@ -244,12 +243,12 @@ every_case = pytest.mark.parametrize("case", reference.CAPTURES, ids=name_of)
 
 
 @every_case
-def test_the_formula_gives_the_printed_boundary(case: CaptureCase) -> None:
+def test_the_formula_gives_the_printed_boundary(case):
     assert critical_amplitude_rad(switch_of(case), mode_of(case)) == pytest.approx(case.formula_rad, rel=1e-6)
 
 
 @every_case
-def test_following_the_motion_gives_the_printed_least_swing(case: CaptureCase) -> None:
+def test_following_the_motion_gives_the_printed_least_swing(case):
     found = least_capturing_amplitude_rad(switch_of(case), mode_of(case))
     assert found == pytest.approx(case.least_rad, rel=1e-4)
 
@@ -257,20 +256,20 @@ def test_following_the_motion_gives_the_printed_least_swing(case: CaptureCase) -
 @pytest.mark.parametrize(
     "case", [one for one in reference.CAPTURES if one.least_rad > 0.0 and math.isinf(one.pulse_s)], ids=name_of
 )
-def test_the_event_simulator_is_free_just_below_and_captured_just_above(case: CaptureCase) -> None:
+def test_the_event_simulator_is_free_just_below_and_captured_just_above(case):
     least = least_capturing_amplitude_rad(switch_of(case), mode_of(case))
     assert not is_captured(case, 0.99 * least)
     assert is_captured(case, 1.01 * least)
 
 
-def test_where_no_swing_is_needed_the_simulator_is_captured_without_one() -> None:
+def test_where_no_swing_is_needed_the_simulator_is_captured_without_one():
     case = reference.CAPTURES[1]
     assert critical_amplitude_rad(switch_of(case), mode_of(case)) < 0.0
     assert is_captured(case, 0.0)
 
 
 @every_case
-def test_the_formula_is_exact_without_damping_or_says_by_how_much_it_is_not(case: CaptureCase) -> None:
+def test_the_formula_is_exact_without_damping_or_says_by_how_much_it_is_not(case):
     switch, mode = switch_of(case), mode_of(case)._replace(damping_ratio=0.0)
     least = least_capturing_amplitude_rad(switch, mode)
     refined = critical_amplitude_rad(switch, mode, is_refined=True)
@@ -285,14 +284,14 @@ def test_the_formula_is_exact_without_damping_or_says_by_how_much_it_is_not(case
         assert refined == pytest.approx(least, rel=6e-3)
 
 
-def test_damping_raises_the_boundary_so_that_leaving_it_out_is_safe() -> None:
+def test_damping_raises_the_boundary_so_that_leaving_it_out_is_safe():
     for case in reference.CAPTURES:
         if case.damping_ratio > 0.0:
             critical = critical_amplitude_rad(switch_of(case), mode_of(case))
             assert critical < case.least_rad <= 1.017 * critical
 
 
-def test_special_forms_of_the_boundary() -> None:
+def test_special_forms_of_the_boundary():
     omega, kn, rate, eps_a, eps_c = 2.0, 0.7, 3e-4, 1.9e-4, 1.1e-6
     mode, pi = HubMode(omega, 0.01, kn), math.pi
     one_line = SwitchOn(eps_a, eps_c, rate, 0.0175, 0.0175)
@@ -303,7 +302,7 @@ def test_special_forms_of_the_boundary() -> None:
     assert 2.0 * critical_amplitude_rad(free_rotor, mode) == pytest.approx(by_20, rel=1e-12)
 
 
-def test_at_a_given_net_pulse_friction_away_from_the_line_moves_the_boundary_up() -> None:
+def test_at_a_given_net_pulse_friction_away_from_the_line_moves_the_boundary_up():
     case = reference.CAPTURES[8]
     toward = critical_amplitude_rad(switch_of(case), mode_of(case))
     away = switch_of(case)._replace(passive_rad_s2=-reference.PASSIVE_RAD_S2)
@@ -312,7 +311,7 @@ def test_at_a_given_net_pulse_friction_away_from_the_line_moves_the_boundary_up(
     assert found == pytest.approx(critical_amplitude_rad(away, mode_of(case), is_refined=True), rel=6e-3)
 
 
-def test_at_the_least_swing_the_lowest_angle_is_the_line_of_release() -> None:
+def test_at_the_least_swing_the_lowest_angle_is_the_line_of_release():
     for case in reference.CAPTURES:
         if case.least_rad > 0.0:
             least = least_capturing_amplitude_rad(switch_of(case), mode_of(case))

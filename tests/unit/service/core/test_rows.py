@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from service.core.rows.row_gaps import STRETCH_ROWS, Gap, GapSearch
 from service.core.rows.sample_bins import SampleBins
-from service.core.rows.state_runs import RowState, StateRun, Stretch, StretchSearch, coarsened, joined_stretches
+from service.core.rows.state_runs import RowState, StateRun, StretchSearch, coarsened, joined_stretches
 
 
 @settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32), st.integers(1, 40), st.integers(1, 60), st.integers(1, 10**12))
-def test_every_row_is_counted_once_in_its_interval(seed: int, count: int, rows: int, span_us: int) -> None:
+def test_every_row_is_counted_once_in_its_interval(seed, count, rows, span_us):
     rng = np.random.default_rng(seed)
     start_us = 1_795_219_200_000_000
     epochs_us = np.sort(start_us + rng.integers(0, span_us, rows))
@@ -41,7 +41,7 @@ def test_every_row_is_counted_once_in_its_interval(seed: int, count: int, rows: 
             assert samples.maximum_us[cell] == epochs_us[inside][level.argmax()]
 
 
-def test_no_rows_no_samples() -> None:
+def test_no_rows_no_samples():
     bins = SampleBins(0, 10, 5, 1)
     bins.add(np.empty(0, dtype=np.int64), np.empty((0, 1)))
     assert bins.all_intervals().counts.tolist() == [[0]] * 5
@@ -50,7 +50,7 @@ def test_no_rows_no_samples() -> None:
 S = 1_000_000
 
 
-def gaps_of(epochs_s: list[float], chunks: int = 1, start_s: int | None = None, stop_s: int | None = None) -> list[Gap]:
+def gaps_of(epochs_s, chunks=1, start_s=None, stop_s=None):
     """Return the gaps of rows that come in pieces, in seconds."""
     search = GapSearch(None if start_s is None else start_s * S)
     found: list[Gap] = []
@@ -61,40 +61,40 @@ def gaps_of(epochs_s: list[float], chunks: int = 1, start_s: int | None = None, 
 
 
 @pytest.mark.parametrize("chunks", [1, 2, 7])
-def test_missing_rows_are_counted(chunks: int) -> None:
+def test_missing_rows_are_counted(chunks):
     rows = [10 * k for k in range(100) if k not in {3, 50, 51, 52}]
     assert gaps_of(rows, chunks) == [(30, 40, 1), (500, 530, 3)]
 
 
-def test_jitter_is_no_gap() -> None:
+def test_jitter_is_no_gap():
     rng = np.random.default_rng(4)
     assert gaps_of([10 * k + rng.uniform(-2.0, 2.0) for k in range(2000)], 3) == []
 
 
-def test_another_period_from_a_stretch_on_is_no_gap() -> None:
+def test_another_period_from_a_stretch_on_is_no_gap():
     fast = [float(k) for k in range(STRETCH_ROWS)]
     slow = [STRETCH_ROWS + 10.0 * k for k in range(STRETCH_ROWS)]
     assert gaps_of([*fast, *slow]) == []
 
 
-def test_a_gap_between_stretches_counts_once() -> None:
+def test_a_gap_between_stretches_counts_once():
     rows = [float(k) for k in range(STRETCH_ROWS)] + [STRETCH_ROWS + 4.0 + k for k in range(STRETCH_ROWS)]
     assert gaps_of(rows) == [(STRETCH_ROWS, STRETCH_ROWS + 4, 4)]
 
 
-def test_edges_count_where_rows_are_expected() -> None:
+def test_edges_count_where_rows_are_expected():
     rows = [50.0, 60.0, 70.0]
     assert gaps_of(rows) == []
     assert gaps_of(rows, start_s=20, stop_s=100) == [(20, 50, 3), (80, 100, 2)]
     assert gaps_of(rows, start_s=50, stop_s=80) == []
 
 
-def test_rows_of_one_epoch_count_as_one() -> None:
+def test_rows_of_one_epoch_count_as_one():
     assert gaps_of([0, 0, 10, 10, 20, 50]) == [(30, 50, 2)]
 
 
 @pytest.mark.parametrize("rows", [[], [5.0], [5.0, 5.0]])
-def test_without_a_distance_there_is_no_gap(rows: list[float]) -> None:
+def test_without_a_distance_there_is_no_gap(rows):
     assert gaps_of(rows, start_s=0, stop_s=100) == []
 
 
@@ -102,7 +102,7 @@ STATES = [RowState("status", "ACQUIRED"), RowState("inhibition", "fade"), RowSta
 FADE = RowState("fade", "downlink")
 
 
-def stretch_of(rows: list[tuple[int, frozenset[RowState]]], pieces: int = 1) -> Stretch | None:
+def stretch_of(rows, pieces=1):
     """Return what is found in rows that come in pieces."""
     search, size = StretchSearch(), max(1, -(-len(rows) // pieces))
     for start in range(0, len(rows), size):
@@ -111,7 +111,7 @@ def stretch_of(rows: list[tuple[int, frozenset[RowState]]], pieces: int = 1) -> 
     return search.end()
 
 
-def runs_row_by_row(rows: list[tuple[int, frozenset[RowState]]]) -> list[StateRun]:
+def runs_row_by_row(rows):
     """Return the runs the slow way: each state of its own."""
     found = []
     for state in STATES:
@@ -125,7 +125,7 @@ def runs_row_by_row(rows: list[tuple[int, frozenset[RowState]]]) -> list[StateRu
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_runs_are_those_of_the_rows(seed: int) -> None:
+def test_runs_are_those_of_the_rows(seed):
     dice = random.Random(seed)
     share = dice.choice([0.05, 0.5, 0.95])
     epochs_us = [60 * S * k for k in range(400) if dice.random() < 0.97]
@@ -143,7 +143,7 @@ def test_runs_are_those_of_the_rows(seed: int) -> None:
     assert inside.runs == [run for run in history.runs if run.start_us < last_us and run.stop_us >= first_us]
 
 
-def test_gaps_within_and_between_stretches_count_once() -> None:
+def test_gaps_within_and_between_stretches_count_once():
     none: frozenset[RowState] = frozenset()
     first = stretch_of([(k * 10 * S, none) for k in range(20) if k not in {4, 5}])
     second = stretch_of([((30 + k) * 10 * S, none) for k in range(20)])
@@ -153,7 +153,7 @@ def test_gaps_within_and_between_stretches_count_once() -> None:
     assert expected_earlier == [Gap(200 * S, 300 * S, 10)]
 
 
-def test_without_rows_there_is_nothing() -> None:
+def test_without_rows_there_is_nothing():
     assert stretch_of([]) is None
     assert joined_stretches([], 0, 100) == ([], [], [])
     single = stretch_of([(5, frozenset({FADE}))])
@@ -162,7 +162,7 @@ def test_without_rows_there_is_nothing() -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_coarse_runs_keep_every_row_and_no_more_than_near_ones_are_joined(seed: int) -> None:
+def test_coarse_runs_keep_every_row_and_no_more_than_near_ones_are_joined(seed):
     dice = random.Random(seed)
     rows = [(k * 60 * S, frozenset(each for each in STATES if dice.random() < 0.3)) for k in range(2000)]
     runs = runs_row_by_row(rows)
@@ -178,6 +178,6 @@ def test_coarse_runs_keep_every_row_and_no_more_than_near_ones_are_joined(seed: 
         assert edges.issuperset(edge for run in of_state for edge in (run.start_us, run.stop_us))
 
 
-def test_more_states_than_runs_are_allowed_leave_one_run_of_each() -> None:
+def test_more_states_than_runs_are_allowed_leave_one_run_of_each():
     runs = [StateRun(RowState("exclusion", "step", f"c{k}"), k * S, k * S, 1) for k in range(5)]
     assert coarsened(runs, 2) == (0, runs)

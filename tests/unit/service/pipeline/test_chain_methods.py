@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_flight import MINUTE, Flight, FlightPayload
+from geometry_flight import MINUTE, Flight
 from geometry_payload import GeometryPayload
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
@@ -15,7 +15,7 @@ from service.pipeline.config import CalibrationConfig, ChainConfig
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.inputs.knowledge import Knowledge
 from service.records.calibration import CalibrationMethod
-from service.records.catalogue import CarrierPlan, Method, Release, Station, Track
+from service.records.catalogue import CarrierPlan, Method, Station, Track
 from service.records.inputs import (
     AlignmentSet,
     AttitudeReference,
@@ -27,7 +27,6 @@ from service.records.inputs import (
 )
 from service.records.levels.attitude import Axes, Status
 
-PAYLOAD_CHAIN_METHODS = FlightPayload.make()
 BOTH = (Method.ROBUST, Method.PAPER)
 NAN = float("nan")
 
@@ -35,7 +34,7 @@ NAN = float("nan")
 @pytest.fixture
 def flight():
     """A chain just aligned."""
-    return Flight(PAYLOAD_CHAIN_METHODS)
+    return Flight(PAYLOAD)
 
 
 def by_paper(payload, calibration_id):
@@ -62,7 +61,7 @@ def test_every_row_has_one_of_each_method_robust_first(flight):
 
 
 def test_each_method_alone_says_what_it_says_beside_the_other(flight):
-    alone = {method: Flight(PAYLOAD_CHAIN_METHODS, methods=(method,)) for method in BOTH}
+    alone = {method: Flight(PAYLOAD, methods=(method,)) for method in BOTH}
     for minute in range(1, 60):
         reported = flight.feed(noisy(flight, minute))
         for method, one in alone.items():
@@ -73,7 +72,7 @@ def test_each_method_alone_says_what_it_says_beside_the_other(flight):
 def test_the_method_that_drives_control_makes_the_command(flight):
     flight.run(range(1, 30))
     robust = flight.chain.step(flight.row(30)).command
-    record = PAYLOAD_CHAIN_METHODS.spacecraft(method=Method.PAPER)
+    record = PAYLOAD.spacecraft(method=Method.PAPER)
     flight.chain.update(SpacecraftChange(record, 2))
     outcome = flight.chain.step(flight.row(31))
     paper = outcome.command
@@ -83,37 +82,20 @@ def test_the_method_that_drives_control_makes_the_command(flight):
 
 
 def test_a_replay_of_the_other_method_alone_makes_no_command():
-    flight = Flight(PAYLOAD_CHAIN_METHODS, methods=(Method.PAPER,))
+    flight = Flight(PAYLOAD, methods=(Method.PAPER,))
     assert flight.chain.step(flight.row(1)).command is None
-    driving = Flight(PAYLOAD_CHAIN_METHODS, methods=(Method.ROBUST,))
+    driving = Flight(PAYLOAD, methods=(Method.ROBUST,))
     assert driving.chain.step(driving.row(1)).command.control_allowed
-
-
-def test_released_by_itself_the_robust_command_counts_as_applied_and_two_steps_do_not():
-    automatic = Flight(PAYLOAD_CHAIN_METHODS, spacecraft=PAYLOAD_CHAIN_METHODS.spacecraft(release=Release.AUTOMATIC))
-    outcome = automatic.chain.step(automatic.row(1))
-    assert outcome.applied.command is outcome.command
-    two_step = Flight(PAYLOAD_CHAIN_METHODS)
-    assert two_step.chain.step(two_step.row(1)).applied is None
-
-
-def test_without_a_craft_there_is_no_command(flight):
-    bare = Flight(PAYLOAD_CHAIN_METHODS, is_opened=False)
-    for content in bare.opening()[1:]:
-        bare.chain.update(content)
-    outcome = bare.chain.step(bare.row(1))
-    assert outcome.command is None
-    assert len(outcome.rows) == 2
 
 
 # ---- one of them cannot ---------------------------------------------------------------------------------------------
 
 
 def test_without_a_calibration_by_geometry_the_robust_method_is_silent_and_its_command_zero(flight):
-    bare = Flight(PAYLOAD_CHAIN_METHODS, is_opened=False)
-    bare.documents.calibrations[1] = by_paper(PAYLOAD_CHAIN_METHODS, 1)
-    reported = PAYLOAD_CHAIN_METHODS.alignment(bare.aligned_us).references_by_method["paper"]
-    bare.documents.alignments[1] = PAYLOAD_CHAIN_METHODS.alignment(
+    bare = Flight(PAYLOAD, is_opened=False)
+    bare.documents.calibrations[1] = by_paper(PAYLOAD, 1)
+    reported = PAYLOAD.alignment(bare.aligned_us).references_by_method["paper"]
+    bare.documents.alignments[1] = PAYLOAD.alignment(
         bare.aligned_us,
         references=reported,
         references_by_method={"paper": reported},
@@ -125,13 +107,13 @@ def test_without_a_calibration_by_geometry_the_robust_method_is_silent_and_its_c
     assert [row.method for row in outcome.rows] == [Method.PAPER]
     assert outcome.command.inhibitions == ("no_calibration",)
     # activated after the alignment it still has no references: only a new alignment starts it
-    bare.documents.calibrations[2] = PAYLOAD_CHAIN_METHODS.calibration(2)
+    bare.documents.calibrations[2] = PAYLOAD.calibration(2)
     bare.chain.update(CalibrationActivation(2, 2))
     outcome = bare.chain.step(bare.row(2))
     assert [row.method for row in outcome.rows] == [Method.PAPER]
     assert outcome.command.inhibitions == ("not_aligned",)
     assert not outcome.command.control_allowed
-    bare.documents.alignments[2] = PAYLOAD_CHAIN_METHODS.alignment(
+    bare.documents.alignments[2] = PAYLOAD.alignment(
         bare.at(2), 2, 2, bare.truth_deg.tolist(), calibration_by_method={"robust": 2, "paper": 1}
     )
     bare.chain.update(AlignmentSet(2))
@@ -140,7 +122,7 @@ def test_without_a_calibration_by_geometry_the_robust_method_is_silent_and_its_c
 
 @pytest.mark.parametrize("failing", BOTH, ids=str)
 def test_a_method_that_fails_says_so_in_its_row_and_the_other_goes_on(flight, monkeypatch, caplog, failing):
-    plain = Flight(PAYLOAD_CHAIN_METHODS)
+    plain = Flight(PAYLOAD)
     for one in (flight, plain):
         one.run(range(1, 20))
     runner = next(one for one in flight.chain._runners if one.method is failing)
@@ -180,15 +162,15 @@ def test_the_paper_method_does_not_step_before_it_has_a_model(flight):
     assert (runner.is_running, runner.carrier_states()) == (False, {})
     runner.rebuild(Knowledge())
     with pytest.raises(ValueError, match="without a model"):
-        runner.step(flight.row(1), PAYLOAD_CHAIN_METHODS.plan(), Knowledge(), is_late=False, is_catch_up=False)
+        runner.step(flight.row(1), PAYLOAD.plan(), Knowledge(), is_late=False, is_catch_up=False)
 
 
 def test_without_the_robust_method_carriers_are_known_by_the_paper_method():
-    flight = Flight(PAYLOAD_CHAIN_METHODS, methods=(Method.PAPER,))
+    flight = Flight(PAYLOAD, methods=(Method.PAPER,))
     for minute in range(1, 12):
         flight.feed(flight.row(minute))
     states = {state.carrier: state.state for state in flight.chain.carrier_states()[1]}
-    assert states == dict.fromkeys(PAYLOAD_CHAIN_METHODS.ids, "used")
+    assert states == dict.fromkeys(PAYLOAD.ids, "used")
 
 
 # ---- late rows, order, poison ---------------------------------------------------------------------------------------
@@ -204,7 +186,7 @@ def test_without_the_robust_method_carriers_are_known_by_the_paper_method():
     ],
 )
 def test_a_late_row_leaves_everything_after_it_bit_for_bit(flight, minute, changes):
-    plain = Flight(PAYLOAD_CHAIN_METHODS)
+    plain = Flight(PAYLOAD)
     for one in (flight, plain):
         for k in range(1, 31):
             one.feed(noisy(one, k))
@@ -218,24 +200,20 @@ def test_a_late_row_leaves_everything_after_it_bit_for_bit(flight, minute, chang
 
 
 def test_a_star_tracker_gone_mad_changes_nothing(flight):
-    plain, mad = Flight(PAYLOAD_CHAIN_METHODS), Axes(1e9, -1e9, 1e9)
+    plain, mad = Flight(PAYLOAD), Axes(1e9, -1e9, 1e9)
     for minute in range(1, 30):
         flight.chain.update(AttitudeReference("star_tracker", flight.at(minute), mad, Axes(1e-9, 1e-9, 1e-9)))
         assert repr(flight.chain.step(noisy(flight, minute))) == repr(plain.chain.step(noisy(plain, minute)))
-
-
-def test_a_backup_source_does_not_exist_for_either_method(flight):
-    assert flight.chain.step(flight.row(1, feeds_estimator=False)) is None
 
 
 # ---- plans ----------------------------------------------------------------------------------------------------------
 
 
 def test_a_plan_that_changes_in_operation_keeps_the_references_of_those_that_stay(flight):
-    plain = Flight(PAYLOAD_CHAIN_METHODS)
+    plain = Flight(PAYLOAD)
     flight.run(range(1, 30))
     plain.run(range(1, 30))
-    carriers = list(PAYLOAD_CHAIN_METHODS.carriers())
+    carriers = list(PAYLOAD.carriers())
     # two go, one id is given to another station, two are new, the order is turned round
     carriers[3] = replace(carriers[3], station=Station(43.1, 131.9))
     new = [replace(carriers[0], id=name, transponder="Ku9") for name in ("n1", "n2")]
@@ -260,7 +238,7 @@ def test_a_plan_that_changes_in_operation_keeps_the_references_of_those_that_sta
 def test_a_calibration_of_the_new_plan_goes_on_where_the_old_one_stood(flight):
     flight.run(range(1, 60))
     order = [k for k in range(15, -1, -1) if k not in (6, 11)]
-    fewer = PAYLOAD_CHAIN_METHODS.permuted(order)
+    fewer = PAYLOAD.permuted(order)
     flight.documents.plans[2] = fewer.plan(2)
     flight.documents.calibrations[2] = fewer.calibration(2, plan_id=2)
     flight.chain.update(PlanChange(2))
@@ -275,7 +253,7 @@ def test_a_calibration_of_the_new_plan_goes_on_where_the_old_one_stood(flight):
 
 
 def test_methods_that_are_apart_for_long_disagree(flight):
-    reported = PAYLOAD_CHAIN_METHODS.alignment(flight.aligned_us, angles_deg=flight.truth_deg.tolist())
+    reported = PAYLOAD.alignment(flight.aligned_us, angles_deg=flight.truth_deg.tolist())
     slope = np.array([one.sensitivity_db_per_deg.roll for one in flight.documents.calibrations[1].result.carriers])
     wrong = tuple(
         replace(one, reference_dbm=one.reference_dbm + 0.25 * by)
@@ -292,26 +270,20 @@ def test_methods_that_are_apart_for_long_disagree(flight):
     # the paper method settles for seven minutes, then a quarter of an hour passes
     assert not any(apart[:21])
     assert all(apart[23:])
-    flight.documents.alignments[2] = PAYLOAD_CHAIN_METHODS.alignment(
-        flight.at(40), 2, angles_deg=flight.truth_deg.tolist()
-    )
+    flight.documents.alignments[2] = PAYLOAD.alignment(flight.at(40), 2, angles_deg=flight.truth_deg.tolist())
     flight.chain.update(AlignmentSet(2))
     assert not flight.chain.is_disagreeing
 
 
 def test_before_anything_nothing_disagrees():
-    assert not Chain(Flight(PAYLOAD_CHAIN_METHODS).documents, ChainConfig()).is_disagreeing
+    assert not Chain(Flight(PAYLOAD).documents, ChainConfig()).is_disagreeing
 
 
 # ---- a replay's own calibration -------------------------------------------------------------------------------------
 
 
 def test_a_replay_may_bring_its_own_calibration(flight):
-    doubled = replace(
-        PAYLOAD_CHAIN_METHODS,
-        gradient=2.0 * PAYLOAD_CHAIN_METHODS.gradient,
-        hessian=4.0 * PAYLOAD_CHAIN_METHODS.hessian,
-    )
+    doubled = replace(PAYLOAD, gradient=2.0 * PAYLOAD.gradient, hessian=4.0 * PAYLOAD.hessian)
     chain = Chain(flight.documents, ChainConfig(), doubled.calibration(9), (Method.ROBUST,))
     for content in flight.opening():
         chain.update(content)

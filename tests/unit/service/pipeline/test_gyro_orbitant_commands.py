@@ -29,7 +29,7 @@ INERTIA = np.array(PAYLOAD.spacecraft().inertia_kg_m2)
 DEG_H = 1.0 / 3600.0
 
 
-def gains_of(period_s: float) -> GyroOrbitantGains:
+def gains_of(period_s):
     """Return gains whose roll and pitch loops have some period."""
     roll, pitch, yaw = INERTIA.diagonal()
     w = 2.0 * math.pi / period_s

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from service.core.control.gyro_orbitant import does_rate_show_yaw, gyro_orbitant_torque
@@ -128,19 +127,19 @@ def test_numbers_that_are_none_are_refused():
 W0_RAD_S = 2.0 * math.pi / (101.35 * 60.0)
 LAW = Law(gains=MAX_GAINS, orbital_rate_rad_s=W0_RAD_S)
 #: x East, y South, z nadir
-INERTIA_GYRO_ORBITANT = np.diag([8000.0, 6000.0, 5000.0])
+LOW_ORBIT_INERTIA = np.diag([8000.0, 6000.0, 5000.0])
 
 
-def _rate_at(attitude_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rate_at(attitude_deg):
     """Return the inertial rate of a spacecraft that stands still in the turning nadir frame, deg/s: x, y, z."""
     return body_from_nadir(attitude_deg) @ np.array([0.0, -math.degrees(W0_RAD_S), 0.0])
 
 
-def _flown(yaw_deg: float, *, is_converted: bool, duration_s: float = 1500.0) -> NDArray[np.float64]:
+def _flown(yaw_deg, *, is_converted, duration_s=1500.0):
     """Return yaw, roll, pitch at the end; matrix and rate integrated in steps of a quarter of a second."""
     matrix = body_from_nadir([yaw_deg, 0.0, 0.0])
     rate = np.radians(_rate_at(np.array([yaw_deg, 0.0, 0.0])))
-    momentum = INERTIA_GYRO_ORBITANT @ rate
+    momentum = LOW_ORBIT_INERTIA @ rate
     wheel = np.zeros(3)
     step_s = 0.25
     for _ in range(round(duration_s / step_s)):
@@ -153,10 +152,10 @@ def _flown(yaw_deg: float, *, is_converted: bool, duration_s: float = 1500.0) ->
         else:
             # nadir taken for up and South for the orbit normal
             torque = np.clip(wanted_torque(LAW, roll, pitch, (rate[0], rate[1], rate[2])), -0.25, 0.25)
-        gravity = 3.0 * W0_RAD_S**2 * np.cross(down, INERTIA_GYRO_ORBITANT @ down)
+        gravity = 3.0 * W0_RAD_S**2 * np.cross(down, LOW_ORBIT_INERTIA @ down)
         momentum = momentum + step_s * (np.cross(momentum, rate) + gravity)
         wheel = wheel - step_s * torque
-        rate = np.linalg.solve(INERTIA_GYRO_ORBITANT, momentum - wheel)
+        rate = np.linalg.solve(LOW_ORBIT_INERTIA, momentum - wheel)
         relative = rate - matrix @ np.array([0.0, -W0_RAD_S, 0.0])
         x, y, z = relative * step_s
         matrix = matrix - np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ matrix
@@ -168,21 +167,21 @@ def _flown(yaw_deg: float, *, is_converted: bool, duration_s: float = 1500.0) ->
 
 
 @pytest.mark.parametrize("yaw_deg", [1.0, -5.0])
-def test_yaw_of_either_sign_is_brought_back(yaw_deg: float) -> None:
+def test_yaw_of_either_sign_is_brought_back(yaw_deg):
     end_deg = _flown(yaw_deg, is_converted=True)
     assert np.abs(end_deg).max() < 0.05 * abs(yaw_deg)
 
 
-def test_unconverted_law_drives_yaw_away() -> None:
+def test_unconverted_law_drives_yaw_away():
     assert abs(_flown(1.0, is_converted=False)[0]) > 5.0
 
 
-def test_no_torque_at_zero_attitude() -> None:
+def test_no_torque_at_zero_attitude():
     at_rest = np.array([0.0, 0.0, -math.degrees(W0_RAD_S)])
     assert gyro_orbitant_torque(0.0, 0.0, at_rest, LAW, 0.25) == pytest.approx(np.zeros(3), abs=1e-12)
 
 
-def test_roll_and_pitch_are_pushed_back() -> None:
+def test_roll_and_pitch_are_pushed_back():
     at_rest = np.array([0.0, 0.0, -math.degrees(W0_RAD_S)])
     yaw, roll, pitch = gyro_orbitant_torque(0.1, 0.2, at_rest, LAW, 0.25)
     assert yaw == pytest.approx(0.0, abs=1e-12)
@@ -190,18 +189,18 @@ def test_roll_and_pitch_are_pushed_back() -> None:
     assert pitch == pytest.approx(-40.0 * math.radians(0.2), rel=1e-3)
 
 
-def test_limit_cuts_each_axis() -> None:
+def test_limit_cuts_each_axis():
     torque = gyro_orbitant_torque(2.0, -2.0, np.array([1.0, 0.0, 0.0]), LAW, 0.05)
     assert np.abs(torque).max() == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("rate", [np.array([0.0, math.nan, 0.0]), np.array([math.inf, 0.0, 0.0])])
-def test_values_that_are_none_are_refused(rate: NDArray[np.float64]) -> None:
+def test_values_that_are_none_are_refused(rate):
     with pytest.raises(ValueError, match="no torque"):
         gyro_orbitant_torque(0.0, 0.0, rate, LAW, 0.05)
 
 
-def test_imaginary_yaw_is_refused_never_cut() -> None:
+def test_imaginary_yaw_is_refused_never_cut():
     fast = np.array([0.0, 2.0 * math.degrees(W0_RAD_S), -math.degrees(W0_RAD_S)])
     printed = Law(gains=OrbitalFrameGains(), orbital_rate_rad_s=W0_RAD_S, is_guarded=False)
     with pytest.raises(ValueError, match="not guarded"):
@@ -210,12 +209,12 @@ def test_imaginary_yaw_is_refused_never_cut() -> None:
 
 
 W0 = GEOSTATIONARY_RATE_RAD_S
-INERTIA_GYRO_ORBITANT_DESIGN = np.array([[2600.0, 40.0, 0.0], [40.0, 1400.0, 0.0], [0.0, 0.0, 2500.0]])
-TENSOR = inertia_about_angles(INERTIA_GYRO_ORBITANT_DESIGN)
+DESIGN_INERTIA = np.array([[2600.0, 40.0, 0.0], [40.0, 1400.0, 0.0], [0.0, 0.0, 2500.0]])
+TENSOR = inertia_about_angles(DESIGN_INERTIA)
 DAMPING = 0.9
 
 
-def gains_of(period_s: float) -> OrbitalFrameGains:
+def gains_of(period_s):
     """Return gains whose roll and pitch loops have some period, yaw four times slower than its damping."""
     w = 2.0 * math.pi / period_s
     yaw, roll, pitch = TENSOR.diagonal()
@@ -225,11 +224,9 @@ def gains_of(period_s: float) -> OrbitalFrameGains:
     )
 
 
-def flown_deg(gains: OrbitalFrameGains, period_s: float, delay: int, commands: int) -> list[float]:
+def flown_deg(gains, period_s, delay, commands):
     """Return the greatest angle after each command, in steps of a twentieth of the period."""
-    law = gyro_orbitant_law(
-        INERTIA_GYRO_ORBITANT_DESIGN, gains_of(40.0 * period_s), torque_limit_n_m=1e9, command_period_s=period_s
-    )
+    law = gyro_orbitant_law(DESIGN_INERTIA, gains_of(40.0 * period_s), torque_limit_n_m=1e9, command_period_s=period_s)
     law = law._replace(gains=gains)
     angles, rates = np.radians([0.02, 0.03, -0.02]), np.zeros(3)
     seen, greatest = [(angles, rates)] * (delay + 1), []
@@ -247,18 +244,18 @@ def flown_deg(gains: OrbitalFrameGains, period_s: float, delay: int, commands: i
 
 
 @pytest.mark.parametrize(("period_s", "least_s"), [(60.0, 960.0), (900.0, 14_400.0)])
-def test_gains_that_are_taken_settle_and_those_that_are_refused_do_not(period_s: float, least_s: float) -> None:
+def test_gains_that_are_taken_settle_and_those_that_are_refused_do_not(period_s, least_s):
     slow, fast = gains_of(least_s), gains_of(0.5 * least_s)
-    gyro_orbitant_law(INERTIA_GYRO_ORBITANT_DESIGN, slow, torque_limit_n_m=1.0, command_period_s=period_s)
+    gyro_orbitant_law(DESIGN_INERTIA, slow, torque_limit_n_m=1.0, command_period_s=period_s)
     with pytest.raises(ValueError, match="do not settle"):
-        gyro_orbitant_law(INERTIA_GYRO_ORBITANT_DESIGN, fast, torque_limit_n_m=1.0, command_period_s=period_s)
+        gyro_orbitant_law(DESIGN_INERTIA, fast, torque_limit_n_m=1.0, command_period_s=period_s)
     for delay in (0, 1):
         assert flown_deg(slow, period_s, delay, 400)[-1] < 0.05 * 0.03
     grown = flown_deg(fast, period_s, 1, 20)
     assert grown[-1] > 1.0 or math.isnan(grown[-1])
 
 
-def test_growth_is_what_a_flight_shows() -> None:
+def test_growth_is_what_a_flight_shows():
     gains = gains_of(2400.0)
     reported = sampled_growth(TENSOR, gains, W0, 60.0)
     late = flown_deg(gains, 60.0, 1, 220)
@@ -278,18 +275,14 @@ def test_growth_is_what_a_flight_shows() -> None:
         ({"roll_damping": 1e-3}, "do not settle"),
     ],
 )
-def test_gains_that_cannot_be_are_refused_in_words(change: dict[str, float], words: str) -> None:
+def test_gains_that_cannot_be_are_refused_in_words(change, words):
     gains = gains_of(2400.0)._replace(**change)
     with pytest.raises(ValueError, match=words):
-        gyro_orbitant_law(INERTIA_GYRO_ORBITANT_DESIGN, gains, torque_limit_n_m=0.05, command_period_s=60.0)
+        gyro_orbitant_law(DESIGN_INERTIA, gains, torque_limit_n_m=0.05, command_period_s=60.0)
 
 
-def test_inertia_and_period_must_be_possible() -> None:
-    for inertia, period_s in (
-        (np.diag([1.0, 1.0, 3.0]), 60.0),
-        (INERTIA_GYRO_ORBITANT_DESIGN, 0.0),
-        (INERTIA_GYRO_ORBITANT_DESIGN, math.inf),
-    ):
+def test_inertia_and_period_must_be_possible():
+    for inertia, period_s in ((np.diag([1.0, 1.0, 3.0]), 60.0), (DESIGN_INERTIA, 0.0), (DESIGN_INERTIA, math.inf)):
         with pytest.raises(ValueError, match=r"exceeds the sum|command_period_s is"):
             gyro_orbitant_law(inertia, gains_of(2400.0), torque_limit_n_m=0.05, command_period_s=period_s)
 
@@ -298,7 +291,7 @@ def test_inertia_and_period_must_be_possible() -> None:
     ("roll", "pitch", "is_told"),
     [(0.9, -1.0, True), (-1.0, -1.0, True), (1.1, -1.0, False), (-2.0, -1.0, False), (0.0, 0.1, False)],
 )
-def test_the_roll_rate_tells_yaw_up_to_the_orbital_rate(roll: float, pitch: float, is_told: bool) -> None:
+def test_the_roll_rate_tells_yaw_up_to_the_orbital_rate(roll, pitch, is_told):
     rate = np.degrees(W0) * np.array([0.0, roll, pitch])
     assert does_rate_show_yaw(rate, np.radians(np.degrees(W0)) * (1.0 + 1e-12)) is is_told
     assert not does_rate_show_yaw(np.array([math.nan, roll, pitch]), W0)

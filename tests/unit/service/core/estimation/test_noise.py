@@ -13,19 +13,19 @@ from service.core.estimation.noise_model import averaged_sigma_db, split_noise
 EPOCHS_S = 60.0 * np.arange(4320)
 
 
-def test_white_noise_falls_with_the_root_of_the_span() -> None:
+def test_white_noise_falls_with_the_root_of_the_span():
     level = np.random.default_rng(1).normal(0.0, 0.2, (4320, 3))
     found = allan_deviation_db(level, EPOCHS_S, np.array([60.0, 240.0, 960.0]))
     # 270 means of 16 rows know their scatter to 4 %
     assert found == pytest.approx(0.2 / np.sqrt([[1.0], [4.0], [16.0]]) * np.ones((1, 3)), rel=0.15)
 
 
-def test_a_drift_is_its_slope_times_the_span() -> None:
+def test_a_drift_is_its_slope_times_the_span():
     found = allan_deviation_db((EPOCHS_S / 3600.0)[:, np.newaxis], EPOCHS_S, np.array([3600.0]))
     assert found[0, 0] == pytest.approx(1.0 / np.sqrt(2.0))
 
 
-def test_gaps_are_no_noise() -> None:
+def test_gaps_are_no_noise():
     level = np.random.default_rng(2).normal(0.0, 0.2, (4320, 1))
     level[2000:] += 5.0
     whole = np.where((EPOCHS_S[:, np.newaxis] > 115_000.0) & (EPOCHS_S[:, np.newaxis] < 125_000.0), np.nan, level)
@@ -34,7 +34,7 @@ def test_gaps_are_no_noise() -> None:
     assert allan_deviation_db(level, EPOCHS_S, np.array([3600.0]))[0, 0] > 0.3
 
 
-def test_too_little_says_nothing() -> None:
+def test_too_little_says_nothing():
     spans = np.array([30.0, 60.0, 86_400.0])
     found = allan_deviation_db(np.zeros((4320, 1)), EPOCHS_S, spans)[:, 0]
     assert np.isnan(found).tolist() == [True, False, True], "rows are a minute apart, three days have two pairs"

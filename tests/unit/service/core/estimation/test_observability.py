@@ -16,7 +16,6 @@ from service.core.estimation.observability import (
     common_share,
     condition_number,
     crlb_deg,
-    dilution_of_precision_deg_per_db,
     leverages,
     normal_inverse,
 )
@@ -27,15 +26,6 @@ SENSITIVITY = RNG.normal(0.0, [0.16, 1.4, 1.2], (16, 3))
 SIGMA_DB = RNG.uniform(0.1, 0.3, 16)
 
 
-@pytest.mark.parametrize("with_common", [False, True])
-def test_the_bound_is_the_textbook_formula(with_common):
-    design = np.column_stack([SENSITIVITY, np.ones(16)]) if with_common else SENSITIVITY
-    fisher = design.T @ np.diag(SIGMA_DB**-2) @ design
-    expected = np.sqrt(np.diagonal(np.linalg.inv(fisher)))[:3]
-    # normal equations at a condition of about 1e3
-    np.testing.assert_allclose(crlb_deg(SENSITIVITY, SIGMA_DB, with_common), expected, rtol=1e-11, atol=0.0)
-
-
 def test_an_unbiased_fix_reaches_the_bound():
     root = np.linalg.qr(SENSITIVITY / SIGMA_DB[:, None])
     noise = np.random.default_rng(3).standard_normal((20_000, 16))
@@ -44,26 +34,12 @@ def test_an_unbiased_fix_reaches_the_bound():
     np.testing.assert_allclose(errors_deg.std(axis=1), crlb_deg(SENSITIVITY, SIGMA_DB, with_common=False), rtol=0.02)
 
 
-def test_a_common_unknown_never_helps():
-    assert np.all(
-        crlb_deg(SENSITIVITY, SIGMA_DB, with_common=True) >= crlb_deg(SENSITIVITY, SIGMA_DB, with_common=False)
-    )
-
-
 def test_absent_carriers_do_not_count():
     sensitivity, sigma_db = SENSITIVITY.copy(), SIGMA_DB.copy()
     sensitivity[0, 1], sigma_db[1], sigma_db[2] = np.nan, np.nan, 0.0
     expected = crlb_deg(SENSITIVITY[3:], SIGMA_DB[3:], with_common=True)
     np.testing.assert_allclose(crlb_deg(sensitivity, sigma_db, with_common=True), expected, rtol=1e-13)  # rounding
     assert condition_number(sensitivity) == condition_number(SENSITIVITY[1:])
-
-
-def test_dilution_is_the_bound_for_one_db():
-    expected = crlb_deg(SENSITIVITY, np.full(16, 0.2), with_common=True) / 0.2
-    actual = dilution_of_precision_deg_per_db(SENSITIVITY, with_common=True)
-    np.testing.assert_allclose(actual, expected, rtol=1e-12)  # rounding
-    ellipsoid = math.sqrt(np.linalg.det(np.linalg.inv(SENSITIVITY.T @ SENSITIVITY)))
-    assert angle_dilution_deg_per_db(SENSITIVITY) == pytest.approx(ellipsoid ** (1.0 / 3.0), rel=1e-12)  # rounding
 
 
 @pytest.mark.parametrize(
@@ -94,84 +70,63 @@ def test_the_share_of_a_common_change_lies_between_none_and_all():
     assert common_share(one_sided) == pytest.approx(1.0, abs=1e-12)  # rounding
 
 
-@pytest.mark.parametrize("with_common", [False, True])
-def test_leverages_add_up_to_the_unknowns(with_common):
-    assert leverages(SENSITIVITY, with_common=with_common).sum() == pytest.approx(
-        3 + with_common, abs=1e-12
-    )  # rounding
-
-
-def test_a_carrier_that_alone_feels_an_axis_has_full_leverage():
-    sensitivity = SENSITIVITY.copy()
-    sensitivity[1:, 0] = 0.0
-    assert leverages(sensitivity)[0] == pytest.approx(1.0, abs=1e-12)  # rounding
-
-
-def test_an_absent_carrier_has_no_leverage():
-    sensitivity = SENSITIVITY.copy()
-    sensitivity[4] = np.nan
-    assert np.flatnonzero(np.isnan(leverages(sensitivity))).tolist() == [4]
-
-
 def test_the_inverse_is_good_for_columns_of_any_unit():
     design = SENSITIVITY * [1e-6, 1.0, 1e6]
     expected = np.linalg.inv(SENSITIVITY.T @ SENSITIVITY) / np.outer([1e-6, 1.0, 1e6], [1e-6, 1.0, 1e6])
     np.testing.assert_allclose(normal_inverse(design), expected, rtol=1e-11)  # normal equations at a condition of 1e3
 
 
-SENSITIVITY_ATTITUDE_BOUND = np.random.default_rng(3).normal(0.0, [0.12, 1.0, 0.8], (16, 3))
+SLOPES = np.random.default_rng(3).normal(0.0, [0.12, 1.0, 0.8], (16, 3))
 NOISE = ColouredNoise(np.full(16, 0.15), np.tile([0.08, 0.06], (16, 1)), np.tile([1200.0, 7200.0], (16, 1)))
 
 
 @pytest.fixture(scope="module")
-def powers_deg() -> np.ndarray:
-    return attitude_bound_deg(SENSITIVITY_ATTITUDE_BOUND, NOISE)
+def powers_deg():
+    return attitude_bound_deg(SLOPES, NOISE)
 
 
-def with_wheels(*figures: float, **more: float) -> np.ndarray:
-    return attitude_bound_deg(SENSITIVITY_ATTITUDE_BOUND, NOISE, WheelStatistics(*figures, **more))
+def with_wheels(*figures, **more):
+    return attitude_bound_deg(SLOPES, NOISE, WheelStatistics(*figures, **more))
 
 
-def test_wheels_without_momentum_along_pitch_tell_nothing(powers_deg: np.ndarray) -> None:
+def test_wheels_without_momentum_along_pitch_tell_nothing(powers_deg):
     np.testing.assert_allclose(with_wheels(0.0), powers_deg, rtol=1e-9)
 
 
-def test_momentum_halves_yaw_and_its_sign_does_not_matter(powers_deg: np.ndarray) -> None:
+def test_momentum_halves_yaw_and_its_sign_does_not_matter(powers_deg):
     bound = with_wheels(8.0)
     assert bound[0] < 0.6 * powers_deg[0]
     assert (bound <= powers_deg).all()
     np.testing.assert_allclose(with_wheels(-8.0), bound, rtol=1e-6)
 
 
-def test_more_momentum_less_noise_and_more_records_are_never_worse() -> None:
+def test_more_momentum_less_noise_and_more_records_are_never_worse():
     yaw = [with_wheels(*figures)[0] for figures in ((50.0,), (8.0,), (8.0, 0.01, 3600.0), (8.0, 0.1, 3600.0))]
     assert yaw == sorted(yaw)
     assert with_wheels(8.0, torque_error_n_m=5e-8)[0] < yaw[1]
 
 
-def test_a_still_spacecraft_is_known_to_the_noise_of_its_references() -> None:
+def test_a_still_spacecraft_is_known_to_the_noise_of_its_references():
     white = ColouredNoise(np.full(16, 0.15), np.zeros((16, 1)), np.ones((16, 1)))
-    bound = attitude_bound_deg(SENSITIVITY_ATTITUDE_BOUND, white, None, DriftStatistics((1e-9, 1e-9, 1e-9)))
+    bound = attitude_bound_deg(SLOPES, white, None, DriftStatistics((1e-9, 1e-9, 1e-9)))
     assert (bound <= 0.011).all()
 
 
-def test_a_polarimeter_along_yaw_helps_yaw_and_one_that_wanders_far_tells_nothing(powers_deg: np.ndarray) -> None:
+def test_a_polarimeter_along_yaw_helps_yaw_and_one_that_wanders_far_tells_nothing(powers_deg):
     ordinary, better, useless = (
-        attitude_bound_deg(
-            SENSITIVITY_ATTITUDE_BOUND, NOISE, polarimeters=(PolarimeterModel((1.0, 0.0, 0.0), *figures),)
-        )
+        attitude_bound_deg(SLOPES, NOISE, polarimeters=(PolarimeterModel((1.0, 0.0, 0.0), *figures),))
         for figures in ((), (0.03, 0.02, 0.02), (0.07, 0.05, 100.0, 0.1))
     )
     assert better[0] < ordinary[0] < 0.8 * powers_deg[0]
     np.testing.assert_allclose(useless, powers_deg, rtol=1e-3)
-    two = attitude_bound_deg(SENSITIVITY_ATTITUDE_BOUND, NOISE, polarimeters=(PolarimeterModel((1.0, 0.0, 0.0)),) * 2)
+    two = attitude_bound_deg(SLOPES, NOISE, polarimeters=(PolarimeterModel((1.0, 0.0, 0.0)),) * 2)
     assert better[0] < two[0] < ordinary[0]
 
 
-def test_a_feed_that_quiet_days_know_is_a_better_polarimeter_and_one_they_do_not_know_the_same() -> None:
+def test_a_feed_that_quiet_days_know_is_a_better_polarimeter_and_one_they_do_not_know_the_same():
     unknown, known, still = (
         attitude_bound_deg(
-            SENSITIVITY_ATTITUDE_BOUND,
+            SLOPES,
             NOISE,
             polarimeters=(
                 PolarimeterModel((1.0, 0.0, 0.0), learned=LearnedFeed((0.0, 0.0, 0.0), _diagonal(*variances))),
@@ -179,49 +134,48 @@ def test_a_feed_that_quiet_days_know_is_a_better_polarimeter_and_one_they_do_not
         )
         for variances in ((9.0, 0.05**2, 0.05**2), (4e-4, 7e-4, 7e-4), (4e-4, 1e-8, 1e-8))
     )
-    free = attitude_bound_deg(SENSITIVITY_ATTITUDE_BOUND, NOISE, polarimeters=(PolarimeterModel((1.0, 0.0, 0.0)),))
+    free = attitude_bound_deg(SLOPES, NOISE, polarimeters=(PolarimeterModel((1.0, 0.0, 0.0)),))
     np.testing.assert_array_equal(unknown, free)
     assert still[0] < known[0] < 0.95 * free[0]
 
 
-def _diagonal(*variances: float) -> tuple[tuple[float, ...], ...]:
+def _diagonal(*variances):
     return tuple(map(tuple, np.diag(variances).tolist()))
 
 
-def test_a_rate_sensor_that_is_better_than_the_drift_helps_and_its_noise_does_not(powers_deg: np.ndarray) -> None:
+def test_a_rate_sensor_that_is_better_than_the_drift_helps_and_its_noise_does_not(powers_deg):
     quiet, noisy = (
-        attitude_bound_deg(SENSITIVITY_ATTITUDE_BOUND, NOISE, drift=DriftStatistics((0.01, 0.01, 0.01), 8.0, walk))
-        for walk in (0.0, 0.05)
+        attitude_bound_deg(SLOPES, NOISE, drift=DriftStatistics((0.01, 0.01, 0.01), 8.0, walk)) for walk in (0.0, 0.05)
     )
     assert (quiet < powers_deg).all()
     assert (quiet < noisy).all()
 
 
-def test_everything_together_is_better_than_each(powers_deg: np.ndarray) -> None:
+def test_everything_together_is_better_than_each(powers_deg):
     read, sensor = (PolarimeterModel((0.99, -0.09, -0.13)),), DriftStatistics((0.01, 0.01, 0.01))
-    together = attitude_bound_deg(SENSITIVITY_ATTITUDE_BOUND, NOISE, WheelStatistics(8.0), sensor, read)
-    for alone in (with_wheels(8.0), attitude_bound_deg(SENSITIVITY_ATTITUDE_BOUND, NOISE, None, sensor, read)):
+    together = attitude_bound_deg(SLOPES, NOISE, WheelStatistics(8.0), sensor, read)
+    for alone in (with_wheels(8.0), attitude_bound_deg(SLOPES, NOISE, None, sensor, read)):
         assert together[0] < alone[0] < powers_deg[0]
 
 
 SEED = 23
-RNG_CARRIER_SETS = np.random.default_rng(SEED)
-SENSITIVITY_CARRIER_SETS = RNG_CARRIER_SETS.normal(0.0, [0.16, 1.4, 1.2], (16, 3))
-SIGMA_DB_CARRIER_SETS = RNG_CARRIER_SETS.uniform(0.1, 0.3, 16)
+SET_RNG = np.random.default_rng(SEED)
+SET_SLOPES = SET_RNG.normal(0.0, [0.16, 1.4, 1.2], (16, 3))
+SET_SIGMA_DB = SET_RNG.uniform(0.1, 0.3, 16)
 #: normal equations at a condition of 1e3 against QR
 ROUNDING = 1e-9
 
 
 def weighted_inverse(with_common=True):
-    design = np.column_stack([SENSITIVITY_CARRIER_SETS, np.ones(16)]) if with_common else SENSITIVITY_CARRIER_SETS
-    weighted = design / SIGMA_DB_CARRIER_SETS[:, None]
+    design = np.column_stack([SET_SLOPES, np.ones(16)]) if with_common else SET_SLOPES
+    weighted = design / SET_SIGMA_DB[:, None]
     return design, np.linalg.inv(weighted.T @ weighted)
 
 
 def test_figures_are_the_textbook_formulas():
-    figures = judge_set(SENSITIVITY_CARRIER_SETS, SIGMA_DB_CARRIER_SETS)
+    figures = judge_set(SET_SLOPES, SET_SIGMA_DB)
     design, inverse = weighted_inverse()
-    plain = np.linalg.inv(SENSITIVITY_CARRIER_SETS.T @ SENSITIVITY_CARRIER_SETS)
+    plain = np.linalg.inv(SET_SLOPES.T @ SET_SLOPES)
     with_common = np.linalg.inv(design.T @ design)
     print(f"seed {SEED}: {figures}")
     assert figures.crlb_deg == pytest.approx(np.sqrt(np.diag(inverse))[:3], rel=ROUNDING)
@@ -229,36 +183,26 @@ def test_figures_are_the_textbook_formulas():
     assert figures.dop_deg_per_db == pytest.approx(np.sqrt(np.diag(plain)), rel=ROUNDING)
     assert figures.dop_with_common_deg_per_db == pytest.approx(np.sqrt(np.diag(with_common))[:3], rel=ROUNDING)
     assert figures.angle_dop_deg_per_db == pytest.approx(np.linalg.det(plain) ** (1 / 6), rel=ROUNDING)
-    assert figures.condition == pytest.approx(np.linalg.cond(SENSITIVITY_CARRIER_SETS), rel=ROUNDING)
-    hat = design @ inverse @ design.T / SIGMA_DB_CARRIER_SETS**2
+    assert figures.condition == pytest.approx(np.linalg.cond(SET_SLOPES), rel=ROUNDING)
+    hat = design @ inverse @ design.T / SET_SIGMA_DB**2
     assert figures.leverage == pytest.approx(np.diag(hat), rel=ROUNDING)
     ones = np.ones(16)
-    fitted = SENSITIVITY_CARRIER_SETS @ (plain @ SENSITIVITY_CARRIER_SETS.T @ ones)
+    fitted = SET_SLOPES @ (plain @ SET_SLOPES.T @ ones)
     assert figures.common_share == pytest.approx(fitted @ fitted / 16.0, rel=ROUNDING)
     assert figures.redundancy == 11
-
-
-def test_the_determinant_is_that_of_all_triples():
-    """Cauchy and Binet: det A'A is the sum over all choices of three carriers of their determinants squared."""
-    total = sum(
-        np.linalg.det(SENSITIVITY_CARRIER_SETS[list(three)]) ** 2 for three in itertools.combinations(range(16), 3)
-    )
-    assert judge_set(SENSITIVITY_CARRIER_SETS, SIGMA_DB_CARRIER_SETS).angle_dop_deg_per_db == pytest.approx(
-        total ** (-1 / 6), rel=ROUNDING
-    )
 
 
 @pytest.mark.parametrize("carrier", [0, 7, 15])
 def test_largest_undetectable_fault_is_seen_in_nine_rows_of_ten(carrier):
     """Rows with the fault, solved by weighted least squares: share beyond the gate, and what the fix takes."""
     rows, rng = 20_000, np.random.default_rng(SEED + carrier)
-    figures = judge_set(SENSITIVITY_CARRIER_SETS, SIGMA_DB_CARRIER_SETS)
+    figures = judge_set(SET_SLOPES, SET_SIGMA_DB)
     design, inverse = weighted_inverse()
-    deviation = rng.normal(0.0, SIGMA_DB_CARRIER_SETS, (rows, 16))
+    deviation = rng.normal(0.0, SET_SIGMA_DB, (rows, 16))
     deviation[:, carrier] += figures.undetectable_fault_db[carrier]
-    solved = deviation / SIGMA_DB_CARRIER_SETS**2 @ design @ inverse
+    solved = deviation / SET_SIGMA_DB**2 @ design @ inverse
     residual = deviation - solved @ design.T
-    seen = np.mean(residual[:, carrier] > GATE_SIGMAS * SIGMA_DB_CARRIER_SETS[carrier])
+    seen = np.mean(residual[:, carrier] > GATE_SIGMAS * SET_SIGMA_DB[carrier])
     print(f"seed {SEED + carrier}: seen {seen:.4f}, shift {solved[:, :3].mean(axis=0)}")
     # binomial: sqrt(0.9 0.1 / 20000) = 0.0021; four of these
     assert seen == pytest.approx(0.9, abs=0.0085)
@@ -270,7 +214,7 @@ def test_largest_undetectable_fault_is_seen_in_nine_rows_of_ten(carrier):
 
 def test_what_is_not_determined_is_nan():
     """Three carriers, and sixteen that answer to one mixture: nothing is told but the condition."""
-    for sensitivity in (SENSITIVITY_CARRIER_SETS[:3], np.outer(np.arange(1.0, 17.0), [0.1, 1.0, 2.0])):
+    for sensitivity in (SET_SLOPES[:3], np.outer(np.arange(1.0, 17.0), [0.1, 1.0, 2.0])):
         figures = judge_set(sensitivity, np.full(len(sensitivity), 0.1))
         assert np.isnan(figures.crlb_deg).all()
         assert np.isnan(figures.leverage).all()
@@ -287,9 +231,9 @@ def test_no_carriers():
 
 
 def test_absent_carriers_change_nothing():
-    sensitivity = np.vstack([SENSITIVITY_CARRIER_SETS, [[np.nan, 1.0, 1.0], [0.1, 1.0, 1.0]]])
-    sigma = np.append(SIGMA_DB_CARRIER_SETS, [0.1, np.nan])
-    figures, expected = judge_set(sensitivity, sigma), judge_set(SENSITIVITY_CARRIER_SETS, SIGMA_DB_CARRIER_SETS)
+    sensitivity = np.vstack([SET_SLOPES, [[np.nan, 1.0, 1.0], [0.1, 1.0, 1.0]]])
+    sigma = np.append(SET_SIGMA_DB, [0.1, np.nan])
+    figures, expected = judge_set(sensitivity, sigma), judge_set(SET_SLOPES, SET_SIGMA_DB)
     assert figures.crlb_deg == pytest.approx(expected.crlb_deg, rel=1e-12)  # rounding
     assert np.isnan(figures.leverage[16:]).all()
     assert np.isnan(figures.undetectable_fault_db[16:]).all()
@@ -298,9 +242,9 @@ def test_absent_carriers_change_nothing():
 
 def test_a_carrier_that_nothing_checks_hides_any_fault():
     """Yaw is seen by the first carrier alone: no fault of it shows, and yaw takes all of it."""
-    sensitivity = SENSITIVITY_CARRIER_SETS.copy()
+    sensitivity = SET_SLOPES.copy()
     sensitivity[1:, 0] = 0.0
-    figures = judge_set(sensitivity, SIGMA_DB_CARRIER_SETS)
+    figures = judge_set(sensitivity, SET_SIGMA_DB)
     assert figures.leverage[0] == pytest.approx(1.0, abs=1e-9)  # rounding
     assert figures.undetectable_fault_db[0] == math.inf
     assert abs(figures.fault_shift_deg[0, 0]) == math.inf
@@ -312,8 +256,8 @@ def test_averages_follow_the_closed_form():
     noise = ColouredNoise(
         np.full(count, 0.155), np.tile([0.09, 0.05], (count, 1)), np.tile([1200.0, 36_000.0], (count, 1))
     )
-    reported = averaged_crlb_deg(SENSITIVITY_CARRIER_SETS, noise, span_s, 60.0)
-    dop = judge_set(SENSITIVITY_CARRIER_SETS, np.ones(count)).crlb_deg
+    reported = averaged_crlb_deg(SET_SLOPES, noise, span_s, 60.0)
+    dop = judge_set(SET_SLOPES, np.ones(count)).crlb_deg
     for row, span in zip(reported, span_s, strict=True):
         variance = 0.155**2 / (span / 60.0)
         for sigma, tau in ((0.09, 1200.0), (0.05, 36_000.0)):
@@ -331,19 +275,19 @@ def test_an_average_of_drawn_noise_has_the_spread_told():
     for k in range(1, rows):
         wander[:, k] = keep * wander[:, k - 1] + rng.normal(0.0, 0.09 * math.sqrt(1.0 - keep**2), (hours, 16))
     mean = wander.mean(axis=1) + rng.normal(0.0, 0.155 / math.sqrt(rows), (hours, 16))
-    design = np.column_stack([SENSITIVITY_CARRIER_SETS, np.ones(16)])
+    design = np.column_stack([SET_SLOPES, np.ones(16)])
     solved = mean @ np.linalg.pinv(design).T
     noise = ColouredNoise(np.full(16, 0.155), np.full((16, 1), 0.09), np.full((16, 1), 1200.0))
-    reported = averaged_crlb_deg(SENSITIVITY_CARRIER_SETS, noise, np.array([3600.0]), 60.0)[0]
+    reported = averaged_crlb_deg(SET_SLOPES, noise, np.array([3600.0]), 60.0)[0]
     print(f"seed {SEED}: {solved[:, :3].std(axis=0)} against {reported}")
     # a standard deviation of 4000 draws is good to 1.1 %; sixty samples against the continuous form differ by 1 %
     assert solved[:, :3].std(axis=0) == pytest.approx(reported, rel=0.05)
 
 
-SEED_DESIGN = 41
+DESIGN_SEED = 41
 
 
-def stations(count, seed=SEED_DESIGN):
+def stations(count, seed=DESIGN_SEED):
     return np.random.default_rng(seed).normal(0.0, [0.16, 1.4, 1.2], (count, 3))
 
 
@@ -365,26 +309,16 @@ def test_exchange_is_within_three_per_cent_of_the_best_subset(seed):
 
 def test_choice_beats_chance():
     """16 of 40: roll and pitch bounds below the median of random choices by 20 % (section 3: 35 %)."""
-    sensitivity, rng = stations(40), np.random.default_rng(SEED_DESIGN)
+    sensitivity, rng = stations(40), np.random.default_rng(DESIGN_SEED)
     design = choose_carriers(sensitivity, np.full(40, 0.1), np.arange(40) % 8, 16)
     random = [
         crlb_deg(sensitivity[rng.choice(40, 16, replace=False)], np.full(16, 0.1), with_common=True) for _ in range(200)
     ]
     median = np.median(random, axis=0)
-    print(f"seed {SEED_DESIGN}: chosen {design.crlb_deg}, random {median}")
+    print(f"seed {DESIGN_SEED}: chosen {design.crlb_deg}, random {median}")
     assert (design.crlb_deg[1:] < 0.8 * median[1:]).all()
     assert design.is_sufficient
     assert design.redundancy == 11
-
-
-def test_no_transponder_holds_more_than_its_share():
-    """The steepest carriers all in one transponder: 35 % of 12 are 4."""
-    sensitivity = stations(30)
-    sensitivity[:12] *= 3.0
-    transponder = np.array([0] * 12 + [1] * 9 + [2] * 9)
-    design = choose_carriers(sensitivity, np.full(30, 0.1), transponder, 12)
-    assert np.bincount(transponder[design.chosen]).max() == 4
-    assert len(design.chosen) == 12
 
 
 def test_what_may_not_be_chosen_is_not():

@@ -159,7 +159,7 @@ def test_pulses_may_touch_and_come_in_any_order():
     assert ordered_schedule(touching) == (touching[1], touching[0])
 
 
-PLAIN_CAPTURE_ANALYSIS = {
+CAPTURE = {
     "omega_rad_s": 1.0,
     "damping_ratio": 0.01,
     "coupling": 0.5,
@@ -174,7 +174,7 @@ PLAIN_CAPTURE_ANALYSIS = {
 
 
 def test_everything_that_is_shown():
-    found = analyse_capture(**PLAIN_CAPTURE_ANALYSIS, amplitude_rad=8e-3)
+    found = analyse_capture(**CAPTURE, amplitude_rad=8e-3)
     assert found.p_cr_rad == pytest.approx(8.266190184e-3, rel=1e-9)
     assert found.p_min_rad == pytest.approx(8.397559867e-3, rel=1e-8)
     assert found.margin_rad == pytest.approx(found.p_cr_rad - 8e-3, rel=1e-12)
@@ -185,20 +185,16 @@ def test_everything_that_is_shown():
 
 @pytest.mark.parametrize(
     ("changes", "verdict"),
-    [
-        ({"amplitude_rad": 8.2e-3}, "free"),
-        ({"amplitude_rad": 8.3e-3}, "captured"),
-        ({"omega_rad_s": 0.25}, "always"),
-    ],
+    [({"amplitude_rad": 8.2e-3}, "free"), ({"amplitude_rad": 8.3e-3}, "captured"), ({"omega_rad_s": 0.25}, "always")],
 )
 def test_verdicts(changes, verdict):
-    assert analyse_capture(**PLAIN_CAPTURE_ANALYSIS | changes).verdict == verdict
+    assert analyse_capture(**CAPTURE | changes).verdict == verdict
 
 
 def test_a_timed_pulse_is_harder_to_capture_and_holds_no_oscillation():
     relay, timed = (
-        analyse_capture(**PLAIN_CAPTURE_ANALYSIS | {"omega_rad_s": 0.5}),
-        analyse_capture(**PLAIN_CAPTURE_ANALYSIS | {"omega_rad_s": 0.5, "pulse_s": 1.0}),
+        analyse_capture(**CAPTURE | {"omega_rad_s": 0.5}),
+        analyse_capture(**CAPTURE | {"omega_rad_s": 0.5, "pulse_s": 1.0}),
     )
     assert timed.p_cr_rad > relay.p_cr_rad
     assert relay.p_inf_rad > 0.0
@@ -211,15 +207,12 @@ def test_levels_of_perpetual_capture(share, level):
 
 
 def test_friction_away_from_the_line_has_no_cycle_on_the_surface():
-    assert math.isnan(analyse_capture(**PLAIN_CAPTURE_ANALYSIS, is_friction_outward=False).rigid_frequency_rad_s)
+    assert math.isnan(analyse_capture(**CAPTURE, is_friction_outward=False).rigid_frequency_rad_s)
 
 
 def test_friction_inward_is_the_worse_case_of_a_motor():
-    away, toward = (
-        analyse_capture(**PLAIN_CAPTURE_ANALYSIS, is_friction_outward=False),
-        analyse_capture(**PLAIN_CAPTURE_ANALYSIS),
-    )
-    none = analyse_capture(**PLAIN_CAPTURE_ANALYSIS | {"friction_torque_n_m": 0.0})
+    away, toward = (analyse_capture(**CAPTURE, is_friction_outward=False), analyse_capture(**CAPTURE))
+    none = analyse_capture(**CAPTURE | {"friction_torque_n_m": 0.0})
     assert away.p_cr_rad < none.p_cr_rad < toward.p_cr_rad
     assert away.p_min_rad < none.p_min_rad < toward.p_min_rad
     # each by pi^2 / 4 of the friction's acceleration over w^2
@@ -228,19 +221,17 @@ def test_friction_inward_is_the_worse_case_of_a_motor():
 
 def test_without_damping_formula_and_motion_agree_and_a_relay_keeps_no_amplitude():
     """The paper derives (12) to (20) at xi = 0."""
-    found = analyse_capture(**PLAIN_CAPTURE_ANALYSIS | {"damping_ratio": 0.0})
+    found = analyse_capture(**CAPTURE | {"damping_ratio": 0.0})
     assert found.p_min_rad == pytest.approx(found.p_cr_refined_rad, rel=1e-9)
     assert (found.p_inf_rad, found.perpetual_capture) == (math.inf, "possible")
-    one_line = analyse_capture(
-        **PLAIN_CAPTURE_ANALYSIS | {"damping_ratio": 0.0, "alpha_rad": PLAIN_CAPTURE_ANALYSIS["beta_rad"]}
-    )
+    one_line = analyse_capture(**CAPTURE | {"damping_ratio": 0.0, "alpha_rad": CAPTURE["beta_rad"]})
     assert (one_line.p_inf_rad, one_line.perpetual_capture) == (0.0, "none")
-    timed = analyse_capture(**PLAIN_CAPTURE_ANALYSIS | {"damping_ratio": 0.0, "pulse_s": 1.0})
+    timed = analyse_capture(**CAPTURE | {"damping_ratio": 0.0, "pulse_s": 1.0})
     assert (timed.p_inf_rad, timed.perpetual_capture) == (0.0, "none")
 
 
 def test_a_body_at_rest_has_no_band():
-    found = analyse_capture(**PLAIN_CAPTURE_ANALYSIS | {"rate_rad_s": 0.0})
+    found = analyse_capture(**CAPTURE | {"rate_rad_s": 0.0})
     assert math.isnan(found.band.low_rad_s)
 
 
@@ -258,6 +249,6 @@ def test_a_body_at_rest_has_no_band():
         ({"pulse_s": 0.0}, "pulse_s is 0"),
     ],
 )
-def test_what_is_not_physical_is_refused_capture_analysis(changes, reported):
+def test_a_capture_that_is_not_physical_is_refused(changes, reported):
     with pytest.raises(ValueError, match=reported):
-        analyse_capture(**PLAIN_CAPTURE_ANALYSIS | changes)
+        analyse_capture(**CAPTURE | changes)

@@ -1,4 +1,4 @@
-"""None"""
+"""Flexible spacecraft in a limit cycle: arrivals, crossings of lines and the cycle that is found."""
 
 import math
 

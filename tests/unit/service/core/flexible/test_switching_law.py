@@ -1,4 +1,4 @@
-"""None"""
+"""The switching law of one line and of both lines."""
 
 import math
 
@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from service.core.flexible.both_lines import crossing_speed_rad_s, find_cycles_over_both_lines, return_over_both_lines
 from service.core.flexible.spacecraft import WheelDrive
-from service.core.flexible.switching_law import WATCHES, Arm, SwitchingLaw, arm_after_pulse, counter_after, require_law
+from service.core.flexible.switching_law import WATCHES, Arm, SwitchingLaw, arm_after_pulse, require_law
 
 LAW = SwitchingLaw(0.0175, 0.0349, 1.0, 3, 2e-3)
 
@@ -16,21 +16,6 @@ LAW = SwitchingLaw(0.0175, 0.0349, 1.0, 3, 2e-3)
 def test_every_state_has_its_row():
     assert set(WATCHES) == set(Arm)
     assert {watch.line for row in WATCHES.values() for watch in row} == {"line", "alpha", "beta", "last"}
-
-
-@pytest.mark.parametrize(
-    ("arm", "lines"),
-    [
-        (Arm.NEUTRAL, {"line": Arm.FIRING}),
-        (Arm.COUNTING, {"line": Arm.FIRING, "alpha": Arm.NEUTRAL}),
-        (Arm.FULL, {"line": Arm.FIRING, "last": Arm.CAPPED}),
-        (Arm.CAPPED, {"line": Arm.FIRING, "beta": Arm.NEUTRAL}),
-        (Arm.FIRING, {}),
-        (Arm.RELAY_ON, {"alpha": Arm.NEUTRAL}),
-    ],
-)
-def test_what_is_watched(arm, lines):
-    assert {watch.line: watch.to for watch in WATCHES[arm]} == lines
 
 
 def test_lines_stand_a_step_apart_and_go_on_beyond_the_last():
@@ -42,14 +27,6 @@ def test_a_single_line_without_a_step_has_none_after_it():
     single = SwitchingLaw(0.0175, 0.0349, 1.0)
     assert single.next_line_rad(0) == 0.0349
     assert math.isinf(single.next_line_rad(1))
-
-
-def test_counter():
-    assert counter_after(Arm.FIRING, 1, LAW) == 2
-    assert counter_after(Arm.RELAY_ON, 0, LAW) == 1
-    assert counter_after(Arm.CAPPED, 4, LAW) == 2
-    assert counter_after(Arm.NEUTRAL, 3, LAW) == 0
-    assert counter_after(Arm.FULL, 3, LAW) == 3
 
 
 @pytest.mark.parametrize(("counter", "arm"), [(1, Arm.COUNTING), (2, Arm.COUNTING), (3, Arm.FULL), (4, Arm.FULL)])
@@ -81,24 +58,24 @@ def test_one_line_for_on_and_off_is_a_law():
 
 
 DRIVE = WheelDrive(1000.0, 0.2, 3e-4, 1e-4, momentum_n_m_s=10.0)
-LAW_BOTH_LINES = SwitchingLaw(0.0175, 0.0349, 2.0)
+TWO_LINES = SwitchingLaw(0.0175, 0.0349, 2.0)
 
 
 @pytest.mark.parametrize("momentum_n_m_s", [10.0, -10.0])
 def test_the_side_to_which_friction_turns_fires_once_more(momentum_n_m_s):
     """Two pulses there, one on the other side: N - N' pulses make good what friction takes in a period."""
-    (cycle,) = find_cycles_over_both_lines(DRIVE._replace(momentum_n_m_s=momentum_n_m_s), LAW_BOTH_LINES)
+    (cycle,) = find_cycles_over_both_lines(DRIVE._replace(momentum_n_m_s=momentum_n_m_s), TWO_LINES)
     assert cycle.motion.pulses == (2, 1)
     assert cycle.motion.period_s == pytest.approx(0.2 * 2.0 / (3e-4 + 5e-5), rel=1e-9)
     assert cycle.multiplier == pytest.approx(-1.007, abs=2e-3)
     assert not cycle.is_stable
-    assert cycle.motion.outer_rad > LAW_BOTH_LINES.beta_rad
+    assert cycle.motion.outer_rad > TWO_LINES.beta_rad
 
 
 def test_a_step_between_lines_makes_it_stable():
     drive, law = (
         DRIVE._replace(dry_friction_n_m=1e-4),
-        LAW_BOTH_LINES._replace(pulse_s=1.0, pulse_count=2, line_step_rad=1.5e-3),
+        TWO_LINES._replace(pulse_s=1.0, pulse_count=2, line_step_rad=1.5e-3),
     )
     (cycle,) = find_cycles_over_both_lines(drive, law)
     assert cycle.is_stable
@@ -111,7 +88,7 @@ def test_a_step_between_lines_makes_it_stable():
 
 def test_a_return_is_that_of_an_integrator():
     """The same visit by DOP853 between the same events, counted outward from the line of arrival."""
-    (cycle,) = find_cycles_over_both_lines(DRIVE, LAW_BOTH_LINES)
+    (cycle,) = find_cycles_over_both_lines(DRIVE, TWO_LINES)
     passive, motor, loss_1_s = (3e-4 + 1e-4 * 10.0 / 20.0) / 1000.0, 0.2 / 1000.0, 1e-4 / 20.0
 
     def leg(y, u, push, for_s, level=None):
@@ -126,7 +103,7 @@ def test_a_return_is_that_of_an_integrator():
         solved = solve_ivp(slope, (0.0, for_s), [y, u], method="DOP853", rtol=1e-11, atol=1e-16, events=events)
         return solved.t[-1], *solved.y[:, -1]
 
-    beta, total = LAW_BOTH_LINES.beta_rad, 0.0
+    beta, total = TWO_LINES.beta_rad, 0.0
     y, u = beta, cycle.motion.speed_rad_s
     for push, for_s, level in (
         (-motor, 2.0, None),  # first pulse at the line of arrival
@@ -152,7 +129,7 @@ def test_three_pulses_a_side_where_the_rotor_passes_through_rest():
 
 
 def test_no_cycle_where_a_pulse_does_not_reach_through_neutral():
-    drive, law = DRIVE._replace(dry_friction_n_m=1e-3), LAW_BOTH_LINES._replace(pulse_s=1.0)
+    drive, law = DRIVE._replace(dry_friction_n_m=1e-3), TWO_LINES._replace(pulse_s=1.0)
     assert crossing_speed_rad_s(drive, law) == pytest.approx(math.sqrt(4 * 1.05e-6 * 0.0349), rel=1e-9)
     assert find_cycles_over_both_lines(drive, law) == ()
     assert all(return_over_both_lines(float(w), drive, law) is None for w in np.linspace(2e-5, 1.8e-4, 9))

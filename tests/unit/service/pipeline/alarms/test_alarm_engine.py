@@ -84,13 +84,7 @@ def test_an_alarm_says_what_happened_to_which_thing_since_when_and_by_how_much(r
         ("attitude_angle", "roll", 0.3004, 0.3, "roll angle is 0.3004 deg, limit 0.3 deg"),
         ("carrier_absent", "c01", 3600.4, 120.0, "carrier c01 has been absent for 3600 s, limit 120 s"),
         ("ephemeris_ending", "newest", -1.24, 0.0, "remaining validity of the newest ephemeris is -1.2 h, limit 0 h"),
-        (
-            "rows_missing",
-            "sa-1",
-            12.0,
-            0.0,
-            "missing from source sa-1 in the last hour: 12 rows",
-        ),
+        ("rows_missing", "sa-1", 12.0, 0.0, "missing from source sa-1 in the last hour: 12 rows"),
     ],
 )
 def test_an_alarm_is_a_plain_sentence_with_value_and_limit(raised, name, thing, value, limit, words):
@@ -304,7 +298,7 @@ def test_the_conditions_by_default_have_limits_in_order_and_angles_of_the_settin
         assert Cover.NONE.value not in condition.says
 
 
-CONDITIONS_LIMIT_SETS = condition_table(AlarmConfig(), RobustConfig())
+TABLE = condition_table(AlarmConfig(), RobustConfig())
 PLAN = CarrierPlan(1, "sha", tuple(Carrier(f"c{k}", "Ku", f"t{k // 2}", 11e9, 1e6) for k in range(4)))
 
 
@@ -353,26 +347,23 @@ def test_work_keeps_quiet_what_it_names(kind):
 
 
 def test_a_manoeuvre_widens_the_angles_and_quietens_what_it_disturbs():
-    limits = limits_in_force(CONDITIONS_LIMIT_SETS, AlarmLimits(), ("normal", "manoeuvre"))
+    limits = limits_in_force(TABLE, AlarmLimits(), ("normal", "manoeuvre"))
     assert (limits["attitude_angle"].warning, limits["attitude_angle"].critical) == (0.5, 0.8)
     assert limits["methods_disagree"].suppressed
-    assert limits["carrier_absent"] == CONDITIONS_LIMIT_SETS["carrier_absent"].limits
+    assert limits["carrier_absent"] == TABLE["carrier_absent"].limits
 
 
 def test_what_is_stated_prevails_over_the_default_of_its_set_and_under_that_of_a_later_one():
     stated = AlarmLimits(1, sets={"normal": {"carrier_level": {"warning": 1.0, "deadband": 0.1}}})
-    normal = limits_in_force(CONDITIONS_LIMIT_SETS, stated, ("normal",))["carrier_level"]
-    rain = limits_in_force(CONDITIONS_LIMIT_SETS, stated, ("normal", "rain"))["carrier_level"]
+    normal = limits_in_force(TABLE, stated, ("normal",))["carrier_level"]
+    rain = limits_in_force(TABLE, stated, ("normal", "rain"))["carrier_level"]
     assert (normal.warning, normal.distress, normal.deadband) == (1.0, 6.0, 0.1)
     assert (rain.warning, rain.distress, rain.deadband) == (8.0, 15.0, 0.1)
 
 
 def test_the_sets_by_default_are_in_order():
     assert set(DEFAULT_SETS) == set(SETS)
-    assert (
-        faults_of(CONDITIONS_LIMIT_SETS, AlarmLimits(sets={name: dict(each) for name, each in DEFAULT_SETS.items()}))
-        == ()
-    )
+    assert faults_of(TABLE, AlarmLimits(sets={name: dict(each) for name, each in DEFAULT_SETS.items()})) == ()
 
 
 def test_faults_name_the_condition_and_what_is_wrong():
@@ -381,7 +372,7 @@ def test_faults_name_the_condition_and_what_is_wrong():
         "rain": {"carrier_level": {"warning": 20.0}},
         "eclipse": {"carrier_absent": {"warning": None}},
     }
-    faults = faults_of(CONDITIONS_LIMIT_SETS, AlarmLimits(sets=sets))
+    faults = faults_of(TABLE, AlarmLimits(sets=sets))
     assert [(fault.pointer, fault.code) for fault in faults] == [
         ("/sets/normal/carrier_level", "alarm_limits.order"),
         ("/sets/normal/carrier_c_n0", "alarm_limits.order"),
@@ -390,30 +381,11 @@ def test_faults_name_the_condition_and_what_is_wrong():
     ]
 
 
-STATES = list(Process)
-
-
 def test_every_state_answers_every_event():
     assert set(PROCESS) == set(Process)
     assert all(set(row) == set(AlarmEvent) for row in PROCESS.values())
     assert set(COVERS) == set(Cover)
     assert all(set(row) == set(CoverEvent) for row in COVERS.values())
-
-
-@pytest.mark.parametrize("is_latching", [False, True])
-@pytest.mark.parametrize("state", STATES)
-def test_clearing_leads_out_of_every_state(state, is_latching):
-    assert next_process(state, AlarmEvent.CLEAR, is_latching=is_latching) is Process.NORMAL
-    assert all(next_cover(cover, CoverEvent.CLEAR) is Cover.NONE for cover in Cover)
-
-
-def test_an_alarm_that_was_seen_and_is_gone_is_closed_in_either_order():
-    for order in ((AlarmEvent.ACKNOWLEDGE, AlarmEvent.RETURN), (AlarmEvent.RETURN, AlarmEvent.ACKNOWLEDGE)):
-        state = next_process(Process.NORMAL, AlarmEvent.RAISE, is_latching=False)
-        for event in order:
-            assert state is not Process.NORMAL
-            state = next_process(state, event, is_latching=False)
-        assert state is Process.NORMAL
 
 
 def test_what_latches_waits_for_its_clearing():
@@ -427,11 +399,6 @@ def test_what_latches_waits_for_its_clearing():
             state = next_process(state, event, is_latching=True)
         assert state is Process.LATCHED
     assert next_process(Process.NORMAL, AlarmEvent.RETURN, is_latching=True) is Process.NORMAL
-
-
-def test_only_a_worse_condition_takes_an_acknowledgement_away():
-    losing = {event for event in AlarmEvent if PROCESS[Process.ACKNOWLEDGED][event] is Process.UNACKNOWLEDGED}
-    assert losing == {AlarmEvent.ESCALATE}
 
 
 def test_what_nobody_was_told_of_needs_no_acknowledgement():

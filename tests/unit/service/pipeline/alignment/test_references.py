@@ -13,11 +13,11 @@ from service.pipeline.alignment.robust_references import robust_references
 from service.pipeline.config import AlignmentConfig, EstimationConfig
 from service.pipeline.estimation.paper.harmonic_removal import expected_power, remove_harmonic
 from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
-from service.pipeline.inputs.reference_angles import StatedAngles, smooth_angles
+from service.pipeline.inputs.reference_angles import StatedAngles
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import Axes
-from service.records.levels.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.series import MeasurementSeries
 from service.records.noise import NoiseComponent
 
 ALIGNED_US = START_US + HOUR
@@ -79,67 +79,16 @@ def test_a_calibration_without_result_has_no_columns():
     assert columns_of(PAYLOAD.series(WINDOW), replace(PAYLOAD.calibration(), result=None)).power_dbm.shape == (31, 0)
 
 
-S_PAPER_REFERENCES = 1_000_000
-TRACKER = ("star_tracker",) * 3
 CONFIG = AlignmentConfig()
-ZERO = np.zeros(3)
 
 
 def window(synthetic, after_h=60.0, length_s=1800):
     start_us = synthetic.START_US + int(after_h * synthetic.HOUR)
-    return Window(start_us, start_us + length_s * S_PAPER_REFERENCES)
+    return Window(start_us, start_us + length_s * S)
 
 
 def stated(at_us, angles=(0.0, 0.0, 0.0), sigma=(0.01, 0.01, 0.01)):
     return StatedAngles(at_us, Axes(*angles), Axes(*sigma))
-
-
-# ---- angles ---------------------------------------------------------------------------------------------------------
-
-
-def test_the_angles_are_a_straight_line_read_at_the_newest_reference():
-    epochs_us = np.arange(30) * 60 * S_PAPER_REFERENCES
-    angles = np.array([0.1, -0.2, 0.3]) + np.outer(np.arange(30), [1e-3, 2e-3, -1e-3])
-    series = ReferenceSeries("star_tracker", epochs_us, angles, np.full((30, 3), 0.01))
-    found, missing = smooth_angles((series,), TRACKER)
-    assert missing == ()
-    assert found.epoch_us == epochs_us[-1]
-    np.testing.assert_allclose(found.attitude_deg, angles[-1], atol=1e-12)  # exact line
-    # variance of a line of n points at its end: (4 n - 2) / (n (n + 1)) of one reading's
-    np.testing.assert_allclose(found.sigma_deg, 0.01 * np.sqrt(118.0 / (30 * 31)), rtol=1e-9)
-
-
-def test_few_readings_are_averaged_and_an_unstated_sigma_is_assumed():
-    angles = np.array([[0.1, 0.2, 0.3], [0.3, 0.2, 0.1]])
-    series = ReferenceSeries("star_tracker", np.array([5, 7]), angles, np.full((2, 3), np.nan))
-    found, _ = smooth_angles((series,), TRACKER)
-    np.testing.assert_allclose(found.attitude_deg, [0.2, 0.2, 0.2], atol=1e-12)
-    np.testing.assert_allclose(found.sigma_deg, 0.05 / np.sqrt(2), rtol=1e-12)
-
-
-def test_many_readings_of_one_instant_are_averaged():
-    series = ReferenceSeries("star_tracker", np.full(9, 5), np.full((9, 3), 0.1), np.full((9, 3), 0.03))
-    found, _ = smooth_angles((series,), TRACKER)
-    np.testing.assert_allclose(found.attitude_deg, 0.1, rtol=1e-12)
-    np.testing.assert_allclose(found.sigma_deg, 0.01, rtol=1e-12)
-
-
-def test_axes_may_come_from_sensors_of_their_own_and_end_at_different_times():
-    nan = np.full((3, 1), np.nan)
-    earth = ReferenceSeries(
-        "earth_sensor", np.array([1, 2, 3]), np.hstack([nan, np.full((3, 2), 0.2)]), np.full((3, 3), 0.03)
-    )
-    beacon = ReferenceSeries("radio_beacon", np.array([1, 9]), np.array([[0.4, 9, 9], [0.4, 9, 9]]), np.ones((2, 3)))
-    found, _ = smooth_angles((earth, beacon), ("radio_beacon", "earth_sensor", "earth_sensor"))
-    assert found.epoch_us == 9
-    np.testing.assert_allclose(found.attitude_deg, [0.4, 0.2, 0.2], rtol=1e-12)
-
-
-def test_axes_that_no_reference_covers_are_named():
-    earth = ReferenceSeries("earth_sensor", np.array([1]), np.array([[np.nan, 0.1, 0.2]]), np.full((1, 3), 0.03))
-    assert smooth_angles((earth,), ("earth_sensor",) * 3) == (None, ("yaw",))
-    assert smooth_angles((earth,), ("earth_sensor", "earth_sensor", "star_tracker")) == (None, ("yaw", "pitch"))
-    assert smooth_angles((), TRACKER) == (None, ("yaw", "roll", "pitch"))
 
 
 # ---- references -----------------------------------------------------------------------------------------------------
@@ -218,7 +167,7 @@ def test_an_alignment_away_from_zero_reports_the_angles_that_the_craft_has(paylo
     np.testing.assert_allclose([item.change_since_calibration_db for item in found.references], 0.0, atol=1e-9)
     alignment = replace(payload.alignment(of.stop_us), references=found.references)
     expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
-    later_us = of.stop_us + 60 * S_PAPER_REFERENCES
+    later_us = of.stop_us + 60 * S
     power = payload.power_dbm(np.array([later_us]), truth)[0]
     deviation = remove_harmonic(power, later_us, expected, ephemeris).deviation_db
     fix = solve_attitude(later_us, deviation, 15, 840.0, sensitivity_model(calibration), EstimationConfig())
@@ -229,7 +178,7 @@ def test_an_attitude_that_moves_over_the_window_is_removed_along_its_line(payloa
     of = window(synthetic)
     epochs_us = payload.series(of).epochs_us
     rate = np.array([2e-5, -1e-5, 5e-5])
-    moving = np.array([0.2, -0.15, 0.2]) + np.outer((epochs_us - epochs_us[-1]) / S_PAPER_REFERENCES, rate)
+    moving = np.array([0.2, -0.15, 0.2]) + np.outer((epochs_us - epochs_us[-1]) / S, rate)
     series = replace(payload.series(of), power_dbm=payload.power_dbm(epochs_us, moving))
     reported = stated(int(epochs_us[-1]), tuple(moving[-1]))._replace(rate_deg_s=Axes(*rate))
     found = reference_powers(series, reported, payload.calibration(), payload.ephemeris(), CONFIG)
@@ -308,7 +257,7 @@ def test_carriers_that_are_not_selected_are_not_asked(payload):
     assert len(powers.references) == 12
 
 
-ZERO_ROBUST_REFERENCES = (0.0, 0.0, 0.0)
+AT_ZERO = (0.0, 0.0, 0.0)
 
 
 @pytest.fixture
@@ -317,17 +266,13 @@ def payload():
     return FlightPayload.make(12)
 
 
-def stated_robust_references(angles=ZERO_ROBUST_REFERENCES, rates=ZERO_ROBUST_REFERENCES, sigma=(0.01, 0.005, 0.005)):
+def stated_at(angles=AT_ZERO, rates=AT_ZERO, sigma=(0.01, 0.005, 0.005)):
     return StatedAngles(ALIGNED_US, Axes(*angles), Axes(*sigma), Axes(*rates))
 
 
-def align_robust_references(payload, series, reported=None, calibration=None, config=CONFIG):
+def robust(payload, series, reported=None, calibration=None, config=CONFIG):
     return robust_references(
-        series,
-        reported or stated_robust_references(),
-        calibration or payload.calibration(),
-        payload.ephemeris(),
-        config,
+        series, reported or stated_at(), calibration or payload.calibration(), payload.ephemeris(), config
     )
 
 
@@ -339,9 +284,9 @@ def told_of(powers, name="reference_dbm"):
     return np.array([getattr(one, name) for one in powers.references])
 
 
-@pytest.mark.parametrize("angles", [ZERO_ROBUST_REFERENCES, (0.2, -0.3, 0.25)], ids=["at zero", "turned"])
+@pytest.mark.parametrize("angles", [AT_ZERO, (0.2, -0.3, 0.25)], ids=["at zero", "turned"])
 def test_references_are_the_levels_at_zero_attitude(payload, angles):
-    powers = align_robust_references(payload, payload.series(WINDOW, angles), stated_robust_references(angles))
+    powers = robust(payload, payload.series(WINDOW, angles), stated_at(angles))
     # second order of the turn, 0.002 deg at 0.4, times a slope of 3 dB/deg
     np.testing.assert_allclose(told_of(powers), payload.level_dbm, atol=0.01)
     np.testing.assert_allclose(told_of(powers, "change_since_calibration_db"), 0.0, atol=0.01)
@@ -356,9 +301,9 @@ def test_a_craft_that_turns_during_the_window_is_followed(payload):
     angles = ((epochs_us - ALIGNED_US) / S)[:, None] * rates
     still = payload.series(WINDOW)
     series = replace(still, power_dbm=payload.power_dbm(epochs_us, angles))
-    followed = align_robust_references(payload, series, stated_robust_references(rates=rates.tolist()))
+    followed = robust(payload, series, stated_at(rates=rates.tolist()))
     np.testing.assert_allclose(told_of(followed), payload.level_dbm, atol=0.005)
-    ignored = align_robust_references(payload, series)
+    ignored = robust(payload, series)
     # 0.09 deg on the mean
     assert np.abs(told_of(ignored) - payload.level_dbm).max() > 0.02
 
@@ -367,7 +312,7 @@ def test_calibration_and_window_are_weighed_by_their_variances(payload):
     change = 0.04 * np.random.default_rng(5).choice([-1.0, 1.0], 12)
     change -= np.median(change)
     angle_deg = np.array([0.01, 0.005, 0.005])
-    powers = align_robust_references(payload, moved(payload.series(WINDOW), change))
+    powers = robust(payload, moved(payload.series(WINDOW), change))
     hours = (ALIGNED_US - payload.request.quiet.stop_us) / HOUR
     calibration_db2 = 0.02**2 + 0.006**2 * hours
     seen = payload.power_dbm([ALIGNED_US] * 6, np.vstack([np.eye(3), -np.eye(3)]) * 0.01)
@@ -395,13 +340,13 @@ def test_an_older_calibration_counts_less(payload):
     month_us = 30 * 24 * HOUR
     aged_window = Window(quiet.start_us - month_us, quiet.stop_us - month_us)
     aged = replace(fresh, request=replace(fresh.request, quiet=aged_window))
-    near = np.abs(told_of(align_robust_references(payload, series, calibration=aged)) - payload.level_dbm - change)
-    far = np.abs(told_of(align_robust_references(payload, series, calibration=fresh)) - payload.level_dbm - change)
+    near = np.abs(told_of(robust(payload, series, calibration=aged)) - payload.level_dbm - change)
+    far = np.abs(told_of(robust(payload, series, calibration=fresh)) - payload.level_dbm - change)
     assert (near < far).all()
 
 
 def test_what_all_carriers_have_in_common_is_the_receiving_chains_and_comes_from_the_window(payload):
-    powers = align_robust_references(payload, moved(payload.series(WINDOW), 1.7))
+    powers = robust(payload, moved(payload.series(WINDOW), 1.7))
     np.testing.assert_allclose(told_of(powers), payload.level_dbm + 1.7, atol=1e-4)
     assert powers.changed == ()
     assert powers.consistency.probability > 0.5
@@ -410,7 +355,7 @@ def test_what_all_carriers_have_in_common_is_the_receiving_chains_and_comes_from
 def test_a_user_who_re_levelled_takes_the_window_and_is_named(payload):
     change = np.zeros(12)
     change[3], change[8] = 0.8, 1.1
-    powers = align_robust_references(payload, moved(payload.series(WINDOW), change))
+    powers = robust(payload, moved(payload.series(WINDOW), change))
     assert powers.changed == ("c03", "c08")
     np.testing.assert_allclose(told_of(powers), payload.level_dbm + change, atol=1e-4)
     # with the window's own uncertainty, which is more than that of both together
@@ -422,17 +367,15 @@ def test_a_user_who_re_levelled_takes_the_window_and_is_named(payload):
 
 def test_a_lower_level_is_wet_while_the_calibration_is_young(payload):
     change = np.where(np.arange(12) == 8, -1.1, 0.0)
-    powers = align_robust_references(payload, moved(payload.series(WINDOW), change))
+    powers = robust(payload, moved(payload.series(WINDOW), change))
     assert powers.changed == ("c08",)
     np.testing.assert_allclose(told_of(powers), payload.level_dbm, atol=1e-3)
-    old = align_robust_references(
-        payload, moved(payload.series(WINDOW), change), config=replace(CONFIG, wet_level_h=0.0)
-    )
+    old = robust(payload, moved(payload.series(WINDOW), change), config=replace(CONFIG, wet_level_h=0.0))
     np.testing.assert_allclose(told_of(old), payload.level_dbm + change, atol=1e-3)
 
 
 def test_powers_of_another_attitude_contradict(payload):
-    powers = align_robust_references(payload, payload.series(WINDOW, (0.0, 0.15, -0.2)))
+    powers = robust(payload, payload.series(WINDOW, (0.0, 0.15, -0.2)))
     assert powers.consistency.probability < 1e-4
     # the offset is told in degrees; levels walked since the calibration, which weighs carriers unevenly
     np.testing.assert_allclose(powers.consistency.offset_deg[1:], [0.15, -0.2], atol=0.02)
@@ -440,7 +383,7 @@ def test_powers_of_another_attitude_contradict(payload):
 
 def test_when_most_levels_moved_all_take_part_in_the_test(payload):
     change = np.where(np.arange(12) < 5, 1.5, 0.0)
-    powers = align_robust_references(payload, moved(payload.series(WINDOW), change))
+    powers = robust(payload, moved(payload.series(WINDOW), change))
     assert len(powers.changed) == 5
     assert powers.consistency.carriers_tested == 12
 
@@ -449,7 +392,7 @@ def test_impulses_do_not_enter_the_mean(payload):
     series = payload.series(WINDOW)
     power = series.power_dbm + 0.02 * np.random.default_rng(3).normal(size=series.power_dbm.shape)
     power[::7, 4] += 20.0
-    powers = align_robust_references(payload, replace(series, power_dbm=power))
+    powers = robust(payload, replace(series, power_dbm=power))
     assert powers.references[4].samples == 26
     np.testing.assert_allclose(told_of(powers), payload.level_dbm, atol=0.02)
 
@@ -460,25 +403,25 @@ def test_carriers_with_too_few_rows_have_no_reference(payload):
     power[:, 1] = np.nan
     power[7:, 2] = np.nan
     power[8:, 5] = np.nan
-    powers = align_robust_references(payload, replace(series, power_dbm=power))
+    powers = robust(payload, replace(series, power_dbm=power))
     assert [one.carrier for one in powers.references] == [f"c{k:02d}" for k in range(12) if k not in (1, 2)]
     assert next(one.samples for one in powers.references if one.carrier == "c05") == 8
 
 
 def test_without_rows_or_beyond_the_ephemeris_there_are_no_references(payload):
     empty = payload.series(Window(ALIGNED_US, ALIGNED_US))
-    powers = align_robust_references(payload, empty)
+    powers = robust(payload, empty)
     assert (powers.references, powers.changed) == ((), ())
     assert powers.consistency.probability == 1.0
     ended = payload.ephemeris(stop_us=WINDOW.start_us - HOUR)
-    beyond = robust_references(payload.series(WINDOW), stated_robust_references(), payload.calibration(), ended, CONFIG)
+    beyond = robust_references(payload.series(WINDOW), stated_at(), payload.calibration(), ended, CONFIG)
     assert beyond.references == ()
 
 
 def test_carriers_that_the_method_does_not_use_get_a_reference_but_take_no_part(payload):
     calibration = payload.calibration(is_used=(False,) * 3 + (True,) * 9)
     series = moved(payload.series(WINDOW), np.where(np.arange(12) < 3, 6.0, 0.0))
-    powers = align_robust_references(payload, series, calibration=calibration)
+    powers = robust(payload, series, calibration=calibration)
     assert len(powers.references) == 12
     assert powers.changed == ()
     assert powers.consistency.carriers_tested == 9
@@ -490,7 +433,7 @@ def test_members_of_a_level_control_are_compared_by_their_differences(payload):
     level[:3] -= level[:3].mean()
     calibration = payload.calibration(alc_group=group, level_dbm=tuple(level.tolist()))
     series = moved(payload.series(WINDOW), np.where(np.arange(12) < 3, 2.5, 0.0))
-    powers = align_robust_references(payload, series, calibration=calibration)
+    powers = robust(payload, series, calibration=calibration)
     # their day is the mean of three days here, a few tenths of a decibel
     assert np.abs(told_of(powers)[:3] - level[:3]).max() < 0.5
     np.testing.assert_allclose(told_of(powers)[3:], level[3:], atol=0.05)
@@ -501,13 +444,13 @@ def test_a_calibration_that_is_not_by_geometry_is_refused(payload):
     plain = replace(calibration, result=replace(calibration.result, geometry=None))
     for refused in (plain, replace(calibration, result=None)):
         with pytest.raises(ValueError, match="calibration 7 has no part by geometry"):
-            align_robust_references(payload, payload.series(WINDOW), calibration=refused)
+            robust(payload, payload.series(WINDOW), calibration=refused)
 
 
 def test_noise_of_several_correlation_times_leaves_its_share(payload):
     calibration = payload.calibration()
     slow = tuple(replace(one, noise=(NoiseComponent(36_000.0, 0.2),)) for one in calibration.result.carriers)
     noisy = replace(calibration, result=replace(calibration.result, carriers=slow))
-    sigma = told_of(align_robust_references(payload, payload.series(WINDOW), calibration=noisy), "sigma_db")
-    quiet = told_of(align_robust_references(payload, payload.series(WINDOW), calibration=calibration), "sigma_db")
+    sigma = told_of(robust(payload, payload.series(WINDOW), calibration=noisy), "sigma_db")
+    quiet = told_of(robust(payload, payload.series(WINDOW), calibration=calibration), "sigma_db")
     assert (sigma > quiet).all()

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,14 +21,7 @@ from service.pipeline.calibration.rate_check import IN_LOOP, rate_check, rate_qu
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.polarization import line_of_sight
-from service.records.calibration import (
-    AxesCheck,
-    CalibrationMethod,
-    CalibrationRequest,
-    GatheredTorque,
-    MotionVerdict,
-    Window,
-)
+from service.records.calibration import AxesCheck, CalibrationMethod, CalibrationRequest, MotionVerdict, Window
 from service.records.catalogue import AxisTorques, BodyRateSensor, FedForwardTorque, Polarimeter, WheelMomentum
 from service.records.inputs import Correction, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import Axes
@@ -37,17 +29,14 @@ from service.records.levels.series import ReferenceSeries
 
 CONFIG = CalibrationConfig()
 STATED = WheelMomentum(pitch_bias_n_m_s=-8.0)
-MINUTE_US_MOMENTUM_CHECK = 60_000_000
 
 
-def data(
-    seed: int = 1, *, stated: WheelMomentum | None = STATED, start_h: float = 1.0, every: int = 1, **changes: Any
-) -> CalibrationInput:
+def data(seed=1, *, stated=STATED, start_h=1.0, every=1, **changes):
     """Return the input of a calibration whose sensors and wheels are those of one seed."""
     payload = GeometryPayload.make(16, quiet_days=1.0)
     turned = turned_wheels(seed, changes.pop("figures", None), start_h=start_h)
     matrix = changes.pop("matrix", np.eye(3))
-    start_us, stop_us = int(turned.epochs_us[0]), int(turned.epochs_us[-1]) + MINUTE_US_MOMENTUM_CHECK
+    start_us, stop_us = int(turned.epochs_us[0]), int(turned.epochs_us[-1]) + MINUTE_US
     window = Window(start_us, stop_us)
     request = CalibrationRequest(Window(start_us - 3_600_000_000, start_us), window, CalibrationMethod.GEOMETRY)
     sigma = np.full(turned.attitude_deg.shape, 0.01)
@@ -56,9 +45,7 @@ def data(
     told = zip(turned.epochs_us.tolist(), (turned.momentum @ matrix.T).tolist(), strict=True)
     unloaded = changes.pop("unloaded", lambda minute: False)
     telemetry = tuple(
-        TelemetryRecord(
-            at_us, None, tuple(values), thrusters_active=unloaded((at_us - start_us) / MINUTE_US_MOMENTUM_CHECK)
-        )
+        TelemetryRecord(at_us, None, tuple(values), thrusters_active=unloaded((at_us - start_us) / MINUTE_US))
         for at_us, values in told
     )
     made = payload.data(noise_db=0.03)
@@ -72,15 +59,14 @@ def data(
     )
 
 
-def test_nothing_is_checked_where_the_catalogue_states_nothing() -> None:
+def test_nothing_is_checked_where_the_catalogue_states_nothing():
     assert momentum_check(data(stated=None), CONFIG) is None
     assert momentum_quality(None) == {}
     assert momentum_warnings(None) == ()
 
 
-def test_true_telemetry_passes_in_silence_with_its_figures() -> None:
+def test_true_telemetry_passes_in_silence_with_its_figures():
     check = momentum_check(data(), CONFIG)
-    assert check is not None
     assert check.verdict is MotionVerdict.CONSISTENT
     assert momentum_warnings(check) == ()
     figures = momentum_quality(check)
@@ -90,18 +76,16 @@ def test_true_telemetry_passes_in_silence_with_its_figures() -> None:
 
 @pytest.mark.parametrize("name", [*WRONG, *ALIKE])
 @pytest.mark.parametrize("seed", [2, 3, 4])
-def test_wrong_telemetry_is_refused_with_the_next_step(name: str, seed: int) -> None:
+def test_wrong_telemetry_is_refused_with_the_next_step(name, seed):
     matrix = WRONG[name] if name in WRONG else ALIKE[name] * np.eye(3)
     check = momentum_check(data(seed, matrix=matrix), CONFIG)
-    assert check is not None
     assert check.verdict is MotionVerdict.CONTRADICTED
     (text,) = momentum_warnings(check)
     assert "the filter does not use it under this calibration; correct sign, order of axes, unit" in text
 
 
-def test_what_all_axes_share_stays_open_without_a_stated_bias() -> None:
+def test_what_all_axes_share_stays_open_without_a_stated_bias():
     check = momentum_check(data(matrix=0.7376 * np.eye(3), stated=WheelMomentum()), CONFIG)
-    assert check is not None
     assert check.verdict is MotionVerdict.CONSISTENT
     assert "state onboard.momentum.pitch_bias_n_m_s" in momentum_warnings(check)[0]
 
@@ -114,32 +98,24 @@ def test_what_all_axes_share_stays_open_without_a_stated_bias() -> None:
         ({"start_h": 7.0, "unloaded": lambda minute: minute % 60.0 == 0.0}, "unload before the turns"),
     ],
 )
-def test_what_was_not_checked_is_said_with_its_reason(changes: dict[str, Any], reason: str) -> None:
+def test_what_was_not_checked_is_said_with_its_reason(changes, reason):
     check = momentum_check(data(**changes), CONFIG)
-    assert check is not None
     assert check.verdict is MotionVerdict.UNCHECKED
     (text,) = momentum_warnings(check)
     assert text.startswith("the momentum of the wheels in telemetry was not checked: ")
     assert reason in text
 
 
-CONFIG_POLARIMETER_CHECK = CalibrationConfig()
-STATED_POLARIMETER_CHECK = Polarimeter("p", 10.0, 11e9)
+FEED = Polarimeter("p", 10.0, 11e9)
 SEED = 6
 
 
-def data_polarimeter_check(
-    scale: float = 1.0, stated: tuple[Polarimeter, ...] = (STATED_POLARIMETER_CHECK,), records: int | None = None
-) -> CalibrationInput:
+def polarimeter_data(scale=1.0, stated=(FEED,), records=None):
     """Return the input of a calibration whose polarimeter sees turns by a scale, its feed turned by 10 deg and more."""
     payload, rng, angles = GeometryPayload.make(16, quiet_days=1.0), np.random.default_rng(SEED), turned_deg()
     epochs_us = SCENARIO.start_us + MINUTE_US * np.arange(len(angles))
     spacecraft = replace(payload.spacecraft, polarimeters=stated)
-    seen = (
-        scale * angles @ np.array(line_of_sight(spacecraft, STATED_POLARIMETER_CHECK))
-        + 0.8
-        + rng.normal(0.0, 0.07, len(angles))
-    )
+    seen = scale * angles @ np.array(line_of_sight(spacecraft, FEED)) + 0.8 + rng.normal(0.0, 0.07, len(angles))
     told = zip(epochs_us.tolist(), seen.tolist(), strict=True)
     start_us, stop_us = int(epochs_us[0]), int(epochs_us[-1]) + MINUTE_US
     request = CalibrationRequest(
@@ -158,16 +134,16 @@ def data_polarimeter_check(
     )
 
 
-def test_nothing_is_checked_where_the_catalogue_uses_none() -> None:
-    for stated in ((), (replace(STATED_POLARIMETER_CHECK, used=False),)):
-        assert polarimeter_checks(data_polarimeter_check(stated=stated), CONFIG_POLARIMETER_CHECK) == ()
-    assert polarimeter_checks(replace(data_polarimeter_check(), spacecraft=None), CONFIG_POLARIMETER_CHECK) == ()
+def test_nothing_is_checked_where_the_catalogue_uses_none():
+    for stated in ((), (replace(FEED, used=False),)):
+        assert polarimeter_checks(polarimeter_data(stated=stated), CONFIG) == ()
+    assert polarimeter_checks(replace(polarimeter_data(), spacecraft=None), CONFIG) == ()
     assert polarimeter_quality(()) == {}
     assert polarimeter_warnings(()) == ()
 
 
-def test_a_true_one_passes_in_silence_with_its_figures() -> None:
-    checks = polarimeter_checks(data_polarimeter_check(), CONFIG_POLARIMETER_CHECK)
+def test_a_true_one_passes_in_silence_with_its_figures():
+    checks = polarimeter_checks(polarimeter_data(), CONFIG)
     print(f"seed {SEED}", checks)
     assert [check.verdict for check in checks] == [MotionVerdict.CONSISTENT]
     assert polarimeter_warnings(checks) == ()
@@ -176,8 +152,8 @@ def test_a_true_one_passes_in_silence_with_its_figures() -> None:
 
 
 @pytest.mark.parametrize("scale", [-1.0, 0.5, 2.0])
-def test_a_wrong_one_is_refused_with_figures_and_the_next_step(scale: float) -> None:
-    checks = polarimeter_checks(data_polarimeter_check(scale), CONFIG_POLARIMETER_CHECK)
+def test_a_wrong_one_is_refused_with_figures_and_the_next_step(scale):
+    checks = polarimeter_checks(polarimeter_data(scale), CONFIG)
     (check,) = checks
     assert check.verdict is MotionVerdict.CONTRADICTED
     assert math.isclose(check.response, scale, abs_tol=0.15)
@@ -189,22 +165,16 @@ def test_a_wrong_one_is_refused_with_figures_and_the_next_step(scale: float) -> 
 @pytest.mark.parametrize(
     ("records", "reason"), [(19, "19 records within the turns, 20 are needed"), (40, "too few turns")]
 )
-def test_too_little_is_not_checked_and_says_why(records: int, reason: str) -> None:
-    checks = polarimeter_checks(data_polarimeter_check(records=records), CONFIG_POLARIMETER_CHECK)
+def test_too_little_is_not_checked_and_says_why(records, reason):
+    checks = polarimeter_checks(polarimeter_data(records=records), CONFIG)
     assert [check.verdict for check in checks] == [MotionVerdict.UNCHECKED]
     assert reason in polarimeter_warnings(checks)[0]
 
 
-def test_the_feed_is_told_with_its_leakage_whatever_the_catalogue_states() -> None:
+def test_the_feed_is_told_with_its_leakage_whatever_the_catalogue_states():
     (check,), (other,) = (
-        polarimeter_checks(
-            data_polarimeter_check(stated=(replace(STATED_POLARIMETER_CHECK, feed_offset_deg=at),)),
-            CONFIG_POLARIMETER_CHECK,
-        )
-        for at in (10, 9)
+        polarimeter_checks(polarimeter_data(stated=(replace(FEED, feed_offset_deg=at),)), CONFIG) for at in (10, 9)
     )
-    assert check.feed is not None
-    assert other.feed is not None
     sigma_deg = math.sqrt(check.feed.covariance[0][0])
     print(f"seed {SEED}", check.feed)
     assert check.feed.mean[0] == pytest.approx(10.8, abs=4.0 * sigma_deg)
@@ -216,39 +186,29 @@ def test_the_feed_is_told_with_its_leakage_whatever_the_catalogue_states() -> No
     assert figures["polarimeter_daily_deg"] == pytest.approx(math.hypot(*check.feed.mean[1:]))
 
 
-def test_a_feed_far_from_where_the_catalogue_puts_it_is_named_and_used() -> None:
-    checks = polarimeter_checks(
-        data_polarimeter_check(stated=(replace(STATED_POLARIMETER_CHECK, feed_offset_deg=5.0),)),
-        CONFIG_POLARIMETER_CHECK,
-    )
+def test_a_feed_far_from_where_the_catalogue_puts_it_is_named_and_used():
+    checks = polarimeter_checks(polarimeter_data(stated=(replace(FEED, feed_offset_deg=5.0),)), CONFIG)
     assert [check.verdict for check in checks] == [MotionVerdict.CONSISTENT]
     (text,) = polarimeter_warnings(checks)
     assert text.startswith("polarimeter p is used: its feed is turned by 11.0 +- 0.7 deg, the catalogue states 5;")
 
 
-def test_angles_and_ratios_with_a_feed_of_their_own_tell_nothing_of_a_feed() -> None:
-    made = data_polarimeter_check()
+def test_angles_and_ratios_with_a_feed_of_their_own_tell_nothing_of_a_feed():
+    made = polarimeter_data()
     own = tuple(replace(one, feed_offset_deg=10.0) for one in made.polarization)
     angles = tuple(replace(one, ratio_db=None, angle_deg=angle_deg(10.0, one.ratio_db or 0.0)) for one in own)
     for records in (own, angles):
-        (check,) = polarimeter_checks(replace(made, polarization=records), CONFIG_POLARIMETER_CHECK)
+        (check,) = polarimeter_checks(replace(made, polarization=records), CONFIG)
         assert (check.verdict, check.feed) == (MotionVerdict.CONSISTENT, None)
 
 
-CONFIG_RATE_CHECK = CalibrationConfig()
-STATED_RATE_CHECK = BodyRateSensor(in_loop=False, bias_deg_h=0.01, bias_tau_h=8.0, noise_deg_sqrt_h=0.003)
-SEED_RATE_CHECK, W_PER_H = 5, 0.2625162
+GYRO = BodyRateSensor(in_loop=False, bias_deg_h=0.01, bias_tau_h=8.0, noise_deg_sqrt_h=0.003)
+RATE_SEED, W_PER_H = 5, 0.2625162
 
 
-def data_rate_check(
-    stated: BodyRateSensor | None = STATED_RATE_CHECK, matrix: np.ndarray | None = None, records: int | None = None
-) -> CalibrationInput:
+def rate_data(stated=GYRO, matrix=None, records=None):
     """Return the input of a calibration whose rates are a matrix times the truth, yaw, roll, pitch, deg/s."""
-    payload, rng, angles = (
-        GeometryPayload.make(16, quiet_days=1.0),
-        np.random.default_rng(SEED_RATE_CHECK),
-        turned_deg(),
-    )
+    payload, rng, angles = (GeometryPayload.make(16, quiet_days=1.0), np.random.default_rng(RATE_SEED), turned_deg())
     turned = np.diff(angles, axis=0) * 60.0
     yaw, roll, pitch = (0.5 * (angles[1:] + angles[:-1])).T
     turned += W_PER_H * np.column_stack([roll, -yaw, 0.0 * pitch]) - np.array([0.0, 0.0, np.rad2deg(W_PER_H)])
@@ -274,23 +234,22 @@ def data_rate_check(
     )
 
 
-def test_nothing_is_checked_where_the_catalogue_states_no_sensor_or_one_in_the_loop() -> None:
-    assert rate_check(data_rate_check(None), CONFIG_RATE_CHECK) is None
+def test_nothing_is_checked_where_the_catalogue_states_no_sensor_or_one_in_the_loop():
+    assert rate_check(rate_data(None), CONFIG) is None
     assert rate_quality(None) == {}
-    assert rate_warnings(data_rate_check(None), None) == ()
-    looped = data_rate_check(BodyRateSensor(in_loop=True))
-    assert rate_check(looped, CONFIG_RATE_CHECK) is None
+    assert rate_warnings(rate_data(None), None) == ()
+    looped = rate_data(BodyRateSensor(in_loop=True))
+    assert rate_check(looped, CONFIG) is None
     assert rate_warnings(looped, None) == (IN_LOOP,)
 
 
-def test_true_rates_pass_in_silence_with_their_figures() -> None:
-    given = data_rate_check()
-    check = rate_check(given, CONFIG_RATE_CHECK)
-    assert check is not None
+def test_true_rates_pass_in_silence_with_their_figures():
+    given = rate_data()
+    check = rate_check(given, CONFIG)
     assert check.verdict is MotionVerdict.CONSISTENT
     assert rate_warnings(given, check) == ()
     figures = rate_quality(check)
-    print(f"seed {SEED_RATE_CHECK}", figures)
+    print(f"seed {RATE_SEED}", figures)
     for axis in ("roll", "pitch", "yaw"):
         assert abs(figures[f"rate_response_{axis}"] - 1.0) < 0.05
         assert figures[f"rate_response_{axis}_sigma"] < 0.05
@@ -306,9 +265,9 @@ def test_true_rates_pass_in_silence_with_their_figures() -> None:
         ("rad/s", np.radians(1.0) * np.eye(3)),
     ],
 )
-def test_wrong_rates_are_refused_with_figures_and_the_next_step(name: str, matrix: np.ndarray) -> None:
-    given = data_rate_check(matrix=matrix)
-    check = rate_check(given, CONFIG_RATE_CHECK)
+def test_wrong_rates_are_refused_with_figures_and_the_next_step(name, matrix):
+    given = rate_data(matrix=matrix)
+    check = rate_check(given, CONFIG)
     assert check is not None, name
     assert check.verdict is MotionVerdict.CONTRADICTED
     (text,) = rate_warnings(given, check)
@@ -317,17 +276,15 @@ def test_wrong_rates_are_refused_with_figures_and_the_next_step(name: str, matri
 
 
 @pytest.mark.parametrize(("records", "reason"), [(19, "19 records of rates within the turns, 20 are needed"), (40, "")])
-def test_too_few_records_are_not_checked_and_say_why(records: int, reason: str) -> None:
-    given = data_rate_check(records=records)
-    check = rate_check(given, CONFIG_RATE_CHECK)
-    assert check is not None
+def test_too_few_records_are_not_checked_and_say_why(records, reason):
+    given = rate_data(records=records)
+    check = rate_check(given, CONFIG)
     assert check.verdict is MotionVerdict.UNCHECKED
     (text,) = rate_warnings(given, check)
     assert text.startswith("the rates of the body in telemetry were not checked: ")
     assert reason in text
 
 
-CONFIG_SENSOR_SIGNS = CalibrationConfig()
 YAW, ROLL, PITCH = np.diag([-1.0, 1, 1]), np.diag([1.0, -1, 1]), np.diag([1.0, 1, -1])
 EXCHANGED = {
     "exchanged axes (roll, pitch)": np.eye(3)[[0, 2, 1]],
@@ -338,27 +295,23 @@ EXCHANGED = {
 
 
 @pytest.fixture(scope="module")
-def data_sensor_signs():
+def signs():
     """Sixteen carriers, everything as it should be."""
     return GeometryPayload.make(16, quiet_days=1.0).data(noise_db=0.03)
 
 
-def reported(data_sensor_signs, matrix):
+def reported(signs, matrix):
     """Return the input with sensors that tell ``matrix @ angles``."""
 
     def changed(series):
         return tuple(replace(one, attitude_deg=one.attitude_deg @ np.asarray(matrix).T) for one in series)
 
-    return replace(
-        data_sensor_signs,
-        references=changed(data_sensor_signs.references),
-        quiet_references=changed(data_sensor_signs.quiet_references),
-    )
+    return replace(signs, references=changed(signs.references), quiet_references=changed(signs.quiet_references))
 
 
-def refusal(data_sensor_signs, calibrate=calibrate_geometry):
+def refusal(signs, calibrate=calibrate_geometry):
     with pytest.raises(CalibrationError) as caught:
-        calibrate(data_sensor_signs, CONFIG_SENSOR_SIGNS)
+        calibrate(signs, CONFIG)
     return str(caught.value)
 
 
@@ -371,21 +324,21 @@ def refusal(data_sensor_signs, calibrate=calibrate_geometry):
         (PITCH, "likely flipped pitch, or flipped yaw, roll ("),
     ],
 )
-def test_a_flipped_axis_is_refused_by_name(data_sensor_signs, calibrate, matrix, names):
-    text = refusal(reported(data_sensor_signs, matrix), calibrate)
+def test_a_flipped_axis_is_refused_by_name(signs, calibrate, matrix, names):
+    text = refusal(reported(signs, matrix), calibrate)
     assert text.startswith("the powers contradict the axes of star_tracker by ")
     assert names in text
     assert "roll > 0 moves stations South, pitch > 0 West" in text
 
 
 @pytest.mark.parametrize("name", EXCHANGED)
-def test_exchanged_axes_are_refused_by_name(data_sensor_signs, name):
-    assert f"likely {name}" in refusal(reported(data_sensor_signs, EXCHANGED[name]))
+def test_exchanged_axes_are_refused_by_name(signs, name):
+    assert f"likely {name}" in refusal(reported(signs, EXCHANGED[name]))
 
 
-def test_a_healthy_sensor_is_proven_and_silent(data_sensor_signs):
+def test_a_healthy_sensor_is_proven_and_silent(signs):
     for calibrate in (calibrate_geometry, calibrate_paper):
-        result = calibrate(data_sensor_signs, CONFIG_SENSOR_SIGNS)
+        result = calibrate(signs, CONFIG)
         assert result.signs.is_yaw_proven
         assert not [text for text in result.warnings if "sign" in text or "scale" in text]
         for axis in ("pitch", "roll"):
@@ -393,9 +346,9 @@ def test_a_healthy_sensor_is_proven_and_silent(data_sensor_signs):
             assert abs(value - 1.0) < 4.0 * sigma < 0.5
 
 
-def announced(data_sensor_signs, sign):
+def announced(signs, sign):
     """Return corrections that announce the slews of the turns."""
-    start_us, angles = data_sensor_signs.request.turns.start_us, turned_angles()
+    start_us, angles = signs.request.turns.start_us, turned_angles()
     steps = [k for k in range(1, len(angles)) if np.abs(angles[k] - angles[k - 1]).max() > 0.0]
     return tuple(
         Correction(start_us + (k - 1) * MINUTE, start_us + k * MINUTE, Axes(*(sign * (angles[k] - angles[k - 1]))))
@@ -403,50 +356,48 @@ def announced(data_sensor_signs, sign):
     )
 
 
-def test_the_common_sign_is_unproven_without_and_proven_with_announced_turns(data_sensor_signs):
-    assert not calibrate_geometry(data_sensor_signs, CONFIG_SENSOR_SIGNS).signs.is_common_proven
-    assert calibrate_geometry(
-        replace(data_sensor_signs, corrections=announced(data_sensor_signs, 1.0)), CONFIG_SENSOR_SIGNS
-    ).signs.is_common_proven
+def test_the_common_sign_is_unproven_without_and_proven_with_announced_turns(signs):
+    assert not calibrate_geometry(signs, CONFIG).signs.is_common_proven
+    assert calibrate_geometry(replace(signs, corrections=announced(signs, 1.0)), CONFIG).signs.is_common_proven
 
 
-def test_a_sensor_with_all_axes_flipped_contradicts_the_announced_turns(data_sensor_signs):
-    flipped = reported(data_sensor_signs, -np.eye(3))
-    assert not calibrate_geometry(flipped, CONFIG_SENSOR_SIGNS).signs.is_common_proven
-    text = refusal(replace(flipped, corrections=announced(data_sensor_signs, 1.0)))
+def test_a_sensor_with_all_axes_flipped_contradicts_the_announced_turns(signs):
+    flipped = reported(signs, -np.eye(3))
+    assert not calibrate_geometry(flipped, CONFIG).signs.is_common_proven
+    text = refusal(replace(flipped, corrections=announced(signs, 1.0)))
     assert "likely flipped yaw, roll, pitch" in text
 
 
-def test_announced_turns_tell_one_flip_from_its_twin(data_sensor_signs):
-    text = refusal(reported(replace(data_sensor_signs, corrections=announced(data_sensor_signs, 1.0)), YAW))
+def test_announced_turns_tell_one_flip_from_its_twin(signs):
+    text = refusal(reported(replace(signs, corrections=announced(signs, 1.0)), YAW))
     assert "likely flipped yaw (" in text
 
 
-def test_yaw_turns_that_are_too_small_prove_nothing(data_sensor_signs):
+def test_yaw_turns_that_are_too_small_prove_nothing(signs):
     turned = turned_angles()
     turned[:, 0] *= 0.2
     payload = GeometryPayload.make(16, quiet_days=1.0)
-    result = calibrate_geometry(payload.data(noise_db=0.03, turned=turned), CONFIG_SENSOR_SIGNS)
+    result = calibrate_geometry(payload.data(noise_db=0.03, turned=turned), CONFIG)
     assert result.quality["yaw_turn_reach_deg"] < 0.3
     assert not result.signs.is_yaw_proven
     assert any(text.startswith("the sign of yaw is unproven: yaw was turned by 0.") for text in result.warnings)
 
 
 @pytest.mark.parametrize(("axis", "name"), [(0, "yaw"), (1, "roll"), (2, "pitch")])
-def test_a_scale_that_is_off_is_warned_of(data_sensor_signs, axis, name):
+def test_a_scale_that_is_off_is_warned_of(signs, axis, name):
     scale = np.ones(3)
     scale[axis] = 1.9
-    result = calibrate_geometry(reported(data_sensor_signs, np.diag(scale)), CONFIG_SENSOR_SIGNS)
+    result = calibrate_geometry(reported(signs, np.diag(scale)), CONFIG)
     assert [text for text in result.warnings if text.startswith(f"the scale of the {name} sensor differs")]
 
 
-def test_a_scale_below_a_tenth_is_silent(data_sensor_signs):
-    result = calibrate_geometry(reported(data_sensor_signs, np.diag([1.05, 1.0, 1.0])), CONFIG_SENSOR_SIGNS)
+def test_a_scale_below_a_tenth_is_silent(signs):
+    result = calibrate_geometry(reported(signs, np.diag([1.05, 1.0, 1.0])), CONFIG)
     assert not any("scale" in text for text in result.warnings)
 
 
 def test_four_carriers_leave_the_sign_open():
-    result = calibrate_geometry(GeometryPayload.make(4, quiet_days=1.0).data(), CONFIG_SENSOR_SIGNS)
+    result = calibrate_geometry(GeometryPayload.make(4, quiet_days=1.0).data(), CONFIG)
     assert (result.signs.is_yaw_proven, result.signs.is_common_proven) == (False, False)
     assert any(text.startswith("the sign of yaw is unproven: too few carriers") for text in result.warnings)
 
@@ -457,15 +408,15 @@ def test_the_names_cover_all_mistakes():
     assert all(abs(round(np.linalg.det(mapping))) == 1 for mapping in MAPPINGS)
 
 
-CONFIG_GATHERED_TORQUE, SENSOR = CalibrationConfig(), np.full(3, 0.01)
+SENSOR = np.full(3, 0.01)
 GOOD = AxesCheck(MotionVerdict.CONSISTENT, "")
-SEED_GATHERED_TORQUE = 1
+TORQUE_SEED = 1
 
 
 @pytest.fixture(scope="module")
-def told() -> CalibrationInput:
+def told():
     """Return the input of a simulated calibration with wheels."""
-    world = shared_world("wheels", SEED_GATHERED_TORQUE, 0.5)
+    world = shared_world("wheels", TORQUE_SEED, 0.5)
     ground, documents = world.ground, world.documents
     calibration = documents.calibrations[1]
     quiet, turns = ground.phases["quiet"], ground.phases["turns"]
@@ -482,15 +433,14 @@ def told() -> CalibrationInput:
     )
 
 
-def learned(data: CalibrationInput, check: AxesCheck | None = GOOD) -> GatheredTorque | None:
-    return gathered_torque(data, check, SENSOR, CONFIG_GATHERED_TORQUE)
+def learned(data, check=GOOD):
+    return gathered_torque(data, check, SENSOR, CONFIG)
 
 
-def test_quiet_days_tell_the_torque_and_its_figures(told: CalibrationInput) -> None:
-    found = learned(told, momentum_check(told, CONFIG_GATHERED_TORQUE))
-    assert found is not None
+def test_quiet_days_tell_the_torque_and_its_figures(told):
+    found = learned(told, momentum_check(told, CONFIG))
     figures = gathered_quality(found)
-    print(f"seed {SEED_GATHERED_TORQUE}: {figures}")
+    print(f"seed {TORQUE_SEED}: {figures}")
     assert found.stop_us == told.request.quiet.stop_us
     # records each 5 min of three days; waves of 1e-5 N m are the simulator's, and a constant torque is known by the
     # misalignment of 0.05 deg alone
@@ -501,14 +451,14 @@ def test_quiet_days_tell_the_torque_and_its_figures(told: CalibrationInput) -> N
     assert gathered_warnings(told, GOOD, found) == ()
 
 
-def test_nothing_is_learned_without_momentum_or_of_telemetry_that_turns_contradict(told: CalibrationInput) -> None:
+def test_nothing_is_learned_without_momentum_or_of_telemetry_that_turns_contradict(told):
     assert learned(told, None) is None
     assert learned(told, AxesCheck(MotionVerdict.CONTRADICTED, "wrong")) is None
     assert gathered_warnings(told, AxesCheck(MotionVerdict.CONTRADICTED, "wrong"), None) == ()
     assert gathered_quality(None) == {}
 
 
-def test_too_few_records_are_told_with_their_number(told: CalibrationInput) -> None:
+def test_too_few_records_are_told_with_their_number(told):
     quiet = told.request.quiet
     short = replace(
         told, request=replace(told.request, quiet=Window(quiet.start_us, quiet.start_us + 3 * 3_600_000_000))
@@ -519,18 +469,16 @@ def test_too_few_records_are_told_with_their_number(told: CalibrationInput) -> N
     assert "onboard.momentum.torque" in text
 
 
-def test_days_without_angles_are_told(told: CalibrationInput) -> None:
+def test_days_without_angles_are_told(told):
     blind = replace(told, quiet_references=())
     assert learned(blind) is None
     (text,) = gathered_warnings(blind, GOOD, None)
     assert "no sensor tells the angles" in text
 
 
-def test_a_stated_torque_of_the_wrong_sign_is_told(told: CalibrationInput) -> None:
+def test_a_stated_torque_of_the_wrong_sign_is_told(told):
     spacecraft = told.spacecraft
-    assert spacecraft is not None
     momentum = spacecraft.onboard.momentum
-    assert momentum is not None
     assert momentum.torque is not None
     turned = {
         name: AxisTorques(*(-getattr(getattr(momentum.torque, name), axis) for axis in ("yaw", "roll", "pitch")))
@@ -544,9 +492,8 @@ def test_a_stated_torque_of_the_wrong_sign_is_told(told: CalibrationInput) -> No
     assert "differs from onboard.momentum.torque by" in text
 
 
-def test_nothing_is_said_where_the_torque_is_fed_forward(told: CalibrationInput) -> None:
+def test_nothing_is_said_where_the_torque_is_fed_forward(told):
     spacecraft = told.spacecraft
-    assert spacecraft is not None
     onboard = replace(spacecraft.onboard, fed_forward_torque=FedForwardTorque(epoch_us=0))
     data = replace(told, spacecraft=replace(spacecraft, onboard=onboard))
     assert gathered_warnings(data, GOOD, None) == ()

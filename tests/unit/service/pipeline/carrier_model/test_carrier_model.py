@@ -193,9 +193,6 @@ def test_the_filter_counts_patterns_from_the_groups_mean_and_keeps_its_rain_away
     np.testing.assert_array_equal(found.rain_share[3:], model.rain_share[3:])
 
 
-DAY_US_EXPECTED_LEVEL = 86_400 * S
-
-
 def level_of(payload, ephemeris=None, **changes):
     result = payload.calibration(**changes).result
     model = geometry_model(result.geometry, result.carriers)
@@ -213,7 +210,7 @@ def level_of(payload, ephemeris=None, **changes):
 def test_levels_are_those_of_an_independent_geometry(has_track, tolerance_db):
     payload = FlightPayload.make(has_track=has_track)
     level = level_of(payload)
-    epochs_us = START_US + np.arange(0, DAY_US_EXPECTED_LEVEL, 1777 * S)
+    epochs_us = START_US + np.arange(0, DAY_US, 1777 * S)
     reported = np.array([level(int(epoch_us)) for epoch_us in epochs_us])
     truth = payload.power_dbm(epochs_us, np.zeros(3))
     assert np.ptp(truth, axis=0).max() > 0.2
@@ -224,7 +221,7 @@ def test_levels_are_those_of_an_independent_geometry(has_track, tolerance_db):
 @pytest.mark.parametrize("has_track", [True, False], ids=["dish law", "harmonics"])
 def test_a_level_is_the_same_to_the_last_bit_whatever_was_asked_before(has_track):
     payload = FlightPayload.make(6, has_track=has_track)
-    epochs_us = (START_US + np.random.default_rng(2).integers(0, 2 * DAY_US_EXPECTED_LEVEL, 60)).tolist()
+    epochs_us = (START_US + np.random.default_rng(2).integers(0, 2 * DAY_US, 60)).tolist()
     straight, fresh = level_of(payload), level_of(payload)
     forwards = [straight(epoch_us) for epoch_us in epochs_us]
     backwards = [fresh(epoch_us) for epoch_us in reversed(epochs_us)][::-1]
@@ -233,7 +230,7 @@ def test_a_level_is_the_same_to_the_last_bit_whatever_was_asked_before(has_track
 
 def test_midnight_is_no_seam():
     level = level_of(FlightPayload.make(6))
-    midnight_us = (START_US // DAY_US_EXPECTED_LEVEL + 1) * DAY_US_EXPECTED_LEVEL
+    midnight_us = (START_US // DAY_US + 1) * DAY_US
     around = np.array([level(midnight_us + offset) for offset in (-1, 0, 1)])
     # a microsecond of a wave of half a decibel a day
     np.testing.assert_allclose(around[0], around[1], atol=1e-9)
@@ -245,7 +242,7 @@ def test_beyond_the_track_nothing_is_known():
     level = level_of(payload, payload.ephemeris(stop_us=START_US + 3 * HOUR))
     assert np.isfinite(level(START_US + 2 * HOUR)).all()
     assert np.isnan(level(START_US + 3 * HOUR + MINUTE)).all()
-    assert np.isnan(level(START_US - 2 * DAY_US_EXPECTED_LEVEL)).all()
+    assert np.isnan(level(START_US - 2 * DAY_US)).all()
 
 
 def test_a_dish_law_without_a_track_knows_nothing():
@@ -257,7 +254,7 @@ def test_a_long_replay_keeps_only_some_days(monkeypatch):
     monkeypatch.setattr("service.pipeline.carrier_model.expected_level._MAX_DAYS", 2)
     payload = FlightPayload.make(4)
     level, all_days = level_of(payload), level_of(payload)
-    epochs_us = [START_US + day * DAY_US_EXPECTED_LEVEL for day in (0, 1, 2, 3, 0)]
+    epochs_us = [START_US + day * DAY_US for day in (0, 1, 2, 3, 0)]
     reported = [level(epoch_us) for epoch_us in epochs_us]
     assert len(level._days) <= 2
     monkeypatch.undo()
@@ -310,32 +307,32 @@ def test_levels_of_many_epochs_leave_the_solar_day_out():
     result = payload.calibration().result
     model = geometry_model(result.geometry, result.carriers)
     at = expected_levels(model, result.geometry, payload.ephemeris())
-    angle = 2.0 * np.pi * ((START_US % DAY_US_EXPECTED_LEVEL) / DAY_US_EXPECTED_LEVEL)
+    angle = 2.0 * np.pi * ((START_US % DAY_US) / DAY_US)
     solar = payload.solar_db @ np.array([np.cos(angle), np.sin(angle)])
     np.testing.assert_allclose(
         at(np.array([START_US]))[0] + solar, payload.power_dbm([START_US], np.zeros(3))[0], atol=1e-10
     )
 
 
-SEED_BEAM_REPORT = 8
+BEAM_SEED = 8
 QUIET = Window(START_US - 72 * HOUR_US, START_US)
 HOURS = 72
 WAVE_DEG = 0.06
 
 
 @pytest.fixture(scope="module")
-def result_beam_report():
+def calibrated():
     return FlightPayload.make(16).calibration().result
 
 
-def two_bands(result_beam_report):
+def two_bands(calibrated):
     """Return the calibration with its carriers in two bands, so with two antennas."""
-    fit = result_beam_report.geometry
-    half = len(result_beam_report.carriers) // 2
-    band = (0,) * half + (1,) * (len(result_beam_report.carriers) - half)
+    fit = calibrated.geometry
+    half = len(calibrated.carriers) // 2
+    band = (0,) * half + (1,) * (len(calibrated.carriers) - half)
     zeros = tuple(tuple(0.0 for _ in range(4)) for _ in range(np.array(fit.downlink_gain).shape[1]))
     return replace(
-        result_beam_report,
+        calibrated,
         geometry=replace(
             fit,
             bands=("C", "Ku"),
@@ -343,17 +340,17 @@ def two_bands(result_beam_report):
             rain_share=(0.1, 1.0),
             downlink=((0.0, 0.0),) * 2,
             downlink_covariance=tuple(map(tuple, 0.01 * np.eye(4))),
-            downlink_gain=(zeros,) * len(result_beam_report.carriers),
+            downlink_gain=(zeros,) * len(calibrated.carriers),
         ),
     )
 
 
-def hours(result_beam_report, waves, noise_db=0.01):
+def hours(calibrated, waves, noise_db=0.01):
     """Return hours at held angles in which carriers see their antenna move; waves (N,) in deg to the North."""
-    rng = np.random.default_rng(SEED_BEAM_REPORT)
-    fit = result_beam_report.geometry
+    rng = np.random.default_rng(BEAM_SEED)
+    fit = calibrated.geometry
     attitude = rng.normal(0.0, 0.02, (HOURS, 3))
-    model = geometry_model(fit, result_beam_report.carriers)
+    model = geometry_model(fit, calibrated.carriers)
     north = np.array(waves) * np.cos(2 * np.pi * np.arange(HOURS) / 24.0)[:, None]
     deviation = predict_deviation(attitude, model.response) - np.array(fit.gradient)[:, 1] * north
     deviation += rng.normal(0.0, noise_db, deviation.shape)
@@ -362,19 +359,17 @@ def hours(result_beam_report, waves, noise_db=0.01):
     return HourlyMeans(start_us, deviation, rows, attitude, np.full(HOURS, 0.03))
 
 
-def reported(result_beam_report, waves, before=None, group=Group.BAND):
-    return beam_report(
-        result_beam_report, result_beam_report.geometry, QUIET, before, hours(result_beam_report, waves), group
-    )
+def reported(calibrated, waves, before=None, group=Group.BAND):
+    return beam_report(calibrated, calibrated.geometry, QUIET, before, hours(calibrated, waves), group)
 
 
-def test_one_antenna_may_be_the_sensor(result_beam_report):
-    (antenna,) = reported(result_beam_report, np.full(16, WAVE_DEG)).antennas
-    print("seed", SEED_BEAM_REPORT, antenna.north.daily, antenna.east.daily)
+def test_one_antenna_may_be_the_sensor(calibrated):
+    (antenna,) = reported(calibrated, np.full(16, WAVE_DEG)).antennas
+    print("seed", BEAM_SEED, antenna.north.daily, antenna.east.daily)
     assert antenna.cause is WaveCause.ANTENNA_OR_SENSOR
     assert antenna.north.daily.amplitude_deg == pytest.approx(WAVE_DEG, abs=0.008)
     assert antenna.east.daily.amplitude_deg < 0.01
-    (still,) = reported(result_beam_report, np.zeros(16)).antennas
+    (still,) = reported(calibrated, np.zeros(16)).antennas
     assert still.cause is WaveCause.NONE
 
 
@@ -387,69 +382,60 @@ def test_one_antenna_may_be_the_sensor(result_beam_report):
     ],
     ids=["one moves", "both move alike", "neither"],
 )
-def test_only_a_difference_of_antennas_is_proven(result_beam_report, first, second, causes):
-    both = two_bands(result_beam_report)
+def test_only_a_difference_of_antennas_is_proven(calibrated, first, second, causes):
+    both = two_bands(calibrated)
     found = reported(both, [first] * 8 + [second] * 8).antennas
     assert [one.antenna for one in found] == ["C", "Ku"]
     assert tuple(one.cause for one in found) == causes
 
 
-def test_transponders_of_few_carriers_are_no_antenna(result_beam_report):
-    found = reported(result_beam_report, np.zeros(16), group=Group.TRANSPONDER)
-    held = np.bincount(result_beam_report.geometry.transponder)
+def test_transponders_of_few_carriers_are_no_antenna(calibrated):
+    found = reported(calibrated, np.zeros(16), group=Group.TRANSPONDER)
+    held = np.bincount(calibrated.geometry.transponder)
     assert len(found.antennas) == np.count_nonzero(held >= 5)
     assert len(found.stations) == 16
 
 
-def test_hours_of_a_turn_tell_nothing(result_beam_report):
-    told = hours(result_beam_report, np.zeros(16))
+def test_hours_of_a_turn_tell_nothing(calibrated):
+    told = hours(calibrated, np.zeros(16))
     turning = told._replace(range_deg=np.where(np.arange(HOURS) < 5, 0.4, told.range_deg))
-    report = beam_report(result_beam_report, result_beam_report.geometry, QUIET, None, turning, Group.BAND)
+    report = beam_report(calibrated, calibrated.geometry, QUIET, None, turning, Group.BAND)
     assert report.is_turned.sum() == 5
     assert np.isnan(report.antennas[0].series.boresight_deg[:5]).all()
     assert np.isfinite(report.antennas[0].series.boresight_deg[5:]).all()
 
 
-def test_beacons_and_level_control_tell_nothing(result_beam_report):
-    fit = replace(result_beam_report.geometry, alc_group=(-1, 0, 0, 0) + (-1,) * 12)
-    one = replace(
-        result_beam_report, geometry=replace(fit, station_azimuth_deg=(*fit.station_azimuth_deg[:15], float("nan")))
-    )
+def test_beacons_and_level_control_tell_nothing(calibrated):
+    fit = replace(calibrated.geometry, alc_group=(-1, 0, 0, 0) + (-1,) * 12)
+    one = replace(calibrated, geometry=replace(fit, station_azimuth_deg=(*fit.station_azimuth_deg[:15], float("nan"))))
     (antenna,) = reported(one, np.zeros(16)).antennas
-    (plain,) = reported(result_beam_report, np.zeros(16)).antennas
-    left_out = {carrier.id for carrier in (*result_beam_report.carriers[1:4], result_beam_report.carriers[15])}
+    (plain,) = reported(calibrated, np.zeros(16)).antennas
+    left_out = {carrier.id for carrier in (*calibrated.carriers[1:4], calibrated.carriers[15])}
     assert left_out <= set(plain.carrier_ids)
     assert antenna.carrier_ids == tuple(name for name in plain.carrier_ids if name not in left_out)
 
 
-def test_no_hours_give_stations_and_no_boresight(result_beam_report):
+def test_no_hours_give_stations_and_no_boresight(calibrated):
     none = np.zeros((0, 16))
     hours_of_none = HourlyMeans(np.zeros(0, np.int64), none, none.astype(np.int64), np.zeros((0, 3)), np.zeros(0))
-    report = beam_report(result_beam_report, result_beam_report.geometry, QUIET, None, hours_of_none, Group.BAND)
+    report = beam_report(calibrated, calibrated.geometry, QUIET, None, hours_of_none, Group.BAND)
     assert len(report.stations) == 16
     assert np.isnan(report.antennas[0].north.mean_deg)
     assert report.antennas[0].cause is WaveCause.NONE
 
 
-def test_beams_are_compared_with_those_of_the_campaign_before(result_beam_report):
-    assert all(np.isnan(one.change_sigmas) for one in reported(result_beam_report, np.zeros(16)).stations)
-    moved = list(map(list, result_beam_report.geometry.gradient))
-    sigma = np.sqrt(np.array(result_beam_report.geometry.covariance)[2, -5, -5])
+def test_beams_are_compared_with_those_of_the_campaign_before(calibrated):
+    assert all(np.isnan(one.change_sigmas) for one in reported(calibrated, np.zeros(16)).stations)
+    moved = list(map(list, calibrated.geometry.gradient))
+    sigma = np.sqrt(np.array(calibrated.geometry.covariance)[2, -5, -5])
     moved[2][0] += 10.0 * sigma
-    places = (
-        *result_beam_report.geometry.station_azimuth_deg[:15],
-        result_beam_report.geometry.station_azimuth_deg[15] + 1.0,
-    )
+    places = (*calibrated.geometry.station_azimuth_deg[:15], calibrated.geometry.station_azimuth_deg[15] + 1.0)
     before = replace(
-        result_beam_report,
-        carriers=(
-            *result_beam_report.carriers[:5],
-            replace(result_beam_report.carriers[5], id="former"),
-            *result_beam_report.carriers[6:],
-        ),
-        geometry=replace(result_beam_report.geometry, gradient=tuple(map(tuple, moved)), station_azimuth_deg=places),
+        calibrated,
+        carriers=(*calibrated.carriers[:5], replace(calibrated.carriers[5], id="former"), *calibrated.carriers[6:]),
+        geometry=replace(calibrated.geometry, gradient=tuple(map(tuple, moved)), station_azimuth_deg=places),
     )
-    change = np.array([one.change_sigmas for one in reported(result_beam_report, np.zeros(16), before).stations])
+    change = np.array([one.change_sigmas for one in reported(calibrated, np.zeros(16), before).stations])
     assert change[2] > 5.0
     assert np.isnan(change[[5, 15]]).all(), "another carrier, and one that stood elsewhere"
     np.testing.assert_allclose(np.delete(change, [2, 5, 15]), 0.0, atol=1e-6)

@@ -117,7 +117,7 @@ def test_time_without_angles_does_not_make_it_stand():
     assert not watch.is_standing
 
 
-CONFIG_ROW_INHIBITIONS = InterlockConfig()
+LIMITS = InterlockConfig()
 CALM = RowContext(is_late=False, is_catch_up=False, is_settled=True, is_fading=False, has_inhibiting_operation=False)
 NAN = float("nan")
 
@@ -150,7 +150,7 @@ ELSEWHERE |= {"integrity_unmonitored", "protection_level", "smoothed"}
 
 @pytest.mark.parametrize(("reason", "of_fix", "context"), CAUSES)
 def test_each_cause_stands_alone_as_the_reason(reason, of_fix, context):
-    verdict = judge(of_fix, context, CONFIG_ROW_INHIBITIONS)
+    verdict = judge(of_fix, context, LIMITS)
     assert verdict.inhibitions == (reason,)
     assert not verdict.is_allowed
     assert verdict.allowed_axes == (False, False, False)
@@ -166,40 +166,40 @@ def test_several_reasons_are_listed_in_the_order_of_the_table():
     all_at_once = RowContext(
         is_late=True, is_catch_up=True, is_settled=False, is_fading=True, has_inhibiting_operation=True
     )
-    found = judge(bad, all_at_once, CONFIG_ROW_INHIBITIONS).inhibitions
+    found = judge(bad, all_at_once, LIMITS).inhibitions
     assert found == tuple(reason for reason in INHIBITIONS if reason in found)
     assert len(found) == len(INHIBITIONS) - len(ELSEWHERE) - 1  # a fix that is there is not `no_fix`
 
 
 def test_a_good_fix_is_allowed_on_all_axes_and_limits_are_inclusive():
-    assert judge(fix(), CALM, CONFIG_ROW_INHIBITIONS).allowed_axes == (True, True, True)
+    assert judge(fix(), CALM, LIMITS).allowed_axes == (True, True, True)
     # sqrt(x * x) of a double gives x back for these values
     edge = fix(angles=(0.4, -0.4, 0.4), sigma=(0.2, 0.06, 0.1), carriers_used=5)
-    assert judge(edge, CALM, CONFIG_ROW_INHIBITIONS).allowed_axes == (True, True, True)
+    assert judge(edge, CALM, LIMITS).allowed_axes == (True, True, True)
 
 
 @pytest.mark.parametrize(
     "bad_yaw", [{"sigma": (0.21, 0.03, 0.05)}, {"sigma": (NAN, 0.03, 0.05)}, {"angles": (0.41, 0.1, 0.1)}]
 )
 def test_yaw_alone_is_withheld_without_an_inhibition(bad_yaw):
-    verdict = judge(fix(**bad_yaw), CALM, CONFIG_ROW_INHIBITIONS)
+    verdict = judge(fix(**bad_yaw), CALM, LIMITS)
     assert (verdict.inhibitions, verdict.allowed_axes) == ((), (False, True, True))
 
 
 def test_yaw_of_an_unproven_sign_is_withheld_alone():
     unproven = replace(CALM, is_yaw_controllable=False)
-    assert judge(fix(), CALM, CONFIG_ROW_INHIBITIONS).allowed_axes == (True, True, True)
-    assert judge(fix(), unproven, CONFIG_ROW_INHIBITIONS).allowed_axes == (False, True, True)
-    assert judge(fix(), unproven, CONFIG_ROW_INHIBITIONS).inhibitions == ()
+    assert judge(fix(), CALM, LIMITS).allowed_axes == (True, True, True)
+    assert judge(fix(), unproven, LIMITS).allowed_axes == (False, True, True)
+    assert judge(fix(), unproven, LIMITS).inhibitions == ()
 
 
-PAYLOAD_CARRIER_RESULTS = FlightPayload.make()
+WHOLE = FlightPayload.make()
 
 
 @pytest.fixture
 def flight():
     """A chain of both methods, just aligned."""
-    return Flight(PAYLOAD_CARRIER_RESULTS)
+    return Flight(WHOLE)
 
 
 def test_results_of_a_row_are_the_states_after_it(flight):
@@ -221,9 +221,7 @@ def test_results_of_a_row_are_the_states_after_it(flight):
         for each, row in zip(outcome.carriers, outcome.rows, strict=True):
             assert CARRIER_STATES[each.state[2]] == "absent"
             left_out = np.flatnonzero(each.state == CARRIER_STATES.index("excluded"))
-            assert {PAYLOAD_CARRIER_RESULTS.ids[k] for k in left_out} <= {
-                exclusion.carrier for exclusion in row.excluded
-            }
+            assert {WHOLE.ids[k] for k in left_out} <= {exclusion.carrier for exclusion in row.excluded}
             seen.update((row.method, int(k)) for k in left_out)
     assert {(method, 4) for method in LIVE_METHODS} <= seen
 

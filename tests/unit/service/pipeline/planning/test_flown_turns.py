@@ -15,18 +15,18 @@ from service.pipeline.calibration.minute_rows import minute_rows
 from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning.assumed_beams import NOISES, AssumedBeam, assume_payload
-from service.pipeline.planning.flown_turns import FlownWindows, flown_windows
+from service.pipeline.planning.flown_turns import flown_windows
 from service.pipeline.planning.quiet_days import QuietDays, quiet_levels
-from service.pipeline.planning.rehearsal import Rehearsal, rehearse
+from service.pipeline.planning.rehearsal import rehearse
 from service.records.catalogue import CarrierPlan
-from service.study.estimation.flight.world import World, export_world, read_world
+from service.study.estimation.flight.world import export_world, read_world
 
 MINUTE_US, DAY_MIN = 60_000_000, 1440
 CONFIG = CalibrationConfig()
 
 
 @cache
-def readings() -> tuple[np.ndarray, np.ndarray]:
+def readings():
     """Return epochs and angles of quiet days, turns and hours after them, with the noise of a sensor."""
     known = list(flown())
     angles_deg = np.array([angles for _, angles in known])
@@ -34,14 +34,14 @@ def readings() -> tuple[np.ndarray, np.ndarray]:
     return epochs_us, angles_deg + np.random.default_rng(3).normal(0.0, 0.005, angles_deg.shape)
 
 
-def minutes(found: FlownWindows, name: str) -> tuple[float, float]:
+def minutes(found, name):
     """Return a window in minutes since the first reading."""
     window = getattr(found, name)
     first_us = int(readings()[0][0])
     return (window.start_us - first_us) / MINUTE_US, (window.stop_us - first_us) / MINUTE_US
 
 
-def test_turns_are_found_with_the_days_before_and_the_hour_after() -> None:
+def test_turns_are_found_with_the_days_before_and_the_hour_after():
     found = flown_windows(*readings(), CONFIG)
     assert found.shortcomings == ()
     start, stop = minutes(found, "turns")
@@ -53,7 +53,7 @@ def test_turns_are_found_with_the_days_before_and_the_hour_after() -> None:
 
 
 @given(st.floats(0.0, 0.5), st.integers(0, 2))
-def test_a_constant_of_the_sensor_and_absent_readings_move_no_window(offset_deg: float, axis: int) -> None:
+def test_a_constant_of_the_sensor_and_absent_readings_move_no_window(offset_deg, axis):
     epochs_us, angles_deg = readings()
     changed = angles_deg[::3].copy()
     changed[:, axis] += offset_deg / 10
@@ -64,7 +64,7 @@ def test_a_constant_of_the_sensor_and_absent_readings_move_no_window(offset_deg:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_an_axis_that_was_not_turned_is_named(axis: int) -> None:
+def test_an_axis_that_was_not_turned_is_named(axis):
     epochs_us, angles_deg = readings()
     changed = angles_deg.copy()
     changed[:, axis] = np.clip(changed[:, axis], -1.0, 0.09)
@@ -73,13 +73,13 @@ def test_an_axis_that_was_not_turned_is_named(axis: int) -> None:
     assert f"lack +{('yaw', 'roll', 'pitch')[axis]}" in found.shortcomings[0]
 
 
-def test_quiet_days_alone_show_no_turns() -> None:
+def test_quiet_days_alone_show_no_turns():
     epochs_us, angles_deg = readings()
     found = flown_windows(epochs_us[: 3 * DAY_MIN], angles_deg[: 3 * DAY_MIN], CONFIG)
     assert found == (None, None, None, ("no turns about all three axes to both sides",))
 
 
-def test_too_few_readings_before_and_after_the_turns_are_said() -> None:
+def test_too_few_readings_before_and_after_the_turns_are_said():
     epochs_us, angles_deg = readings()
     part = slice(2 * DAY_MIN + 300, 3 * DAY_MIN + 490)
     found = flown_windows(epochs_us[part], angles_deg[part], CONFIG)
@@ -91,13 +91,11 @@ def test_too_few_readings_before_and_after_the_turns_are_said() -> None:
     assert "less than a day of readings" in flown_windows(epochs_us[part], angles_deg[part], CONFIG).shortcomings[0]
 
 
-def test_the_last_turns_count_and_the_quiet_days_begin_after_those_before() -> None:
+def test_the_last_turns_count_and_the_quiet_days_begin_after_those_before():
     epochs_us, angles_deg = readings()
     length_us = epochs_us[-1] - epochs_us[0] + MINUTE_US
     twice = flown_windows(np.r_[epochs_us, epochs_us + length_us], np.vstack([angles_deg, angles_deg]), CONFIG)
     once = flown_windows(epochs_us, angles_deg, CONFIG)
-    assert twice.turns is not None
-    assert once.turns is not None
     assert twice.turns.start_us == once.turns.start_us + length_us
     assert minutes(twice, "quiet")[0] == minutes(once, "turns")[1]
 
@@ -113,13 +111,13 @@ BEAMS = {
 
 
 @cache
-def world() -> World:
+def world():
     with TemporaryDirectory() as folder:
         export_world("nominal", 1, Path(folder) / "world.npz", 0.05)
         return read_world(Path(folder) / "world.npz")
 
 
-def quiet_days(rows: slice = slice(None), extra_db: float = 0.0) -> QuietDays:
+def quiet_days(rows=slice(None), extra_db=0.0):
     ground = world().ground
     plan = CarrierPlan(1, "", ground.carriers)
     series = ground.series(ground.phases["quiet"], plan.carrier_ids)
@@ -128,12 +126,12 @@ def quiet_days(rows: slice = slice(None), extra_db: float = 0.0) -> QuietDays:
     return QuietDays(ground.spacecraft, plan, ground.ephemeris, minute_rows([kept], plan.carrier_ids, ()))
 
 
-def rehearsed(days: QuietDays) -> Rehearsal:
+def rehearsed(days):
     payload = assume_payload(days.plan.carriers, days.spacecraft.longitude_deg, NOISES["links"], BEAMS)
     return rehearse(days, quiet_levels(days), payload.response)
 
 
-def test_the_turns_come_back_as_the_beams_that_were_stated() -> None:
+def test_the_turns_come_back_as_the_beams_that_were_stated():
     days = quiet_days()
     found = rehearsed(days)
     payload = assume_payload(days.plan.carriers, 90.0, NOISES["links"], BEAMS)
@@ -150,29 +148,28 @@ def test_the_turns_come_back_as_the_beams_that_were_stated() -> None:
 
 
 @pytest.mark.slow
-def test_noisier_days_predict_a_larger_sigma() -> None:
+def test_noisier_days_predict_a_larger_sigma():
     quiet, noisy = (rehearsed(quiet_days(extra_db=noise)).prediction.usual_sigma_deg for noise in (0.0, 0.6))
     assert noisy.roll > 1.5 * quiet.roll
     assert noisy.pitch > 1.5 * quiet.pitch
 
 
 @pytest.mark.slow
-def test_carriers_without_a_known_beam_do_not_count() -> None:
+def test_carriers_without_a_known_beam_do_not_count():
     days = quiet_days()
     payload = assume_payload(days.plan.carriers, 90.0, NOISES["links"], BEAMS)
     response = payload.response._replace(slope=payload.response.slope.copy())
     response.slope[2] = np.nan
     result = rehearse(days, quiet_levels(days), response).result
-    assert result.geometry is not None
     assert [k for k, used in enumerate(result.geometry.is_used) if not used] == [2]
 
 
-def test_short_days_are_refused() -> None:
+def test_short_days_are_refused():
     with pytest.raises(CalibrationError, match=r"hold 20\.0 h; three days are wanted, 32\.5 h are the least"):
         rehearsed(quiet_days(slice(0, 241)))
 
 
-def test_too_few_carriers_are_refused() -> None:
+def test_too_few_carriers_are_refused():
     days = quiet_days()
     days.rows.series.power_dbm[:, 3:] = np.nan
     with pytest.raises(CalibrationError, match=r"only 3 carriers can be used, 4 are needed"):

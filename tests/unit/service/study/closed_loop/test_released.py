@@ -34,7 +34,7 @@ from service.study.closed_loop.run import (
 
 S = 1_000_000
 ZERO = Axes(0.0, 0.0, 0.0)
-LEAD_S_RELEASED, PERIOD_S = 150.0, 600.0
+RELEASE_LEAD_S, PERIOD_S = 150.0, 600.0
 CRAFT = Spacecraft(
     "yamal-202",
     "",
@@ -56,19 +56,19 @@ class Journal:
 
     announced: list[object] = field(default_factory=list)
 
-    def update(self, content: object) -> None:
+    def update(self, content):
         self.announced.append(content)
 
 
 class Link:
     """A releaser, row by row."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.journal = Journal()
-        self.releaser = Releaser(self.journal, CRAFT, LEAD_S_RELEASED, TorqueConfig())
+        self.releaser = Releaser(self.journal, CRAFT, RELEASE_LEAD_S, TorqueConfig())
         self.sent = 0
 
-    def row(self, at_s: float, roll_deg: float = 0.1, **changes) -> tuple[Pulse, ...]:
+    def row(self, at_s, roll_deg=0.1, **changes):
         plain = row_without_attitude(round(at_s * S), round(at_s * S), 1, Method.ROBUST, ())
         allowed = {"control_allowed": True, "control_allowed_axes": (True, True, True)}
         row = replace(plain, attitude_deg=Axes(0.0, roll_deg, 0.0), rates_deg_s=ZERO, **{**allowed, **changes})
@@ -77,26 +77,26 @@ class Link:
         self.sent += bool(given)
         return given
 
-    def on_input(self, state: str, until_us: int | None = None, counter: int = 1) -> None:
+    def on_input(self, state, until_us=None, counter=1):
         self.releaser.on_input([CommandReport(counter, state, ZERO, until_us or 0, until_us)])
 
 
 @pytest.fixture
-def link() -> Link:
+def link():
     return Link()
 
 
-def stop_us(pulse: Pulse) -> int:
+def stop_us(pulse):
     return pulse.start_us + round(pulse.duration_s * S)
 
 
-def slew(schedule: tuple[Pulse, ...]) -> tuple[Pulse, ...]:
-    return tuple(pulse for pulse in schedule if pulse.start_us <= (LEAD_S_RELEASED + 0.75 * PERIOD_S) * S)
+def slew(schedule):
+    return tuple(pulse for pulse in schedule if pulse.start_us <= (RELEASE_LEAD_S + 0.75 * PERIOD_S) * S)
 
 
 def test_a_command_goes_out_ahead_of_its_pulses_and_is_uncertain_until_it_is_told(link):
     sent = link.row(0.0)
-    assert min(pulse.start_us for pulse in sent) == LEAD_S_RELEASED * S
+    assert min(pulse.start_us for pulse in sent) == RELEASE_LEAD_S * S
     assert len(slew(sent)) < len(sent)
     assert link.journal.announced == [ReleasedCommand(1, 0, sent)]
     # waits for its report, and for the end of its period
@@ -132,7 +132,7 @@ def test_what_is_lost_is_given_up_and_a_repetition_says_nothing(link):
     link.row(0.0)
     link.on_input("repeated")
     assert len(link.journal.announced) == 1
-    over_s = LEAD_S_RELEASED + 0.75 * PERIOD_S + 60.0
+    over_s = RELEASE_LEAD_S + 0.75 * PERIOD_S + 60.0
     assert link.row(over_s - 1.0) == ()
     assert link.row(over_s) != ()
     assert link.journal.announced[1] == ReportedCommand(1, round(over_s * S), ())
@@ -150,25 +150,15 @@ def test_nothing_goes_out_under_an_inhibition_and_a_person_leads_back_from_afar(
 
 NOTHING = Axes(0.0, 0.0, 0.0)
 MEASUREMENT = Measurement(0, 0, 1, "sa-1", 1, np.zeros(0), None, feeds_estimator=True)
-CRAFT_CONTROLLERS = Spacecraft(
-    "yamal-202",
-    "",
-    90.0,
-    Site(55.0, 37.0),
-    ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0)),
-    0.05,
-    simulated=True,
-    onboard=Onboard(fast_loop=True, forecast_mode=True),
-    control=ControlSettings(release=Release.AUTOMATIC),
-)
+AUTOMATIC = replace(CRAFT, control=ControlSettings(release=Release.AUTOMATIC))
 
 
-def truth(roll_deg: float) -> SpacecraftTruth:
+def truth(roll_deg):
     return SpacecraftTruth(0, Axes(0.0, roll_deg, 0.0), NOTHING, 0.0)
 
 
-def command() -> TorqueCommand:
-    announced = ByTruth(CRAFT_CONTROLLERS, 0.0, 60.0)
+def command():
+    announced = ByTruth(AUTOMATIC, 0.0, 60.0)
     decision = announced.decide(MEASUREMENT, truth(0.5), 1)
     assert decision.schedule
     return TorqueCommand(
@@ -184,11 +174,11 @@ class RecordedChain:
     command: TorqueCommand
     identified: list[AppliedCommand] = field(default_factory=list)
 
-    def step(self, measurement: Measurement) -> SimpleNamespace:
+    def step(self, measurement):
         applied = AppliedCommand(self.command) if self.command.control_allowed else None
         return SimpleNamespace(rows=(), command=self.command, applied=applied)
 
-    def update(self, content: AppliedCommand) -> None:
+    def update(self, content):
         self.identified.append(content)
 
 
@@ -205,7 +195,7 @@ def test_the_chain_hears_the_mean_torque_of_what_a_loop_on_board_has_done():
     assert pulse.torque_n_m == pytest.approx((0.0, 0.002, -0.001))
 
 
-def replace_state(report: CommandReport, state: str) -> CommandReport:
+def replace_state(report, state):
     return report._replace(state=state)
 
 
@@ -217,7 +207,7 @@ def test_nobody_sends_nothing():
 def test_perfect_sensing_pushes_against_the_angle(roll_deg):
     (pulse,) = [
         p
-        for p in ByTruth(CRAFT_CONTROLLERS, LEAD_S, 60.0).decide(MEASUREMENT, truth(roll_deg), 1).schedule
+        for p in ByTruth(AUTOMATIC, LEAD_S, 60.0).decide(MEASUREMENT, truth(roll_deg), 1).schedule
         if p.torque_n_m.roll
     ]
     assert pulse.torque_n_m.roll * roll_deg < 0.0
@@ -225,7 +215,7 @@ def test_perfect_sensing_pushes_against_the_angle(roll_deg):
 
 
 def test_what_perfect_sensing_cannot_express_is_carried_on():
-    controller = ByTruth(CRAFT_CONTROLLERS, 0.0, 60.0)
+    controller = ByTruth(AUTOMATIC, 0.0, 60.0)
     given = [controller.decide(MEASUREMENT, truth(0.001), k).schedule for k in range(200)]
     assert 0 < sum(map(bool, given)) < 200
 
@@ -239,9 +229,7 @@ def test_a_postponed_command_is_the_same_later():
 
 def test_perfect_sensing_sees_roll_and_yaw_exchange():
     turned = truth(0.0)._replace(attitude_deg=Axes(1.0, 0.0, 0.0))
-    given = [
-        p for p in ByTruth(CRAFT_CONTROLLERS, 0.0, 60.0).decide(MEASUREMENT, turned, 1).schedule if p.torque_n_m.roll
-    ]
+    given = [p for p in ByTruth(AUTOMATIC, 0.0, 60.0).decide(MEASUREMENT, turned, 1).schedule if p.torque_n_m.roll]
     # yaw of 1 deg turns roll by 0.26 deg/h, which the law holds up
     assert given
     assert given[0].torque_n_m.roll < 0.0
@@ -265,7 +253,7 @@ def test_a_row_without_a_command_is_inhibited():
 UNIT = LoopUnit("nominal", 3, Sensing.AUTOMATIC, "link", 0.5, (0.1, 0.2, 0.3))
 
 
-def flight() -> FlownRun:
+def flight():
     rng = np.random.default_rng(1)
     flags = rng.uniform(size=5) < 0.5
     return FlownRun(
@@ -292,13 +280,11 @@ def test_a_unit_of_another_setting_is_not_there(tmp_path, changes):
     assert kept(tmp_path, UNIT) == LoopResult(UNIT, 1.0, "no calibration")
 
 
-def test_the_ground_states_what_the_plant_announces_and_how_wrong_it_may_be() -> None:
+def test_the_ground_states_what_the_plant_announces_and_how_wrong_it_may_be():
     with PlantProcess("nominal", 1, operation_days=0.01) as plant:
         opening = plant.opening()
     stated = ground_of(opening).spacecraft.onboard.fed_forward_torque
     announced = opening.fed_forward
-    assert stated is not None
-    assert announced is not None
     assert stated.cosine_n_m == AxisTorques(**announced["cosine_n_m"])
     assert stated.sine_n_m == AxisTorques(**announced["sine_n_m"])
     # of the order of the light of the Sun, 95 % of it
@@ -312,7 +298,7 @@ def test_the_ground_states_what_the_plant_announces_and_how_wrong_it_may_be() ->
 
 
 @pytest.mark.parametrize("name", ["unknown_residual_constant", "unknown_residual_daily"])
-def test_of_a_torque_that_nobody_knows_the_catalogue_has_its_defaults(name: str) -> None:
+def test_of_a_torque_that_nobody_knows_the_catalogue_has_its_defaults(name):
     with PlantProcess(name, 1, operation_days=0.01) as plant:
         record = ground_of(plant.opening()).spacecraft
     assert (record.onboard.residual_torque_n_m, record.onboard.fed_forward_torque) == (None, None)
@@ -324,7 +310,7 @@ def test_of_a_torque_that_nobody_knows_the_catalogue_has_its_defaults(name: str)
 ROWS = 600
 
 
-def flight_merit(largest_deg=(0.1, 0.1, 0.1), faded_rows=(0, 0), settles_at=0, inhibited=0) -> FlownRun:
+def settled_flight(largest_deg=(0.1, 0.1, 0.1), faded_rows=(0, 0), settles_at=0, inhibited=0):
     """Return ten hours at a row a minute; roll and pitch sit at their largest until a row, then at nothing."""
     truth = np.zeros((ROWS, 3))
     truth[0] = largest_deg
@@ -343,7 +329,7 @@ def flight_merit(largest_deg=(0.1, 0.1, 0.1), faded_rows=(0, 0), settles_at=0, i
     )
 
 
-def results(flights, scenario="nominal", sensing=Sensing.AUTOMATIC) -> list[LoopResult]:
+def results(flights, scenario="nominal", sensing=Sensing.AUTOMATIC):
     return [
         LoopResult(LoopUnit(scenario, seed, sensing), 1.0, "" if flown else "refused", flown)
         for seed, flown in enumerate(flights, start=1)
@@ -351,7 +337,7 @@ def results(flights, scenario="nominal", sensing=Sensing.AUTOMATIC) -> list[Loop
 
 
 def test_figures_of_a_run_are_those_of_its_rows():
-    merit = run_merit(flight_merit((0.3, -0.15, 0.1), inhibited=90))
+    merit = run_merit(settled_flight((0.3, -0.15, 0.1), inhibited=90))
     assert merit.largest_deg == (0.3, 0.15, 0.1)
     assert merit.inhibited_h == pytest.approx(1.5)
     assert merit.impulse_n_m_s == (0.01, 0.02, 0.03)
@@ -369,41 +355,41 @@ def test_figures_of_a_run_are_those_of_its_rows():
     ],
 )
 def test_limits_are_those_that_were_asked(largest_deg, is_narrow, is_wide):
-    merit = run_merit(flight_merit(largest_deg))
+    merit = run_merit(settled_flight(largest_deg))
     assert (merit.is_narrow, merit.is_wide) == (is_narrow, is_wide)
 
 
 def test_the_time_to_come_back_counts_from_the_end_of_the_fade():
     # wet until row 99, small again from row 160 on
-    merit = run_merit(flight_merit((0.0, 0.35, 0.35), (20, 100), 160))
+    merit = run_merit(settled_flight((0.0, 0.35, 0.35), (20, 100), 160))
     assert merit.settled_h == pytest.approx(61 / 60)
     assert merit.is_fade_survived
-    assert not run_merit(flight_merit((0.0, 0.41, 0.0), (20, 100), 160)).is_fade_survived
-    assert not run_merit(flight_merit((0.0, 0.35, 0.0), (20, 100), 290)).is_fade_survived
-    never = run_merit(flight_merit((0.0, 0.35, 0.0), (20, 100), ROWS))
+    assert not run_merit(settled_flight((0.0, 0.41, 0.0), (20, 100), 160)).is_fade_survived
+    assert not run_merit(settled_flight((0.0, 0.35, 0.0), (20, 100), 290)).is_fade_survived
+    never = run_merit(settled_flight((0.0, 0.35, 0.0), (20, 100), ROWS))
     assert never.settled_h == math.inf
 
 
 def test_an_unknown_torque_is_survived_within_its_limits_and_without_losing_control():
     for name in UNKNOWN_TORQUE_SCENARIOS:
-        kept = group_merit(results([flight_merit((0.99, 0.29, 0.29), inhibited=15)], name))
+        kept = group_merit(results([settled_flight((0.99, 0.29, 0.29), inhibited=15)], name))
         assert kept.is_met
         assert kept.longest_inhibited_h == pytest.approx(0.25)
-        for bad in (flight_merit((1.01, 0.1, 0.1)), flight_merit((0.1, 0.1, 0.31)), flight_merit(inhibited=16)):
-            assert not group_merit(results([flight_merit(), bad], name)).is_met
-    assert group_merit(results([flight_merit(inhibited=16)])).is_met  # of any other story rows may be inhibited
+        for bad in (settled_flight((1.01, 0.1, 0.1)), settled_flight((0.1, 0.1, 0.31)), settled_flight(inhibited=16)):
+            assert not group_merit(results([settled_flight(), bad], name)).is_met
+    assert group_merit(results([settled_flight(inhibited=16)])).is_met  # of any other story rows may be inhibited
 
 
 def test_the_longest_inhibition_is_one_without_a_break():
-    broken = replace(flight_merit(), is_inhibited=np.arange(ROWS) % 20 < 12)
+    broken = replace(settled_flight(), is_inhibited=np.arange(ROWS) % 20 < 12)
     merit = run_merit(broken)
     assert merit.longest_inhibited_h == pytest.approx(0.2)
     assert merit.inhibited_h == pytest.approx(6.0)
-    assert run_merit(flight_merit()).longest_inhibited_h == 0.0
+    assert run_merit(settled_flight()).longest_inhibited_h == 0.0
 
 
 def test_a_group_is_met_by_95_percent_within_the_narrow_and_all_within_the_wide_limits():
-    good, odd, bad = flight_merit(), flight_merit((0.45, 0.1, 0.1)), flight_merit((0.1, 0.5, 0.1))
+    good, odd, bad = settled_flight(), settled_flight((0.45, 0.1, 0.1)), settled_flight((0.1, 0.5, 0.1))
     assert group_merit(results([good] * 19 + [odd])).is_met
     assert not group_merit(results([good] * 18 + [odd] * 2)).is_met
     assert not group_merit(results([good] * 19 + [bad])).is_met
@@ -413,7 +399,7 @@ def test_a_group_is_met_by_95_percent_within_the_narrow_and_all_within_the_wide_
 
 
 def test_percentiles_are_runs_that_were_flown():
-    announced = group_merit(results([flight_merit((size, 0.0, 0.0)) for size in (0.1, 0.2, 0.4)]))
+    announced = group_merit(results([settled_flight((size, 0.0, 0.0)) for size in (0.1, 0.2, 0.4)]))
     assert [triple[0] for triple in announced.largest_deg] == [0.2, 0.4, 0.4]
 
 
@@ -424,8 +410,8 @@ def test_a_group_without_any_flight_is_missed():
 
 
 def test_no_control_that_does_not_fail_is_a_finding():
-    calm = group_merit(results([flight_merit()], sensing=Sensing.OFF))
-    wild = group_merit(results([flight_merit((3.0, 2.0, 1.0))], sensing=Sensing.OFF))
+    calm = group_merit(results([settled_flight()], sensing=Sensing.OFF))
+    wild = group_merit(results([settled_flight((3.0, 2.0, 1.0))], sensing=Sensing.OFF))
     assert (verdict(calm), verdict(wild)) == ("does not fail", "fails as it must")
     plan = LoopPlan(("nominal",), 1)
     assert LoopCampaign(plan, 1.0, (), (calm,)).missed == (calm,)
@@ -433,7 +419,7 @@ def test_no_control_that_does_not_fail_is_a_finding():
 
 
 def test_table_document_and_figure_hold_every_group(tmp_path):
-    announced = [*results([flight_merit()]), *results([None], sensing=Sensing.TRUTH)]
+    announced = [*results([settled_flight()]), *results([None], sensing=Sensing.TRUTH)]
     groups = tuple(group_merit([result]) for result in announced)
     campaign = LoopCampaign(LoopPlan(("nominal",), 1), 1.0, tuple(announced), groups)
     assert all(len(cells(group)) == len(COLUMNS) for group in groups)
@@ -447,7 +433,7 @@ def test_table_document_and_figure_hold_every_group(tmp_path):
 
 
 def test_yaw_by_reported_wheels_is_held_in_19_of_20_runs():
-    good, odd = flight_merit((0.25, 0.1, 0.1)), flight_merit((0.26, 0.1, 0.1))
+    good, odd = settled_flight((0.25, 0.1, 0.1)), settled_flight((0.26, 0.1, 0.1))
     assert group_merit(results([good] * 19 + [odd], MEASURED_SCENARIO)).is_met
     assert not group_merit(results([good] * 18 + [odd] * 2, MEASURED_SCENARIO)).is_met
-    assert not group_merit(results([good] * 18 + [flight_merit((0.1, 0.21, 0.1))] * 2, MEASURED_SCENARIO)).is_met
+    assert not group_merit(results([good] * 18 + [settled_flight((0.1, 0.21, 0.1))] * 2, MEASURED_SCENARIO)).is_met

@@ -9,20 +9,20 @@ from service.study.demonstration.spacecraft_line import SpacecraftReport
 from service.study.demonstration.two_step_centre import RowPaces, TwoStepCentre
 
 
-def epoch(minute: int, second: int = 0) -> str:
+def epoch(minute, second=0):
     return f"2026-11-05T10:{minute:02d}:{second:02d}.000000Z"
 
 
-def pulse(minute: int, roll_n_m: float = 0.002, duration_s: float = 5.0) -> dict:
+def pulse(minute, roll_n_m=0.002, duration_s=5.0):
     return {"start": epoch(minute), "duration_s": duration_s, "roll_n_m": roll_n_m, "pitch_n_m": 0.0, "yaw_n_m": 0.0}
 
 
-def command(minute: int, *schedule: dict, inhibitions: tuple = ()) -> dict:
+def command(minute, *schedule, inhibitions=()):
     control = {"allowed": not inhibitions, "reasons": [{"code": code} for code in inhibitions]}
     return {"attitude_epoch": epoch(minute), "schedule": list(schedule), "control": control}
 
 
-def report(counter: int, state: str = "executed", until: str | None = epoch(59)) -> SpacecraftReport:
+def report(counter, state="executed", until="2026-11-05T10:59:00.000000Z"):
     impulse = dict.fromkeys(("yaw", "roll", "pitch"), 0.0)
     return SpacecraftReport(counter, state, epoch(0), None, until if state == "executed" else None, impulse)
 
@@ -30,7 +30,7 @@ def report(counter: int, state: str = "executed", until: str | None = epoch(59))
 class Service:
     """Tells a script of commands, one a request."""
 
-    def __init__(self, *reported: dict) -> None:
+    def __init__(self, *reported):
         self.reported, self.asked = list(reported), 0
 
     def torques(self, _spacecraft_id):
@@ -41,7 +41,7 @@ class Service:
 class Line:
     """A spacecraft that tells a script of reports, one list a row."""
 
-    def __init__(self, *reports: list) -> None:
+    def __init__(self, *reports):
         self.reports, self.sent = list(reports), []
 
     def send(self, schedule, counter):
@@ -51,7 +51,7 @@ class Line:
         return self.reports.pop(0) if self.reports else []
 
 
-def steered(service: Service, line: Line, *minutes: int) -> ControlCentre:
+def steered(service, line, *minutes):
     centre = ControlCentre(service, line)
     for minute in minutes:
         centre.steer("sc", epoch(minute))
@@ -111,20 +111,17 @@ NO_WAIT = RowPaces(0.0, 0.0, 0.0)
 IMPULSE = dict.fromkeys(("yaw", "roll", "pitch"), 0.0)
 
 
-PULSES = [
-    {"start": epoch(minute), "duration_s": 5.0, "roll_n_m": 0.002, "pitch_n_m": 0.0, "yaw_n_m": 0.0}
-    for minute in (4, 6)
-]
+PULSES = [pulse(4), pulse(6)]
 
 
-def report_two_step_centre(state: str, until: str | None = None) -> SpacecraftReport:
+def said_report(state, until=None):
     return SpacecraftReport(1, state, epoch(9), None, until, IMPULSE)
 
 
 class RefusingService:
     """A service whose control is set by the test; a refusal is raised for every report."""
 
-    def __init__(self, *reasons: str, released: tuple[int, ...] = (), refusal: str = "") -> None:
+    def __init__(self, *reasons, released=(), refusal=""):
         self.reasons, self.released, self.refusal = list(reasons), list(released), refusal
         self.log: list[tuple] = []
 
@@ -157,20 +154,7 @@ class RefusingService:
             raise ProblemError(409, self.refusal, "refused")
 
 
-class ScriptedLine:
-    """A spacecraft that says a script of reports, one list a row."""
-
-    def __init__(self, *reports: list) -> None:
-        self.reports, self.sent = list(reports), []
-
-    def send(self, schedule, counter):
-        self.sent.append((schedule, counter))
-
-    def await_flown(self, _epoch):
-        return self.reports.pop(0) if self.reports else []
-
-
-def steered_two_step_centre(service: RefusingService, line: ScriptedLine, rows: int = 2) -> TwoStepCentre:
+def steered_in_two(service, line, rows=2):
     centre = TwoStepCentre(service, line, operator=service, paces=NO_WAIT)
     for minute in range(rows):
         centre.steer("sc", epoch(minute))
@@ -178,14 +162,14 @@ def steered_two_step_centre(service: RefusingService, line: ScriptedLine, rows: 
 
 
 def test_nothing_goes_up_that_nobody_released():
-    service, line = RefusingService("yaw_sign"), ScriptedLine()
-    assert steered_two_step_centre(service, line).log.counts()["sent"] == 0
+    service, line = RefusingService("yaw_sign"), Line()
+    assert steered_in_two(service, line).log.counts()["sent"] == 0
     assert line.sent == []
 
 
 def test_a_released_command_goes_up_once_and_is_reported_sent():
-    service, line = RefusingService("yaw_sign", released=(1,)), ScriptedLine()
-    steered_two_step_centre(service, line, rows=3)
+    service, line = RefusingService("yaw_sign", released=(1,)), Line()
+    steered_in_two(service, line, rows=3)
     assert line.sent == [(PULSES, 1)]
     assert [entry for entry in service.log if entry[0] == "sent"] == [("sent", 1, None)]
 
@@ -193,28 +177,28 @@ def test_a_released_command_goes_up_once_and_is_reported_sent():
 @pytest.mark.parametrize(
     ("said", "reported"),
     [
-        (report_two_step_centre("executed", epoch(6, 5)), ("executed", 1, None)),
-        (report_two_step_centre("executed", epoch(4, 5)), ("executed", 1, epoch(4, 5))),
-        (report_two_step_centre("late"), ("failed", 1, None)),
-        (report_two_step_centre("refused"), ("failed", 1, None)),
-        (report_two_step_centre("replaced"), ("failed", 1, None)),
+        (said_report("executed", epoch(6, 5)), ("executed", 1, None)),
+        (said_report("executed", epoch(4, 5)), ("executed", 1, epoch(4, 5))),
+        (said_report("late"), ("failed", 1, None)),
+        (said_report("refused"), ("failed", 1, None)),
+        (said_report("replaced"), ("failed", 1, None)),
     ],
 )
 def test_what_became_of_a_command_is_reported(said, reported):
     service = RefusingService("yaw_sign", released=(1,))
-    steered_two_step_centre(service, ScriptedLine([], [said]))
+    steered_in_two(service, Line([], [said]))
     assert service.log[-1] == reported
 
 
 def test_a_command_that_goes_on_is_not_reported():
     service = RefusingService("yaw_sign", released=(1,))
-    steered_two_step_centre(service, ScriptedLine([], [report_two_step_centre("executing", epoch(4, 5))]))
+    steered_in_two(service, Line([], [said_report("executing", epoch(4, 5))]))
     assert service.log[-1] == ("sent", 1, None)
 
 
 def test_control_is_armed_once_and_not_while_anything_else_withholds_it():
     service = RefusingService("not_armed", "fade")
-    centre = steered_two_step_centre(service, ScriptedLine())
+    centre = steered_in_two(service, Line())
     assert (centre.is_armed, service.log, dict(centre.log.inhibitions)) == (False, [], {"not_armed": 2, "fade": 2})
     service.reasons.remove("fade")
     for minute in (3, 4):
@@ -224,20 +208,15 @@ def test_control_is_armed_once_and_not_while_anything_else_withholds_it():
 
 def test_a_refused_arming_is_tried_again_with_the_next_row():
     service = RefusingService("not_armed", refusal="interlock.inhibited")
-    assert (steered_two_step_centre(service, ScriptedLine()).is_armed, service.log) == (
-        False,
-        [("arm",), ("arm",)],
-    )
+    assert (steered_in_two(service, Line()).is_armed, service.log) == (False, [("arm",), ("arm",)])
 
 
 @pytest.mark.parametrize("code", ["command.state", "command.unknown"])
 def test_a_person_who_reported_before_is_no_failure(code):
     service = RefusingService("yaw_sign", released=(1,), refusal=code)
-    assert (
-        steered_two_step_centre(service, ScriptedLine([], [report_two_step_centre("late")])).log.counts()["late"] == 1
-    )
+    assert steered_in_two(service, Line([], [said_report("late")])).log.counts()["late"] == 1
 
 
 def test_another_refusal_ends_the_demonstration():
     with pytest.raises(ProblemError):
-        steered_two_step_centre(RefusingService("yaw_sign", released=(1,), refusal="auth.key"), ScriptedLine())
+        steered_in_two(RefusingService("yaw_sign", released=(1,), refusal="auth.key"), Line())

@@ -3,7 +3,6 @@
 import json
 import socket
 import threading
-from collections.abc import Iterator
 
 import pytest
 
@@ -15,41 +14,41 @@ START = {"type": "start", "scenario": "demo", "fed_forward_torque": FED_FORWARD}
 NOTHING = {"yaw": 0.0, "roll": 0.0, "pitch": 0.0}
 
 
-def epoch(minute: int) -> str:
+def epoch(minute):
     return f"2026-11-05T10:{minute:02d}:00.000000Z"
 
 
-def report(counter: int, state: str, **fields) -> dict:
+def report(counter, state, **fields):
     return {"type": "report", "counter": counter, "state": state, "told": epoch(1), "received": epoch(0), **fields}
 
 
 class OrbitalFrameSpacecraft:
     """A listening socket that says a script and keeps the lines it hears."""
 
-    def __init__(self, script: list[dict]) -> None:
+    def __init__(self, script):
         self.heard: list[dict] = []
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = self._listener.getsockname()
         self._thread = threading.Thread(target=self._serve, args=(script,), daemon=True)
         self._thread.start()
 
-    def _serve(self, script: list[dict]) -> None:
+    def _serve(self, script):
         connection, _ = self._listener.accept()
         with connection, connection.makefile("rb") as lines:
             connection.sendall(b"".join(json.dumps(line).encode() + b"\n" for line in (START, *script)))
             connection.shutdown(socket.SHUT_WR)
             self.heard = [json.loads(line) for line in lines]
 
-    def end(self) -> None:
+    def end(self):
         self._thread.join(120)
         self._listener.close()
 
 
 @pytest.fixture
-def record() -> Iterator:
+def record():
     crafts = []
 
-    def start(*script: dict) -> OrbitalFrameSpacecraft:
+    def start(*script):
         crafts.append(OrbitalFrameSpacecraft(list(script)))
         return crafts[-1]
 
@@ -96,7 +95,7 @@ def test_a_line_that_another_client_holds_is_told(record):
     with socket.create_server(("127.0.0.1", 0)) as listener:
         address = listener.getsockname()
 
-        def turn_away() -> None:
+        def turn_away():
             connection, _ = listener.accept()
             connection.sendall(b'{"type":"error","detail":"another client holds the uplink"}\n')
             connection.close()
@@ -124,7 +123,7 @@ def simulator():
         yield listener
 
 
-def report_ground_link(listener, lines, heard):
+def answer_one(listener, lines, heard):
     """Accept one client, send lines, wait for one answer."""
 
     def serve():
@@ -141,7 +140,7 @@ def report_ground_link(listener, lines, heard):
 def test_messages_come_in_order_until_the_end_and_a_hold_is_answered(simulator):
     heard = []
     lines = b'{"kind":"phase","name":"quiet"}\n{"kind":"hold"}\n{"kind":"end"}\n{"kind":"after"}\n'
-    thread = report_ground_link(simulator, lines, heard)
+    thread = answer_one(simulator, lines, heard)
     kinds = []
     with GroundLink(*simulator.getsockname(), timeout_s=120.0) as link:
         for message in link.messages():

@@ -1,7 +1,5 @@
 """A small world whose truth is chosen, and what a method is made to say of it."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -26,7 +24,7 @@ BITS = {
 
 
 @pytest.fixture
-def toured_world() -> World:
+def toured_world():
     """Fifty hours of minutes, an operation from its first row, and an attitude that swings on every axis."""
     epochs_us = START_US + MINUTE_US * np.arange(ROWS)
     angle = np.linspace(0.0, 24.0 * np.pi, ROWS)
@@ -62,10 +60,10 @@ def toured_world() -> World:
 
 
 @pytest.fixture
-def said() -> Callable[..., MethodSeries]:
+def said():
     """Make what a method says: its angles, and that control may go on."""
 
-    def make(estimate_deg: np.ndarray, sigma_deg: float = 0.02, **changes: np.ndarray) -> MethodSeries:
+    def make(estimate_deg, sigma_deg=0.02, **changes):
         rows = len(estimate_deg)
         fields = {
             "estimate_deg": estimate_deg,
@@ -83,20 +81,20 @@ def said() -> Callable[..., MethodSeries]:
 
 
 @pytest.fixture
-def driven_world() -> Callable[[dict[str, MethodSeries]], Driven]:
+def driven_world():
     """Make what the product said of every row."""
 
-    def make(methods: dict[str, MethodSeries]) -> Driven:
+    def make(methods):
         return Driven(np.arange(ROWS), START_US - MINUTE_US, np.zeros(3), methods)
 
     return make
 
 
 @pytest.fixture
-def judged_unit(toured_world: World, said: Callable[..., MethodSeries], driven_world: Callable[..., Driven]):
+def judged_unit(toured_world, said, driven_world):
     """Make the result of a unit whose robust answer is right and whose paper answer is half of it."""
 
-    def make(scenario: str = "octants", seed: int = 1, *, is_silent: bool = False) -> UnitResult:
+    def make(scenario="octants", seed=1, *, is_silent=False):
         world, truth = toured_world._replace(scenario=scenario, seed=seed), toured_world.truth.attitude_deg
         series = {"robust": said(truth), "paper": said(0.5 * truth, sigma_deg=0.1)}
         driven = driven_world(series)

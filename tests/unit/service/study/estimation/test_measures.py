@@ -289,12 +289,10 @@ def test_misleading_rows_closer_than_six_hours_are_one_episode(toured_world, dri
     level = np.full((ROWS, 3), 0.1)
     driven = driven_world({"robust": erring})
     protection = measure_yardstick(toured_world, driven, replace(erring, protection_deg=level)).protection
-    assert protection is not None
     assert (protection.misleading_share, protection.episodes) == (21 / ROWS, 3)
     level[:, 0] = 0.6
     level[530:540] = np.nan
     protection = measure_yardstick(toured_world, driven, replace(erring, protection_deg=level)).protection
-    assert protection is not None
     assert (protection.misleading_share, protection.episodes, protection.without_share) == (10 / ROWS, 1, 10 / ROWS)
     np.testing.assert_allclose(protection.median_dry_deg, 0.1)
 
@@ -327,7 +325,6 @@ def test_trivial_answers_stand_beside_the_method(toured_world, driven_world, err
         "three sigma": (10.0, (ROWS - 10) / ROWS),
     }
     # errors of 0.2 and 0.5 deg at a sigma of 0.02
-    assert found["three sigma"].protection is not None
     assert found["three sigma"].protection.episodes == 3
     assert measure_yardsticks(toured_world, driven_world({"robust": series}), "paper") == {}
 
@@ -367,12 +364,12 @@ TRUTH = np.column_stack([0.3 * np.sin(TIME), 0.2 * np.cos(TIME), 0.1 * np.sin(2.
 SIGMA = np.full_like(TRUTH, 0.02)
 
 
-def figures_accuracy(estimate, truth=TRUTH, sigma=SIGMA):
+def accuracy_of(estimate, truth=TRUTH, sigma=SIGMA):
     return accuracy_statistics([measure_accuracy(estimate, sigma, truth)])
 
 
 def test_the_truth_itself_is_perfect():
-    found = figures_accuracy(TRUTH)
+    found = accuracy_of(TRUTH)
     for axis in AXES:
         assert found[f"rms_deg.{axis}"] == found[f"p95_deg.{axis}"] == found[f"max_deg.{axis}"] == 0.0
         assert found[f"skill.{axis}"] == 1.0
@@ -382,7 +379,7 @@ def test_the_truth_itself_is_perfect():
 
 
 def test_the_answer_that_never_moves_has_no_skill_and_the_error_of_the_truth():
-    found = figures_accuracy(np.zeros_like(TRUTH))
+    found = accuracy_of(np.zeros_like(TRUTH))
     for axis in AXES:
         assert found[f"skill.{axis}"] == 0.0
         assert found[f"rms_deg.{axis}"] == found[f"truth_rms_deg.{axis}"]
@@ -390,7 +387,7 @@ def test_the_answer_that_never_moves_has_no_skill_and_the_error_of_the_truth():
 
 
 def test_a_scaled_answer_has_its_slope_and_a_sigma_that_fits_is_honest():
-    found = figures_accuracy(0.5 * TRUTH, sigma=np.abs(0.5 * TRUTH))
+    found = accuracy_of(0.5 * TRUTH, sigma=np.abs(0.5 * TRUTH))
     for axis in AXES:
         assert found[f"slope.{axis}"] == pytest.approx(0.5, rel=1e-9)
         # mean of the squared errors is exactly that of the squared sigmas
@@ -411,7 +408,7 @@ def test_rms_is_the_mean_of_seeds_and_skill_is_pooled():
 def test_rows_without_an_answer_do_not_count_while_they_are_few():
     estimate = TRUTH.copy()
     estimate[::20] = np.nan
-    found = figures_accuracy(estimate)
+    found = accuracy_of(estimate)
     assert found["answered"] == pytest.approx(0.95)
     assert found["rms_deg.yaw"] == 0.0
 
@@ -420,7 +417,7 @@ def test_rows_without_an_answer_do_not_count_while_they_are_few():
 def test_silence_has_no_accuracy(share):
     estimate = TRUTH.copy()
     estimate[int(share * len(TRUTH)) :] = np.nan
-    found = figures_accuracy(estimate)
+    found = accuracy_of(estimate)
     assert found["answered"] == pytest.approx(share, abs=1e-3)
     assert all(np.isnan(found[f"{name}.{axis}"]) for name in ("rms_deg", "skill", "slope") for axis in AXES)
 
@@ -443,9 +440,7 @@ def gained(toured_world, driven_world, said):
         truth = toured_world.truth.attitude_deg
         rows = np.arange(0, len(truth), 5)
         past = PastSeries(
-            toured_world.ground.epochs_us[rows],
-            truth[rows] + smoothed_error,
-            np.full((len(rows), 3), sigma_deg),
+            toured_world.ground.epochs_us[rows], truth[rows] + smoothed_error, np.full((len(rows), 3), sigma_deg)
         )
         return measure_gain(toured_world, driven_world({}), said(truth + filter_error), past)
 
@@ -512,8 +507,7 @@ def test_the_yaw_scale_is_pooled():
 
 
 @pytest.mark.parametrize(
-    ("far", "breakdown"),
-    [((0, 0, 0, 0, 0, 0, 0, 40), 6), ((0, 0, 5, 0, 0, 0, 0, 0), 1), ((0,) * 8, 7), ((1,) * 8, -1)],
+    ("far", "breakdown"), [((0, 0, 0, 0, 0, 0, 0, 40), 6), ((0, 0, 5, 0, 0, 0, 0, 0), 1), ((0,) * 8, 7), ((1,) * 8, -1)]
 )
 def test_the_breakdown_is_the_last_number_up_to_which_all_is_well(far, breakdown):
     # one far fix of a hundred is 1 %, which is too many

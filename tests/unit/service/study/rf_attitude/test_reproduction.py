@@ -22,7 +22,7 @@ MINUTE_US = 60_000_000
 ROWS = 720
 
 
-def test_the_printed_parameters_come_back() -> None:
+def test_the_printed_parameters_come_back():
     exact = published_curve(noise_db=0.0).fit
     assert (exact.amplitude_db, exact.phase_rad) == pytest.approx((AMPLITUDE_DB, PHASE_RAD), abs=1e-9)
     for seed in range(1, 6):
@@ -33,12 +33,12 @@ def test_the_printed_parameters_come_back() -> None:
         assert fit.rms_db == pytest.approx(RMS_DB, abs=0.011)
 
 
-def test_the_period_is_told_by_ten_days_and_not_assumed() -> None:
+def test_the_period_is_told_by_ten_days_and_not_assumed():
     assert best_period_h(published_curve(days=10.0)) == pytest.approx(PERIOD_H, abs=0.025)
 
 
 @pytest.fixture
-def session() -> Session:
+def session():
     """Twelve hours: the method is off by 0.05 deg in roll, then by -0.15; a beacon tells yaw each third minute."""
     epochs_us = MINUTE_US * np.arange(ROWS)
     estimate = np.zeros((ROWS, 3))
@@ -58,13 +58,13 @@ def session() -> Session:
     return Session(world, driven)
 
 
-def test_means_are_those_of_each_session_and_sensor(session: Session) -> None:
+def test_means_are_those_of_each_session_and_sensor(session):
     assert session.means_deg("paper", 1) == pytest.approx([0.05, -0.15])
     assert session.means_deg("paper", 0) == pytest.approx([-0.2, -0.2])
     assert len(session.differences_deg("robust", 0)[0]) == ROWS // 3
 
 
-def test_three_figures_are_drawn(session: Session, tmp_path) -> None:
+def test_three_figures_are_drawn(session, tmp_path):
     paths = draw_reproduction(session, tmp_path)
     assert [path.name for path in paths] == [f"rf-attitude-figure-{k}.png" for k in (1, 2, 3)]
     assert all(path.stat().st_size > 10_000 for path in paths)

@@ -86,8 +86,8 @@ def test_a_calibration_gives_its_gradients():
     assert beams.curvature_sigma.shape == (len(result.carriers), 3)
 
 
-SEED_BORESIGHT = 11
-GRADIENT = np.random.default_rng(SEED_BORESIGHT).normal(0.0, 1.3, (16, 2))
+WAVE_SEED = 11
+GRADIENT = np.random.default_rng(WAVE_SEED).normal(0.0, 1.3, (16, 2))
 SIGMA_DB = np.full(16, 0.03)
 HOURS = 96
 
@@ -100,7 +100,7 @@ def moved(boresight_deg, common_db=0.0):
 @pytest.fixture
 def noisy():
     """A wave of 0.03 deg, levels that wander together, and noise of 0.03 dB."""
-    rng = np.random.default_rng(SEED_BORESIGHT + 1)
+    rng = np.random.default_rng(WAVE_SEED + 1)
     angle = 2.0 * np.pi * np.arange(HOURS) / 24.0
     truth = 0.03 * np.column_stack([np.cos(angle), np.sin(angle)])
     return truth, moved(truth, rng.normal(0.0, 0.5, HOURS)) + rng.normal(0.0, 0.03, (HOURS, 16))
@@ -110,7 +110,7 @@ def test_errors_are_those_that_it_states(noisy):
     truth, residual_db = noisy
     series = boresight_series(residual_db, GRADIENT, SIGMA_DB)
     scaled = (series.boresight_deg - truth) / series.sigma_deg
-    print("seed", SEED_BORESIGHT, "rms over sigma", scaled.std(axis=0), "sigma", series.sigma_deg.mean(axis=0))
+    print("seed", WAVE_SEED, "rms over sigma", scaled.std(axis=0), "sigma", series.sigma_deg.mean(axis=0))
     # the sigma of a sigma of 96 hours is seven percent; three of them
     np.testing.assert_allclose(scaled.std(axis=0), 1.0, atol=0.22)
     zero_rms = np.sqrt(np.mean(truth**2, axis=0))
@@ -126,7 +126,7 @@ def test_wrong_carriers_and_steps_leave_it(noisy):
     residual_db[60:, 9] = np.nan
     series = boresight_series(residual_db, GRADIENT, SIGMA_DB)
     errors = [np.sqrt(np.mean((one.boresight_deg - truth) ** 2, axis=0)) for one in (plain, series)]
-    print("seed", SEED_BORESIGHT, "rms without and with the faults", *errors)
+    print("seed", WAVE_SEED, "rms without and with the faults", *errors)
     # three of sixteen carriers less cost a tenth; the least wise answer, all carriers alike, errs by 0.1 deg
     assert (errors[1] < 1.3 * errors[0]).all()
     assert np.abs(series.boresight_deg - truth).max() < 0.04
@@ -163,7 +163,7 @@ def test_beams_of_one_direction_do_not_determine_it():
 def test_levels_that_changed_since_the_calibration_widen_the_constant_part(noisy):
     _, residual_db = noisy
     sure = boresight_series(residual_db, GRADIENT, SIGMA_DB).constant_sigma_deg
-    levels_db = np.random.default_rng(SEED_BORESIGHT + 2).normal(0.0, 0.08, 16)
+    levels_db = np.random.default_rng(WAVE_SEED + 2).normal(0.0, 0.08, 16)
     unsure = boresight_series(residual_db + levels_db, GRADIENT, SIGMA_DB).constant_sigma_deg
     # 0.08 dB on sixteen carriers of 1.3 dB/deg
     assert (unsure > 2.0 * sure).all()

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +12,8 @@ from analyzer_sim.world.scenario.story import WheelTelemetry
 from service.core.estimation.calibration.checks.angle_response import AngleResponse, angle_response
 from service.core.estimation.calibration.checks.feed_turn import feed_leakage, feed_turn
 from service.core.estimation.calibration.checks.free_response import FreeResponse
-from service.core.estimation.calibration.checks.momentum_response import MomentumResponse, momentum_response
-from service.core.estimation.calibration.checks.rate_response import RateResponse, rate_response
+from service.core.estimation.calibration.checks.momentum_response import momentum_response
+from service.core.estimation.calibration.checks.rate_response import rate_response
 from service.core.estimation.calibration.checks.sensor_axes import DECISIVE, MAPPINGS, MIN_CARRIERS, judge_axes
 from service.core.estimation.calibration.geometry_calibration import fit_geometry
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry
@@ -28,7 +27,7 @@ BLOCK_US, BLOCKS, BLOCK_H = 300_000_000, 864, 1.0 / 12.0
 TRUE_DEG = np.array([0.8, 0.03, -0.02])
 
 
-def blocks(seed: int, moved_deg: float = 0.0, scatter: float = 1.0) -> list[AngleBlock]:
+def blocks(seed, moved_deg=0.0, scatter=1.0):
     """Return three days of an offset, a wave, a wander of the stated size and noise; the feed moves after two."""
     rng, at_us = np.random.default_rng(seed), BLOCK_US * np.arange(1, BLOCKS + 1)
     keep = math.exp(-BLOCK_H / READ.wander_h)
@@ -42,11 +41,10 @@ def blocks(seed: int, moved_deg: float = 0.0, scatter: float = 1.0) -> list[Angl
     return [AngleBlock(epoch_us, angle_deg, 0.04**2, -55.0) for epoch_us, angle_deg in told]
 
 
-def test_offset_and_wave_are_right_within_the_sigmas_that_are_stated() -> None:
+def test_offset_and_wave_are_right_within_the_sigmas_that_are_stated():
     squares = []
     for seed in range(1, 21):
         found = feed_turn(blocks(seed), READ)
-        assert found is not None
         off = np.array(found.mean) - TRUE_DEG
         squares.append(off @ np.linalg.solve(np.array(found.covariance), off))
         assert np.sqrt(np.diag(found.covariance)).max() < 0.03
@@ -54,18 +52,17 @@ def test_offset_and_wave_are_right_within_the_sigmas_that_are_stated() -> None:
     assert 1.5 < float(np.mean(squares)) < 5.0
 
 
-def test_a_feed_that_moved_on_the_way_is_where_it_stands_at_the_end() -> None:
+def test_a_feed_that_moved_on_the_way_is_where_it_stands_at_the_end():
     found = feed_turn(blocks(1, moved_deg=0.6), READ)
-    assert found is not None
     assert found.mean[0] == pytest.approx(TRUE_DEG[0] + 0.6, abs=4.0 * math.sqrt(found.covariance[0][0]))
 
 
-def test_blocks_that_contradict_one_another_and_none_tell_nothing() -> None:
+def test_blocks_that_contradict_one_another_and_none_tell_nothing():
     assert feed_turn(blocks(1, scatter=8.0), READ) is None
     assert feed_turn([], READ) is None
 
 
-def test_a_steep_feed_has_its_leakage_by_isolation_and_a_flat_one_by_the_turns() -> None:
+def test_a_steep_feed_has_its_leakage_by_isolation_and_a_flat_one_by_the_turns():
     leak = 0.03
     for turn_deg, sigma_deg in ((5.0, 0.7), (45.0, 0.57)):
         slope = 1.0 - leak * math.sin(math.radians(2.0 * turn_deg))
@@ -120,11 +117,11 @@ SEEDS = range(1, 25)
 
 
 @pytest.fixture(scope="module")
-def flights() -> list[Turned]:
+def flights():
     return [turned_wheels(seed) for seed in SEEDS]
 
 
-def responding(turned: Turned, matrix: Any = None, is_unloading: Any = None) -> MomentumResponse:
+def responding(turned, matrix=None, is_unloading=None):
     """Return the response of records that report the matrix times the truth."""
     reported = turned.momentum if matrix is None else turned.momentum @ np.asarray(matrix).T
     none = np.zeros(len(reported), dtype=np.bool_)
@@ -133,7 +130,7 @@ def responding(turned: Turned, matrix: Any = None, is_unloading: Any = None) -> 
     return momentum_response(epochs_s, reported, turned.attitude_deg, turned.is_slewing, flags, np.array(INERTIA_KG_M2))
 
 
-def test_true_telemetry_passes_on_every_seed(flights: list[Turned]) -> None:
+def test_true_telemetry_passes_on_every_seed(flights):
     found = [responding(turned) for turned in flights]
     sigmas = [one.deviation(0.005) for one in found]
     print(f"seeds 1 to {len(found)}: up to {max(sigmas):.1f} sigma")
@@ -144,20 +141,20 @@ def test_true_telemetry_passes_on_every_seed(flights: list[Turned]) -> None:
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_telemetry_deviates_on_every_seed(flights: list[Turned], name: str) -> None:
+def test_wrong_telemetry_deviates_on_every_seed(flights, name):
     sigmas = [responding(turned, WRONG[name]).deviation(0.005) for turned in flights]
     print(f"{name}: at least {min(sigmas):.1f} sigma")
     assert min(sigmas) > 5.0
 
 
 @pytest.mark.parametrize("name", ALIKE)
-def test_a_factor_that_all_axes_share_moves_the_mean_alone(flights: list[Turned], name: str) -> None:
+def test_a_factor_that_all_axes_share_moves_the_mean_alone(flights, name):
     right, wrong = responding(flights[0]), responding(flights[0], ALIKE[name] * np.eye(3))
     assert wrong.deviation(0.005) < 4.0
     np.testing.assert_allclose(wrong.mean_n_m_s, ALIKE[name] * right.mean_n_m_s)
 
 
-def test_telemetry_of_another_spacecraft_deviates(flights: list[Turned]) -> None:
+def test_telemetry_of_another_spacecraft_deviates(flights):
     rng = np.random.default_rng(4)
     for turned in flights:
         other = np.array([0.4, -9.0, 0.3]) + 0.01 * rng.normal(size=turned.momentum.shape)
@@ -165,14 +162,14 @@ def test_telemetry_of_another_spacecraft_deviates(flights: list[Turned]) -> None
 
 
 @pytest.mark.parametrize("records", [6, 24])
-def test_telemetry_that_is_late_deviates_or_tells_nothing(flights: list[Turned], records: int) -> None:
+def test_telemetry_that_is_late_deviates_or_tells_nothing(flights, records):
     for turned in flights:
         before = turned.momentum[0] + 0.01 * np.random.default_rng(5).normal(size=(records, 3))
         found = responding(turned._replace(momentum=np.concatenate([before, turned.momentum[:-records]])))
         assert found.deviation(0.005) > 5.0 or not found.is_determined
 
 
-def test_without_momentum_along_pitch_nothing_is_determined() -> None:
+def test_without_momentum_along_pitch_nothing_is_determined():
     for seed in SEEDS:
         found = responding(turned_wheels(seed, replace(WheelTelemetry(), bias_n_m_s=0.0)))
         assert not found.is_determined
@@ -180,7 +177,7 @@ def test_without_momentum_along_pitch_nothing_is_determined() -> None:
 
 
 @pytest.mark.parametrize("is_marked", [True, False])
-def test_the_longest_stretch_between_unloadings_is_used(is_marked: bool) -> None:
+def test_the_longest_stretch_between_unloadings_is_used(is_marked):
     for seed in SEEDS:
         turned = turned_wheels(seed, start_h=6.0)
         at = int(np.searchsorted(turned.epochs_us, turned.epochs_us[0] + 360 * 60_000_000))
@@ -193,7 +190,7 @@ def test_the_longest_stretch_between_unloadings_is_used(is_marked: bool) -> None
         assert found.deviation(0.005) < 3.5
 
 
-def test_too_few_records_determine_nothing(flights: list[Turned]) -> None:
+def test_too_few_records_determine_nothing(flights):
     few = Turned(*(part[:6] for part in flights[0]))
     found = responding(few)
     assert not found.is_determined
@@ -204,7 +201,7 @@ def test_too_few_records_determine_nothing(flights: list[Turned]) -> None:
 SIGHT = np.array([0.99, -0.07, -0.13])
 
 
-def response(seed: int, scale: float = 1.0, *, turns: float = 1.0) -> AngleResponse:
+def response(seed, scale=1.0, *, turns=1.0):
     """Return the response of an angle of a scale with noise, offset, drift and wander."""
     rng, angles = np.random.default_rng(seed), turns * turned_deg()
     hours = np.arange(len(angles)) / 60.0
@@ -215,7 +212,7 @@ def response(seed: int, scale: float = 1.0, *, turns: float = 1.0) -> AngleRespo
 
 
 @pytest.mark.parametrize("seed", range(1, 21))
-def test_a_true_instrument_agrees_and_a_wrong_one_does_not(seed: int) -> None:
+def test_a_true_instrument_agrees_and_a_wrong_one_does_not(seed):
     found = response(seed)
     print(f"seed {seed}", found, found.deviation())
     assert found.is_determined
@@ -224,7 +221,7 @@ def test_a_true_instrument_agrees_and_a_wrong_one_does_not(seed: int) -> None:
         assert response(seed, scale).deviation() > 3.5
 
 
-def test_turns_that_tell_nothing_determine_nothing() -> None:
+def test_turns_that_tell_nothing_determine_nothing():
     assert not response(1, turns=0.0).is_determined
     assert response(1, turns=0.0).deviation() == 0.0
     few = angle_response(np.arange(5.0), np.arange(5.0), np.arange(5.0))
@@ -362,9 +359,7 @@ def test_beams_without_any_slope_give_finite_figures_and_no_contradiction():
 W_PER_H = 0.2625162
 
 
-def response_rate_response(
-    matrix: np.ndarray, *, rest: float = 0.0, every: int = 1, sensor_deg: float = 0.01
-) -> RateResponse:
+def rates_response(matrix, *, rest=0.0, every=1, sensor_deg=0.01):
     """Return the response of rates that are a matrix times the truth."""
     rng, angles = np.random.default_rng(5), turned_deg()
     hours = np.arange(len(angles)) / 60.0
@@ -376,8 +371,8 @@ def response_rate_response(
     return rate_response(hours[kept], rates[kept], (angles + rng.normal(0.0, sensor_deg, angles.shape))[kept])
 
 
-def test_true_rates_agree() -> None:
-    found = response_rate_response(np.eye(3))
+def test_true_rates_agree():
+    found = rates_response(np.eye(3))
     print("seed 5", found)
     assert found.is_determined
     np.testing.assert_allclose(found.coefficient, np.eye(3), atol=0.1)
@@ -398,16 +393,16 @@ def test_true_rates_agree() -> None:
         np.diag([0.75, 1.0, 1.0]),
     ],
 )
-def test_wrong_rates_are_found(matrix: np.ndarray) -> None:
-    assert response_rate_response(matrix).deviation(0.01) > 3.5
+def test_wrong_rates_are_found(matrix):
+    assert rates_response(matrix).deviation(0.01) > 3.5
 
 
-def test_a_rate_at_rest_that_no_bias_explains_is_found() -> None:
-    assert response_rate_response(np.eye(3), rest=1.0).deviation(0.01) > 3.5
-    assert response_rate_response(np.eye(3), rest=1.0).deviation(2.0) < 3.5
+def test_a_rate_at_rest_that_no_bias_explains_is_found():
+    assert rates_response(np.eye(3), rest=1.0).deviation(0.01) > 3.5
+    assert rates_response(np.eye(3), rest=1.0).deviation(2.0) < 3.5
 
 
-def test_rates_that_stand_still_tell_nothing() -> None:
+def test_rates_that_stand_still_tell_nothing():
     angles = turned_deg()
     found = rate_response(np.arange(len(angles)) / 60.0, np.full((len(angles), 3), 0.3), angles)
     assert (found.spans, found.is_determined, found.deviation(0.01)) == (0, False, 0.0)

@@ -8,7 +8,7 @@ import pytest
 from service.core.estimation.calibration.calibration_bins import still_stretches, stretch_means
 from service.core.estimation.calibration.coloured_rows import ColouredNoise, stretch_variance_db2, whitened_rows
 from service.core.estimation.calibration.daily_fit import fit_daily
-from service.core.estimation.calibration.gathered_torque import GatheredFit, gathered_torque
+from service.core.estimation.calibration.gathered_torque import gathered_torque
 from service.core.estimation.calibration.geometry_columns import daily_columns
 from service.core.estimation.calibration.sensor_smoothing import (
     SEGMENT_PENALTY,
@@ -142,11 +142,11 @@ def test_rows_without_weight_or_samples_vanish_and_leave_the_others_alone():
     assert white[np.ix_(left, left)] @ part @ white[np.ix_(left, left)].T == pytest.approx(np.eye(38), abs=1e-10)
 
 
-SEED_SEPARABLE_FIT = 3
+FIT_SEED = 3
 
 
 def problem():
-    rng = np.random.default_rng(SEED_SEPARABLE_FIT)
+    rng = np.random.default_rng(FIT_SEED)
     own, shared = rng.normal(size=(4, 30, 3)), rng.normal(size=(4, 30, 2))
     return own, shared, rng.normal(size=(4, 30))
 
@@ -203,7 +203,7 @@ def test_what_the_data_do_not_tell_is_the_prior():
     assert fit.own_covariance[0, 1, 1] == pytest.approx(49.0, rel=1e-12)
 
 
-SEED_CALIBRATION_BINS = 4
+BINS_SEED = 4
 
 
 def test_stretches_end_with_time_and_with_every_axis():
@@ -229,7 +229,7 @@ def test_rows_without_attitude_belong_to_none():
 
 def test_means_skip_absent_samples_and_impulses():
     """Powers and columns are averaged over the very same samples."""
-    rng = np.random.default_rng(SEED_CALIBRATION_BINS)
+    rng = np.random.default_rng(BINS_SEED)
     power = 0.1 * rng.normal(size=(100, 2))
     power[3, 0], power[4, 0], power[10:20, 1] = 9.0, np.nan, np.nan
     columns = np.repeat(np.arange(100.0)[:, None, None], 2, axis=1)
@@ -275,7 +275,7 @@ SETTINGS = FilterSettings(
     momentum=MomentumModel(0.01, 0.005, 0.05, (2600.0, 2600.0, 1400.0), unknown_torque_deg_h2=(5.7, 5.7, 10.6))
 )
 #: constant, cosine, sine, each yaw, roll, pitch, N m; misalignment of roll and yaw, deg; scales
-TRUTH_GATHERED_TORQUE = np.array([4e-6, -3e-6, 5e-6, 8e-6, 2e-6, -6e-6, -3e-6, 9e-6, 4e-6, 0.04, -0.03, 0.003, -0.004])
+TRUE_TORQUE = np.array([4e-6, -3e-6, 5e-6, 8e-6, 2e-6, -6e-6, -3e-6, 9e-6, 4e-6, 0.04, -0.03, 0.003, -0.004])
 START_US, STEP_US = 1_793_491_200_000_000, 300_000_000
 ORBIT_RAD_S, DAY_RAD_S = 7.292115e-5, 2.0 * np.pi / 86_400.0
 #: of the integration: Euler's error of three days is a tenth of a record's noise
@@ -284,18 +284,16 @@ _STEP_S = 20
 UNLOADED = np.array([0.8, -0.1, -1.1])
 
 
-def acceleration_scale() -> np.ndarray:
+def acceleration_scale():
     """Return the factors of the thirteen from N m to deg/h^2."""
     return np.concatenate([np.tile(np.degrees(3600.0**2 / INERTIA), 3), np.ones(4)])
 
 
-def flown(
-    seed: int, hours: float = 72.0, unloaded_h: float | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def flown(seed, hours=72.0, unloaded_h=None):
     """Return epochs, records, sensor angles and their noise of a spacecraft integrated in short steps."""
     rng = np.random.default_rng(seed)
-    constant, cosine, sine = TRUTH_GATHERED_TORQUE[:9].reshape(3, 3)[:, [1, 2, 0]]
-    (bx, bz), (sx, sz) = np.radians(TRUTH_GATHERED_TORQUE[9:11]), TRUTH_GATHERED_TORQUE[11:]
+    constant, cosine, sine = TRUE_TORQUE[:9].reshape(3, 3)[:, [1, 2, 0]]
+    (bx, bz), (sx, sz) = np.radians(TRUE_TORQUE[9:11]), TRUE_TORQUE[11:]
     momentum, epochs, records, angles = np.array([0.3, -8.0, -0.5]), [], [], []
     count = round(hours * 12.0)
     wander = np.cumsum(rng.normal(0.0, 0.002, (count, 3)), axis=0) * 0.3
@@ -319,28 +317,25 @@ def flown(
     return np.array(epochs), np.array(records), np.array(angles), np.full(3, 0.01)
 
 
-def learned(
-    epochs: np.ndarray, records: np.ndarray, angles: np.ndarray, sigma: np.ndarray, unloading: np.ndarray | None = None
-) -> GatheredFit | None:
+def learned(epochs, records, angles, sigma, unloading=None):
     marked = np.zeros(len(epochs), dtype=np.bool_) if unloading is None else unloading
     return gathered_torque(epochs, records, angles, sigma, marked, SETTINGS)
 
 
-def chi_square(found: GatheredFit) -> float:
-    off = found.mean - acceleration_scale() * TRUTH_GATHERED_TORQUE
+def chi_square(found):
+    off = found.mean - acceleration_scale() * TRUE_TORQUE
     return float(off @ np.linalg.solve(found.covariance, off))
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("unloaded_h", [None, 31.0])
 @pytest.mark.parametrize("is_marked", [True, False])
-def test_the_torque_is_found_within_its_covariance(seed: int, unloaded_h: float | None, *, is_marked: bool) -> None:
+def test_the_torque_is_found_within_its_covariance(seed, unloaded_h, *, is_marked):
     epochs, records, angles, sigma = flown(seed, unloaded_h=unloaded_h)
     unloading = np.zeros(len(epochs), dtype=np.bool_)
     if unloaded_h is not None:
         unloading[round(unloaded_h * 12.0)] = is_marked
     found = learned(epochs, records, angles, sigma, unloading)
-    assert found is not None
     # thirteen degrees of freedom exceed 34.5 once in a thousand
     print(f"seed {seed}: chi-square {chi_square(found):.1f}")
     assert chi_square(found) < 34.5
@@ -349,33 +344,30 @@ def test_the_torque_is_found_within_its_covariance(seed: int, unloaded_h: float 
     assert (sigma_n_m < 5e-7).all()
 
 
-def test_two_hours_tell_little_and_say_so() -> None:
+def test_two_hours_tell_little_and_say_so():
     found = learned(*flown(4, hours=2.0))
-    assert found is not None
     assert chi_square(found) < 34.5
     prior = np.array([5.7, 5.7, 10.6]) * np.sqrt(0.5)
     assert (np.sqrt(np.diag(found.covariance))[3:6] > 0.3 * prior).all()
 
 
-def test_records_of_another_spacecraft_in_between_tell_nothing() -> None:
+def test_records_of_another_spacecraft_in_between_tell_nothing():
     epochs, records, angles, sigma = flown(5)
     mixed = records.copy()
     mixed[::2] = records[::2] @ np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
     assert learned(epochs, mixed, angles, sigma) is None
 
 
-def test_rows_without_angles_take_no_part() -> None:
+def test_rows_without_angles_take_no_part():
     epochs, records, angles, sigma = flown(6, hours=24.0)
     blind = angles.copy()
     blind[::2] = np.nan
     some, fewer = learned(epochs, records, blind, sigma), learned(epochs[1::2], records[1::2], angles[1::2], sigma)
-    assert some is not None
-    assert fewer is not None
     np.testing.assert_array_equal(some.mean, fewer.mean)
     assert some.records == len(epochs) // 2
 
 
-def test_settings_without_wheels_are_refused() -> None:
+def test_settings_without_wheels_are_refused():
     with pytest.raises(ValueError, match="momentum of wheels"):
         gathered_torque(
             *(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(3)),

@@ -87,14 +87,6 @@ def test_late_and_duplicate_rows_leave_the_state_as_it_is(run):
         assert not reported.integrity.is_control_allowed
 
 
-def test_the_same_rows_give_the_same_bits(model):
-    one, other = Run(filter_models, model, seed=3), Run(filter_models, model, seed=3)
-    one.rows(50, np.where(EVERYONE == 4, -2.0, 0.0))
-    other.rows(50, np.where(EVERYONE == 4, -2.0, 0.0))
-    np.testing.assert_array_equal(one.state.gaussian.mean, other.state.gaussian.mean)
-    np.testing.assert_array_equal(one.state.gaussian.covariance, other.state.gaussian.covariance)
-
-
 def test_a_step_does_not_change_the_state_it_is_given(run):
     run.rows(3)
     before = run.state
@@ -346,69 +338,67 @@ def test_passes_of_linearisation_are_limited():
 
 
 ERROR_DEG = np.array([0.1, -0.2, 0.15])
-CARRIERS_NEW_START = 6
+FEW = 6
 
 
 @pytest.fixture
-def model_new_start():
-    return filter_models.carrier_model(carriers=CARRIERS_NEW_START)
+def few():
+    return filter_models.carrier_model(carriers=FEW)
 
 
 @pytest.fixture
-def state(model_new_start):
+def state(few):
     """Return a filter that learned references: carrier 1 is set aside, 2 has a level of its own."""
-    gaussian = filter_models.aligned(model_new_start)
+    gaussian = filter_models.aligned(few)
     mean = gaussian.mean.copy()
-    mean[reference_states(model_new_start, np.arange(CARRIERS_NEW_START))] = [0.3, 0.0, 1.5, -0.4, 0.0, 0.0]
+    mean[reference_states(few, np.arange(FEW))] = [0.3, 0.0, 1.5, -0.4, 0.0, 0.0]
     mean[DRIFT] = 0.01
-    state = start(model_new_start, 0, Gaussian(mean, gaussian.covariance))
-    watch = state.carriers._replace(
-        is_flagged=np.arange(CARRIERS_NEW_START) == 1, is_relearned=np.isin(np.arange(CARRIERS_NEW_START), [0, 2, 3])
-    )
+    state = start(few, 0, Gaussian(mean, gaussian.covariance))
+    watch = state.carriers._replace(is_flagged=np.arange(FEW) == 1, is_relearned=np.isin(np.arange(FEW), [0, 2, 3]))
     return state._replace(carriers=watch)
 
 
 def mixture(likeliest=("dry", "dry", "learned", "rain", "dry", "dry")):
     place = {"dry": 0, "rain": 2, "changed": 3, "learned": 4}
-    told = np.full((CARRIERS_NEW_START, 5), 0.025)
-    told[np.arange(CARRIERS_NEW_START), [place[each] for each in likeliest]] = 0.9
+    told = np.full((FEW, 5), 0.025)
+    told[np.arange(FEW), [place[each] for each in likeliest]] = 0.9
     return Mixture(np.ones(1), ERROR_DEG[None], np.diag([0.01, 0.0004, 0.0009])[None], told)
 
 
-def test_the_attitude_moves_by_the_error_and_is_free(model_new_start, state):
-    after = start_again(model_new_start, state, mixture()).gaussian
+def test_the_attitude_moves_by_the_error_and_is_free(few, state):
+    after = start_again(few, state, mixture()).gaussian
     np.testing.assert_allclose(after.mean[ATTITUDE], state.gaussian.mean[ATTITUDE] + ERROR_DEG)
     np.testing.assert_allclose(after.covariance[ATTITUDE, ATTITUDE], np.diag(np.square(ERROR_SIGMA_DEG)))
     assert not after.covariance[ATTITUDE, 3:].any()
     np.testing.assert_array_equal(after.mean[DRIFT], state.gaussian.mean[DRIFT])
 
 
-def test_dry_carriers_have_the_reference_of_the_alignment_again(model_new_start, state):
-    after = start_again(model_new_start, state, mixture())
-    positions = reference_states(model_new_start, np.array([0, 1, 4]))
+def test_dry_carriers_have_the_reference_of_the_alignment_again(few, state):
+    after = start_again(few, state, mixture())
+    positions = reference_states(few, np.array([0, 1, 4]))
     np.testing.assert_array_equal(after.gaussian.mean[positions], 0.0)
     assert not after.carriers.is_flagged[[0, 1, 4]].any()
     assert not after.carriers.is_relearned[[0, 1, 4]].any()
 
 
-def test_wet_carriers_are_set_aside_and_learned_levels_stay(model_new_start, state):
-    after = start_again(model_new_start, state, mixture())
+def test_wet_carriers_are_set_aside_and_learned_levels_stay(few, state):
+    after = start_again(few, state, mixture())
     assert np.flatnonzero(after.carriers.is_flagged).tolist() == [3]
     # it comes back to the level of the alignment, not to the one that rain taught
     assert after.carriers.saved_reference_db[3] == 0.0
-    assert after.gaussian.mean[reference_states(model_new_start, np.array([2]))] == 1.5
+    assert after.gaussian.mean[reference_states(few, np.array([2]))] == 1.5
 
 
-def test_a_carrier_without_a_reference_of_the_alignment_is_never_given_one(model_new_start, state):
-    known = np.where(np.arange(CARRIERS_NEW_START) == 4, np.nan, 0.0)
+def test_a_carrier_without_a_reference_of_the_alignment_is_never_given_one(few, state):
+    known = np.where(np.arange(FEW) == 4, np.nan, 0.0)
     unknown = state._replace(carriers=state.carriers._replace(aligned_reference_db=known))
-    after = start_again(model_new_start, unknown, mixture())
+    after = start_again(few, unknown, mixture())
     assert after.carriers.is_flagged[4]
     assert np.isfinite(after.gaussian.mean).all()
 
 
-def test_the_level_is_that_of_the_moved_attitude(model_new_start, state):
-    after = start_again(model_new_start, state, mixture())
+def test_the_level_is_that_of_the_moved_attitude(few, state):
+    after = start_again(few, state, mixture())
     # 3.891 sigma of an error that is expected to be zero now
     np.testing.assert_allclose(after.anchor.level_deg, 3.8906 * np.array([0.1, 0.02, 0.03]), rtol=1e-3)
 
@@ -418,19 +408,19 @@ PLACE = np.array([11, 10, 9, 8, 6, 5, 4, 2, 1, 0, -1, -1])
 STAYING = PLACE >= 0
 
 
-def picked(model: CarrierModel, position: np.ndarray) -> CarrierModel:
+def picked(model, position):
     """Return the model of a plan made of another's carriers; new ones are copies of carrier 3."""
     rows = np.where(position >= 0, position, 3)
     shared = ("common_sigma_db", "common_tau_s")
     return CarrierModel(*[v if n in shared else v[rows] for n, v in model._asdict().items()])
 
 
-def driven(model, state_carry_over, count, rng, change_db=0.0):
+def driven(model, steered, count, rng, change_db=0.0):
     """Return what the last of some rows told."""
     for _ in range(count):
         row = change_db + model.white_sigma_db * rng.standard_normal(model.carriers)
-        reported = step(model, SETTINGS, state_carry_over, state_carry_over.epoch_us + MINUTE_US, row, no_motion())
-        state_carry_over = reported.state
+        reported = step(model, SETTINGS, steered, steered.epoch_us + MINUTE_US, row, no_motion())
+        steered = reported.state
     return reported
 
 
@@ -440,74 +430,70 @@ def old():
 
 
 @pytest.fixture
-def state_carry_over(old):
+def steered(old):
     steps_db = np.where(np.arange(old.carriers) == 5, 2.0, 0.0)
     return driven(old, start(old, 0, filter_models.aligned(old)), 90, np.random.default_rng(2), steps_db).state
 
 
-def changed(old, state_carry_over, position=PLACE, reference_db=0.0, is_unknown=False):
+def changed(old, steered, position=PLACE, reference_db=0.0, is_unknown=False):
     count = len(position)
     args = np.full(count, reference_db), np.full(count, 0.5), np.broadcast_to(np.asarray(is_unknown), count)
-    return carry_over(old, picked(old, position), state_carry_over, position, *args)
+    return carry_over(old, picked(old, position), steered, position, *args)
 
 
-def test_the_same_plan_is_the_same_state(old, state_carry_over):
-    same = changed(old, state_carry_over, np.arange(old.carriers))
-    np.testing.assert_array_equal(same.gaussian.mean, state_carry_over.gaussian.mean)
-    np.testing.assert_array_equal(same.gaussian.covariance, state_carry_over.gaussian.covariance)
-    np.testing.assert_array_equal(same.carriers.is_flagged, state_carry_over.carriers.is_flagged)
-    np.testing.assert_array_equal(same.minute.total, state_carry_over.minute.total)
-    np.testing.assert_array_equal(same.noise.white_scale, state_carry_over.noise.white_scale)
+def test_the_same_plan_is_the_same_state(old, steered):
+    same = changed(old, steered, np.arange(old.carriers))
+    np.testing.assert_array_equal(same.gaussian.mean, steered.gaussian.mean)
+    np.testing.assert_array_equal(same.gaussian.covariance, steered.gaussian.covariance)
+    np.testing.assert_array_equal(same.carriers.is_flagged, steered.carriers.is_flagged)
+    np.testing.assert_array_equal(same.minute.total, steered.minute.total)
+    np.testing.assert_array_equal(same.noise.white_scale, steered.noise.white_scale)
 
 
-def test_staying_carriers_keep_what_they_share_with_the_attitude(old, state_carry_over):
+def test_staying_carriers_keep_what_they_share_with_the_attitude(old, steered):
     new = picked(old, PLACE)
-    after = changed(old, state_carry_over).gaussian
+    after = changed(old, steered).gaussian
     staying = np.flatnonzero(STAYING)
     here, there = carrier_states(new, staying).ravel(), carrier_states(old, PLACE[staying]).ravel()
-    np.testing.assert_array_equal(after.mean[here], state_carry_over.gaussian.mean[there])
+    np.testing.assert_array_equal(after.mean[here], steered.gaussian.mean[there])
     np.testing.assert_array_equal(
-        after.covariance[ATTITUDE][:, here], state_carry_over.gaussian.covariance[ATTITUDE][:, there], strict=True
+        after.covariance[ATTITUDE][:, here], steered.gaussian.covariance[ATTITUDE][:, there], strict=True
     )
     np.testing.assert_array_equal(
-        after.covariance[np.ix_(here, here)], state_carry_over.gaussian.covariance[np.ix_(there, there)]
+        after.covariance[np.ix_(here, here)], steered.gaussian.covariance[np.ix_(there, there)]
     )
-    np.testing.assert_array_equal(
-        after.mean[:12], state_carry_over.gaussian.mean[:12]
-    )  # 11 of the core and one common part
+    np.testing.assert_array_equal(after.mean[:12], steered.gaussian.mean[:12])  # 11 of the core and one common part
     assert (np.linalg.eigvalsh(after.covariance) > 0.0).all()
 
 
-def test_new_carriers_begin_with_the_sigma_they_are_given(old, state_carry_over):
+def test_new_carriers_begin_with_the_sigma_they_are_given(old, steered):
     new = picked(old, PLACE)
-    after = changed(old, state_carry_over).gaussian
+    after = changed(old, steered).gaussian
     positions = carrier_states(new, np.flatnonzero(~STAYING))
     np.testing.assert_array_equal(after.mean[positions], 0.0)
     np.testing.assert_array_equal(after.covariance[positions[-1], positions[-1]], 0.5**2)
     assert np.count_nonzero(after.covariance[positions[-1, 0]]) == 1
 
 
-def test_a_reference_that_moved_leaves_the_innovations_as_they_are(old, state_carry_over):
+def test_a_reference_that_moved_leaves_the_innovations_as_they_are(old, steered):
     new = picked(old, PLACE)
     row = np.random.default_rng(5).normal(0.0, 0.1, new.carriers)
-    epoch_us = state_carry_over.epoch_us + MINUTE_US
-    plain = step(new, SETTINGS, changed(old, state_carry_over), epoch_us, row, no_motion())
-    moved = step(new, SETTINGS, changed(old, state_carry_over, reference_db=0.7), epoch_us, row + 0.7, no_motion())
+    epoch_us = steered.epoch_us + MINUTE_US
+    plain = step(new, SETTINGS, changed(old, steered), epoch_us, row, no_motion())
+    moved = step(new, SETTINGS, changed(old, steered, reference_db=0.7), epoch_us, row + 0.7, no_motion())
     # the same numbers up to rounding of levels of some dB
     np.testing.assert_allclose(moved.innovation_db, plain.innovation_db, atol=1e-12)
     np.testing.assert_allclose(moved.state.carriers.residuals_db, plain.state.carriers.residuals_db + 0.7, atol=1e-12)
 
 
-def test_flags_go_with_their_carriers(old, state_carry_over):
-    state_carry_over = state_carry_over._replace(
-        carriers=state_carry_over.carriers._replace(is_flagged=np.arange(old.carriers) == 8)
-    )
-    np.testing.assert_array_equal(np.flatnonzero(changed(old, state_carry_over).carriers.is_flagged), [3])
+def test_flags_go_with_their_carriers(old, steered):
+    steered = steered._replace(carriers=steered.carriers._replace(is_flagged=np.arange(old.carriers) == 8))
+    np.testing.assert_array_equal(np.flatnonzero(changed(old, steered).carriers.is_flagged), [3])
 
 
-def test_unknown_carriers_show_their_level_first(old, state_carry_over):
+def test_unknown_carriers_show_their_level_first(old, steered):
     new = picked(old, PLACE)
-    after = changed(old, state_carry_over, is_unknown=~STAYING)
+    after = changed(old, steered, is_unknown=~STAYING)
     positions = carrier_states(new, np.flatnonzero(~STAYING))
     np.testing.assert_array_equal(after.gaussian.covariance[positions[-1], positions[-1]], FREE_REFERENCE_DB2)
     rng, level_db = np.random.default_rng(9), np.where(STAYING, 0.0, 4.0)
@@ -520,31 +506,31 @@ def test_unknown_carriers_show_their_level_first(old, state_carry_over):
     assert (np.abs(reported.attitude_deg) < 4.0 * np.sqrt(np.diagonal(reported.covariance_deg2))).all()
 
 
-def test_a_staying_carrier_whose_level_is_void_begins_anew(old, state_carry_over):
+def test_a_staying_carrier_whose_level_is_void_begins_anew(old, steered):
     unknown = np.arange(len(PLACE)) == 2
-    after = changed(old, state_carry_over, is_unknown=unknown)
+    after = changed(old, steered, is_unknown=unknown)
     positions = carrier_states(picked(old, PLACE), np.array([2]))[:, 0]
     np.testing.assert_array_equal(after.gaussian.mean[positions], 0.0)
     assert after.carriers.is_flagged[2]
 
 
-def test_another_ladder_of_correlation_times_begins_at_its_stationary_noise(old, state_carry_over):
+def test_another_ladder_of_correlation_times_begins_at_its_stationary_noise(old, steered):
     new = filter_models.carrier_model(common=2, components=3)
     everyone = np.arange(old.carriers)
     none = np.zeros(old.carriers)
-    after = carry_over(old, new, state_carry_over, everyone, none, none, none > 0.0).gaussian
+    after = carry_over(old, new, steered, everyone, none, none, none > 0.0).gaussian
     here, there = carrier_states(new, everyone), carrier_states(old, everyone)
     np.testing.assert_array_equal(after.mean[here[:-1]], 0.0)
     np.testing.assert_array_equal(np.diagonal(after.covariance)[here[:-1]], new.coloured_sigma_db.T**2)
-    np.testing.assert_array_equal(after.mean[here[-1]], state_carry_over.gaussian.mean[there[-1]])
+    np.testing.assert_array_equal(after.mean[here[-1]], steered.gaussian.mean[there[-1]])
     np.testing.assert_array_equal(np.diagonal(after.covariance)[11:13], new.common_sigma_db**2)
 
 
-def test_doubts_about_commands_stay_and_their_sums_begin_anew(old, state_carry_over):
-    state_carry_over = state_carry_over._replace(
-        command=state_carry_over.command._replace(share=-1.0, minutes_left=20.0, sensitivity=np.ones((60, 2)))
+def test_doubts_about_commands_stay_and_their_sums_begin_anew(old, steered):
+    steered = steered._replace(
+        command=steered.command._replace(share=-1.0, minutes_left=20.0, sensitivity=np.ones((60, 2)))
     )
-    after = changed(old, state_carry_over).command
+    after = changed(old, steered).command
     assert (after.share, after.minutes_left) == (-1.0, 20.0)
     assert after.sensitivity.size == 0
     assert not after.information.any()

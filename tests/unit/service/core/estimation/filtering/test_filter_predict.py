@@ -1,4 +1,4 @@
-"""None"""
+"""Prediction of the filter and effects that are declared."""
 
 import filter_models
 import numpy as np
@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.model.declared import Declared, nothing_declared
+from service.core.estimation.filtering.model.declared import nothing_declared
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
 from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
@@ -235,7 +235,7 @@ class Run:
         self.reported = []
         self.rows(60)
 
-    def rows(self, count, change_db=0.0, declared: Declared | None = None):
+    def rows(self, count, change_db=0.0, declared=None):
         """Feed rows of white noise and a change (N,) or (), return what the last told."""
         for _ in range(count):
             row = change_db + self.model.white_sigma_db * self.rng.standard_normal(CARRIERS)

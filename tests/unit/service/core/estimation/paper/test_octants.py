@@ -223,7 +223,7 @@ def test_inputs_are_left_alone():
 GRID_DEG = np.arange(-60, 61) / 100.0
 
 
-def random_model_octants_grid(rng, carriers):
+def any_model(rng, carriers):
     steep = rng.normal(0.0, [0.16, 1.4, 1.2], (carriers, 3))
     bend = rng.normal([0.0, 0.5, 0.28], [0.05, 0.3, 0.2], (carriers, 3))
     return steep - bend, steep + bend
@@ -261,7 +261,7 @@ def test_never_above_the_polished_grid(carriers, noise_db):
     rng = np.random.default_rng(seed)
     compared = 0
     for _ in range(200):
-        plus, minus = random_model_octants_grid(rng, carriers)
+        plus, minus = any_model(rng, carriers)
         deviation_db = predict_deviation_db(plus, minus, rng.uniform(-0.4, 0.4, 3))
         deviation_db += noise_db * rng.standard_normal(carriers)
         cost, attitude_deg = polished(plus, minus, deviation_db)

@@ -162,7 +162,7 @@ def test_numbers_that_came_or_went_are_left_out():
     assert not before.covariance[[2, 4]].any()
 
 
-MINUTE_US, CARRIERS, ROWS_EFFECTIVE_ROW = 60_000_000, 8, 60
+MINUTE_US, CARRIERS, EFFECTIVE_ROWS = 60_000_000, 8, 60
 SETTINGS = FilterSettings()
 
 
@@ -189,20 +189,13 @@ def taken(model, changes_db, seed=1):
     return states[1:], rows
 
 
-def dense_effective_row(transition):
-    matrix = np.diag(transition.factor)
-    matrix[transition.targets] = 0.0
-    matrix[np.ix_(transition.targets, transition.sources)] = transition.shares
-    return matrix
-
-
 def recursion(model, states, rows):
     """Return the smoothed attitude by Rauch, Tung and Striebel, which inverts the predicted covariance."""
     mean, covariance = states[-1].gaussian
     found = [(mean[ATTITUDE], covariance[ATTITUDE, ATTITUDE])]
     for number in range(len(states) - 2, -1, -1):
         own, later = states[number].gaussian, rows[number + 1]
-        matrix = dense_effective_row(later.step)
+        matrix = dense(later.step)
         # what came after the step is an update: the predicted state follows from it
         whitened = later.update
         reduced = states[number + 1].gaussian.covariance + whitened.cross.T @ whitened.cross
@@ -215,7 +208,7 @@ def recursion(model, states, rows):
 
 
 def test_the_way_back_is_that_of_the_dense_recursion(model):
-    states, rows = taken(model, np.zeros((ROWS_EFFECTIVE_ROW, CARRIERS)))
+    states, rows = taken(model, np.zeros((EFFECTIVE_ROWS, CARRIERS)))
     assert any(row.rain_push > 0.0 for row in rows), "no row raises rain to its border"
     pairs = zip(smoothed_rows(rows), recursion(model, states, rows), strict=True)
     for own, (mean, covariance) in pairs:
@@ -224,7 +217,7 @@ def test_the_way_back_is_that_of_the_dense_recursion(model):
 
 
 def test_later_rows_make_every_sigma_smaller_and_the_newest_row_is_the_filter(model):
-    states, rows = taken(model, np.zeros((ROWS_EFFECTIVE_ROW, CARRIERS)))
+    states, rows = taken(model, np.zeros((EFFECTIVE_ROWS, CARRIERS)))
     newest, *older = smoothed_rows(rows)
     np.testing.assert_array_equal(newest.mean[ATTITUDE], states[-1].gaussian.mean[ATTITUDE])
     for own, state in zip(older, states[-2::-1], strict=True):
@@ -232,7 +225,7 @@ def test_later_rows_make_every_sigma_smaller_and_the_newest_row_is_the_filter(mo
 
 
 def test_a_carrier_whose_level_steps_is_an_edge_and_the_attitude_goes_on(model):
-    changes_db = np.zeros((ROWS_EFFECTIVE_ROW, CARRIERS))
+    changes_db = np.zeros((EFFECTIVE_ROWS, CARRIERS))
     changes_db[30:, 2] = 3.0
     states, rows = taken(model, changes_db)
     flagged = next(k for k, state in enumerate(states) if state.carriers.is_flagged[2])
@@ -247,10 +240,10 @@ def test_a_carrier_whose_level_steps_is_an_edge_and_the_attitude_goes_on(model):
 
 
 def test_a_row_without_carriers_is_a_step_alone(model):
-    changes_db = np.zeros((ROWS_EFFECTIVE_ROW, CARRIERS))
+    changes_db = np.zeros((EFFECTIVE_ROWS, CARRIERS))
     changes_db[20:30] = np.nan
     _, rows = taken(model, changes_db)
-    assert [row.update is None for row in rows] == [20 <= k < 30 for k in range(ROWS_EFFECTIVE_ROW)]
+    assert [row.update is None for row in rows] == [20 <= k < 30 for k in range(EFFECTIVE_ROWS)]
     sigma = [np.sqrt(each.covariance[1, 1]) for each in smoothed_rows(rows)][::-1]
     assert sigma[25] < np.sqrt(rows[29].covariance[1, 1])
 
@@ -278,8 +271,8 @@ def test_a_state_that_was_moved_in_between_has_no_past(model):
     assert state_origin(model, mean, moved) is None
 
 
-MINUTE_US_SENSED_ROWS, CARRIERS_SENSED_ROWS, ROWS_SENSED_ROWS, UNLOADED = 60_000_000, 6, 14, 9
-SETTINGS_SENSED_ROWS = FilterSettings(momentum=WHEELS, polarimeters=(PolarimeterModel((0.99, -0.09, -0.13)),))
+SENSED_CARRIERS, SENSED_ROWS, UNLOADED = 6, 14, 9
+SENSED = FilterSettings(momentum=WHEELS, polarimeters=(PolarimeterModel((0.99, -0.09, -0.13)),))
 
 
 class Taken(NamedTuple):
@@ -292,19 +285,19 @@ class Taken(NamedTuple):
 
 
 @pytest.fixture
-def model_sensed_rows():
-    return filter_models.carrier_model(carriers=CARRIERS_SENSED_ROWS)
+def sensed_model():
+    return filter_models.carrier_model(carriers=SENSED_CARRIERS)
 
 
 @pytest.fixture
-def flown_sensed_rows(model_sensed_rows):
+def sensed_rows(sensed_model):
     """Return rows of a still spacecraft with an unloading of its wheels on the way."""
     print("seed 20261126")
     rng, capture = np.random.default_rng(20261126), StepCapture(ARRAYS)
-    gaussian = with_torque(model_sensed_rows, filter_models.aligned(model_sensed_rows), SETTINGS_SENSED_ROWS)
-    first = sensors_first(model_sensed_rows, gaussian, SETTINGS_SENSED_ROWS)
-    state, wheels, port, taken = start(model_sensed_rows, 0, gaussian), fresh_watch(), PolarimeterWatch(0), []
-    for number in range(ROWS_SENSED_ROWS):
+    gaussian = with_torque(sensed_model, filter_models.aligned(sensed_model), SENSED)
+    first = sensors_first(sensed_model, gaussian, SENSED)
+    state, wheels, port, taken = start(sensed_model, 0, gaussian), fresh_watch(), PolarimeterWatch(0), []
+    for number in range(SENSED_ROWS):
         gaussian, at_us = state.gaussian, state.epoch_us
         records = []
         if number % 3 == 0 and number:
@@ -312,50 +305,25 @@ def flown_sensed_rows(model_sensed_rows):
             value = H + unloaded + rng.normal(0.0, 0.01, 3)
             is_unloading = number == UNLOADED
             wheels, gaussian, effect = push_record(
-                wheels,
-                gaussian,
-                first,
-                at_us - 20_000_000,
-                value,
-                at_us,
-                SETTINGS_SENSED_ROWS,
-                WHEELS,
-                is_unloading=is_unloading,
+                wheels, gaussian, first, at_us - 20_000_000, value, at_us, SENSED, WHEELS, is_unloading=is_unloading
             )
             records.append((effect, gaussian))
         if number % 2 == 0:
             block = AngleBlock(at_us, 0.3 + rng.normal(0.0, 0.05), 0.05**2, -55.0)
-            place = first + momentum_count(SETTINGS_SENSED_ROWS)
-            port, gaussian, effect = push_block(
-                port, gaussian, place, block, at_us, SETTINGS_SENSED_ROWS.polarimeters[0]
-            )
+            place = first + momentum_count(SENSED)
+            port, gaussian, effect = push_block(port, gaussian, place, block, at_us, SENSED.polarimeters[0])
             records.append((effect, gaussian))
         sensed = state._replace(gaussian=gaussian)
-        level_db = model_sensed_rows.white_sigma_db * rng.standard_normal(CARRIERS_SENSED_ROWS)
-        found = step(
-            model_sensed_rows,
-            SETTINGS_SENSED_ROWS,
-            sensed,
-            at_us + MINUTE_US_SENSED_ROWS,
-            level_db,
-            no_motion(),
-            kernels=capture.kernels,
-        )
+        level_db = sensed_model.white_sigma_db * rng.standard_normal(SENSED_CARRIERS)
+        found = step(sensed_model, SENSED, sensed, at_us + MINUTE_US, level_db, no_motion(), kernels=capture.kernels)
         origin = np.arange(len(gaussian.mean)) if taken else None
         effects = [effect for effect, _ in records]
-        row = effective_row(model_sensed_rows, SETTINGS_SENSED_ROWS, sensed, found, capture.newest, origin, effects)
+        row = effective_row(sensed_model, SENSED, sensed, found, capture.newest, origin, effects)
         taken.append(Taken(state.gaussian, records, found.state.gaussian, row))
         state = found.state
     assert not wheels.jumps
     assert not wheels.is_refused
     return taken
-
-
-def dense_sensed_rows(transition):
-    matrix = np.diag(transition.factor)
-    matrix[transition.targets] = 0.0
-    matrix[np.ix_(transition.targets, transition.sources)] = transition.shares
-    return matrix
 
 
 def square_root(covariance):
@@ -425,7 +393,7 @@ def dense_solution(taken):
                 span.measure(record.update, found)
             filtered = moved
         pushed = after._replace(mean=after.mean - after.covariance[:, RAIN] * row.rain_push)
-        predicted, matrix = before_update(pushed, row.update), dense_sensed_rows(row.step)
+        predicted, matrix = before_update(pushed, row.update), dense(row.step)
         span.mean = predicted.mean + matrix @ (span.mean - filtered.mean)
         span.root = matrix @ span.root
         span.grow(square_root(predicted.covariance - matrix @ filtered.covariance @ matrix.T))
@@ -436,18 +404,18 @@ def dense_solution(taken):
     return list(span.answer(states)), restarts
 
 
-def test_a_linear_gaussian_case_with_records_equals_the_dense_solution(flown_sensed_rows):
-    rows = [each.row for each in flown_sensed_rows]
+def test_a_linear_gaussian_case_with_records_equals_the_dense_solution(sensed_rows):
+    rows = [each.row for each in sensed_rows]
     updates = [record.update for row in rows for record in row.sensed if record.update is not None]
     assert sorted(len(update.residual) for update in updates) == [1] * 7 + [3] * 4
-    found, restarts = dense_solution(flown_sensed_rows)
+    found, restarts = dense_solution(sensed_rows)
     assert restarts == 1
     for own, (mean, covariance) in zip(smoothed_rows(rows), found[::-1], strict=True):
         np.testing.assert_allclose(own.mean[ATTITUDE], mean, atol=1e-9)
         np.testing.assert_allclose(own.covariance[ATTITUDE, ATTITUDE], covariance, atol=1e-9)
 
 
-def test_smoothed_sigma_is_never_above_the_filters(flown_sensed_rows):
-    smoothed = list(smoothed_rows([each.row for each in flown_sensed_rows]))[::-1]
-    for own, each in zip(smoothed[:-1], flown_sensed_rows, strict=False):
+def test_smoothed_sigma_is_never_above_the_filters(sensed_rows):
+    smoothed = list(smoothed_rows([each.row for each in sensed_rows]))[::-1]
+    for own, each in zip(smoothed[:-1], sensed_rows, strict=False):
         assert (np.diag(own.covariance) < np.diag(each.after.covariance)[: len(own.mean)]).all()

@@ -169,7 +169,7 @@ def test_the_limit_of_the_catalogue_holds_too(record):
     assert found.torque_n_m.roll == pytest.approx(-0.01, rel=1e-9)
 
 
-def pushed(roll_n_m: float) -> Disturbance:
+def pushed(roll_n_m):
     return Disturbance(0, 86_400.0, Axes(0.0, roll_n_m, 0.0), ZERO, ZERO, ZERO)
 
 
@@ -201,7 +201,7 @@ def test_a_spacecraft_without_a_law_gives_no_torque_and_says_so(record):
 
 
 def test_a_wheel_at_its_limit_of_momentum_takes_no_more(record):
-    def momentum_of(roll_n_m_s: float) -> tuple[float, ...]:
+    def momentum_of(roll_n_m_s):
         reported = compute_command(
             row(attitude=(0.0, 0.4, 0.0)), record, NO_CARRY, PERIOD_S, TorqueConfig(), None, (roll_n_m_s, 0.0, 0.0)
         ).command
@@ -259,14 +259,12 @@ def test_a_schedule_is_held_against_the_flexible_modes(record):
     flexible = replace(record, modes=modes)
     assert command(row(), record).command.schedule_check is None
     check = command(row(), flexible).command.schedule_check
-    assert check is not None
     assert (check.verdict, check.suggestion) == ("accept", None)
     assert 0.0 < check.residual_deg < 1.05 * check.peak_deg
     assert check.margin == pytest.approx(1.0 - check.peak_deg / TorqueConfig().panel_peak_limit_deg)
     # half of what it does is allowed
     strict = replace(TorqueConfig(), panel_peak_limit_deg=check.peak_deg / 2.0)
     refused = compute_command(row(), flexible, NO_CARRY, PERIOD_S, strict).command.schedule_check
-    assert refused is not None
     assert refused.verdict == "reject"
     assert refused.margin < 0.0
     assert command(row(**STILL), flexible).command.schedule_check is None

@@ -17,7 +17,7 @@ EPOCH = 1_800_000_000 * S
 MODES = (FlexibleMode("pitch", 0.3, 0.003, 0.4), FlexibleMode("roll", 0.6, 0.003, 0.4))
 
 
-def roll(at_s: float, torque_n_m: float = 0.02, duration_s: float = 1.0) -> Pulse:
+def roll(at_s, torque_n_m=0.02, duration_s=1.0):
     return Pulse(EPOCH + round(at_s * S), duration_s, Axes(0.0, torque_n_m, 0.0))
 
 
@@ -35,7 +35,6 @@ def test_the_verdict_is_that_of_the_analysis_of_the_axis(record):
         modes=((0.6, 0.003, 0.4),),
         peak_allowed_rad=np.radians(TorqueConfig().panel_peak_limit_deg),
     )
-    assert reported is not None
     assert (reported.verdict, reported.worst_mode) == (own.verdict, 1)
     assert reported.peak_deg == pytest.approx(np.degrees(own.peak_rad), rel=1e-12)
     assert reported.residual_deg == pytest.approx(np.degrees(own.residual_rad), rel=1e-12)
@@ -52,9 +51,6 @@ def test_what_one_schedule_leaves_counts_for_the_next_and_fades(record):
     swing = swing_after(None, (roll(0.0),), record)
     soon = schedule_verdict((roll(100.0),), record, TorqueConfig(), swing)
     late = schedule_verdict((roll(7200.0),), record, TorqueConfig(), swing)
-    assert alone is not None
-    assert soon is not None
-    assert late is not None
     assert soon.peak_deg > 1.5 * alone.peak_deg
     assert late.peak_deg == pytest.approx(alone.peak_deg, rel=1e-4)
 
@@ -63,8 +59,6 @@ def test_two_halves_of_a_schedule_leave_what_the_whole_leaves(record):
     first, second = (roll(0.0), roll(20.0, -0.02)), (roll(50.0), roll(61.0, 0.01, 3.0))
     whole = swing_after(None, (*first, *second), record)
     parts = swing_after(swing_after(None, first, record), second, record)
-    assert whole is not None
-    assert parts is not None
     assert whole.at_us == parts.at_us
     np.testing.assert_allclose(parts.phasor_rad, whole.phasor_rad, rtol=1e-9)
     assert swing_after(parts, (), record) is parts
@@ -75,7 +69,6 @@ def test_a_rejected_schedule_comes_with_what_helps(record):
     period_s = 2.0 * np.pi / 0.6
     resonant = tuple(roll(k * period_s) for k in range(8))
     reported = schedule_verdict(resonant, record, strict)
-    assert reported is not None
     assert reported.verdict == "reject"
     assert reported.suggestion is not None
     print(reported)

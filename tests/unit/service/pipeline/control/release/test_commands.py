@@ -32,7 +32,7 @@ from service.records.levels.command import Pulse, ReleasedCommand, ReportedComma
 
 
 @pytest.fixture
-def driver() -> ReleaseDriver:
+def driver():
     return ReleaseDriver().armed()
 
 

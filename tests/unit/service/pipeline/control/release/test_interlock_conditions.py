@@ -227,10 +227,7 @@ def test_a_trip_rejects_what_waits():
     assert driver.state.commands[-1].state == "REJECTED"
 
 
-@pytest.mark.parametrize(
-    "act",
-    [*CASES[Condition.SIGMA_YAW], *CASES[Condition.YAW_BEYOND], *CASES[Condition.YAW_SIGN]],
-)
+@pytest.mark.parametrize("act", [*CASES[Condition.SIGMA_YAW], *CASES[Condition.YAW_BEYOND], *CASES[Condition.YAW_SIGN]])
 def test_yaw_is_withheld_while_roll_and_pitch_go_on(act):
     driver = ReleaseDriver().engaged()
     act(driver)
@@ -401,7 +398,7 @@ def test_a_row_without_attitude_inhibits():
 
 
 @pytest.fixture
-def driver() -> ReleaseDriver:
+def driver():
     driver = ReleaseDriver().armed()
     driver.forget("roll")
     return driver

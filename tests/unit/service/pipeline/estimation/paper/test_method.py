@@ -184,7 +184,7 @@ def test_a_declared_operation_forbids_control_while_it_lasts(bench):
 
 
 ANGLES = np.array([0.2, -0.15, 0.1])
-CONFIG_SNAPSHOT_FIX = EstimationConfig()
+FIX_CONFIG = EstimationConfig()
 
 
 @pytest.fixture
@@ -200,7 +200,7 @@ def deviation(payload):
 
 
 def solve(model, deviation_db, rows=15, span_s=840.0):
-    return solve_attitude(5, deviation_db, rows, span_s, model, CONFIG_SNAPSHOT_FIX)
+    return solve_attitude(5, deviation_db, rows, span_s, model, FIX_CONFIG)
 
 
 def test_the_model_holds_the_figures_of_the_calibration(payload, model):

@@ -16,13 +16,13 @@ from service.core.estimation.filtering.model.filter_state import ATTITUDE, RATE,
 from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS
 from service.pipeline.estimation.robust.frozen_readings import frozen, no_readings, push_readings
-from service.pipeline.estimation.robust.method import RobustState, carried_state
+from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.momentum_records import with_momenta
 from service.pipeline.estimation.robust.polarization_records import with_polarization
 from service.pipeline.estimation.robust.rate_records import with_rates
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.telemetry_advice import telemetry_advice
-from service.records.calibration import Calibration, GatheredTorque
+from service.records.calibration import GatheredTorque
 from service.records.catalogue import BodyRateSensor, Polarimeter, WheelMomentum
 from service.records.inputs import PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import Axes
@@ -112,7 +112,7 @@ def test_memory_is_bounded(model):
 RATE_DEG_S = Axes(yaw=1e-5, roll=-5e-6, pitch=-15.0411 / 3600.0 + 2e-6)
 
 
-def stepped(sensor: BodyRateSensor, minutes: tuple[float, ...]) -> Stepped:
+def stepped(sensor, minutes):
     """Return a model whose sensor has told its rate at some minutes."""
     spacecraft = PAYLOAD.spacecraft()
     onboard = replace(spacecraft.onboard, rate_sensor=sensor)
@@ -125,13 +125,13 @@ def stepped(sensor: BodyRateSensor, minutes: tuple[float, ...]) -> Stepped:
 BESIDE = BodyRateSensor(in_loop=False, bias_deg_h=0.01, bias_tau_h=8.0, noise_deg_sqrt_h=0.003)
 
 
-def advice(flight: Stepped) -> list[str]:
+def advice(flight):
     state, epoch_us = flight.state, ALIGNED_US + MINUTE
     found = telemetry_advice(flight.model, flight.knowledge, state.momentum, state.rates, ALIGNED_US, epoch_us)
     return [name for name, is_given in found.items() if is_given]
 
 
-def test_a_step_with_a_record_is_moved_by_its_rate_without_the_turn_of_the_orbit() -> None:
+def test_a_step_with_a_record_is_moved_by_its_rate_without_the_turn_of_the_orbit():
     flight = stepped(BESIDE, (0.5, 1.0))
     state, model = with_rates(flight.state, flight.model, flight.knowledge, ALIGNED_US + MINUTE)
     assert state.rates.is_measured
@@ -140,7 +140,7 @@ def test_a_step_with_a_record_is_moved_by_its_rate_without_the_turn_of_the_orbit
     assert advice(flight) == []
 
 
-def test_records_behind_the_step_later_ones_and_none_leave_it_to_the_inertial_model() -> None:
+def test_records_behind_the_step_later_ones_and_none_leave_it_to_the_inertial_model():
     for minutes in ((), (-11.0,), (2.0,)):
         flight = stepped(BESIDE, minutes)
         state, model = with_rates(flight.state, flight.model, flight.knowledge, ALIGNED_US + MINUTE)
@@ -149,14 +149,14 @@ def test_records_behind_the_step_later_ones_and_none_leave_it_to_the_inertial_mo
         assert state.filter.gaussian is flight.state.filter.gaussian
 
 
-def test_rates_of_the_loop_are_left_out_with_words() -> None:
+def test_rates_of_the_loop_are_left_out_with_words():
     flight = stepped(BodyRateSensor(in_loop=True), (0.5, 1.0))
     state, _ = with_rates(flight.state, flight.model, flight.knowledge, ALIGNED_US + MINUTE)
     assert state is flight.state
     assert advice(flight) == ["rates_in_loop"]
 
 
-def flight(pitch_n_m_s: float, bias_n_m_s: float | None) -> Stepped:
+def flight(pitch_n_m_s, bias_n_m_s):
     """Return a filter at its alignment, whose wheels have told a momentum along pitch."""
     spacecraft = PAYLOAD.spacecraft()
     onboard = replace(spacecraft.onboard, momentum=WheelMomentum(pitch_bias_n_m_s=bias_n_m_s))
@@ -179,8 +179,8 @@ def flight(pitch_n_m_s: float, bias_n_m_s: float | None) -> Stepped:
     ],
 )
 def test_a_first_record_that_cannot_be_that_of_the_spacecraft_refuses_the_telemetry(
-    pitch_n_m_s: float, bias_n_m_s: float | None, is_refused: bool
-) -> None:
+    pitch_n_m_s, bias_n_m_s, is_refused
+):
     before = flight(pitch_n_m_s, bias_n_m_s)
     after, _ = with_momenta(before.state, before.model, before.knowledge)
     assert after.momentum.is_refused == is_refused
@@ -188,7 +188,7 @@ def test_a_first_record_that_cannot_be_that_of_the_spacecraft_refuses_the_teleme
     assert (after.filter.gaussian is before.state.filter.gaussian) == is_refused
 
 
-def test_a_later_one_is_left_out_alone() -> None:
+def test_a_later_one_is_left_out_alone():
     good, wild = flight(-8.0, -8.0), flight(-1.0, -8.0)
     state, _ = with_momenta(good.state, good.model, good.knowledge)
     after, _ = with_momenta(state, wild.model, wild.knowledge)
@@ -196,7 +196,7 @@ def test_a_later_one_is_left_out_alone() -> None:
     assert after.filter is state.filter
 
 
-def test_every_record_of_a_batch_is_used_once_in_its_order() -> None:
+def test_every_record_of_a_batch_is_used_once_in_its_order():
     """Of minutes before a row each counts; what is later, or older than 15 min, does not."""
     first = flight(-8.0, None)
     spacecraft, axes = first.knowledge.spacecraft, np.array(first.knowledge.spacecraft.wheels.axes)
@@ -225,7 +225,7 @@ def test_every_record_of_a_batch_is_used_once_in_its_order() -> None:
     assert with_momenta(state, at_once.model, at_once.knowledge) == (state, [])
 
 
-def learned(number: int, factor: float) -> Calibration:
+def learned(number, factor):
     """Return a calibration whose quiet days told a torque."""
     made = PAYLOAD.calibration()
     assert made.result is not None
@@ -234,7 +234,7 @@ def learned(number: int, factor: float) -> Calibration:
     return replace(made, id=number, result=replace(made.result, gathered=gathered))
 
 
-def test_a_calibration_with_another_torque_changes_nothing_in_a_filter_that_runs() -> None:
+def test_a_calibration_with_another_torque_changes_nothing_in_a_filter_that_runs():
     spacecraft = PAYLOAD.spacecraft()
     stated = replace(spacecraft, onboard=replace(spacecraft.onboard, momentum=WheelMomentum()))
     old, new = (
@@ -253,7 +253,7 @@ def test_a_calibration_with_another_torque_changes_nothing_in_a_filter_that_runs
 STATED = Polarimeter("p", 10.0, 11e9)
 
 
-def read(angles_deg: dict[int, float], *, is_used: bool = True) -> tuple[RobustState, RobustState]:
+def read(angles_deg, *, is_used=True):
     """Return the state at an alignment, and after the angles of some minutes, in blocks of five."""
     craft = replace(PAYLOAD.spacecraft(), polarimeters=(replace(STATED, used=is_used),))
     flight = Stepped(spacecraft=craft)
@@ -266,7 +266,7 @@ def read(angles_deg: dict[int, float], *, is_used: bool = True) -> tuple[RobustS
     return flight.state, state
 
 
-def test_the_first_angle_sets_the_offset_and_a_change_after_it_counts_as_yaw() -> None:
+def test_the_first_angle_sets_the_offset_and_a_change_after_it_counts_as_yaw():
     before, first = read({5: 1.7})
     yaw, sigma = ATTITUDE.start, np.sqrt(before.filter.gaussian.covariance[0, 0])
     assert first.polarimeters[0].newest_us == ALIGNED_US + 5 * MINUTE
@@ -276,7 +276,7 @@ def test_the_first_angle_sets_the_offset_and_a_change_after_it_counts_as_yaw() -
     assert second.filter.gaussian.mean[yaw] > first.filter.gaussian.mean[yaw]
 
 
-def test_an_angle_that_is_not_due_and_a_polarimeter_that_is_not_used_change_nothing() -> None:
+def test_an_angle_that_is_not_due_and_a_polarimeter_that_is_not_used_change_nothing():
     _, two = read({5: 1.7, 9: 1.9})
     _, one = read({5: 1.7})
     np.testing.assert_array_equal(two.filter.gaussian.mean, one.filter.gaussian.mean)
@@ -285,10 +285,7 @@ def test_an_angle_that_is_not_due_and_a_polarimeter_that_is_not_used_change_noth
     assert unused.filter.gaussian is before.filter.gaussian
 
 
-MINUTE_US_FROZEN_READINGS = 60_000_000
-
-
-def run_frozen_readings(rows_dbm, period_us=MINUTE_US_FROZEN_READINGS):
+def frozen_after(rows_dbm, period_us=MINUTE_US):
     """Return which carriers are frozen after each of some rows (T, N)."""
     readings, answers = no_readings(len(rows_dbm[0])), []
     for number, row in enumerate(rows_dbm):
@@ -299,38 +296,38 @@ def run_frozen_readings(rows_dbm, period_us=MINUTE_US_FROZEN_READINGS):
 
 def test_a_reading_that_stands_for_twenty_minutes_is_frozen_until_it_moves():
     rows = [[-40.0 + 0.1 * (k % 2), -50.0] for k in range(30)] + [[-40.0, -50.05]]
-    answers = run_frozen_readings(rows)
+    answers = frozen_after(rows)
     assert not answers[:, 0].any()
     assert np.flatnonzero(answers[:, 1]).tolist() == list(range(20, 30))
 
 
 @pytest.mark.parametrize(("period_us", "first"), [(1_000_000, 1200), (300_000_000, 19)])
 def test_twenty_rows_and_twenty_minutes_are_both_needed(period_us, first):
-    answers = run_frozen_readings([[-40.0]] * (first + 2), period_us)[:, 0]
+    answers = frozen_after([[-40.0]] * (first + 2), period_us)[:, 0]
     assert np.flatnonzero(answers).tolist() == [first, first + 1]
 
 
 def test_steps_of_a_decibel_are_coarse_and_those_of_real_links_are_not():
     rng = np.random.default_rng(11)
     fine_db = np.cumsum(rng.normal(0.0, 0.02, 300)) + rng.normal(0.0, 0.12, 300)
-    answers = run_frozen_readings(np.column_stack([np.round(fine_db / 0.15) * 0.15, np.round(3.0 * fine_db)]))
+    answers = frozen_after(np.column_stack([np.round(fine_db / 0.15) * 0.15, np.round(3.0 * fine_db)]))
     assert not answers[:, 0].any()
     assert answers[60:, 1].all()
 
 
 def test_six_readings_far_apart_make_a_carrier_coarse_and_a_fade_does_not():
     rows = [[-40.0], [-40.0], [-35.0], [-40.0], [-39.0], [-40.0], [-38.0], [-40.0]]
-    assert np.flatnonzero(run_frozen_readings(rows)[:, 0]).tolist() == [6, 7]
+    assert np.flatnonzero(frozen_after(rows)[:, 0]).tolist() == [6, 7]
 
 
 def test_one_step_of_a_user_leaves_the_carrier_out_for_a_row():
     levels = -40.0 + 0.1 * np.random.default_rng(12).normal(size=60)
     levels[30:] += 2.0
-    assert not run_frozen_readings(levels[:, None])[31:].any()
+    assert not frozen_after(levels[:, None])[31:].any()
 
 
 def test_an_absent_carrier_keeps_its_last_reading():
     rows = [[-40.0]] * 10 + [[np.nan]] * 30 + [[-40.0]] * 12
-    answers = run_frozen_readings(rows)[:, 0]
+    answers = frozen_after(rows)[:, 0]
     assert not answers[:49].any()
     assert answers[49:].all()

@@ -106,17 +106,17 @@ def test_a_fixed_lag_knows_exactly_the_rows_of_that_time(rows):
 
 
 #: a row each minute for three hours
-ROW_US_LAGGED_ROWS, ROWS_LAGGED_ROWS, CARRIERS_LAGGED_ROWS = 60_000_000, 180, 6
+MINUTE_ROW_US = 60_000_000
 
 
 @pytest.fixture(scope="module")
 def effective():
     """Effective rows of a quiet filter, by epoch."""
-    return filter_models.quiet_effective_rows(ROWS_LAGGED_ROWS, CARRIERS_LAGGED_ROWS, ROW_US_LAGGED_ROWS, seed=7)
+    return filter_models.quiet_effective_rows(ROWS, CARRIERS, MINUTE_ROW_US, seed=7)
 
 
 def robust(epoch_us, *inhibitions):
-    return row_without_attitude(epoch_us, epoch_us, epoch_us // ROW_US_LAGGED_ROWS, Method.ROBUST, inhibitions)
+    return row_without_attitude(epoch_us, epoch_us, epoch_us // MINUTE_ROW_US, Method.ROBUST, inhibitions)
 
 
 def made_of(lagged, effective):
@@ -136,7 +136,7 @@ def test_each_instant_has_its_row_as_soon_as_the_lag_has_passed(effective):
     lagged = LaggedRows(HOUR_US, 0)
     made = made_of(lagged, effective)
     # rows stand on the instants: that of 5 min is due with that of 65 min
-    assert [k + 1 for k, rows in enumerate(made) if rows] == list(range(65, ROWS_LAGGED_ROWS + 1, 5))
+    assert [k + 1 for k, rows in enumerate(made) if rows] == list(range(65, ROWS + 1, 5))
     for k, rows in enumerate(made):
         for row in rows:
             expected = lagged_angles(effective[: k + 1], HOUR_US)
@@ -164,7 +164,7 @@ def test_rows_behind_the_filter_and_those_of_other_methods_are_none(effective):
 
 def test_an_instant_without_rows_has_none_and_what_came_before_a_gap_knows_what_came_after(effective):
     lagged = LaggedRows(HOUR_US, 0)
-    rest = [each for each in effective if not 40 * ROW_US_LAGGED_ROWS < each.epoch_us < 150 * ROW_US_LAGGED_ROWS]
+    rest = [each for each in effective if not 40 * MINUTE_ROW_US < each.epoch_us < 150 * MINUTE_ROW_US]
     made = [row for rows in made_of(lagged, rest) for row in rows]
     instants = [-(-row.epoch_us // GRID_US) for row in made]
     assert instants == [1, 2, 3, 4, 5, 6, 7, 8]
@@ -176,10 +176,10 @@ def test_where_too_many_rows_lie_beyond_a_shorter_lag_must_do(effective, monkeyp
     lagged = LaggedRows(HOUR_US, 0)
     made = [row for rows in made_of(lagged, effective) for row in rows]
     assert {row.lag_s for row in made} == {20 * 60.0}
-    assert len(made) == (ROWS_LAGGED_ROWS - 20) // 5
+    assert len(made) == (ROWS - 20) // 5
 
 
-ROWS_SENSED_ROWS, JOINED, LAG_MIN = 40, 8, 20
+SENSED_ROWS, JOINED, LAG_MIN = 40, 8, 20
 #: of a body that turns with the orbit, deg/s
 STILL = Axes(yaw=0.0, roll=0.0, pitch=-15.0411 / 3600.0)
 SENSOR = BodyRateSensor(in_loop=False, bias_deg_h=0.01, bias_tau_h=8.0, noise_deg_sqrt_h=0.003)
@@ -193,26 +193,21 @@ def recorded():
     onboard = replace(craft.onboard, momentum=WheelMomentum(), rate_sensor=SENSOR)
     flight = Stepped(spacecraft=replace(craft, onboard=onboard, polarimeters=(Polarimeter("p", 10.0, 11e9),)))
     whole, joined, state, sigma_deg, angles, rates = (
-        RowRecorder(ROWS_SENSED_ROWS),
-        RowRecorder(ROWS_SENSED_ROWS),
+        RowRecorder(SENSED_ROWS),
+        RowRecorder(SENSED_ROWS),
         flight.state,
         [],
         [],
         [],
     )
-    for minute in range(1, ROWS_SENSED_ROWS + 1):
+    for minute in range(1, SENSED_ROWS + 1):
         at_us = ALIGNED_US + minute * MINUTE
         wheels = tuple((np.array([0.2, -8.0, 0.1]) + rng.normal(0.0, 0.01, 3)).tolist())
         telemetry = TelemetryRecord(at_us - MINUTE, wheel_momentum_n_m_s=wheels, thrusters_active=minute == 25)
         angles.append(PolarizationRecord("p", at_us, angle_deg=1.0 + rng.normal(0.0, 0.05), sigma_deg=0.05))
         noise = rng.normal(0.0, 1e-6, 3)
         rates.append(TelemetryRecord(at_us, body_rate_deg_s=Axes(*(np.array([*STILL]) + noise).tolist())))
-        heard = replace(
-            flight.knowledge,
-            momenta=(telemetry,),
-            polarization={"p": tuple(angles)},
-            rates=tuple(rates),
-        )
+        heard = replace(flight.knowledge, momenta=(telemetry,), polarization={"p": tuple(angles)}, rates=tuple(rates))
         measurement = PAYLOAD.measurement(at_us, np.zeros(3))
         power_dbm = measurement.power_dbm + rng.normal(0.0, 0.05, len(measurement.power_dbm))
         for recorder in (whole, joined) if minute >= JOINED else (whole,):
@@ -237,11 +232,11 @@ def recorded():
 
 def test_records_leave_no_gap_in_the_past_and_are_all_kept(recorded):
     whole, joined, _ = recorded
-    assert [row.origin is None for row in whole] == [True] + [False] * (ROWS_SENSED_ROWS - 1)
-    assert [row.origin is None for row in joined] == [True] + [False] * (ROWS_SENSED_ROWS - JOINED)
+    assert [row.origin is None for row in whole] == [True] + [False] * (SENSED_ROWS - 1)
+    assert [row.origin is None for row in joined] == [True] + [False] * (SENSED_ROWS - JOINED)
     taken = [len(record.update.residual) for row in whole for record in row.sensed if record.update is not None]
-    assert taken.count(3) == ROWS_SENSED_ROWS
-    assert taken.count(1) > ROWS_SENSED_ROWS // 6
+    assert taken.count(3) == SENSED_ROWS
+    assert taken.count(1) > SENSED_ROWS // 6
     # a measured rate takes the place of the rate before it
     moving = set(range(DRIFT.start, RATE.stop))
     assert all(set(row.sensed[-1].restarted.tolist()) <= moving for row in whole)
@@ -250,13 +245,13 @@ def test_records_leave_no_gap_in_the_past_and_are_all_kept(recorded):
 
 def test_smoothed_sigma_is_below_the_filters(recorded):
     whole, _, sigma_deg = recorded
-    smoothed = [np.sqrt(np.diag(each.state.covariance)[ATTITUDE]) for each in angles_of(list(whole), ROWS_SENSED_ROWS)]
+    smoothed = [np.sqrt(np.diag(each.state.covariance)[ATTITUDE]) for each in angles_of(list(whole), SENSED_ROWS)]
     assert (smoothed[:-1] < sigma_deg[:-1]).all()
 
 
 def test_a_fixed_lag_gives_the_rows_of_the_whole_span_that_ends_with_it(recorded):
     whole, joined, _ = recorded
-    for newest in range(JOINED + LAG_MIN, ROWS_SENSED_ROWS + 1):
+    for newest in range(JOINED + LAG_MIN, SENSED_ROWS + 1):
         found = lagged_angles(list(joined)[: newest - JOINED + 1], LAG_MIN * MINUTE)
         expected = angles_of(list(whole)[:newest], newest)[newest - LAG_MIN - 1]
         np.testing.assert_array_equal(found.state.mean, expected.state.mean)

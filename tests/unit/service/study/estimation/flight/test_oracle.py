@@ -11,7 +11,7 @@ from analyzer_sim.world.world import World as SimulatedWorld
 from service.records.calibration import Window
 from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED
 from service.study.estimation.flight.oracle.filter import oracle_series
-from service.study.estimation.flight.world import TrueStatistics, World, read_world
+from service.study.estimation.flight.world import TrueStatistics, read_world
 
 ROWS, CARRIERS, BEFORE = 1500, 12, 60
 DRIFT_DEG_H, DRIFT_TAU_S = np.array([0.04, 0.025, 0.025]), 28_800.0
@@ -33,7 +33,7 @@ def first_order(rng, shape, sigma, tau_s):
 def drifting_world(toured_world):
     """Make a day of drift without corrections whose powers follow the oracle's model exactly."""
 
-    def make(seed: int) -> World:
+    def make(seed):
         rng = np.random.default_rng(seed)
         drift = first_order(rng, (ROWS, 3), DRIFT_DEG_H, DRIFT_TAU_S)
         attitude = np.zeros((ROWS, 3))

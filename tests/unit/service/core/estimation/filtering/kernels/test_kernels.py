@@ -11,8 +11,6 @@ from service.core.estimation.filtering.kernels import state_kernels
 from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     KnownMotion,
-    model_error_component,
-    model_variance_db2,
     no_motion,
 )
 from service.core.estimation.filtering.model.filter_state import core_size
@@ -129,48 +127,6 @@ def test_innovations_without_a_covariance_are_refused():
         state_kernels.update_state(
             np.zeros(2), np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), np.zeros((2, 2))
         )
-
-
-def test_a_row_is_whitened_by_the_factor_of_its_covariance():
-    rng = np.random.default_rng(3)
-    draw, cross, mean = rng.normal(size=(5, 5)), rng.normal(size=(5, 8)), rng.normal(size=8)
-    spread_db2, white_db2, innovation_db = draw @ draw.T, np.full(5, 0.1), rng.normal(size=5)
-    moved, whitened, residual = state_kernels.update_state(mean, innovation_db, spread_db2, white_db2, cross)
-    factor = np.linalg.cholesky(spread_db2 + 0.1 * np.eye(5))
-    np.testing.assert_allclose(factor @ whitened, cross, atol=1e-12)
-    np.testing.assert_allclose(factor @ residual, innovation_db, atol=1e-12)
-    np.testing.assert_allclose(moved, mean + residual @ whitened, atol=1e-12)
-
-
-def test_one_part_of_each_carrier_carries_the_error_of_the_calibration():
-    """What a step adds to the diagonal, number by number."""
-    model, rng = filter_models.carrier_model(components=3, common=1), np.random.default_rng(4)
-    carriers, states = model.carriers, 11 + 1 + 4 * model.carriers
-    factor, core, covariance = rng.uniform(0.5, 1.0, states), rng.uniform(size=11), np.zeros((states, states))
-    held, variance = rng.uniform(size=(2, carriers))
-    parts = (model.coloured_sigma_db, model.coloured_tau_s, model.reference_walk_db)
-    state_kernels.add_process_noise(covariance, factor, core, model.common_sigma_db, *parts, 1.5, 0.25, held, variance)
-    wanted = [*core, float(model.common_sigma_db[0]) ** 2 * (1.0 - factor[11] ** 2)]
-    carrying = model_error_component(model.coloured_tau_s)
-    for part in range(3):
-        for carrier in range(carriers):
-            lost = 1.0 - factor[12 + part * carriers + carrier] ** 2
-            added = 1.5 * model.coloured_sigma_db[carrier, part] ** 2 * lost
-            if part == carrying[carrier]:
-                now = variance[carrier]
-                added += max(now - (1.0 - lost) * held[carrier], lost * now)
-            wanted.append(added)
-    wanted += [1.5 * 0.25 * walk**2 for walk in model.reference_walk_db]
-    np.testing.assert_allclose(np.diagonal(covariance), wanted, rtol=1e-12)
-    assert np.count_nonzero(covariance) == np.count_nonzero(wanted)
-
-
-def test_the_error_of_the_calibration_is_that_of_its_coefficients():
-    model, (yaw, roll, pitch) = filter_models.carrier_model(), (0.2, -0.1, 0.3)
-    slope = [yaw, roll, pitch, yaw * yaw / 2, yaw * roll, yaw * pitch, roll * roll / 2, roll * pitch, pitch * pitch / 2]
-    variance = model_variance_db2(model.coefficient_covariance, np.array([yaw, roll, pitch]))
-    expected = [np.array(slope) @ each @ np.array(slope) for each in model.coefficient_covariance]
-    np.testing.assert_allclose(variance, expected, rtol=1e-13)  # sums of 81 products
 
 
 CARRIERS = 8

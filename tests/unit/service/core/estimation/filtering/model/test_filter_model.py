@@ -112,12 +112,6 @@ def test_the_calibrations_error_rides_on_the_component_of_about_an_hour():
     assert model_error_component(model.coloured_tau_s).tolist() == [1] * model.carriers
 
 
-def test_sizes():
-    model = filter_models.carrier_model(carriers=12, components=3)
-    assert (model.carriers, model.components) == (12, 3)
-    assert not any(np.any(part) for part in no_motion())
-
-
 def test_every_state_has_one_place():
     model = filter_models.carrier_model(carriers=5, components=3, common=2)
     positions = carrier_states(model, np.arange(5))
@@ -167,12 +161,12 @@ RATE_DEG_H = np.array([0.2, -0.1, 0.3])
 REST = slice(9, 12)
 
 
-def state_measured_motion() -> Gaussian:
+def mixed_state():
     mixed = np.random.default_rng(4).normal(size=(12, 12))
     return Gaussian(np.arange(12.0), mixed @ mixed.T)
 
 
-def same(after: Gaussian, before: Gaussian, *kept: slice) -> None:
+def same(after, before, *kept):
     """Check that some states are as before."""
     for one in kept:
         np.testing.assert_array_equal(after.mean[one], before.mean[one])
@@ -180,7 +174,7 @@ def same(after: Gaussian, before: Gaussian, *kept: slice) -> None:
             np.testing.assert_array_equal(after.covariance[one, other], before.covariance[one, other])
 
 
-def alone(gaussian: Gaussian, states: slice, sigma: float) -> None:
+def alone(gaussian, states, sigma):
     """Check that some states are known to a sigma and correlated with nothing."""
     rows = gaussian.covariance[states].copy()
     np.testing.assert_allclose(rows[:, states], sigma**2 * np.eye(3), rtol=1e-12)
@@ -188,7 +182,7 @@ def alone(gaussian: Gaussian, states: slice, sigma: float) -> None:
     assert not rows.any()
 
 
-def test_a_measured_step_has_the_bias_for_the_drift_and_the_noise_of_the_sensor_alone() -> None:
+def test_a_measured_step_has_the_bias_for_the_drift_and_the_noise_of_the_sensor_alone():
     settings = measured_settings(FilterSettings(coupling_per_h=0.0), SENSOR)
     assert (settings.drift_deg_h, settings.drift_tau_h) == ((0.01, 0.01, 0.01), 8.0)
     assert settings.coupling_per_h == ORBITAL_RATE_PER_H
@@ -196,8 +190,8 @@ def test_a_measured_step_has_the_bias_for_the_drift_and_the_noise_of_the_sensor_
     assert FilterSettings().rate_noise_deg_sqrt_h is None
 
 
-def test_the_measured_rate_and_a_fresh_bias_stand_by_themselves() -> None:
-    before = state_measured_motion()
+def test_the_measured_rate_and_a_fresh_bias_stand_by_themselves():
+    before = mixed_state()
     measured = with_measured_rate(before, RATE_DEG_H)
     np.testing.assert_array_equal(measured.mean[RATE], RATE_DEG_H)
     same(measured, before, ATTITUDE, DRIFT, REST)
@@ -211,8 +205,8 @@ def test_the_measured_rate_and_a_fresh_bias_stand_by_themselves() -> None:
     alone(biased, DRIFT, 0.02)
 
 
-def test_the_inertial_model_goes_on_with_the_rate_that_was_measured_last() -> None:
-    before, commanded, residual = state_measured_motion(), np.array([0.5, 0.0, -0.5]), np.array([0.01, 0.02, 0.03])
+def test_the_inertial_model_goes_on_with_the_rate_that_was_measured_last():
+    before, commanded, residual = mixed_state(), np.array([0.5, 0.0, -0.5]), np.array([0.01, 0.02, 0.03])
     after = with_inertial_drift(before, commanded, residual)
     np.testing.assert_allclose(after.mean[DRIFT], before.mean[DRIFT] + residual)
     np.testing.assert_array_equal(after.covariance[DRIFT, ATTITUDE], before.covariance[DRIFT, ATTITUDE])
@@ -321,7 +315,7 @@ def test_another_profile_is_learned_anew_and_none_ends_it(model):
     assert same.gaussian.mean[core_size(model)] == 0.3
 
 
-def expected(mean: np.ndarray, after_h: float) -> np.ndarray:
+def expected(mean, after_h):
     return -compared(Gaussian(mean, np.eye(SIZE)), FIRST, np.zeros(3), after_h, SETTINGS, WHEELS).innovation
 
 
@@ -330,13 +324,13 @@ GATHERED = MomentumModel(0.01, 0.005, 0.05, (2600.0, 2600.0, 1400.0), unknown_to
 UNKNOWN = FilterSettings(torque_deg_h2=(0.1, 0.1, 0.2), momentum=GATHERED)
 
 
-def with_own_torque() -> Gaussian:
+def with_own_torque():
     """Return the state with nine torques behind the momentum."""
     return inserted(state(), SIZE, momentum_covariance(UNKNOWN, GATHERED)[7:, 7:])
 
 
 @pytest.mark.parametrize("after_h", [0.0, -0.1])
-def test_the_measurement_is_linearised_as_it_is(after_h: float) -> None:
+def test_the_measurement_is_linearised_as_it_is(after_h):
     mean, step = state(0.2).mean, 1e-6
     found = compared(Gaussian(mean, np.eye(SIZE)), FIRST, np.zeros(3), after_h, SETTINGS, WHEELS)
     for place in range(SIZE):
@@ -347,7 +341,7 @@ def test_the_measurement_is_linearised_as_it_is(after_h: float) -> None:
 
 
 @pytest.mark.parametrize("settings", [SETTINGS, UNKNOWN])
-def test_momentum_of_many_short_steps_is_that_of_a_long_one(settings: FilterSettings) -> None:
+def test_momentum_of_many_short_steps_is_that_of_a_long_one(settings):
     gaussian = with_own_torque() if settings is UNKNOWN else state()
     one, many = moved_momentum(gaussian, FIRST, 0, 120 * MINUTE_US, settings), gaussian
     for minute in range(120):
@@ -358,7 +352,7 @@ def test_momentum_of_many_short_steps_is_that_of_a_long_one(settings: FilterSett
     np.testing.assert_array_equal(one.covariance, one.covariance.T)
 
 
-def test_a_torque_of_its_own_moves_the_momentum_and_that_of_the_body_does_not() -> None:
+def test_a_torque_of_its_own_moves_the_momentum_and_that_of_the_body_does_not():
     gaussian = with_own_torque()
     rested = moved_momentum(gaussian, FIRST, 0, 60 * MINUTE_US, UNKNOWN)
     momentum = slice(FIRST, FIRST + 3)
@@ -372,7 +366,7 @@ def test_a_torque_of_its_own_moves_the_momentum_and_that_of_the_body_does_not() 
         np.testing.assert_allclose(moved, [0.0, expected_n_m_s, 0.0], atol=1e-12)
 
 
-def test_states_of_a_torque_of_its_own_exist_where_another_pushes_the_body() -> None:
+def test_states_of_a_torque_of_its_own_exist_where_another_pushes_the_body():
     assert momentum_count(UNKNOWN) == len(momentum_covariance(UNKNOWN, GATHERED)) == 16
     alone = UNKNOWN._replace(torque_deg_h2=(0.0, 0.0, 0.0))
     assert momentum_count(alone) == len(momentum_covariance(alone, GATHERED)) == 7
@@ -382,26 +376,26 @@ def test_states_of_a_torque_of_its_own_exist_where_another_pushes_the_body() -> 
 
 READ = PolarimeterModel((0.99, -0.09, -0.13))
 #: nine core states, chain and rain, four of the polarimeter
-FIRST_POLARIMETER, SIZE_POLARIMETER = 11, 15
+FIRST_READ, SIZE_READ = 11, 15
 
 
-def state_polarimeter() -> Gaussian:
-    mean = np.zeros(SIZE_POLARIMETER)
+def read_state():
+    mean = np.zeros(SIZE_READ)
     mean[:3], mean[3:6] = (0.1, -0.02, 0.03), (0.04, -0.02, 0.01)
-    mean[FIRST_POLARIMETER:] = (1.0, 0.02, -0.03, 0.04)
+    mean[FIRST_READ:] = (1.0, 0.02, -0.03, 0.04)
     sigma = [0.1, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 3.0, 0.05, 0.05, 0.05]
     return Gaussian(mean, np.diag(np.square(sigma)))
 
 
 @pytest.mark.parametrize("feed_deg", [2.0, 10.0, 45.0, -10.0])
-def test_the_slope_is_the_derivative_of_the_ratio(feed_deg: float) -> None:
+def test_the_slope_is_the_derivative_of_the_ratio(feed_deg):
     step = 1e-5
     slope = (ratio_db(feed_deg, step) - ratio_db(feed_deg, -step)) / (2.0 * step)
     assert slope_db_deg(feed_deg) == pytest.approx(slope, rel=1e-6)
 
 
 @pytest.mark.parametrize("leakage_deg", [-1.0, 0.4, 1.0])
-def test_a_leakage_of_35_db_is_an_offset_and_leaves_the_slope_right_to_a_percent(leakage_deg: float) -> None:
+def test_a_leakage_of_35_db_is_an_offset_and_leaves_the_slope_right_to_a_percent(leakage_deg):
     leak = math.radians(leakage_deg)
     still, turned = (angle_deg(10.0, ratio_db(10.0, turn, leak)) for turn in (0.0, 0.5))
     assert turned - still == pytest.approx(0.5, rel=0.01)
@@ -409,32 +403,32 @@ def test_a_leakage_of_35_db_is_an_offset_and_leaves_the_slope_right_to_a_percent
 
 
 @pytest.mark.parametrize(("epoch_h", "after_h"), [(0.0, 0.0), (5.0, -0.1)])
-def test_the_measurement_follows_attitude_and_its_own_states(epoch_h: float, after_h: float) -> None:
+def test_the_measurement_follows_attitude_and_its_own_states(epoch_h, after_h):
     epoch_us = round(epoch_h * HOUR_US)
     phase = math.radians(15.0 * epoch_h)
-    mean = state_polarimeter().mean
+    mean = read_state().mean
     then = mean[:3] + after_h * mean[3:6]
     expected = then @ np.array(READ.sight) + 1.04 + 0.02 * math.cos(phase) - 0.03 * math.sin(phase)
-    found = compared_angle(state_polarimeter(), FIRST_POLARIMETER, expected + 0.2, 0.01, epoch_us, after_h, READ)
+    found = compared_angle(read_state(), FIRST_READ, expected + 0.2, 0.01, epoch_us, after_h, READ)
     assert found.innovation_deg == pytest.approx(0.2)
     assert found.variance_deg2 == pytest.approx(
         float(found.cross[:3] @ np.array(READ.sight)) + 9.0 + 0.005 + 0.01, abs=1e-4
     )
 
 
-def test_a_first_angle_sets_the_offset_and_leaves_yaw() -> None:
-    before = state_polarimeter()
-    found = compared_angle(before, FIRST_POLARIMETER, 2.0, 0.005, 0, 0.0, READ)
+def test_a_first_angle_sets_the_offset_and_leaves_yaw():
+    before = read_state()
+    found = compared_angle(before, FIRST_READ, 2.0, 0.005, 0, 0.0, READ)
     after = updated_by_angle(before, found)
     assert after.mean[0] == pytest.approx(before.mean[0], abs=2e-3)
     assert after.covariance[0, 0] == pytest.approx(before.covariance[0, 0], rel=2e-3)
     # a change is of yaw, as far as the wander allows: 0.1 deg of yaw beside some hundredths
-    again = updated_by_angle(after, compared_angle(after, FIRST_POLARIMETER, 2.1, 0.0005, 0, 0.0, READ))
+    again = updated_by_angle(after, compared_angle(after, FIRST_READ, 2.1, 0.0005, 0, 0.0, READ))
     assert again.covariance[0, 0] < after.covariance[0, 0]
     np.testing.assert_array_equal(again.covariance, again.covariance.T)
 
 
-def test_states_of_polarimeters_stand_behind_those_of_the_wheels_and_only_the_wander_fades() -> None:
+def test_states_of_polarimeters_stand_behind_those_of_the_wheels_and_only_the_wander_fades():
     wheels = MomentumModel(0.01, 0.005, 0.05, (2600.0, 2600.0, 1400.0))
     settings = FilterSettings(momentum=wheels, polarimeters=(READ, READ._replace(wander_deg=0.1, wander_h=2.0)))
     sensors = sensor_states(settings)
@@ -447,7 +441,7 @@ def test_states_of_polarimeters_stand_behind_those_of_the_wheels_and_only_the_wa
     assert polarimeter_covariance(settings).diagonal()[[3, 7]] == pytest.approx([0.05**2, 0.1**2])
 
 
-def test_a_filter_begins_with_what_quiet_days_told_of_each_feed() -> None:
+def test_a_filter_begins_with_what_quiet_days_told_of_each_feed():
     told = LearnedFeed((0.6, 0.02, -0.01), ((4e-4, 1e-5, 0.0), (1e-5, 1e-4, 0.0), (0.0, 0.0, 1e-4)))
     settings = FilterSettings(polarimeters=(READ, READ._replace(learned=told)))
     covariance = polarimeter_covariance(settings)

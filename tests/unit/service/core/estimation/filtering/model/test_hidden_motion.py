@@ -7,12 +7,7 @@ from scipy.linalg import expm
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.hidden_shares import (
-    with_share,
-    with_stated_torque,
-    with_torque,
-    without_shares,
-)
+from service.core.estimation.filtering.hidden_shares import with_share, with_stated_torque, with_torque, without_shares
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
 from service.core.estimation.filtering.model.filter_state import core_size, hidden_count, initial_gaussian
 from service.core.estimation.filtering.model.hidden_motion import (

@@ -208,13 +208,13 @@ FIRST, SIZE, STEP_US = 11, 15, 300_000_000
 Judged = tuple[PolarimeterWatch, Gaussian]
 
 
-def settled() -> Judged:
+def settled():
     """Return the watch and the state after the first angle, 1 deg at a yaw of 0."""
     sigma = [0.1, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 3.0, 0.05, 0.05, 0.05]
     return pushed((PolarimeterWatch(0), Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
 
 
-def pushed(judged: Judged, angle_deg: float, power_dbm: float = -55.0, number: int | None = None) -> Judged:
+def pushed(judged, angle_deg, power_dbm=-55.0, number=None):
     """Return watch and state after a block, five minutes after the one before, in which yaw may have turned."""
     watch, gaussian = judged
     gaussian = Gaussian(gaussian.mean, gaussian.covariance + np.diag([0.05**2, *(0.0,) * (SIZE - 1)]))
@@ -223,11 +223,11 @@ def pushed(judged: Judged, angle_deg: float, power_dbm: float = -55.0, number: i
     return push_block(watch, gaussian, FIRST, block, epoch_us, READ)[:2]
 
 
-def advice(judged: Judged) -> list[str]:
+def advice(judged):
     return [name for name, stands in polarimeter_advice((judged[0],), judged[0].newest_us).items() if stands]
 
 
-def test_a_change_of_the_angle_is_one_of_yaw_and_a_wild_one_of_nothing() -> None:
+def test_a_change_of_the_angle_is_one_of_yaw_and_a_wild_one_of_nothing():
     before = settled()
     assert pushed(before, 1.1)[1].mean[0] > 0.02
     wild = pushed(before, 3.0)
@@ -238,7 +238,7 @@ def test_a_change_of_the_angle_is_one_of_yaw_and_a_wild_one_of_nothing() -> None
     assert pull[1] < 1.7 * pull[0]
 
 
-def test_three_blocks_beside_in_quiet_power_are_a_moved_feed() -> None:
+def test_three_blocks_beside_in_quiet_power_are_a_moved_feed():
     judged = settled()
     for _block in range(3):
         judged = pushed(judged, 3.0)
@@ -249,7 +249,7 @@ def test_three_blocks_beside_in_quiet_power_are_a_moved_feed() -> None:
     assert after[1].mean[0] == pytest.approx(0.0, abs=0.01)
 
 
-def test_a_fade_widens_and_a_deep_one_leaves_the_block_out() -> None:
+def test_a_fade_widens_and_a_deep_one_leaves_the_block_out():
     before = settled()
     quiet, faded, deep = (pushed(before, 1.1, power_dbm)[1].mean[0] for power_dbm in (-55.0, -58.0, -62.0))
     assert quiet > 3.0 * faded > 0.0
@@ -261,7 +261,7 @@ def test_a_fade_widens_and_a_deep_one_leaves_the_block_out() -> None:
     assert advice(judged) == []
 
 
-def test_a_deep_fade_is_told_after_three_hours_until_the_power_is_back() -> None:
+def test_a_deep_fade_is_told_after_three_hours_until_the_power_is_back():
     judged = settled()
     for _block in range(36):
         judged = pushed(judged, 1.0, -62.0)
@@ -271,7 +271,7 @@ def test_a_deep_fade_is_told_after_three_hours_until_the_power_is_back() -> None
     assert advice(pushed(judged, 1.0)) == []
 
 
-def test_a_polarimeter_that_never_spoke_is_told_and_a_refused_one_is_not() -> None:
+def test_a_polarimeter_that_never_spoke_is_told_and_a_refused_one_is_not():
     watch = PolarimeterWatch(STEP_US)
     for hours, is_told in ((3.0, False), (3.1, True)):
         epoch_us = STEP_US + round(hours * 3.6e9)
@@ -280,14 +280,14 @@ def test_a_polarimeter_that_never_spoke_is_told_and_a_refused_one_is_not() -> No
     assert not any(polarimeter_advice((), 10**15).values())
 
 
-def test_blocks_that_are_not_newer_tell_nothing() -> None:
+def test_blocks_that_are_not_newer_tell_nothing():
     before = settled()
     watch, gaussian = pushed(before, 1.5, number=1)
     assert watch is before[0]
     np.testing.assert_array_equal(gaussian.mean, before[1].mean)
 
 
-def test_a_polarimeter_that_keeps_disagreeing_is_refused_and_yaw_known_less() -> None:
+def test_a_polarimeter_that_keeps_disagreeing_is_refused_and_yaw_known_less():
     judged, rng = settled(), np.random.default_rng(1)
     for _block in range(80):
         judged = pushed(judged, 1.0 + float(rng.normal(0.0, 0.6)))
@@ -299,9 +299,7 @@ def test_a_polarimeter_that_keeps_disagreeing_is_refused_and_yaw_known_less() ->
 @pytest.mark.parametrize(
     ("moved_deg", "is_free", "is_reported"), [(0.1, False, False), (0.25, True, False), (0.6, True, True)]
 )
-def test_a_first_angle_off_what_the_calibration_saw_frees_the_offset(
-    moved_deg: float, is_free: bool, is_reported: bool
-) -> None:
+def test_a_first_angle_off_what_the_calibration_saw_frees_the_offset(moved_deg, is_free, is_reported):
     sigma = [0.02, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 0.02, 0.03, 0.03, 0.05]
     begun, block = Gaussian(np.zeros(SIZE), np.diag(np.square(sigma))), AngleBlock(STEP_US, moved_deg, 0.002, -55.0)
     learned = READ._replace(learned=LearnedFeed((0.0,) * 3, tuple(map(tuple, np.diag([4e-4, 9e-4, 9e-4]).tolist()))))

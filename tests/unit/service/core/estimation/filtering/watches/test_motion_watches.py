@@ -1,7 +1,5 @@
 """Watches of rates, motion, momentum and drift."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from wheel_filter import FIRST, MINUTE_US, SETTINGS, WHEELS, H, state
@@ -19,7 +17,6 @@ from service.core.estimation.filtering.watches.drift_watch import (
 )
 from service.core.estimation.filtering.watches.minute_sums import empty_minute, push_minute
 from service.core.estimation.filtering.watches.momentum_watch import (
-    MomentumWatch,
     fresh_watch,
     has_jumped,
     momentum_advice,
@@ -37,21 +34,14 @@ from service.core.estimation.filtering.watches.motion_watch import (
     still_watch,
     with_alarms,
 )
-from service.core.estimation.filtering.watches.rate_watch import (
-    MovingState,
-    RateWatch,
-    fresh_rates,
-    inertial_motion,
-    push_rates,
-)
+from service.core.estimation.filtering.watches.rate_watch import MovingState, fresh_rates, inertial_motion, push_rates
 
 SENSOR = RateSensorModel(0.01, 8.0, 0.003)
-SETTINGS_RATE_WATCH = FilterSettings()
-MINUTE_US_RATE_WATCH = 60_000_000
+PLAIN = FilterSettings()
 RATE_DEG_H = np.array([0.02, -0.01, 0.015])
 
 
-def state_rate_watch(log_scale: float = 0.0) -> MovingState:
+def moving_state(log_scale=0.0):
     mixed = np.random.default_rng(1).normal(size=(11, 11))
     covariance = 1e-4 * (mixed @ mixed.T)
     covariance[RATE, :] = covariance[:, RATE] = 0.0
@@ -59,12 +49,10 @@ def state_rate_watch(log_scale: float = 0.0) -> MovingState:
     return MovingState(0, Gaussian(np.zeros(11), covariance), DriftWatch(log_scale), executed_commands())
 
 
-def pushed(
-    watch: RateWatch, moving: MovingState, rates: list[np.ndarray], *, commanded: Any = (0.0, 0.0, 0.0), **flags: bool
-) -> tuple[RateWatch, MovingState]:
+def pushed(watch, moving, rates, *, commanded=(0.0, 0.0, 0.0), **flags):
     """Return watch and state after a step of a minute that ends with each record."""
     for rate in rates:
-        to_us = moving.epoch_us + MINUTE_US_RATE_WATCH
+        to_us = moving.epoch_us + MINUTE_US
         watch, moving = push_rates(
             watch,
             moving,
@@ -72,7 +60,7 @@ def pushed(
             rate[None, :],
             to_us,
             np.array(commanded),
-            SETTINGS_RATE_WATCH,
+            PLAIN,
             SENSOR,
             is_pushed=flags.get("is_pushed", False),
         )
@@ -80,21 +68,21 @@ def pushed(
     return watch, moving
 
 
-def noisy(count: int, size: float = 0.001) -> list[np.ndarray]:
+def noisy(count, size=0.001):
     return [RATE_DEG_H + size * each for each in np.random.default_rng(2).normal(size=(count, 3))]
 
 
-def test_the_measured_rate_takes_the_place_of_the_commanded_one_and_the_bias_that_of_the_drift() -> None:
-    watch, moving = pushed(fresh_rates(), state_rate_watch(), noisy(1, 0.0))
+def test_the_measured_rate_takes_the_place_of_the_commanded_one_and_the_bias_that_of_the_drift():
+    watch, moving = pushed(fresh_rates(), moving_state(), noisy(1, 0.0))
     assert watch.is_measured
     np.testing.assert_array_equal(moving.gaussian.mean[RATE], RATE_DEG_H)
     np.testing.assert_array_equal(moving.gaussian.covariance[DRIFT, DRIFT], np.diag(np.full(3, 0.01**2)))
-    settings = measured_settings(SETTINGS_RATE_WATCH._replace(coupling_per_h=0.0), SENSOR)
+    settings = measured_settings(PLAIN._replace(coupling_per_h=0.0), SENSOR)
     assert (settings.coupling_per_h, settings.drift_deg_h, settings.drift_tau_h) == (0.2625162, (0.01,) * 3, 8.0)
 
 
-def test_the_inertial_model_goes_on_with_the_rate_that_was_measured() -> None:
-    watch, moving = pushed(fresh_rates(), state_rate_watch(), noisy(3))
+def test_the_inertial_model_goes_on_with_the_rate_that_was_measured():
+    watch, moving = pushed(fresh_rates(), moving_state(), noisy(3))
     rate = moving.gaussian.mean[RATE] + moving.gaussian.mean[DRIFT]
     after, back = inertial_motion(watch, moving)
     assert not after.is_measured
@@ -102,36 +90,34 @@ def test_the_inertial_model_goes_on_with_the_rate_that_was_measured() -> None:
     np.testing.assert_array_equal(back.gaussian.mean[RATE], np.zeros(3))
 
 
-def test_a_rate_holds_for_ten_minutes() -> None:
-    watch, moving = pushed(fresh_rates(), state_rate_watch(), noisy(2))
+def test_a_rate_holds_for_ten_minutes():
+    watch, moving = pushed(fresh_rates(), moving_state(), noisy(2))
     nothing = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     for minutes, is_measured in ((5, True), (10, True), (11, False)):
-        to_us = moving.epoch_us + minutes * MINUTE_US_RATE_WATCH
-        late = moving._replace(epoch_us=to_us - MINUTE_US_RATE_WATCH)
-        found, _ = push_rates(
-            watch, late, nothing[1], nothing[0], to_us, np.zeros(3), SETTINGS_RATE_WATCH, SENSOR, is_pushed=False
-        )
+        to_us = moving.epoch_us + minutes * MINUTE_US
+        late = moving._replace(epoch_us=to_us - MINUTE_US)
+        found, _ = push_rates(watch, late, nothing[1], nothing[0], to_us, np.zeros(3), PLAIN, SENSOR, is_pushed=False)
         assert found.is_measured is is_measured
 
 
-def test_a_held_rate_follows_what_is_commanded() -> None:
-    watch, moving = pushed(fresh_rates(), state_rate_watch(), noisy(2, 0.0)[:1])
+def test_a_held_rate_follows_what_is_commanded():
+    watch, moving = pushed(fresh_rates(), moving_state(), noisy(2, 0.0)[:1])
     wild = [np.array([30.0, 0.0, 0.0])]
     _, after = pushed(watch, moving, wild, commanded=(0.3, 0.0, 0.0))
     np.testing.assert_allclose(after.gaussian.mean[RATE], np.add(RATE_DEG_H, [0.3, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("kind", ["wild", "repeated"])
-def test_records_that_tell_nothing_do_not_move_the_angles(kind: str) -> None:
+def test_records_that_tell_nothing_do_not_move_the_angles(kind):
     rates = [np.array([0.0, 0.0, 15.0]) + each for each in noisy(60)] if kind == "wild" else [RATE_DEG_H] * 60
-    watch, moving = pushed(fresh_rates(), state_rate_watch(), rates)
+    watch, moving = pushed(fresh_rates(), moving_state(), rates)
     assert not watch.is_measured
     assert watch.is_refused is (kind == "wild")
     assert np.isfinite(moving.gaussian.mean).all()
 
 
-def test_a_sensor_no_better_than_the_model_is_refused_and_yaw_is_known_less() -> None:
-    watch, moving = pushed(fresh_rates(), state_rate_watch(), noisy(5))
+def test_a_sensor_no_better_than_the_model_is_refused_and_yaw_is_known_less():
+    watch, moving = pushed(fresh_rates(), moving_state(), noisy(5))
     before = moving.gaussian.covariance[0, 0]
     grown = moving._replace(drift=DriftWatch(np.log(3.5)))
     after, refused = pushed(watch, grown, noisy(1))
@@ -141,22 +127,19 @@ def test_a_sensor_no_better_than_the_model_is_refused_and_yaw_is_known_less() ->
     assert after.other_log_scale == grown.drift.log_scale
 
 
-def test_each_model_keeps_its_own_factor() -> None:
-    watch, moving = pushed(fresh_rates(), state_rate_watch(0.5), noisy(2))
+def test_each_model_keeps_its_own_factor():
+    watch, moving = pushed(fresh_rates(), moving_state(0.5), noisy(2))
     assert (moving.drift.log_scale, watch.other_log_scale) == (0.0, 0.5)
     assert inertial_motion(watch, moving)[1].drift.log_scale == 0.5
 
 
-def test_torques_from_the_ground_leave_the_powers_to_judge_for_an_hour() -> None:
-    watch, moving = pushed(fresh_rates(), state_rate_watch(), noisy(3))
+def test_torques_from_the_ground_leave_the_powers_to_judge_for_an_hour():
+    watch, moving = pushed(fresh_rates(), moving_state(), noisy(3))
     watch, moving = pushed(watch, moving, noisy(1), is_pushed=True)
     assert not watch.is_measured
     watch, moving = pushed(watch, moving, noisy(59))
     assert not watch.is_measured
     assert pushed(watch, moving, noisy(3))[0].is_measured
-
-
-MINUTE_US_MOTION_WATCH = 60_000_000
 
 
 def shifted(watch, epoch_us, shift, *, is_pushed=False):
@@ -168,7 +151,7 @@ def shifted(watch, epoch_us, shift, *, is_pushed=False):
 def test_shifts_of_one_sign_raise_their_axis_for_an_hour():
     watch = still_watch(0)
     for minute in range(1, 20):
-        watch = shifted(watch, minute * MINUTE_US_MOTION_WATCH, np.array([0.1, -1.6, 0.5]))
+        watch = shifted(watch, minute * MINUTE_US, np.array([0.1, -1.6, 0.5]))
         if any(watch.is_unannounced):
             break
     assert minute == 10  # 10 (1.6 - 0.6) > 9
@@ -184,7 +167,7 @@ def reported_minutes(minutes, **settings):
     watch, announced = still_watch(0), []
     for minute in range(1, minutes):
         before = watch
-        watch = shifted(pass_motion(watch, 1.0), minute * MINUTE_US_MOTION_WATCH, np.array([0.0, 1.6, 0.0]), **settings)
+        watch = shifted(pass_motion(watch, 1.0), minute * MINUTE_US, np.array([0.0, 1.6, 0.0]), **settings)
         announced.append((watch.is_followed[1], watch.is_unannounced[1], bool(newly_explained(before, watch)[1])))
     assert not any(watch.is_unannounced[axis] for axis in (0, 2))
     return announced
@@ -203,7 +186,7 @@ def test_what_a_torque_may_explain_is_reported_for_a_quarter_of_an_hour():
     watch, reported = still_watch(0), 0
     for minute in range(1, 120):
         shift = np.array([0.0, 1.6 if minute <= 20 else 0.0, 0.0])
-        watch = shifted(pass_motion(watch, 1.0), minute * MINUTE_US_MOTION_WATCH, shift, is_pushed=True)
+        watch = shifted(pass_motion(watch, 1.0), minute * MINUTE_US, shift, is_pushed=True)
         reported += watch.is_unannounced[1]
     assert reported == 15
     assert not watch.alarms.any()  # still for an hour: the next alarm is a first one
@@ -212,7 +195,7 @@ def test_what_a_torque_may_explain_is_reported_for_a_quarter_of_an_hour():
 def test_what_no_torque_explains_is_reported_for_an_hour():
     announced = reported_minutes(60, is_pushed=True)
     assert all(one[1] for one in announced[19:])
-    jumped = shifted(follow_all(still_watch(0)), MINUTE_US_MOTION_WATCH, np.zeros(3), is_pushed=True)
+    jumped = shifted(follow_all(still_watch(0)), MINUTE_US, np.zeros(3), is_pushed=True)
     left = pass_motion(jumped, FOLLOWED_MINUTES - 1.0)
     assert left.is_unannounced == (True, True, True)
 
@@ -227,26 +210,26 @@ def test_a_jump_is_followed_on_all_axes():
     assert follow_all(still_watch(0)).is_unannounced == (True, True, True)
 
 
-def fed(watch: MomentumWatch, gaussian: Gaussian, minute: int, value: np.ndarray, **flags: Any) -> Any:
+def fed(watch, gaussian, minute, value, **flags):
     epoch_us = minute * MINUTE_US
     is_unloading = bool(flags.get("is_unloading"))
     pushed = push_record(watch, gaussian, FIRST, epoch_us, value, epoch_us, SETTINGS, WHEELS, is_unloading=is_unloading)
     return pushed[:2]
 
 
-def records(values: list[np.ndarray], **flags: Any) -> tuple[MomentumWatch, Gaussian]:
+def records(values, **flags):
     watch, gaussian = fresh_watch(), state()
     for number, value in enumerate(values):
         watch, gaussian = fed(watch, gaussian, number, value, **flags)
     return watch, gaussian
 
 
-def noisy_momentum_watch(count: int, seed: int = 1) -> list[np.ndarray]:
+def noisy_records(count, seed=1):
     return list(H + np.random.default_rng(seed).normal(0.0, 0.01, (count, 3)))
 
 
-def test_one_wild_record_is_left_out_and_two_are_a_jump() -> None:
-    quiet = noisy_momentum_watch(10)
+def test_one_wild_record_is_left_out_and_two_are_a_jump():
+    quiet = noisy_records(10)
     watch, gaussian = records([*quiet, H + 1.0])
     before, known = records(quiet)
     np.testing.assert_array_equal(gaussian.mean, known.mean)
@@ -258,22 +241,22 @@ def test_one_wild_record_is_left_out_and_two_are_a_jump() -> None:
     np.testing.assert_allclose(gaussian.mean[FIRST : FIRST + 3], H + 1.0, atol=0.1)
 
 
-def test_a_marked_unloading_is_no_jump() -> None:
-    watch, gaussian = records(noisy_momentum_watch(10))
+def test_a_marked_unloading_is_no_jump():
+    watch, gaussian = records(noisy_records(10))
     watch, gaussian = fed(watch, gaussian, 10, H + 1.0, is_unloading=True)
     assert not has_jumped(watch, 10 * MINUTE_US)
     np.testing.assert_allclose(gaussian.mean[FIRST : FIRST + 3], H + 1.0, atol=0.1)
 
 
-def test_repeated_and_earlier_records_tell_nothing() -> None:
-    watch, gaussian = records(noisy_momentum_watch(5))
+def test_repeated_and_earlier_records_tell_nothing():
+    watch, gaussian = records(noisy_records(5))
     for minute, value in ((5, watch.newest), (3, H + 0.5)):
         after, unchanged = fed(watch, gaussian, minute, value)
         assert after is watch
         assert unchanged is gaussian
 
 
-def test_telemetry_that_keeps_jumping_is_refused_and_yaw_is_known_less() -> None:
+def test_telemetry_that_keeps_jumping_is_refused_and_yaw_is_known_less():
     watch, gaussian = records([H + (number // 2 % 2) for number in range(20)])
     assert watch.is_refused
     assert gaussian.covariance[0, 0] > 0.2**2
@@ -282,7 +265,7 @@ def test_telemetry_that_keeps_jumping_is_refused_and_yaw_is_known_less() -> None
     assert unchanged is gaussian
 
 
-def test_an_outlier_of_true_noise_among_the_first_records_refuses_nothing() -> None:
+def test_an_outlier_of_true_noise_among_the_first_records_refuses_nothing():
     # sigmas along roll as a closed loop drew them, whose true telemetry was refused; the last one was 3.9
     drawn = (-2.45, -1.57, 0.67, -0.29, 1.07, 5.3)
     watch, _ = records([H + 0.01 * np.array([sigmas, 0.5, -0.5]) for sigmas in drawn])
@@ -290,27 +273,26 @@ def test_an_outlier_of_true_noise_among_the_first_records_refuses_nothing() -> N
     assert not watch.is_refused
 
 
-def test_telemetry_that_begins_with_what_no_wheel_holds_is_refused() -> None:
+def test_telemetry_that_begins_with_what_no_wheel_holds_is_refused():
     assert with_impossible(fresh_watch()).is_refused
-    watch, _ = records(noisy_momentum_watch(5))
+    watch, _ = records(noisy_records(5))
     assert with_impossible(watch) is watch
 
 
 @pytest.mark.parametrize(("count", "silent_after_minutes"), [(0, 180), (5, 184)])
-def test_three_hours_without_a_new_record_are_reported(count: int, silent_after_minutes: int) -> None:
-    watch, _ = records(noisy_momentum_watch(count)) if count else (fresh_watch(), None)
+def test_three_hours_without_a_new_record_are_reported(count, silent_after_minutes):
+    watch, _ = records(noisy_records(count)) if count else (fresh_watch(), None)
     for minutes, is_reported in ((silent_after_minutes, False), (silent_after_minutes + 1, True)):
         assert momentum_advice(watch, 0, minutes * MINUTE_US, is_used=True)["momentum_silent"] is is_reported
         assert not momentum_advice(watch, 0, minutes * MINUTE_US, is_used=False)["momentum_silent"]
 
 
-def test_refused_telemetry_is_not_silent_as_well() -> None:
+def test_refused_telemetry_is_not_silent_as_well():
     advice = momentum_advice(with_impossible(fresh_watch()), 0, 1000 * MINUTE_US, is_used=True)
     assert advice == {"momentum_refused": True, "momentum_jump": False, "momentum_silent": False}
 
 
-SETTINGS_DRIFT_WATCH = FilterSettings()
-SIGMA = np.array(SETTINGS_DRIFT_WATCH.drift_deg_h)
+SIGMA = np.array(PLAIN.drift_deg_h)
 
 
 def drifting(drift_deg_h, known_share=0.75):
@@ -322,42 +304,42 @@ def drifting(drift_deg_h, known_share=0.75):
     return Gaussian(mean, np.diag(variance))
 
 
-def pushed_drift_watch(ratio, minutes, known_share=0.75):
+def drifted(ratio, minutes, known_share=0.75):
     watch, state = usual_drift(), drifting(ratio * SIGMA, known_share)
     for _ in range(minutes):
-        watch, _ = push_drift(watch, SETTINGS_DRIFT_WATCH.drift_deg_h, state, 1.0)
+        watch, _ = push_drift(watch, PLAIN.drift_deg_h, state, 1.0)
     return watch
 
 
 def test_a_usual_drift_leaves_the_settings_as_they_are():
-    watch = pushed_drift_watch(np.sqrt(0.75), 600)  # exactly what the model expects of the estimate
+    watch = drifted(np.sqrt(0.75), 600)  # exactly what the model expects of the estimate
     assert watch.scale == 1.0
-    assert scaled_settings(SETTINGS_DRIFT_WATCH, watch) is SETTINGS_DRIFT_WATCH
+    assert scaled_settings(PLAIN, watch) is PLAIN
 
 
 def test_a_small_drift_never_narrows_it():
-    assert pushed_drift_watch(0.0, 600) == usual_drift()
+    assert drifted(0.0, 600) == usual_drift()
 
 
 def test_three_times_the_drift_is_learned_within_half_a_day():
-    scale = pushed_drift_watch(3.0, 720).scale
+    scale = drifted(3.0, 720).scale
     assert 2.0 <= scale <= LARGEST
     np.testing.assert_allclose(
-        scaled_settings(SETTINGS_DRIFT_WATCH, DriftWatch(np.log(scale) + 1e-6)).drift_deg_h, scale * SIGMA, rtol=1e-12
+        scaled_settings(PLAIN, DriftWatch(np.log(scale) + 1e-6)).drift_deg_h, scale * SIGMA, rtol=1e-12
     )
 
 
 def test_the_factor_has_a_limit():
-    assert pushed_drift_watch(50.0, 3000).scale == pytest.approx(LARGEST)
+    assert drifted(50.0, 3000).scale == pytest.approx(LARGEST)
 
 
 def test_an_unknown_drift_says_nothing():
-    assert pushed_drift_watch(3.0, 600, known_share=0.01) == usual_drift()
+    assert drifted(3.0, 600, known_share=0.01) == usual_drift()
 
 
 def test_a_step_of_the_factor_widens_the_drift_and_nothing_else():
     watch, state = DriftWatch(0.0866), drifting(3.0 * SIGMA)  # just below the first step of 2^(1/8)
-    after, wider = push_drift(watch, SETTINGS_DRIFT_WATCH.drift_deg_h, state, 1.0)
+    after, wider = push_drift(watch, PLAIN.drift_deg_h, state, 1.0)
     assert after.scale > watch.scale
     growth = wider.covariance - state.covariance
     np.testing.assert_allclose(np.diagonal(growth)[DRIFT], (2.0**0.25 - 1.0) * SIGMA**2, rtol=1e-9)
@@ -368,9 +350,9 @@ def test_a_step_of_the_factor_widens_the_drift_and_nothing_else():
 def test_the_factor_follows_time_and_not_rows():
     state = drifting(3.0 * SIGMA)
     one, many = usual_drift(), usual_drift()
-    one, _ = push_drift(one, SETTINGS_DRIFT_WATCH.drift_deg_h, state, 1.0)
+    one, _ = push_drift(one, PLAIN.drift_deg_h, state, 1.0)
     for _ in range(6):
-        many, _ = push_drift(many, SETTINGS_DRIFT_WATCH.drift_deg_h, state, 1.0 / 6.0)
+        many, _ = push_drift(many, PLAIN.drift_deg_h, state, 1.0 / 6.0)
     assert many.log_scale == pytest.approx(one.log_scale, rel=1e-12)
 
 
