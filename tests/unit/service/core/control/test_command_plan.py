@@ -258,7 +258,6 @@ def test_whatever_is_asked_for_the_step_lies_inside_the_envelope(seed):
     limits = Envelope(*(0.95 * limit for limit in Envelope()))
     plan = plan_command(GAINS, CRAFT_DRIVE, situation, forecast(torque), limits)
     effect = predicted_effect(plan.pulses, INERTIA, np.eye(3), plan.horizon_s)
-    print(f"seed {seed}: {plan.horizon_s:g} s, {effect.angle_change_deg}, {effect.gross_impulse_n_m_s}")
     assert envelope_excesses(effect, (0.0, 0.0, 0.0), Envelope()) == ()
 
 

@@ -43,7 +43,7 @@ from service.core.dynamics.orbital_frame_model import (
     refusals,
     rigid_spacecraft,
 )
-from service.core.dynamics.orbital_frame_step import body_rate, half_angles, inverse_inertia, times, wanted_torque
+from service.core.dynamics.orbital_frame_step import body_rate, half_angles, inverse_inertia, wanted_torque
 
 FREE = OrbitalFrameGains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _TILT = st.floats(-0.035, 0.035)
@@ -70,14 +70,6 @@ def test_yaw_behind_the_craft_is_told_by_the_sign_of_the_roll_rate():
 
 def test_law_has_no_torque_where_the_craft_should_be():
     assert wanted_torque(Law(), 0.0, 0.0, (0.0, ORBITAL_RATE_RAD_S, 0.0)) == pytest.approx((0.0, 0.0, 0.0), abs=1e-15)
-
-
-def test_tensor_and_its_inverse():
-    j = NOMINAL_INERTIA
-    inertia = (j.xx, j.yy, j.zz, j.xy, j.xz, j.yz)
-    for axis in np.eye(3):
-        again = times(inertia, times(inverse_inertia(*inertia), tuple(axis)))  # type: ignore[arg-type]
-        assert again == pytest.approx(tuple(axis), abs=1e-14)
 
 
 def test_tumbling_without_gravity_keeps_the_inertial_momentum():

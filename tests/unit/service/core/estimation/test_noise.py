@@ -278,7 +278,6 @@ def test_sizes_come_back_from_three_days():
     found = [update(seed, white=0.08, parts=parts) for seed in SEEDS]
     mean = np.mean([noise.sigma_db.mean(axis=0) for noise in found], axis=0)
     each = np.mean([noise.sigma_db.std(axis=0) for noise in found], axis=0)
-    print(f"seeds 0..9: sizes {mean}, scatter of carriers {each}")
     # mean of 16 carriers and 10 seeds; of the slowest the daily change has taken a share away with it
     assert mean == pytest.approx(parts, rel=0.12)
     assert np.mean([noise.white_db.mean() for noise in found]) == pytest.approx(0.08, rel=0.01)
@@ -289,7 +288,6 @@ def test_sizes_come_back_from_three_days():
 def test_of_white_noise_no_part_comes_out(carriers):
     found = [update(seed, carriers=carriers) for seed in SEEDS]
     largest = np.max([noise.sigma_db.max(axis=0) for noise in found], axis=0)
-    print(f"seeds 0..9, {carriers} carriers: largest parts {largest}")
     # over 15 min white noise leaves 0.04 dB: none of these shows
     assert (largest < [0.03, 0.025, 0.02, 0.015]).all()
     assert not np.any([noise.common_db for noise in found])
@@ -301,7 +299,6 @@ def test_what_carriers_share_is_told_apart():
     found = [update(seed, parts=own, common=common) for seed in SEEDS]
     together = np.sqrt(np.mean([np.square(noise.common_db).sum() for noise in found]))
     mean = np.mean([noise.sigma_db.mean(axis=0) for noise in found], axis=0)
-    print(f"seeds 0..9: common {together:.3f} of {np.sqrt((common**2).sum()):.3f}, own {mean}")
     # one series of three days holds seven correlation times of the slowest part
     assert together == pytest.approx(np.sqrt((common**2).sum()), rel=0.25)
     assert mean[1] == pytest.approx(0.09, rel=0.12)

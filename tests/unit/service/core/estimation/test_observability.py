@@ -177,7 +177,6 @@ def test_figures_are_the_textbook_formulas():
     design, inverse = weighted_inverse()
     plain = np.linalg.inv(SET_SLOPES.T @ SET_SLOPES)
     with_common = np.linalg.inv(design.T @ design)
-    print(f"seed {SEED}: {figures}")
     assert figures.crlb_deg == pytest.approx(np.sqrt(np.diag(inverse))[:3], rel=ROUNDING)
     assert figures.crlb_without_common_deg == pytest.approx(np.sqrt(np.diag(weighted_inverse(False)[1])), rel=ROUNDING)
     assert figures.dop_deg_per_db == pytest.approx(np.sqrt(np.diag(plain)), rel=ROUNDING)
@@ -203,7 +202,6 @@ def test_largest_undetectable_fault_is_seen_in_nine_rows_of_ten(carrier):
     solved = deviation / SET_SIGMA_DB**2 @ design @ inverse
     residual = deviation - solved @ design.T
     seen = np.mean(residual[:, carrier] > GATE_SIGMAS * SET_SIGMA_DB[carrier])
-    print(f"seed {SEED + carrier}: seen {seen:.4f}, shift {solved[:, :3].mean(axis=0)}")
     # binomial: sqrt(0.9 0.1 / 20000) = 0.0021; four of these
     assert seen == pytest.approx(0.9, abs=0.0085)
     # mean of 20 000 fixes: bound / 141; five of these
@@ -279,7 +277,6 @@ def test_an_average_of_drawn_noise_has_the_spread_told():
     solved = mean @ np.linalg.pinv(design).T
     noise = ColouredNoise(np.full(16, 0.155), np.full((16, 1), 0.09), np.full((16, 1), 1200.0))
     reported = averaged_crlb_deg(SET_SLOPES, noise, np.array([3600.0]), 60.0)[0]
-    print(f"seed {SEED}: {solved[:, :3].std(axis=0)} against {reported}")
     # a standard deviation of 4000 draws is good to 1.1 %; sixty samples against the continuous form differ by 1 %
     assert solved[:, :3].std(axis=0) == pytest.approx(reported, rel=0.05)
 
@@ -302,7 +299,6 @@ def test_exchange_is_within_three_per_cent_of_the_best_subset(seed):
     sensitivity = stations(13, seed)
     best = min(cost_of(sensitivity, chosen) for chosen in itertools.combinations(range(13), 8))
     design = choose_carriers(sensitivity, np.full(13, 0.1), np.arange(13), 8)
-    print(f"seed {seed}: {design.cost_deg2 / best:.4f} of the best")
     assert design.cost_deg2 <= 1.03 * best
     assert design.cost_deg2 == pytest.approx(cost_of(sensitivity, design.chosen), rel=1e-9)
 
@@ -315,7 +311,6 @@ def test_choice_beats_chance():
         crlb_deg(sensitivity[rng.choice(40, 16, replace=False)], np.full(16, 0.1), with_common=True) for _ in range(200)
     ]
     median = np.median(random, axis=0)
-    print(f"seed {DESIGN_SEED}: chosen {design.crlb_deg}, random {median}")
     assert (design.crlb_deg[1:] < 0.8 * median[1:]).all()
     assert design.is_sufficient
     assert design.redundancy == 11

@@ -291,7 +291,6 @@ def test_the_edges_of_the_band_count_by_their_part_of_a_point(eighth):
 
 def test_scatter_neither_biases_nor_spoils_the_width():
     seed = 5
-    print(f"seed {seed}")
     rng = np.random.default_rng(seed)
     dwell_s = FINE.sweep_time_s / FINE.points
     dof = float(degrees_of_freedom(FINE.enbw_hz, dwell_s))

@@ -144,7 +144,6 @@ def test_nothing_is_checked_where_the_catalogue_uses_none():
 
 def test_a_true_one_passes_in_silence_with_its_figures():
     checks = polarimeter_checks(polarimeter_data(), CONFIG)
-    print(f"seed {SEED}", checks)
     assert [check.verdict for check in checks] == [MotionVerdict.CONSISTENT]
     assert polarimeter_warnings(checks) == ()
     figures = polarimeter_quality(checks)
@@ -176,7 +175,6 @@ def test_the_feed_is_told_with_its_leakage_whatever_the_catalogue_states():
         polarimeter_checks(polarimeter_data(stated=(replace(FEED, feed_offset_deg=at),)), CONFIG) for at in (10, 9)
     )
     sigma_deg = math.sqrt(check.feed.covariance[0][0])
-    print(f"seed {SEED}", check.feed)
     assert check.feed.mean[0] == pytest.approx(10.8, abs=4.0 * sigma_deg)
     assert other.feed.mean == pytest.approx(check.feed.mean, abs=1e-3)
     figures = polarimeter_quality((check,))
@@ -249,7 +247,6 @@ def test_true_rates_pass_in_silence_with_their_figures():
     assert check.verdict is MotionVerdict.CONSISTENT
     assert rate_warnings(given, check) == ()
     figures = rate_quality(check)
-    print(f"seed {RATE_SEED}", figures)
     for axis in ("roll", "pitch", "yaw"):
         assert abs(figures[f"rate_response_{axis}"] - 1.0) < 0.05
         assert figures[f"rate_response_{axis}_sigma"] < 0.05
@@ -440,7 +437,6 @@ def learned(data, check=GOOD):
 def test_quiet_days_tell_the_torque_and_its_figures(told):
     found = learned(told, momentum_check(told, CONFIG))
     figures = gathered_quality(found)
-    print(f"seed {TORQUE_SEED}: {figures}")
     assert found.stop_us == told.request.quiet.stop_us
     # records each 5 min of three days; waves of 1e-5 N m are the simulator's, and a constant torque is known by the
     # misalignment of 0.05 deg alone

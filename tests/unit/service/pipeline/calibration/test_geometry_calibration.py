@@ -68,7 +68,6 @@ def slopes(result):
 
 def test_slopes_come_back_also_that_of_yaw(payload, result):
     error = slopes(result) - payload.slopes()
-    print(f"seed {payload.seed}: rms of slopes {np.sqrt((error**2).mean(axis=0))} dB/deg")
     # 0.05 dB over stretches of ten rows, eight plateaus an axis: one sigma 0.002 / 0.012 / 0.012, three times that
     assert (np.sqrt((error**2).mean(axis=0)) < [0.010, 0.036, 0.036]).all()
 
@@ -302,7 +301,6 @@ def test_a_noisy_sensor_shrinks_slopes_little_and_says_by_how_much(payload):
     result = calibrate_geometry(payload.data(sensor_deg=0.06), CONFIG)
     found, truth = slopes(result)[:, 1:], payload.slopes()[:, 1:]
     scale = (found * truth).sum(axis=0) / (truth**2).sum(axis=0)
-    print(f"Earth sensor of 0.06 deg: scale of roll and pitch {scale}")
     # without smoothing 0.9; one sigma of the scale itself is 0.01
     assert scale == pytest.approx([1.0, 1.0], abs=0.05)
     assert result.quality["roll_sensor_sigma_deg"] == pytest.approx(0.06, rel=0.05)

@@ -57,7 +57,6 @@ def test_sigma_of_an_hour_is_that_of_drawn_noise(result):
     drawn = process(rng, carrier.noise[0], 60 * 3000) + rng.normal(0.0, carrier.sigma_white_db, 60 * 3000)
     measured = drawn.reshape(-1, 60).mean(axis=1).std()
     stated = hourly_sigma_db(carrier, np.array([60, 60, 0, 59]))
-    print("seed", SEED, measured, stated)
     assert stated == pytest.approx(measured, rel=0.06)
     assert hourly_sigma_db(carrier, np.array([5, 5])) > stated, "an hour of five rows is less sure"
     assert np.isfinite(hourly_sigma_db(carrier, np.zeros(2, dtype=np.int64)))
@@ -73,7 +72,6 @@ def test_error_of_the_daily_change_is_that_of_drawn_noise(result):
     fit = replace(result.geometry, daily_error_db=(0.04,) * len(result.carriers))
     quiet = Window(START_US - 3 * DAY_US, START_US)
     soon = daily_error_db(result, fit, quiet, np.array([START_US + DAY_US]))
-    print("seed", SEED + 1, measured, soon[0])
     # 240 parts: a sigma of five percent
     np.testing.assert_allclose(soon, measured, rtol=0.2)
     later = daily_error_db(result, fit, quiet, np.array([START_US + 60 * DAY_US]))
@@ -365,7 +363,6 @@ def reported(calibrated, waves, before=None, group=Group.BAND):
 
 def test_one_antenna_may_be_the_sensor(calibrated):
     (antenna,) = reported(calibrated, np.full(16, WAVE_DEG)).antennas
-    print("seed", BEAM_SEED, antenna.north.daily, antenna.east.daily)
     assert antenna.cause is WaveCause.ANTENNA_OR_SENSOR
     assert antenna.north.daily.amplitude_deg == pytest.approx(WAVE_DEG, abs=0.008)
     assert antenna.east.daily.amplitude_deg < 0.01

@@ -137,7 +137,6 @@ def test_the_turns_come_back_as_the_beams_that_were_stated():
     payload = assume_payload(days.plan.carriers, 90.0, NOISES["links"], BEAMS)
     slopes = np.array([carrier.sensitivity_db_per_deg for carrier in found.result.carriers])
     error = np.abs(slopes - payload.response.slope)[:, 1:]
-    print(f"slopes of roll and pitch: greatest error {error.max():.2f}, mean {error.mean():.2f} dB/deg")
     # five rows of noise in a level of the turns, and slow noise that is fitted with them
     assert error.max() < 0.5
     assert error.mean() < 0.15

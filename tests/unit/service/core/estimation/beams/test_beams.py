@@ -48,7 +48,6 @@ def test_a_surface_comes_back_between_its_stations(place):
     found = beam_surface(place, beams_at(place, TRUTH))
     inside = np.random.default_rng(SEED + 1).uniform(-1.2, 1.2, (50, 2))
     error_db = surface_db(inside, found) - surface_db(inside, TRUTH)
-    print("seed", SEED, "greatest error", np.ptp(error_db))
     assert np.ptp(error_db) < 0.03
     assert np.ptp(surface_db(inside, TRUTH)) > 3.0, "a flat beam proves nothing"
 
@@ -69,7 +68,6 @@ def test_changes_have_the_distribution_that_is_stated():
         one._replace(gradient_db_deg=one.gradient_db_deg + rng.normal(0.0, 0.06, (4000, 2))) for one in (now, before)
     ]
     change = changes_in_sigmas(*noisy)
-    print("seed", SEED, "share above three sigma", np.mean(change > 3.0))
     # exp(-9 / 2) = 0.011; the sigma of the share is 0.0016
     assert np.mean(change > 3.0) == pytest.approx(0.0111, abs=0.005)
     turned = now._replace(gradient_db_deg=now.gradient_db_deg + np.array([0.5, 0.0]))
@@ -110,7 +108,6 @@ def test_errors_are_those_that_it_states(noisy):
     truth, residual_db = noisy
     series = boresight_series(residual_db, GRADIENT, SIGMA_DB)
     scaled = (series.boresight_deg - truth) / series.sigma_deg
-    print("seed", WAVE_SEED, "rms over sigma", scaled.std(axis=0), "sigma", series.sigma_deg.mean(axis=0))
     # the sigma of a sigma of 96 hours is seven percent; three of them
     np.testing.assert_allclose(scaled.std(axis=0), 1.0, atol=0.22)
     zero_rms = np.sqrt(np.mean(truth**2, axis=0))
@@ -126,7 +123,6 @@ def test_wrong_carriers_and_steps_leave_it(noisy):
     residual_db[60:, 9] = np.nan
     series = boresight_series(residual_db, GRADIENT, SIGMA_DB)
     errors = [np.sqrt(np.mean((one.boresight_deg - truth) ** 2, axis=0)) for one in (plain, series)]
-    print("seed", WAVE_SEED, "rms without and with the faults", *errors)
     # three of sixteen carriers less cost a tenth; the least wise answer, all carriers alike, errs by 0.1 deg
     assert (errors[1] < 1.3 * errors[0]).all()
     assert np.abs(series.boresight_deg - truth).max() < 0.04
@@ -208,7 +204,6 @@ def test_a_year_of_every_seventh_day_tells_both_waves():
 @pytest.mark.parametrize("common", [0.0, 0.7], ids=["white", "coloured"])
 def test_sigma_of_the_wave_holds_also_for_noise_of_hours(common):
     seed = 3
-    print("seed", seed, common)
     rng = np.random.default_rng(seed)
     at_s = hours(4)
     parts, stated = [], []
@@ -221,7 +216,6 @@ def test_sigma_of_the_wave_holds_also_for_noise_of_hours(common):
         parts.append(daily.amplitude_deg * np.array([np.cos(angle), np.sin(angle)]))
         stated.append(daily.sigma_deg)
     ratio = np.std(parts) / np.mean(stated)
-    print("error over stated sigma", ratio)
     assert 0.7 < ratio < 1.35
 
 

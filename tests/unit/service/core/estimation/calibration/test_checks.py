@@ -48,7 +48,6 @@ def test_offset_and_wave_are_right_within_the_sigmas_that_are_stated():
         off = np.array(found.mean) - TRUE_DEG
         squares.append(off @ np.linalg.solve(np.array(found.covariance), off))
         assert np.sqrt(np.diag(found.covariance)).max() < 0.03
-    print("seeds 1 to 20, squares of three", np.round(squares, 1))
     assert 1.5 < float(np.mean(squares)) < 5.0
 
 
@@ -133,7 +132,6 @@ def responding(turned, matrix=None, is_unloading=None):
 def test_true_telemetry_passes_on_every_seed(flights):
     found = [responding(turned) for turned in flights]
     sigmas = [one.deviation(0.005) for one in found]
-    print(f"seeds 1 to {len(found)}: up to {max(sigmas):.1f} sigma")
     assert all(one.is_determined for one in found)
     assert max(sigmas) < 3.5
     normal = np.array([(one.coefficient - 1.0) / one.sigma for one in found])[:, [0, 2]]
@@ -143,7 +141,6 @@ def test_true_telemetry_passes_on_every_seed(flights):
 @pytest.mark.parametrize("name", WRONG)
 def test_wrong_telemetry_deviates_on_every_seed(flights, name):
     sigmas = [responding(turned, WRONG[name]).deviation(0.005) for turned in flights]
-    print(f"{name}: at least {min(sigmas):.1f} sigma")
     assert min(sigmas) > 5.0
 
 
@@ -214,7 +211,6 @@ def response(seed, scale=1.0, *, turns=1.0):
 @pytest.mark.parametrize("seed", range(1, 21))
 def test_a_true_instrument_agrees_and_a_wrong_one_does_not(seed):
     found = response(seed)
-    print(f"seed {seed}", found, found.deviation())
     assert found.is_determined
     assert found.deviation() < 3.5
     for scale in (-1.0, 0.5, 1.5, 2.0):
@@ -314,7 +310,6 @@ def test_a_scale_shows_in_the_coefficients_and_is_no_contradiction(axis, expecte
 def test_the_sigmas_are_those_of_repeated_noise():
     drawn = [verdict(*payload(seed, has_beams=False)) for seed in range(60)]
     score = np.array([(one.coefficient - 1.0) / one.sigma for one in drawn])
-    print(f"scatter in sigmas {score.std(axis=0)}")
     # sixty draws: one sigma of a scatter is 9 %
     assert (score.std(axis=0) > 0.7).all()
     assert (score.std(axis=0) < 1.3).all()
@@ -373,7 +368,6 @@ def rates_response(matrix, *, rest=0.0, every=1, sensor_deg=0.01):
 
 def test_true_rates_agree():
     found = rates_response(np.eye(3))
-    print("seed 5", found)
     assert found.is_determined
     np.testing.assert_allclose(found.coefficient, np.eye(3), atol=0.1)
     assert found.deviation(0.01) < 3.5

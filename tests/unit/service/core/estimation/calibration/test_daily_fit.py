@@ -49,7 +49,6 @@ def test_blocks_of_wrong_samples_move_it_by_less_than_three_hundredths(share, si
     fits = fit_daily(columns, power)
     error = np.abs(fits.coefficients - TRUTH)
     amplitude = np.hypot(fits.coefficients[:, 1], fits.coefficients[:, 2])
-    print(f"seed {SEED}, {share:.0%} of {size_db} dB: {error.max(axis=0)}")
     # the bound of the acceptance test is for the level and amplitude of 1440 samples; 792 good ones are left at worst:
     # five sigma of a coefficient of them is 0.15 sqrt(2 / 792) 5 = 0.038
     assert error[:, 0].max() <= 0.03
@@ -65,7 +64,6 @@ def test_the_covariance_is_that_of_the_errors():
     fits = fit_daily(columns, power)
     errors = fits.coefficients - TRUTH
     ratio = np.sqrt(np.mean(errors**2, axis=0) / np.mean(np.diagonal(fits.covariance, axis1=1, axis2=2), axis=0))
-    print(f"seed {SEED + 1}: {ratio}")
     # a spread of 100 draws is good to 7 %; four of these
     assert ratio == pytest.approx(np.ones(5), abs=0.28)
     # Tukey's function at 4.685 costs five per cent of variance against least squares on normal noise: of all five
@@ -337,7 +335,6 @@ def test_the_torque_is_found_within_its_covariance(seed, unloaded_h, *, is_marke
         unloading[round(unloaded_h * 12.0)] = is_marked
     found = learned(epochs, records, angles, sigma, unloading)
     # thirteen degrees of freedom exceed 34.5 once in a thousand
-    print(f"seed {seed}: chi-square {chi_square(found):.1f}")
     assert chi_square(found) < 34.5
     # the wave is known to a few per cent of 1e-5 N m, which without records is 1.4e-5
     sigma_n_m = np.sqrt(np.diag(found.covariance))[3:9] / acceleration_scale()[3:9]

@@ -98,7 +98,6 @@ def test_coefficients_come_out_within_their_own_sigmas():
     payload = make(np.random.default_rng(SEED))
     fit = fit_geometry(payload.rows, payload.geometry)
     errors = standardised(fit, payload)
-    print(f"seed {SEED}: errors over sigma, rms {np.sqrt(np.mean(errors**2)):.2f}, largest {np.abs(errors).max():.2f}")
     # 54 errors of about unit variance: rms 1 +- 0.1, three times that; largest below 4
     assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.3
     assert np.abs(errors).max() < 4.0
@@ -128,7 +127,6 @@ def test_prediction_is_that_of_the_truth_and_its_error_is_stated():
     attitude = np.random.default_rng(1).uniform(-0.3, 0.3, (200, 3))
     answers = [predict_deviation(attitude, response_of(one, payload.geometry)) for one in (fit, truth)]
     rms = np.sqrt(np.mean((answers[0] - answers[1]) ** 2))
-    print(f"deviation error {rms:.4f} dB")
     assert rms < 0.02
     assert np.isnan(predict_level_dbm(fit, payload.geometry, None, rows.phase_rad)).all()
 
@@ -342,7 +340,6 @@ def test_levels_that_stand_have_the_floor():
 
 def test_a_walk_comes_out_of_all_carriers_together():
     found = [level_drift(walks(seed, 0.03), EPOCH_S, white_noise(16), FLOOR).walk_db for seed in range(10)]
-    print(f"seeds 0..9: walk {np.sqrt(np.mean(np.square(found)))} of 0.03 dB per root of hour")
     # 160 slopes: one sigma of their mean square is 11 %, of its root 6 %
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.03, rel=0.2)
 

@@ -97,17 +97,6 @@ def test_a_step_does_not_change_the_state_it_is_given(run):
     assert not before.rain.is_raining
 
 
-def test_fewer_than_four_carriers_coast_and_sigma_grows(run):
-    run.rows(60)
-    sigma = np.diagonal(run.reported[-1].covariance_deg2)
-    reported = run.rows(180, absent(*range(3, CARRIERS)))
-    assert len(reported.used) == 0
-    assert (np.diagonal(reported.covariance_deg2) > sigma).all()
-    assert "redundancy" in reported.integrity.reasons
-    assert np.isfinite(reported.attitude_deg).all()
-    run.rows(1, absent(*EVERYONE))
-
-
 def test_rain_over_the_site_stops_control_and_not_the_estimate(run):
     run.rows(60)
     reported = run.rows(60, -3.0 * run.model.rain_share)
@@ -484,11 +473,6 @@ def test_a_reference_that_moved_leaves_the_innovations_as_they_are(old, steered)
     # the same numbers up to rounding of levels of some dB
     np.testing.assert_allclose(moved.innovation_db, plain.innovation_db, atol=1e-12)
     np.testing.assert_allclose(moved.state.carriers.residuals_db, plain.state.carriers.residuals_db + 0.7, atol=1e-12)
-
-
-def test_flags_go_with_their_carriers(old, steered):
-    steered = steered._replace(carriers=steered.carriers._replace(is_flagged=np.arange(old.carriers) == 8))
-    np.testing.assert_array_equal(np.flatnonzero(changed(old, steered).carriers.is_flagged), [3])
 
 
 def test_unknown_carriers_show_their_level_first(old, steered):

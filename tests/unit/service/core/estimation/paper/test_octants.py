@@ -37,7 +37,6 @@ def brute_force(plus, minus, deviation_db):
 @pytest.mark.parametrize("noise_db", [0.0, 0.05, 0.3])
 def test_it_equals_bounded_least_squares_of_eight_octants(carriers, noise_db):
     seed = 100 * carriers + round(100 * noise_db)
-    print("seed", seed)
     rng = np.random.default_rng(seed)
     for _ in range(12):
         plus, minus = random_model(rng, carriers)
@@ -257,7 +256,6 @@ def polished(plus, minus, deviation_db):
 @pytest.mark.parametrize("noise_db", [0.05, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_never_above_the_polished_grid(carriers, noise_db):
     seed = 1000 + 10 * carriers + round(100 * noise_db)
-    print("seed", seed)
     rng = np.random.default_rng(seed)
     compared = 0
     for _ in range(200):

@@ -121,7 +121,6 @@ def flown(rng, *, singular=False):
 @pytest.mark.parametrize("singular", [False, True])
 @pytest.mark.parametrize("seed", range(SEED, SEED + 5))
 def test_a_linear_gaussian_case_equals_the_dense_solution(seed, singular):
-    print(f"seed {seed}")
     made = flown(np.random.default_rng(seed), singular=singular)
     for own, (mean, covariance) in zip(made.smoothed(3), made.batch(3), strict=True):
         np.testing.assert_allclose(own.mean, mean, atol=1e-9)
@@ -292,7 +291,6 @@ def sensed_model():
 @pytest.fixture
 def sensed_rows(sensed_model):
     """Return rows of a still spacecraft with an unloading of its wheels on the way."""
-    print("seed 20261126")
     rng, capture = np.random.default_rng(20261126), StepCapture(ARRAYS)
     gaussian = with_torque(sensed_model, filter_models.aligned(sensed_model), SENSED)
     first = sensors_first(sensed_model, gaussian, SENSED)

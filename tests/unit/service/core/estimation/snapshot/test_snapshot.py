@@ -142,7 +142,6 @@ def test_sigmas_that_are_far_too_small_widen():
     values = predict_deviation(ATTITUDE, model) + 0.4 * rng.normal(size=(50, 16))
     fix = solve(model, values, sigma_db=0.02, model_error_db=0.0)
     fitting = solve(model, values, sigma_db=0.4, model_error_db=0.0)
-    print(f"seed {SEED}: widened {np.median(fix.sigma_db) / 0.02:.1f} times, spread {np.median(fitting.spread):.2f}")
     # half of the carriers, fitted, scatter less than all of them: the widening is a fraction of the twenty
     assert np.median(fix.sigma_db) > 2.0 * 0.02
     assert np.median(fitting.sigma_db) == pytest.approx(0.4, rel=1e-9)
@@ -158,7 +157,6 @@ def test_a_fault_of_the_size_that_the_plan_states_is_excluded():
         values = clean + 0.05 * rng.normal(size=(rows, 16))
         values[:, carrier] += fault_db[carrier]
         share = (solve(model, values, model_error_db=1e-6).use[:, carrier] == CarrierUse.EXCLUDED).mean()
-        print(f"seed {SEED}, carrier {carrier}: {fault_db[carrier]:.3f} dB excluded in {share:.0%}")
         # nine in ten +- 1.5 %; the weights have partly let go of the carrier already, so it is found more often
         assert share >= 0.85
 

@@ -71,7 +71,6 @@ def test_a_rejected_schedule_comes_with_what_helps(record):
     reported = schedule_verdict(resonant, record, strict)
     assert reported.verdict == "reject"
     assert reported.suggestion is not None
-    print(reported)
 
 
 def test_swings_of_other_modes_are_forgotten_and_a_mode_without_damping_is_given_a_little(record):

@@ -188,7 +188,6 @@ SENSOR = BodyRateSensor(in_loop=False, bias_deg_h=0.01, bias_tau_h=8.0, noise_de
 @pytest.fixture(scope="module")
 def recorded():
     """Return recorders from the first row on, and from a later one, with the filter's sigma (3,) of each row."""
-    print("seed 20261126")
     rng, craft = np.random.default_rng(20261126), PAYLOAD.spacecraft()
     onboard = replace(craft.onboard, momentum=WheelMomentum(), rate_sensor=SENSOR)
     flight = Stepped(spacecraft=replace(craft, onboard=onboard, polarimeters=(Polarimeter("p", 10.0, 11e9),)))

@@ -156,7 +156,6 @@ def flown():
     """Return the rows of some minutes, and the states before each and after the last."""
     model, settings = carrier_model(CARRIERS, components=3, common=2), FilterSettings()
     seed = 7
-    print("seed", seed)
     rows = np.random.default_rng(seed).normal(0.0, 0.1, (40, CARRIERS))
     states = [start(model, 0, aligned(model))]
     for row in rows:
