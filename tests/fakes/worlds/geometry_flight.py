@@ -30,7 +30,8 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
 )
-from service.records.levels.attitude import AttitudeRow, FloatArray
+from service.records.levels.attitude import AttitudeRow, Axes, FloatArray
+from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
 from service.records.levels.measurement import Measurement
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "FlightDocuments",
     "FlightPayload",
     "S",
+    "applied_command",
 ]
 
 
@@ -74,6 +76,15 @@ class FlightDocuments:
     def alignment(self, alignment_id: int) -> Alignment:
         """Return an alignment."""
         return self.alignments[alignment_id]
+
+
+def applied_command(
+    epoch_us: int, schedule: tuple[Pulse, ...], number: int = 1, period_s: float = 60.0
+) -> AppliedCommand:
+    """Return a command of some pulses that counts as applied."""
+    zero, wheels, until_us = Axes(0.0, 0.0, 0.0), (0.0, 0.0, 0.0), epoch_us + round(period_s * S)
+    head = (epoch_us, number, epoch_us, "ground", zero, wheels, False, period_s, until_us)
+    return AppliedCommand(TorqueCommand(*head, schedule, zero, zero, zero, wheels, True, ()))
 
 
 class Flight:

@@ -15,12 +15,11 @@ from service.pipeline.config import ChainConfig
 from service.pipeline.first_rows import compile_filter
 from service.pipeline.inputs.knowledge import Knowledge, update
 from service.pipeline.kernels import kernels_named
-from service.records.catalogue import CarrierPlan, FlexibleMode, Method, Release
+from service.records.catalogue import FlexibleMode, Method, Release
 from service.records.inputs import (
     AlignmentSet,
     CalibrationActivation,
     EphemerisChange,
-    PlanChange,
     SpacecraftChange,
     TelemetryRecord,
 )
@@ -120,15 +119,6 @@ def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload):
     assert outcome.rows[0].control_allowed
 
 
-def test_a_method_without_calibration_drives_a_zero_torque_that_says_so(payload):
-    record = payload.spacecraft(method=Method.ROBUST)
-    outcomes = ExactFlight(payload, synthetic, spacecraft=record).run(range(1, 40))
-    assert outcomes[-1].rows[0].control_allowed
-    assert outcomes[-1].command.inhibitions == ("no_calibration",)
-    assert not any(outcome.command.schedule for outcome in outcomes)
-    assert outcomes[-1].applied is None
-
-
 def test_the_command_period_is_the_median_row_period(flight):
     periods = [outcome.command.command_period_s for outcome in flight.run(range(0, 60, 2)[1:])]
     assert periods[0] == 60.0  # the default until there are two rows
@@ -157,29 +147,6 @@ def test_an_alignment_starts_anew(flight):
     flight.chain.update(AlignmentSet(2))
     assert flight.step(41).rows[0].inhibitions == ("settling", "no_fix")
     assert flight.step(39).rows[0].inhibitions == ("late",)
-
-
-# ---- changes of plan, calibration, ephemeris ------------------------------------------------------------------------
-
-
-def test_a_new_plan_keeps_the_references_of_the_carriers_that_stay(flight, payload):
-    flight.run(range(1, 40))
-    carriers = payload.carriers()
-    newcomer = replace(carriers[0], id="new")
-    flight.documents.plans[2] = CarrierPlan(2, "sha-2", (newcomer, *carriers[:4:-1], *carriers[1:4]))
-    flight.chain.update(PlanChange(2))
-    positions = [None, *range(11, 4, -1), 1, 2, 3]
-    for minute in range(40, 70):
-        row = flight.row(minute)
-        power = np.array([-30.0 if k is None else row.power_dbm[k] for k in positions])
-        outcome = flight.chain.step(replace(row, plan_id=2, power_dbm=power))
-    found = outcome.rows[0]
-    np.testing.assert_allclose(found.attitude_deg, TRUTH, atol=1e-9)
-    assert found.carriers_used == 10
-    assert {(item.carrier, item.reason) for item in found.excluded} == {("c00", "absent"), ("c04", "absent")}
-    states = {state.carrier: state.state for state in flight.chain.carrier_states()[1]}
-    assert states["new"] == "uncalibrated"
-    assert states["c05"] == "used"
 
 
 def test_an_activation_re_derives_references_and_keeps_the_state(flight, payload):

@@ -17,7 +17,6 @@ from service.core.control.quaternion_law import (
     loop_gains,
 )
 from service.core.dynamics.orbital_frame_model import MAX_GAINS, Law, OrbitalFrameGains
-from service.core.dynamics.orbital_frame_step import wanted_torque
 from service.core.geometry.frames import body_from_nadir
 
 INERTIA = np.diag([2600.0, 1400.0, 2500.0])
@@ -126,54 +125,6 @@ def test_numbers_that_are_none_are_refused():
 
 W0_RAD_S = 2.0 * math.pi / (101.35 * 60.0)
 LAW = Law(gains=MAX_GAINS, orbital_rate_rad_s=W0_RAD_S)
-#: x East, y South, z nadir
-LOW_ORBIT_INERTIA = np.diag([8000.0, 6000.0, 5000.0])
-
-
-def _rate_at(attitude_deg):
-    """Return the inertial rate of a spacecraft that stands still in the turning nadir frame, deg/s: x, y, z."""
-    return body_from_nadir(attitude_deg) @ np.array([0.0, -math.degrees(W0_RAD_S), 0.0])
-
-
-def _flown(yaw_deg, *, is_converted, duration_s=1500.0):
-    """Return yaw, roll, pitch at the end; matrix and rate integrated in steps of a quarter of a second."""
-    matrix = body_from_nadir([yaw_deg, 0.0, 0.0])
-    rate = np.radians(_rate_at(np.array([yaw_deg, 0.0, 0.0])))
-    momentum = LOW_ORBIT_INERTIA @ rate
-    wheel = np.zeros(3)
-    step_s = 0.25
-    for _ in range(round(duration_s / step_s)):
-        down = matrix[:, 2]
-        roll, pitch = math.atan2(down[1], down[2]), math.atan2(-down[0], down[2])
-        if is_converted:
-            in_deg = np.degrees([rate[2], rate[0], rate[1]])
-            yaw, roll, pitch = gyro_orbitant_torque(math.degrees(roll), math.degrees(pitch), in_deg, LAW, 0.25)
-            torque = np.array([roll, pitch, yaw])
-        else:
-            # nadir taken for up and South for the orbit normal
-            torque = np.clip(wanted_torque(LAW, roll, pitch, (rate[0], rate[1], rate[2])), -0.25, 0.25)
-        gravity = 3.0 * W0_RAD_S**2 * np.cross(down, LOW_ORBIT_INERTIA @ down)
-        momentum = momentum + step_s * (np.cross(momentum, rate) + gravity)
-        wheel = wheel - step_s * torque
-        rate = np.linalg.solve(LOW_ORBIT_INERTIA, momentum - wheel)
-        relative = rate - matrix @ np.array([0.0, -W0_RAD_S, 0.0])
-        x, y, z = relative * step_s
-        matrix = matrix - np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ matrix
-        u, _, vt = np.linalg.svd(matrix)
-        matrix = u @ vt
-    return np.degrees(
-        [math.atan2(matrix[0, 1], matrix[0, 0]), math.atan2(matrix[1, 2], matrix[2, 2]), -math.asin(matrix[0, 2])]
-    )
-
-
-@pytest.mark.parametrize("yaw_deg", [1.0, -5.0])
-def test_yaw_of_either_sign_is_brought_back(yaw_deg):
-    end_deg = _flown(yaw_deg, is_converted=True)
-    assert np.abs(end_deg).max() < 0.05 * abs(yaw_deg)
-
-
-def test_unconverted_law_drives_yaw_away():
-    assert abs(_flown(1.0, is_converted=False)[0]) > 5.0
 
 
 def test_no_torque_at_zero_attitude():

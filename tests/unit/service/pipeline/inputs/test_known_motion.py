@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, FlightPayload, S
+from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, FlightPayload, S, applied_command
 
 from service.pipeline.config import OperationConfig
 from service.pipeline.inputs.catalogue_torque import momentum_model
@@ -16,37 +16,16 @@ from service.records.calibration import AxesCheck, GatheredTorque, MotionVerdict
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft, WheelMomentum
 from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import Axes
-from service.records.levels.command import AppliedCommand, Pulse, ReportedCommand, TorqueCommand
+from service.records.levels.command import Pulse, ReportedCommand
 
 CRAFT = Spacecraft("yamal-test", "Test", LONGITUDE_DEG, SITE, INERTIA, 0.05)
 NAN = float("nan")
-ZERO = Axes(0.0, 0.0, 0.0)
 #: figures are sums of a few shares of numbers near one
 EXACT = 1e-12
 
 
 def command(*pulses, epoch_us=0, number=7):
-    """Return an applied command of some pulses."""
-    return AppliedCommand(
-        TorqueCommand(
-            epoch_us=epoch_us,
-            number=number,
-            attitude_epoch_us=epoch_us,
-            mode="ground",
-            torque_n_m=ZERO,
-            wheels_n_m=(0.0, 0.0, 0.0),
-            saturated=False,
-            command_period_s=60.0,
-            valid_until_us=epoch_us + MINUTE,
-            schedule=pulses,
-            impulse_n_m_s=ZERO,
-            predicted_angle_change_deg=ZERO,
-            predicted_rate_change_deg_s=ZERO,
-            predicted_wheel_momentum_n_m_s=(0.0, 0.0, 0.0),
-            control_allowed=True,
-            inhibitions=(),
-        )
-    )
+    return applied_command(epoch_us, pulses, number)
 
 
 def gained_deg_h(torque_n_m, duration_s, inertia_kg_m2):
@@ -86,38 +65,6 @@ def test_what_was_commanded_before_the_alignment_belongs_to_it():
     known, left = consume(left, 6 * MINUTE, 20 * MINUTE)
     np.testing.assert_allclose(known.correction_deg, [0.0, 0.2, 0.0], atol=EXACT)
     assert left.motions == ()
-
-
-def test_a_late_correction_is_applied_at_once_and_nothing_of_it_twice():
-    reported = heard(CommandedMotion(0), Correction(0, 10 * MINUTE, Axes(0.1, 0.0, -1.0)), None, 4 * MINUTE)
-    np.testing.assert_allclose(reported.late_deg, [0.04, 0.0, -0.4], atol=EXACT)
-    known, left = consume(reported, 4 * MINUTE, 7 * MINUTE)
-    np.testing.assert_allclose(known.late_correction_deg, [0.04, 0.0, -0.4], atol=EXACT)
-    np.testing.assert_allclose(known.correction_deg, [0.03, 0.0, -0.3], atol=EXACT)
-    assert left.late_deg == (0.0, 0.0, 0.0)
-    known, left = consume(left, 7 * MINUTE, 60 * MINUTE)
-    np.testing.assert_allclose(known.correction_deg + known.late_correction_deg, [0.03, 0.0, -0.3], atol=EXACT)
-    assert left.motions == ()
-
-
-def test_pulses_change_the_rate_by_torque_times_duration_over_inertia_and_the_angle_as_a_body_turns():
-    pulses = (Pulse(90 * S, 20.0, Axes(0.0, 0.01, 0.0)), Pulse(110 * S, 40.0, Axes(0.002, 0.0, -0.004)))
-    reported = heard(CommandedMotion(0), command(*pulses), CRAFT, 0)
-    epochs_us = [0, 60 * S, 95 * S, 100 * S, 180 * S, 240 * S, 3600 * S]
-    angles, rates = walked(reported, epochs_us)
-    # roll 2600, pitch 1400, yaw 2600 kg m2; each pulse is a constant acceleration between its ends
-    gained = np.array(
-        [[0.0, gained_deg_h(0.01, 20, 2600), 0.0], [gained_deg_h(0.002, 40, 2600), 0.0, gained_deg_h(-0.004, 40, 1400)]]
-    )
-    ends_s = np.array([[90.0, 110.0], [110.0, 150.0]])
-    now_s = np.array(epochs_us[1:]) / S
-    acted_s = np.clip(now_s[:, None], ends_s[:, 0], ends_s[:, 1]) - ends_s[:, 0]
-    share = acted_s / (ends_s[:, 1] - ends_s[:, 0])
-    after_s = np.maximum(now_s[:, None] - ends_s[:, 1], 0.0)
-    turned_h = (0.5 * share * acted_s + after_s) / 3600.0
-    np.testing.assert_allclose(rates, share @ gained, atol=EXACT)
-    np.testing.assert_allclose(angles, turned_h @ gained, atol=EXACT)
-    assert abs(angles[-1]).max() > 0.01
 
 
 @pytest.mark.parametrize("known_at_s", [95, 110, 200, 900])

@@ -14,16 +14,6 @@ from service.core.estimation.paper.turn_levels import TurnLevels, one_sided_curv
 PHASE_RAD = np.linspace(0.0, 2.0 * np.pi, 288, endpoint=False)
 
 
-@pytest.mark.parametrize("phi", [-3.1, -2.0, -0.6178, 0.0, 0.9, 2.4, 3.1])
-def test_amplitude_and_phase_are_recovered_in_all_quadrants(phi):
-    fit = fit_harmonic(PHASE_RAD, 0.35 * np.cos(PHASE_RAD + phi) - 42.9)
-    # rounding of float64 at a level of 43 dBm
-    assert fit.amplitude_db == pytest.approx(0.35, abs=1e-12)
-    assert fit.phase_rad == pytest.approx(phi, abs=1e-12)
-    assert fit.offset_dbm == pytest.approx(-42.9, abs=1e-12)
-    assert fit.rms_db < 1e-12
-
-
 def test_the_fit_evaluates_to_the_data_without_their_level():
     rng = np.random.default_rng(3)
     power_dbm = rng.normal(-50.0, 5.0, 4) + evaluate_harmonic(PHASE_RAD, [0.1, 0.2, 0.3, 0.4], [3.0, -1.0, 0.0, 1.5])

@@ -295,21 +295,6 @@ def answer(angle_deg, plus, minus):
     return np.maximum(angle_deg, 0.0) @ plus.T + np.minimum(angle_deg, 0.0) @ minus.T
 
 
-def test_slopes_and_level_of_noise_free_turns_are_exact():
-    plus, minus = random_slopes(np.random.default_rng(1), 5)
-    angle_deg = turn_plan()
-    level_db = np.array([0.0, 0.3, -0.2, 0.1, 5.0])
-    fit = fit_turn_sensitivity(angle_deg, answer(angle_deg, plus, minus) + level_db)
-    # rounding at a condition of about 10
-    np.testing.assert_allclose(fit.plus, plus, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(fit.minus, minus, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(fit.symmetric, 0.5 * (plus + minus), rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(fit.level_db, level_db, rtol=0.0, atol=1e-12)
-    assert np.all(fit.residual_db < 1e-12)
-    assert not fit.is_missing.any()
-    assert not fit.samples_rejected.any()
-
-
 def test_standard_errors_are_those_of_repeated_experiments():
     plus, minus = random_slopes(np.random.default_rng(2), 1)
     angle_deg = turn_plan(rows=8)

@@ -188,33 +188,6 @@ def taken(model, changes_db, seed=1):
     return states[1:], rows
 
 
-def recursion(model, states, rows):
-    """Return the smoothed attitude by Rauch, Tung and Striebel, which inverts the predicted covariance."""
-    mean, covariance = states[-1].gaussian
-    found = [(mean[ATTITUDE], covariance[ATTITUDE, ATTITUDE])]
-    for number in range(len(states) - 2, -1, -1):
-        own, later = states[number].gaussian, rows[number + 1]
-        matrix = dense(later.step)
-        # what came after the step is an update: the predicted state follows from it
-        whitened = later.update
-        reduced = states[number + 1].gaussian.covariance + whitened.cross.T @ whitened.cross
-        predicted = matrix @ own.mean
-        gain = np.linalg.solve(reduced, matrix @ own.covariance).T
-        mean = own.mean + gain @ (mean - predicted)
-        covariance = own.covariance + gain @ (covariance - reduced) @ gain.T
-        found.append((mean[ATTITUDE], covariance[ATTITUDE, ATTITUDE]))
-    return found
-
-
-def test_the_way_back_is_that_of_the_dense_recursion(model):
-    states, rows = taken(model, np.zeros((EFFECTIVE_ROWS, CARRIERS)))
-    assert any(row.rain_push > 0.0 for row in rows), "no row raises rain to its border"
-    pairs = zip(smoothed_rows(rows), recursion(model, states, rows), strict=True)
-    for own, (mean, covariance) in pairs:
-        np.testing.assert_allclose(own.mean[ATTITUDE], mean, atol=1e-8)
-        np.testing.assert_allclose(own.covariance[ATTITUDE, ATTITUDE], covariance, atol=1e-8)
-
-
 def test_later_rows_make_every_sigma_smaller_and_the_newest_row_is_the_filter(model):
     states, rows = taken(model, np.zeros((EFFECTIVE_ROWS, CARRIERS)))
     newest, *older = smoothed_rows(rows)
@@ -404,6 +377,7 @@ def dense_solution(taken):
 
 def test_a_linear_gaussian_case_with_records_equals_the_dense_solution(sensed_rows):
     rows = [each.row for each in sensed_rows]
+    assert any(row.rain_push > 0.0 for row in rows), "no row raises rain to its border"
     updates = [record.update for row in rows for record in row.sensed if record.update is not None]
     assert sorted(len(update.residual) for update in updates) == [1] * 7 + [3] * 4
     found, restarts = dense_solution(sensed_rows)

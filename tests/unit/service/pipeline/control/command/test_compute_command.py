@@ -1,15 +1,18 @@
-"""Torque commands: zero with reasons, pulses inside their period, and what they are predicted to do."""
+"""Torque commands: zero with reasons, pulses inside their period, what they do, and the verdict of flexible modes."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from service.core.flexible.schedule.schedule_check import analyse_schedule
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
 from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS, control_inhibitions
+from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
 from service.records.catalogue import ControlMode, FlexibleMode, Method, Onboard, Release, WheelSet
 from service.records.levels.attitude import Axes, row_without_attitude
+from service.records.levels.command import Pulse
 from service.records.levels.disturbance import Disturbance
 
 S = 1_000_000
@@ -268,3 +271,70 @@ def test_a_schedule_is_held_against_the_flexible_modes(record):
     assert refused.verdict == "reject"
     assert refused.margin < 0.0
     assert command(row(**STILL), flexible).command.schedule_check is None
+
+
+MODES = (FlexibleMode("pitch", 0.3, 0.003, 0.4), FlexibleMode("roll", 0.6, 0.003, 0.4))
+
+
+def roll(at_s, torque_n_m=0.02, duration_s=1.0):
+    return Pulse(EPOCH + round(at_s * S), duration_s, Axes(0.0, torque_n_m, 0.0))
+
+
+@pytest.fixture
+def swinging(payload):
+    return replace(payload.spacecraft(), modes=MODES)
+
+
+def test_the_verdict_is_that_of_the_analysis_of_the_axis(swinging):
+    reported = schedule_verdict((roll(10.0), roll(40.0)), swinging, TorqueConfig())
+    (inertia,) = {swinging.inertia_kg_m2[0][0]}
+    own = analyse_schedule(
+        pulses=((0.0, 1.0, 0.02), (30.0, 1.0, 0.02)),
+        inertia_kg_m2=inertia,
+        modes=((0.6, 0.003, 0.4),),
+        peak_allowed_rad=np.radians(TorqueConfig().panel_peak_limit_deg),
+    )
+    assert (reported.verdict, reported.worst_mode) == (own.verdict, 1)
+    assert reported.peak_deg == pytest.approx(np.degrees(own.peak_rad), rel=1e-12)
+    assert reported.residual_deg == pytest.approx(np.degrees(own.residual_rad), rel=1e-12)
+
+
+def test_without_modes_or_pulses_there_is_none(swinging):
+    assert schedule_verdict((roll(0.0),), replace(swinging, modes=()), TorqueConfig()) is None
+    assert schedule_verdict((), swinging, TorqueConfig()) is None
+    assert swing_after(None, (roll(0.0),), replace(swinging, modes=())) is None
+
+
+def test_what_one_schedule_leaves_counts_for_the_next_and_fades(swinging):
+    alone = schedule_verdict((roll(100.0),), swinging, TorqueConfig())
+    swing = swing_after(None, (roll(0.0),), swinging)
+    soon = schedule_verdict((roll(100.0),), swinging, TorqueConfig(), swing)
+    late = schedule_verdict((roll(7200.0),), swinging, TorqueConfig(), swing)
+    assert soon.peak_deg > 1.5 * alone.peak_deg
+    assert late.peak_deg == pytest.approx(alone.peak_deg, rel=1e-4)
+
+
+def test_two_halves_of_a_schedule_leave_what_the_whole_leaves(swinging):
+    first, second = (roll(0.0), roll(20.0, -0.02)), (roll(50.0), roll(61.0, 0.01, 3.0))
+    whole = swing_after(None, (*first, *second), swinging)
+    parts = swing_after(swing_after(None, first, swinging), second, swinging)
+    assert whole.at_us == parts.at_us
+    np.testing.assert_allclose(parts.phasor_rad, whole.phasor_rad, rtol=1e-9)
+    assert swing_after(parts, (), swinging) is parts
+
+
+def test_a_rejected_schedule_comes_with_what_helps(swinging):
+    strict = replace(TorqueConfig(), panel_peak_limit_deg=1.5e-4)
+    period_s = 2.0 * np.pi / 0.6
+    resonant = tuple(roll(k * period_s) for k in range(8))
+    reported = schedule_verdict(resonant, swinging, strict)
+    assert reported.verdict == "reject"
+    assert reported.suggestion is not None
+
+
+def test_swings_of_other_modes_are_forgotten_and_a_mode_without_damping_is_given_a_little(swinging):
+    swing = PanelSwing(EPOCH, (1.0 + 0j,))
+    reported = schedule_verdict((roll(0.0),), swinging, TorqueConfig(), swing)
+    assert reported == schedule_verdict((roll(0.0),), swinging, TorqueConfig())
+    undamped = replace(swinging, modes=(replace(MODES[1], damping_ratio=0.0),))
+    assert schedule_verdict((roll(0.0),), undamped, TorqueConfig()) is not None

@@ -1,11 +1,16 @@
-"""States of a command: persons, digests, times, reports; each illegal step with its code and without effect."""
+"""States of a released command, its refusals, and the verdict on control with its conditions."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from release_driver import US, ReleaseDriver
+from release_service_driver import GOOD, ReleaseServiceDriver
+from scripted_release_service import CONTROL
 
+from service.pipeline.config import InterlockConfig
+from service.pipeline.control.control_conditions import control_conditions
 from service.pipeline.control.release.advance import advance
 from service.pipeline.control.release.command_states import (
     COMMAND_TRANSITIONS,
@@ -16,18 +21,28 @@ from service.pipeline.control.release.command_states import (
     next_state,
 )
 from service.pipeline.control.release.command_transitions import pulses_between
+from service.pipeline.control.release.control_verdict import _NEXT_STEPS, CODES, control_verdict, reason_of
 from service.pipeline.control.release.events import (
     Automatic,
     Cancel,
     Confirm,
     JournalEffect,
+    OrderKind,
     Prepare,
     Report,
     UplinkEffect,
     digest_of,
 )
+from service.pipeline.control.release.interlock_conditions import (
+    Condition,
+    InterlockInputs,
+    input_values,
+    interlock_row,
+)
 from service.pipeline.control.release.release_checks import release_checks, sent_within_an_hour
-from service.records.levels.attitude import Axes
+from service.pipeline.control.release.settings import ReleaseSettings
+from service.records.catalogue import Release
+from service.records.levels.attitude import Axes, Status
 from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
 
 
@@ -273,3 +288,255 @@ def test_the_law_gets_no_time_to_look_at_an_estimate_and_persons_get_ten_minutes
 def test_the_same_events_lead_to_the_same_state(driver):
     event = Prepare(driver.at, "ann", driver.proposal())
     assert advance(driver.state, event, driver.settings) == advance(driver.state, event, driver.settings)
+
+
+def codes(verdict):
+    return [reason.code for reason in verdict.reasons]
+
+
+def test_every_reason_has_one_text_and_one_next_step():
+    stated = [code for codes in _NEXT_STEPS.values() for code in codes.split()]
+    assert sorted(stated) == sorted(CODES)
+    for code in CODES:
+        reason = reason_of(code)
+        assert reason.text
+        assert "{" not in reason.text
+        assert reason.next_step.endswith(".")
+
+
+def test_rows_of_every_status_have_reasons_in_words():
+    for status in Status:
+        facts = interlock_row(replace(GOOD, status=status), 60.0, is_innovation_in_band=True)
+        assert set(facts.inhibitions) <= CODES | {"not_received"}, "rows are received"
+    # a row without angles, told by the service
+    driver = ReleaseServiceDriver()
+    driver.rows(1, status=Status.INVALID, inhibitions=("no_fix",), control_allowed=False)
+    assert codes(driver.verdict) == ["no_fix", "invalid", "yaw_sign", "not_armed"]
+    assert driver.verdict.reasons[1].text == "the newest row gives no attitude"
+    # what another version has stored is told as it is
+    stored = control_verdict(CONTROL, replace(GOOD, inhibitions=("of_old",)))
+    assert (stored.is_allowed, stored.reasons[0].text) == (False, "of_old")
+
+
+def test_the_reason_to_act_on_comes_first():
+    row = replace(GOOD, status=Status.INVALID, inhibitions=("not_aligned",), control_allowed=False)
+    view = replace(CONTROL, state="INHIBITED", reasons=(reason_of("estimate_old"), reason_of("yaw_sign")))
+    assert codes(control_verdict(view, row)) == ["not_aligned", "estimate_old", "yaw_sign"], "links are not to blame"
+    row = replace(GOOD, status=Status.EXPIRED, inhibitions=("expired", "redundancy"), control_allowed=False)
+    assert codes(control_verdict(view, row))[0] == "redundancy"
+
+
+def test_figures_are_those_of_the_settings():
+    settings = ReleaseSettings(hand_over_deg=0.7, ephemeris_ahead_s=4 * 3600.0, good_s=120.0)
+    assert "0.7 deg" in reason_of("hand_over", settings=settings).text
+    assert "4 h" in reason_of("ephemeris", settings=settings).text
+    assert "2 minutes" in reason_of("good_minutes", settings=settings).text
+    assert re.search(r"80 %", reason_of("momentum").text)
+
+
+@pytest.mark.parametrize("state", ["ARMED", "ENGAGED", "RECOVERY"])
+def test_while_neither_forbids_it_is_allowed_and_yaw_alone_may_be_withheld(state):
+    verdict = control_verdict(replace(CONTROL, state=state), GOOD)
+    assert (verdict.is_allowed, verdict.state, codes(verdict)) == (True, state, ["yaw_sign"])
+
+
+@pytest.mark.parametrize("release", ["two_step", "automatic"])
+def test_a_row_that_forbids_forbids(release):
+    row = replace(GOOD, inhibitions=("downlink_fade",), control_allowed=False)
+    verdict = control_verdict(replace(CONTROL, release=release), row)
+    assert (verdict.is_allowed, codes(verdict)) == (False, ["downlink_fade", "yaw_sign"])
+    assert verdict.state == ("INHIBITED" if release == "automatic" else "ARMED")
+
+
+def test_nothing_known_forbids():
+    assert codes(control_verdict(None, None)) == ["release_unreadable", "no_attitude"]
+    assert control_verdict(None, GOOD).state == "INHIBITED"
+    assert not control_verdict(None, GOOD).is_allowed
+    assert not control_verdict(CONTROL, None).is_allowed
+
+
+def test_a_trip_forbids_whatever_the_row_says():
+    view = replace(CONTROL, state="TRIPPED", reasons=(reason_of("stop", 5),), release="automatic")
+    verdict = control_verdict(view, GOOD)
+    assert (verdict.is_allowed, verdict.state, codes(verdict)) == (False, "TRIPPED", ["stop"])
+
+
+def test_reasons_tell_since_when_they_stand_without_a_break():
+    driver = ReleaseServiceDriver()
+    driver.rows(3)
+    driver.rows(1, downlink_fade=True)
+    began_us = driver.clock.now
+    driver.rows(3, downlink_fade=True)
+    since = {reason.code: reason.since_us for reason in driver.view.reasons}
+    assert since["fade"] == began_us
+    driver.rows(1)
+    driver.rows(1, downlink_fade=True)
+    since = {reason.code: reason.since_us for reason in driver.view.reasons}
+    assert since["fade"] == driver.clock.now
+    # a restart forgets what has not tripped, and keeps a trip's instant
+    driver.order(OrderKind.STOP)
+    stopped_us = driver.clock.now
+    driver.restart()
+    driver.rows(2)
+    since = {reason.code: reason.since_us for reason in driver.view.reasons}
+    assert since["stop"] == stopped_us
+    assert since["yaw_sign"] > stopped_us
+
+
+def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_restart():
+    driver = ReleaseServiceDriver()
+    driver.archive.change_spacecraft(release=Release.AUTOMATIC)
+    driver.rows(2)
+    assert driver.verdict.is_allowed
+    assert codes(driver.verdict) == []
+    driver.order(OrderKind.STOP)
+    assert driver.verdict.state == "TRIPPED"
+    driver.rows(20)
+    driver.order(OrderKind.RESET)
+    assert (driver.verdict.state, codes(driver.verdict)) == ("INHIBITED", ["good_minutes"])
+    driver.rows(8)
+    assert (driver.verdict.is_allowed, driver.view.is_withheld) == (False, True)
+    driver.restart()
+    driver.rows(8)
+    assert (driver.verdict.is_allowed, driver.view.is_withheld) == (False, True)
+    # a bad row begins them again
+    driver.rows(1, downlink_fade=True)
+    driver.rows(10)
+    assert not driver.verdict.is_allowed
+    assert driver.releases.reported[-1].is_withheld
+    driver.rows(2)
+    assert (driver.verdict.state, driver.verdict.is_allowed, driver.view.is_withheld) == ("ENGAGED", True, False)
+    assert driver.releases.reported[-1].is_withheld is False
+    assert driver.releases.reported[-1].at_us == driver.clock.now - 60 * US
+
+
+def test_the_estimators_own_reasons_are_told_in_place_of_one_for_all():
+    driver = ReleaseServiceDriver()
+    driver.rows(1, inhibitions=("chain_step",), control_allowed=False)
+    assert codes(driver.verdict) == ["chain_step", "yaw_sign", "not_armed"]
+    driver = ReleaseServiceDriver().armed()
+    # by its own wider limits the interlock stays armed; the row forbids all the same
+    driver.rows(1, attitude_deg=Axes(0.0, 0.35, 0.0), inhibitions=("beyond_validity",), control_allowed=False)
+    assert (driver.state, driver.verdict.is_allowed) == ("ARMED", False)
+
+
+def conditions_of(driver, **limits):
+    found = control_conditions(driver.view, driver.row, driver.verdict, InterlockConfig(**limits))
+    return {each.code: each for each in found}
+
+
+def test_every_code_of_a_verdict_is_listed_once_but_the_one_that_stands_for_a_trip():
+    driver = ReleaseServiceDriver()
+    found = control_conditions(driver.view, driver.row, driver.verdict, InterlockConfig())
+    assert sorted(each.code for each in found) == sorted(CODES - {"tripped"})
+
+
+def test_before_the_first_row_nothing_of_it_is_judged():
+    driver = ReleaseServiceDriver()
+    driver.archive.is_aligned = False
+    found = conditions_of(driver)
+    assert {code for code, each in found.items() if each.is_met is False} == {
+        "estimate_old",
+        "not_aligned",
+        "no_attitude",
+        "not_armed",
+        "yaw_sign",
+    }
+    for code in ("sigma_roll", "fade", "hand_over", "no_fix", "protection_level", "expired", "mode_off"):
+        assert (found[code].is_met, found[code].value) == (None, None), code
+    assert found["sigma_roll"].limit == 0.06
+    assert (found["estimate_old"].limit, found["innovation"].value) == (None, None)
+    assert (found["good_minutes"].is_met, found["good_minutes"].value) == (None, 0.0)
+    assert found["momentum"].is_met, "a momentum that no telemetry tells is passed over"
+
+
+def test_what_cannot_be_read_is_not_judged():
+    verdict = control_verdict(None, GOOD)
+    found = {each.code: each for each in control_conditions(None, GOOD, verdict, InterlockConfig())}
+    assert found["release_unreadable"].is_met is False
+    assert (found["stop"].is_met, found["sigma_roll"].value, found["good_minutes"].limit) == (None, None, None)
+    assert found["downlink_fade"].is_met
+
+
+def test_values_stand_beside_their_limits():
+    driver = ReleaseServiceDriver()
+    row = {"attitude_deg": Axes(0.1, -0.3, 0.2), "protection_deg": Axes(0.5, 0.1, 0.3)}
+    driver.rows(4, lag_s=20.0, **row, inhibitions=("protection_level",), control_allowed=False)
+    driver.archive.ephemeris_stop_us = driver.clock.now + 7 * 3600 * US
+    driver.momentum(10.0)
+    found = conditions_of(driver, alert_limit_deg=0.25)
+    told = {code: (each.value, each.limit, each.bound, each.unit) for code, each in found.items()}
+    assert told["estimate_old"] == (20.0, 210.0, "greatest", "s")
+    assert told["sigma_pitch"] == (0.03, 0.10, "greatest", "deg")
+    assert told["redundancy"] == (9, 2, "least", "")
+    assert told["ephemeris"] == (7 * 3600.0, 6 * 3600.0, "least", "s")
+    assert told["hand_over"] == (0.3, 0.6, "greatest", "deg")
+    assert told["beyond_validity"] == (0.3, 0.4, "greatest", "deg")
+    assert told["protection_level"] == (0.3, 0.25, "greatest", "deg")
+    assert told["momentum"] == (pytest.approx(50.0), 80.0, "greatest", "%")
+    assert told["innovation"] == (0.0, 1800.0, "greatest", "s")
+    assert told["stop"] == (None, None, None, "")
+    assert found["protection_level"].since_us == driver.clock.now - 3 * 60 * US
+    # the row's own reasons stand in place of one for all
+    assert (found["estimator"].is_met, found["protection_level"].is_met) == (None, False)
+
+
+def test_a_fade_without_a_size_is_not_a_fade_of_zero():
+    driver = ReleaseServiceDriver()
+    driver.rows(1)
+    assert conditions_of(driver)["fade"].value == 0.0
+    driver.rows(1, downlink_fade=True)
+    assert conditions_of(driver)["fade"].value is None
+    driver.rows(1, downlink_fade=True, downlink_fade_db=4.1)
+    found = conditions_of(driver)
+    assert (found["fade"].value, found["downlink_fade"].value, found["fade"].limit) == (4.1, 4.1, None)
+
+
+def test_the_good_minutes_are_counted():
+    driver = ReleaseServiceDriver()
+    driver.rows(1)
+    began_us = driver.clock.now
+    driver.rows(4)
+    good = driver.view.good_minutes
+    assert (good.since_us, good.elapsed_s, good.needed_s) == (began_us, 240.0, 600.0)
+    assert conditions_of(driver)["good_minutes"].is_met is None, "arming asks for them, nothing else does"
+    driver.rows(1, downlink_fade=True)
+    assert (driver.view.good_minutes.since_us, driver.view.good_minutes.elapsed_s) == (None, 0.0)
+    driver.rows(30)
+    assert driver.view.good_minutes.elapsed_s == 600.0
+    driver.order(OrderKind.ARM)
+    assert all(each.is_met for each in conditions_of(driver).values() if each.consequence != "yaw")
+    driver.rows(1, downlink_fade=True)
+    driver.rows(3)
+    found = conditions_of(driver)
+    assert (found["good_minutes"].is_met, found["good_minutes"].value) == (False, 120.0)
+
+
+def test_reports_that_are_owed_are_counted():
+    driver = ReleaseServiceDriver().armed()
+    command = driver.sent()
+    driver.rows(1)
+    found = conditions_of(driver)
+    assert (found["unreported"].value, found["unreported"].limit) == (1, 1)
+    assert found["report_late"].value == 0.0, "it is still flown"
+    driver.pass_time((command.stop_us - driver.clock.now) / US + 90.0)
+    assert conditions_of(driver)["report_late"].value == 90.0
+
+
+def test_angles_that_are_not_numbers_have_no_value():
+    nan = float("nan")
+    row = replace(GOOD, attitude_deg=Axes(nan, nan, 0.1), inhibitions=("of_old",))
+    found = control_conditions(None, row, control_verdict(None, row), InterlockConfig())
+    values = {each.code: each for each in found}
+    assert values["beyond_validity"].value is None
+    assert (found[-1].code, found[-1].is_met, found[-1].consequence) == ("of_old", False, "inhibit")
+
+
+def test_limits_hold_before_the_first_row_and_an_ephemeris_is_not_counted_from_a_clock_that_has_no_time():
+    found = {each.code: each for each in control_conditions(None, None, control_verdict(None, None), InterlockConfig())}
+    limits = (InterlockConfig().validity_limit_deg, InterlockConfig().alert_limit_deg)
+    assert (found["beyond_validity"].limit, found["protection_level"].limit) == limits
+    assert (found["beyond_validity"].value, found["protection_level"].value) == (None, None)
+    inputs = InterlockInputs(ephemeris_stop_us=1_800_000_000 * US)
+    assert input_values(inputs, 1_799_999_000 * US)[Condition.EPHEMERIS] == 1000.0
+    assert Condition.EPHEMERIS not in input_values(inputs, 0)

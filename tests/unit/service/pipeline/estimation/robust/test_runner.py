@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_flight import HOUR, INERTIA, MINUTE, Flight, FlightDocuments, FlightPayload
+from geometry_flight import HOUR, INERTIA, MINUTE, Flight, FlightDocuments, FlightPayload, applied_command
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.runner import RobustRunner
@@ -19,7 +19,7 @@ from service.records.inputs import (
     SpacecraftChange,
 )
 from service.records.levels.attitude import Axes
-from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
+from service.records.levels.command import Pulse
 from service.records.levels.quality_flag import QualityFlag
 
 PAYLOAD = FlightPayload.make()
@@ -35,28 +35,8 @@ def flight():
 
 def applied(flight, start, pulses, number=1):
     """Return an applied command of pulses (start in minutes, duration in s, torque)."""
-    epoch_us = flight.at(start)
     schedule = tuple(Pulse(flight.at(at), duration_s, Axes(*torque)) for at, duration_s, torque in pulses)
-    return AppliedCommand(
-        TorqueCommand(
-            epoch_us=epoch_us,
-            number=number,
-            attitude_epoch_us=epoch_us,
-            mode="ground",
-            torque_n_m=ZERO,
-            wheels_n_m=(0.0, 0.0, 0.0),
-            saturated=False,
-            command_period_s=60.0,
-            valid_until_us=epoch_us + MINUTE,
-            schedule=schedule,
-            impulse_n_m_s=ZERO,
-            predicted_angle_change_deg=ZERO,
-            predicted_rate_change_deg_s=ZERO,
-            predicted_wheel_momentum_n_m_s=(0.0, 0.0, 0.0),
-            control_allowed=True,
-            inhibitions=(),
-        )
-    )
+    return applied_command(flight.at(start), schedule, number)
 
 
 # ---- flags ----------------------------------------------------------------------------------------------------------

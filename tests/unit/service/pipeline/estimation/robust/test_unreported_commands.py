@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_flight import HOUR, INERTIA, Flight, FlightPayload
+from geometry_flight import HOUR, INERTIA, Flight, FlightPayload, applied_command
 
 from service.pipeline.estimation.robust import runner as robust_runner
 from service.records.catalogue import AxisTorques, FedForwardTorque, Method, Onboard
 from service.records.inputs import AlignmentSet, Correction, SpacecraftChange
 from service.records.levels.attitude import Axes
-from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
+from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
 
 PAYLOAD = FlightPayload.make()
 ZERO = Axes(0.0, 0.0, 0.0)
@@ -39,27 +39,7 @@ def reported(flight, counter=1, announced=SLEW, minute=20):
 
 
 def applied(flight, announced=SLEW, minute=5):
-    nothing = (0.0, 0.0, 0.0)
-    return AppliedCommand(
-        TorqueCommand(
-            epoch_us=flight.at(minute),
-            number=1,
-            attitude_epoch_us=flight.at(minute),
-            mode="ground",
-            torque_n_m=ZERO,
-            wheels_n_m=nothing,
-            saturated=False,
-            command_period_s=3600.0,
-            valid_until_us=flight.at(minute + 60),
-            schedule=pulses(flight, announced),
-            impulse_n_m_s=ZERO,
-            predicted_angle_change_deg=ZERO,
-            predicted_rate_change_deg_s=ZERO,
-            predicted_wheel_momentum_n_m_s=nothing,
-            control_allowed=True,
-            inhibitions=(),
-        )
-    )
+    return applied_command(flight.at(minute), pulses(flight, announced), period_s=3600.0)
 
 
 def turned_deg(minute, announced=SLEW):

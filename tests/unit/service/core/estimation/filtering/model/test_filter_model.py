@@ -17,7 +17,6 @@ from service.core.estimation.filtering.model.filter_model import (
     LearnedFeed,
     MomentumModel,
     PolarimeterModel,
-    RateSensorModel,
     model_error_component,
     model_variance_db2,
     no_motion,
@@ -44,8 +43,6 @@ from service.core.estimation.filtering.model.hidden_motion import (
     torque_states,
 )
 from service.core.estimation.filtering.model.measured_motion import (
-    ORBITAL_RATE_PER_H,
-    measured_settings,
     with_inertial_drift,
     with_measured_rate,
     with_sensor_bias,
@@ -156,7 +153,6 @@ def test_a_reset_carrier_knows_nothing_of_the_others():
     np.testing.assert_array_equal(after.covariance[ATTITUDE, ATTITUDE], state.covariance[ATTITUDE, ATTITUDE])
 
 
-SENSOR = RateSensorModel(0.01, 8.0, 0.003)
 RATE_DEG_H = np.array([0.2, -0.1, 0.3])
 REST = slice(9, 12)
 
@@ -180,14 +176,6 @@ def alone(gaussian, states, sigma):
     np.testing.assert_allclose(rows[:, states], sigma**2 * np.eye(3), rtol=1e-12)
     rows[:, states] = 0.0
     assert not rows.any()
-
-
-def test_a_measured_step_has_the_bias_for_the_drift_and_the_noise_of_the_sensor_alone():
-    settings = measured_settings(FilterSettings(coupling_per_h=0.0), SENSOR)
-    assert (settings.drift_deg_h, settings.drift_tau_h) == ((0.01, 0.01, 0.01), 8.0)
-    assert settings.coupling_per_h == ORBITAL_RATE_PER_H
-    assert settings.rate_noise_deg_sqrt_h == 0.003
-    assert FilterSettings().rate_noise_deg_sqrt_h is None
 
 
 def test_the_measured_rate_and_a_fresh_bias_stand_by_themselves():

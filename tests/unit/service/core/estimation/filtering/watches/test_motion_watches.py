@@ -79,6 +79,7 @@ def test_the_measured_rate_takes_the_place_of_the_commanded_one_and_the_bias_tha
     np.testing.assert_array_equal(moving.gaussian.covariance[DRIFT, DRIFT], np.diag(np.full(3, 0.01**2)))
     settings = measured_settings(PLAIN._replace(coupling_per_h=0.0), SENSOR)
     assert (settings.coupling_per_h, settings.drift_deg_h, settings.drift_tau_h) == (0.2625162, (0.01,) * 3, 8.0)
+    assert (settings.rate_noise_deg_sqrt_h, PLAIN.rate_noise_deg_sqrt_h) == (0.003, None)
 
 
 def test_the_inertial_model_goes_on_with_the_rate_that_was_measured():
