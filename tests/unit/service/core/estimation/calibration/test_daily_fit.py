@@ -177,30 +177,6 @@ def test_elimination_is_the_dense_solution():
     assert between == pytest.approx(covariance[:3, 6:9], abs=1e-11)
 
 
-def test_a_prior_of_zero_holds_a_coefficient():
-    """The held coefficient is zero without error; the others are those of the smaller problem."""
-    own, shared, values = problem()
-    prior = np.full((4, 3), 2.0)
-    prior[1, 2] = 0.0
-    fit = fit_separable(own, shared, values, prior, 0.5)
-    own_without = own.copy()
-    own_without[1, :, 2] = 0.0
-    expected = fit_separable(own_without, shared, values, np.full((4, 3), 2.0), 0.5)
-    assert fit.own[1, 2] == 0.0
-    assert not fit.own_covariance[1, 2].any()
-    assert not fit.gain[1, 2].any()
-    assert fit.own == pytest.approx(expected.own, abs=1e-11)  # rounding
-
-
-def test_what_the_data_do_not_tell_is_the_prior():
-    """A column of zeros comes out as zero with the prior's variance."""
-    own, shared, values = problem()
-    own[0, :, 1] = 0.0
-    fit = fit_separable(own, shared, values, np.full((4, 3), 7.0), 0.5)
-    assert fit.own[0, 1] == pytest.approx(0.0, abs=1e-12)  # rounding
-    assert fit.own_covariance[0, 1, 1] == pytest.approx(49.0, rel=1e-12)
-
-
 BINS_SEED = 4
 
 

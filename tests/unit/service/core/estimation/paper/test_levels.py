@@ -254,24 +254,6 @@ def test_nothing_gives_no_levels():
     assert levels.deviation_db.shape == (0, 2)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_the_curvature_of_each_side_is_found(axis):
-    levels = levels_of(lambda x: np.where(x > 0.0, 1.1 * x - 1.3 * x**2, 1.4 * x + 0.7 * x**2) + 0.2, axis)
-    curvature = one_sided_curvature(levels, 0, axis, 0.5)
-    np.testing.assert_allclose(curvature.q_db_per_deg2, [-1.3, 0.7], rtol=0.0, atol=1e-10)  # rounding, condition 1e2
-    assert np.all(curvature.sigma_db_per_deg2 < 1e-10)
-    assert curvature.excursion_deg == 0.5
-
-
-def test_its_error_is_the_scatter_of_the_levels():
-    fits = [
-        one_sided_curvature(levels_of(lambda x: 1.2 * x, noise_db=0.05, seed=seed), 0, 1, 0.5) for seed in range(300)
-    ]
-    spread = np.std([fit.q_db_per_deg2 for fit in fits], axis=0)
-    claimed = np.sqrt(np.mean([fit.sigma_db_per_deg2**2 for fit in fits], axis=0))
-    np.testing.assert_allclose(claimed, spread, rtol=0.17)  # 300 draws: 4.1 per cent; four of these
-
-
 def test_levels_beyond_the_range_take_no_part():
     levels = levels_of(lambda x: 1.2 * x - 5.0 * np.maximum(np.abs(x) - 0.5, 0.0), sizes=(0.2, 0.35, 0.5, 0.9))
     curvature = one_sided_curvature(levels, 0, 1, 0.5)
@@ -284,31 +266,6 @@ def test_one_level_on_a_side_measures_no_curvature():
     jitter = 0.005 * np.random.default_rng(1).standard_normal(levels.angle_deg.shape)
     curvature = one_sided_curvature(TurnLevels(levels.angle_deg + jitter, levels.deviation_db), 0, 1, 0.5)
     assert np.isnan(curvature.q_db_per_deg2).all()
-
-
-def test_a_side_never_turned_has_none_and_the_other_keeps_its_own():
-    levels = levels_of(lambda x: 1.1 * x - 1.3 * x**2)
-    half = levels.angle_deg[:, 1] >= 0.0
-    curvature = one_sided_curvature(TurnLevels(levels.angle_deg[half], levels.deviation_db[half]), 0, 1, 0.5)
-    assert curvature.q_db_per_deg2[0] == pytest.approx(-1.3, abs=1e-10)  # rounding
-    assert np.isnan(curvature.q_db_per_deg2[1])
-    assert curvature.excursion_deg == 0.0
-
-
-@pytest.mark.parametrize("case", ["no axis", "absent", "not turned", "no level to spare"])
-def test_what_is_not_determined_is_nan(case):
-    levels = levels_of(lambda x: 1.1 * x)
-    axis = -1 if case == "no axis" else 1
-    if case == "absent":
-        levels = TurnLevels(levels.angle_deg, np.full_like(levels.deviation_db, np.nan))
-    if case == "not turned":
-        levels = TurnLevels(levels.angle_deg * [1.0, 0.0, 1.0], levels.deviation_db)
-    if case == "no level to spare":
-        levels = TurnLevels(np.vstack([levels.angle_deg[:1], np.eye(3) * 0.3]), np.zeros((4, 1)))
-    curvature = one_sided_curvature(levels, 0, axis, 0.5)
-    assert np.isnan(curvature.q_db_per_deg2).all()
-    assert np.isnan(curvature.sigma_db_per_deg2).all()
-    assert np.isnan(curvature.excursion_deg)
 
 
 WET = FadeTest(is_fade=True, median_db=-1.0, spread_db=0.1, share_below=1.0)
