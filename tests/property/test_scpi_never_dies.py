@@ -52,8 +52,15 @@ def throw(name, data):
     assert bench.instrument.status.error_count <= FACTS[name].queue_depths[1]
 
 
-def fuzz(name, kind, examples, *, is_repeatable):
-    """Throw examples of one kind at one dialect."""
+@pytest.mark.parametrize(
+    ("examples", "is_repeatable"),
+    [
+        pytest.param(EXAMPLES, True, id="some"),
+        pytest.param(NIGHTLY_EXAMPLES, False, id="many", marks=[pytest.mark.nightly, pytest.mark.timeout(3600)]),
+    ],
+)
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_anything_leaves_the_instrument_alive(name, kind, examples, is_repeatable):
     check = given(KINDS[kind](name))(lambda data: throw(name, data))
     options = settings(
         max_examples=examples,
@@ -63,18 +70,6 @@ def fuzz(name, kind, examples, *, is_repeatable):
         suppress_health_check=[HealthCheck.too_slow],  # a busy machine is no fault of the strategy
     )
     options(check)()
-
-
-@pytest.mark.parametrize(("name", "kind"), CASES)
-def test_anything_leaves_the_instrument_alive(name, kind):
-    fuzz(name, kind, EXAMPLES, is_repeatable=True)
-
-
-@pytest.mark.nightly
-@pytest.mark.timeout(3600)
-@pytest.mark.parametrize(("name", "kind"), CASES)
-def test_nightly_anything_leaves_the_instrument_alive(name, kind):
-    fuzz(name, kind, NIGHTLY_EXAMPLES, is_repeatable=False)
 
 
 def framer_fed_in_pieces(data, cuts):

@@ -85,6 +85,14 @@ CASES = (
 )
 
 
+def first_and_nightly(seed, nightly_seeds):
+    """Return seeds as parameters: the first of slow tests, the others of nightly ones."""
+    return [
+        pytest.param(seed, marks=pytest.mark.slow),
+        *(pytest.param(each, marks=pytest.mark.nightly) for each in nightly_seeds),
+    ]
+
+
 def wrong_minutes(seed, change):
     """Return for how many minutes control was allowed at a wrong angle."""
     world = shared_world("nominal", seed)
@@ -116,6 +124,7 @@ def test_no_input_makes_a_confident_wrong_angle_over_seeds(change):
 
 
 RAIN_SEED, NIGHTLY_RAIN = 5, (21, 22, 23, 24, 25)
+RAIN_SEEDS = first_and_nightly(RAIN_SEED, NIGHTLY_RAIN)
 #: dB/min, and dB
 RAINS = ((0.02, 2.0), (0.05, 3.0), (0.1, 3.0), (0.3, 4.0), (1.0, 5.0), (3.0, 6.0))
 START_H = 2.0
@@ -134,8 +143,11 @@ def rained(world, slope_db_min, depth_db, full_h):
     return reported, fade_db, begin, over
 
 
-def assert_rain_is_found(world, slope_db_min, depth_db):
-    reported, fade_db, begin, _ = rained(world, slope_db_min, depth_db, 1.0)
+@pytest.mark.parametrize("seed", RAIN_SEEDS)
+@pytest.mark.parametrize(("slope_db_min", "depth_db"), RAINS)
+def test_rain_is_found_within_a_minute(slope_db_min, depth_db, seed):
+    """A minute after 0.3 dB, 95 % of the wet rows, no wrong torque."""
+    reported, fade_db, begin, _ = rained(shared_world("nominal", seed), slope_db_min, depth_db, 1.0)
     wet = fade_db > WET_DB
     delay = int(np.argmax(reported.is_fade[begin:])) if reported.is_fade[begin:].any() else len(wet)
     coverage = float(reported.is_fade[wet].mean())
@@ -147,38 +159,20 @@ def assert_rain_is_found(world, slope_db_min, depth_db):
     assert wrong.sum() == 0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("slope_db_min", "depth_db"), RAINS)
-def test_rain_is_found_within_a_minute(slope_db_min, depth_db):
-    """A minute after 0.3 dB, 95 % of the wet rows, no wrong torque."""
-    assert_rain_is_found(shared_world("nominal", RAIN_SEED), slope_db_min, depth_db)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("seed", NIGHTLY_RAIN)
-@pytest.mark.parametrize(("slope_db_min", "depth_db"), RAINS)
-def test_rain_is_found_within_a_minute_over_seeds(slope_db_min, depth_db, seed):
-    assert_rain_is_found(shared_world("nominal", seed), slope_db_min, depth_db)
-
-
-def assert_no_rain_in_octants(world):
-    reported = world.plain
+@pytest.mark.parametrize(
+    ("seed", "days"),
+    [
+        pytest.param(12, 0.5, marks=pytest.mark.slow),
+        *(pytest.param(seed, 2.0, marks=pytest.mark.nightly) for seed in NIGHTLY_RAIN),
+    ],
+)
+def test_excursions_are_no_rain(seed, days):
+    """Half a day and two days through octants up to 0.4 deg."""
+    reported = shared_world("octants", seed, days).plain
     reached = np.abs(reported.truth_deg).max(axis=0)
     print(f"largest excursions {reached.round(3)} deg, rain told {reported.is_fade.sum()} times")
     assert (reached[1:] > 0.2).all(), "the spacecraft must move for the claim to mean anything"
     assert not reported.is_fade.any()
-
-
-@pytest.mark.slow
-def test_excursions_are_no_rain():
-    """Half a day through octants up to 0.4 deg."""
-    assert_no_rain_in_octants(shared_world("octants", 12))
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("seed", NIGHTLY_RAIN)
-def test_excursions_are_no_rain_over_seeds(seed):
-    assert_no_rain_in_octants(shared_world("octants", seed, 2.0))
 
 
 def assert_long_rain(world, slope_db_min):
@@ -392,8 +386,10 @@ STEP_DEG = np.array([0.02, 0.005, 0.005])
 RETURN_SHIFT_DEG = np.array([0.05, 0.02, 0.02])
 
 
-def assert_return_turns_little(world):
+@pytest.mark.parametrize("seed", first_and_nightly(RETURN_SEED, NIGHTLY_RETURNS))
+def test_carriers_that_return_at_another_level_turn_little(seed):
     """Against the flight of the same noise from which nobody went away."""
+    world = shared_world("nominal", seed)
     power_dbm = world.changed(AWAY_H, BACK_H, np.nan, GONE)
     back = world.hours >= BACK_H
     power_dbm[np.ix_(back, GONE)] = power_dbm[np.ix_(back, GONE)] + CHANGE_DB
@@ -411,17 +407,6 @@ def assert_return_turns_little(world):
     }
     assert out.isdisjoint({world.ground.carrier_ids[k] for k in GONE}), "they count again three hours later"
     assert not reported.advises("realign").any()
-
-
-@pytest.mark.slow
-def test_carriers_that_return_at_another_level_turn_little():
-    assert_return_turns_little(shared_world("nominal", RETURN_SEED))
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("seed", NIGHTLY_RETURNS)
-def test_carriers_that_return_at_another_level_turn_little_over_seeds(seed):
-    assert_return_turns_little(shared_world("nominal", seed))
 
 
 @pytest.mark.slow

@@ -18,7 +18,6 @@ from service.records.calibration import CalibrationMethod
 from service.records.catalogue import CarrierPlan, Method, Station, Track
 from service.records.inputs import (
     AlignmentSet,
-    AttitudeReference,
     CalibrationActivation,
     Correction,
     Operation,
@@ -197,13 +196,6 @@ def test_a_late_row_leaves_everything_after_it_bit_for_bit(flight, minute, chang
     assert repr(flight.chain.carrier_states()) == known
     for k in range(31, 60):
         assert repr(flight.chain.step(noisy(flight, k))) == repr(plain.chain.step(noisy(plain, k)))
-
-
-def test_a_star_tracker_gone_mad_changes_nothing(flight):
-    plain, mad = Flight(PAYLOAD), Axes(1e9, -1e9, 1e9)
-    for minute in range(1, 30):
-        flight.chain.update(AttitudeReference("star_tracker", flight.at(minute), mad, Axes(1e-9, 1e-9, 1e-9)))
-        assert repr(flight.chain.step(noisy(flight, minute))) == repr(plain.chain.step(noisy(plain, minute)))
 
 
 # ---- plans ----------------------------------------------------------------------------------------------------------

@@ -78,20 +78,6 @@ def test_the_rotation_is_yaw_then_pitch_then_roll():
     np.testing.assert_allclose(body_from_nadir([30.0, 30.0, 30.0]), expected, rtol=0.0, atol=1e-15)  # rounding
 
 
-def test_each_single_turn_is_about_its_own_axis():
-    for angles, axis in ((0, 2), (1, 0), (2, 1)):  # yaw about z, roll about x, pitch about y
-        matrix = body_from_nadir(np.eye(3)[angles] * 20.0)
-        np.testing.assert_allclose(matrix @ np.eye(3)[axis], np.eye(3)[axis], rtol=0.0, atol=1e-15)  # rounding
-
-
-def test_a_stack_of_attitudes_gives_a_stack_of_matrices():
-    attitudes = np.array([[1.0, 2.0, 3.0], [-1.0, 0.5, 0.0]])
-    stack = body_from_nadir(attitudes)
-    assert np.array_equal(stack[1], body_from_nadir(attitudes[1]))
-    turned = turned_direction(STATION, attitudes)
-    assert turned.azimuth_deg.shape == (2, 3)
-
-
 def test_the_sub_satellite_point_lies_on_the_axis():
     below = station_direction([90.0], [0.0], [0.0], 90.0)
     np.testing.assert_allclose(below, 0.0, rtol=0.0, atol=1e-12)  # rounding
@@ -309,25 +295,24 @@ PERIOD_US = 86_328_000_000
 NODES_US = np.array([1_000_000, 1_000_000 + PERIOD_US, 1_000_000 + 2 * PERIOD_US])
 
 
-def test_a_node_is_its_own_latest_node():
-    assert latest_node_us(NODES_US, NODES_US, PERIOD_S).tolist() == NODES_US.tolist()
+LATE_US = NODES_US[0] + PERIOD_US + 60_000_000
 
 
-def test_one_microsecond_before_a_node_belongs_to_the_node_before():
-    assert latest_node_us(NODES_US[1:] - 1, NODES_US, PERIOD_S).tolist() == NODES_US[:-1].tolist()
-
-
-def test_nodes_are_extrapolated_by_whole_periods_on_both_sides():
-    epoch_us = np.array([NODES_US[0] - 1, NODES_US[0] - PERIOD_US - 1, NODES_US[-1] + 5 * PERIOD_US + 7])
-    expected = [NODES_US[0] - PERIOD_US, NODES_US[0] - 2 * PERIOD_US, NODES_US[-1] + 5 * PERIOD_US]
-    assert latest_node_us(epoch_us, NODES_US, PERIOD_S).tolist() == expected
-
-
-def test_a_listed_node_that_comes_late_is_not_anticipated():
-    late_us = NODES_US[0] + PERIOD_US + 60_000_000
-    epoch_us = np.array([late_us - 1, late_us])
-    nodes_us = np.array([NODES_US[0], late_us])
-    assert latest_node_us(epoch_us, nodes_us, PERIOD_S).tolist() == [NODES_US[0], late_us]
+@pytest.mark.parametrize(
+    ("epoch_us", "nodes_us", "expected_us"),
+    [
+        pytest.param(NODES_US, NODES_US, NODES_US, id="its own"),
+        pytest.param(NODES_US - 1, NODES_US, NODES_US - PERIOD_US, id="one microsecond before it is the one before"),
+        pytest.param(NODES_US - 3 * PERIOD_US - 1, NODES_US, NODES_US - 4 * PERIOD_US, id="long before the list"),
+        pytest.param(NODES_US + 5 * PERIOD_US + 7, NODES_US, NODES_US + 5 * PERIOD_US, id="long after the list"),
+        pytest.param(
+            [LATE_US - 1, LATE_US], [NODES_US[0], LATE_US], [NODES_US[0], LATE_US], id="late, not anticipated"
+        ),
+        pytest.param(NODES_US[1:2] + 5, NODES_US[[0, 2]], NODES_US[1:2], id="in a hole of the list"),
+    ],
+)
+def test_the_latest_node(epoch_us, nodes_us, expected_us):
+    assert latest_node_us(np.array(epoch_us), np.array(nodes_us), PERIOD_S).tolist() == list(expected_us)
 
 
 def test_the_phase_stays_below_one_turn_when_a_node_comes_late():
@@ -335,19 +320,6 @@ def test_the_phase_stays_below_one_turn_when_a_node_comes_late():
     phase_rad = node_phase_rad(np.array([PERIOD_US, PERIOD_US + 30_000_000]), nodes_us, PERIOD_S)
     # 30 s of 23.98 h is 2.2e-3 rad; float64 keeps 1e-12 of it
     np.testing.assert_allclose(phase_rad, [0.0, 2.0 * math.pi * 30.0 / PERIOD_S], rtol=0.0, atol=1e-12)
-
-
-def test_a_hole_in_the_list_is_bridged_by_whole_periods():
-    nodes_us = NODES_US[[0, 2]]
-    assert latest_node_us(NODES_US[1:2] + 5, nodes_us, PERIOD_S).tolist() == [NODES_US[1]]
-
-
-@pytest.mark.parametrize("periods", [-400, -1, 1, 3, 1000])
-def test_shifting_epochs_and_nodes_by_whole_periods_changes_nothing(periods):
-    epoch_us = np.arange(0, 3 * PERIOD_US, 7_777_777_777)
-    shifted = node_phase_rad(epoch_us + periods * PERIOD_US, NODES_US + periods * PERIOD_US, PERIOD_S)
-    # integers throughout: equal bit for bit
-    assert np.array_equal(shifted, node_phase_rad(epoch_us, NODES_US, PERIOD_S))
 
 
 def test_the_phase_covers_the_turn_and_never_reaches_it():

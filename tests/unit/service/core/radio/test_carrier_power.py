@@ -328,37 +328,20 @@ def run(ratios):
     return visible, present
 
 
-def test_a_start_on_a_present_carrier_loses_no_row():
-    assert run([10.0, 10.0])[0] == [True, True]
-
-
-def test_an_absent_carrier_appears_after_three_of_five():
-    assert run([0.0, 10.0, 0.0, 10.0, 10.0])[0] == [False, False, False, False, True]
-
-
-def test_appearing_needs_the_hysteresis():
-    just_below = float(THRESHOLD[0]) + HYSTERESIS_DB - 0.01
-    assert not any(run([0.0, *[just_below] * 6])[0])
-
-
-def test_staying_needs_only_the_threshold():
-    assert all(run([10.0, *[float(THRESHOLD[0]) + 0.01] * 6])[0])
-
-
-def test_a_lost_carrier_is_hidden_at_once_and_absent_after_three():
-    visible, present = run([10.0, 0.0, 0.0, 0.0])
-    assert visible == [True, False, False, False]
-    assert present == [True, True, True, False]
-
-
-def test_a_single_dropout_costs_one_row():
-    assert run([10.0] * 5 + [0.0] + [10.0] * 3)[0] == [True] * 5 + [False] + [True] * 3
-
-
-def test_an_unmeasured_sweep_casts_no_vote():
-    visible, present = run([10.0, *[float("nan")] * 6, 10.0])
-    assert visible == [True, *[False] * 6, True]
-    assert all(present)
+@pytest.mark.parametrize(
+    ("ratios", "visible", "present"),
+    [
+        pytest.param([10.0, 10.0], "11", "11", id="a start on a present carrier loses no row"),
+        pytest.param([0.0, 10.0, 0.0, 10.0, 10.0], "00001", "00001", id="appears after three of five"),
+        pytest.param([0.0] + [2.0 + HYSTERESIS_DB - 0.01] * 6, "0000000", "0000000", id="appearing needs hysteresis"),
+        pytest.param([10.0] + [2.01] * 6, "1111111", "1111111", id="staying needs only the threshold"),
+        pytest.param([10.0, 0.0, 0.0, 0.0], "1000", "1110", id="hidden at once, absent after three"),
+        pytest.param([10.0, 10.0, 10.0, 0.0, 10.0, 10.0], "111011", "111111", id="a single dropout costs one row"),
+        pytest.param([10.0] + [math.nan] * 6 + [10.0], "10000001", "11111111", id="an unmeasured sweep has no vote"),
+    ],
+)
+def test_presence(ratios, visible, present):
+    assert run(ratios) == tuple([one == "1" for one in told] for told in (visible, present))
 
 
 def test_false_alarms_of_pure_noise_are_rare():

@@ -31,31 +31,38 @@ CONFIG = CalibrationConfig()
 STATED = WheelMomentum(pitch_bias_n_m_s=-8.0)
 
 
+def calibrated(epochs_us, seen_deg, stated, **changes):
+    """Return the input of a calibration with angles of the turns that a sensor saw and what a craft states."""
+    payload = GeometryPayload.make(16, quiet_days=1.0)
+    start_us, stop_us = int(epochs_us[0]), int(epochs_us[-1]) + MINUTE_US
+    quiet, turns = Window(start_us - 3_600_000_000, start_us), Window(start_us, stop_us)
+    return replace(
+        payload.data(noise_db=0.03),
+        request=CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY),
+        references=(ReferenceSeries("star_tracker", epochs_us, seen_deg, np.full(seen_deg.shape, 0.01)),),
+        quiet_references=(),
+        spacecraft=stated(payload.spacecraft),
+        **changes,
+    )
+
+
+def on_board(**stated):
+    return lambda spacecraft: replace(spacecraft, onboard=replace(spacecraft.onboard, **stated))
+
+
 def data(seed=1, *, stated=STATED, start_h=1.0, every=1, **changes):
     """Return the input of a calibration whose sensors and wheels are those of one seed."""
-    payload = GeometryPayload.make(16, quiet_days=1.0)
     turned = turned_wheels(seed, changes.pop("figures", None), start_h=start_h)
-    matrix = changes.pop("matrix", np.eye(3))
-    start_us, stop_us = int(turned.epochs_us[0]), int(turned.epochs_us[-1]) + MINUTE_US
-    window = Window(start_us, stop_us)
-    request = CalibrationRequest(Window(start_us - 3_600_000_000, start_us), window, CalibrationMethod.GEOMETRY)
-    sigma = np.full(turned.attitude_deg.shape, 0.01)
-    references = ReferenceSeries("star_tracker", turned.epochs_us, turned.attitude_deg, sigma)
-    onboard = replace(payload.spacecraft.onboard, momentum=stated)
-    told = zip(turned.epochs_us.tolist(), (turned.momentum @ matrix.T).tolist(), strict=True)
+    momentum = turned.momentum @ changes.pop("matrix", np.eye(3)).T
     unloaded = changes.pop("unloaded", lambda minute: False)
     telemetry = tuple(
-        TelemetryRecord(at_us, None, tuple(values), thrusters_active=unloaded((at_us - start_us) / MINUTE_US))
-        for at_us, values in told
+        TelemetryRecord(
+            at_us, None, tuple(values), thrusters_active=unloaded((at_us - turned.epochs_us[0]) / MINUTE_US)
+        )
+        for at_us, values in zip(turned.epochs_us.tolist(), momentum.tolist(), strict=True)
     )
-    made = payload.data(noise_db=0.03)
-    return replace(
-        made,
-        request=request,
-        references=(references,),
-        quiet_references=(),
-        spacecraft=replace(payload.spacecraft, onboard=onboard),
-        telemetry=telemetry[::every],
+    return calibrated(
+        turned.epochs_us, turned.attitude_deg, on_board(momentum=stated), telemetry=telemetry[::every], **changes
     )
 
 
@@ -112,26 +119,18 @@ SEED = 6
 
 def polarimeter_data(scale=1.0, stated=(FEED,), records=None):
     """Return the input of a calibration whose polarimeter sees turns by a scale, its feed turned by 10 deg and more."""
-    payload, rng, angles = GeometryPayload.make(16, quiet_days=1.0), np.random.default_rng(SEED), turned_deg()
+    rng, angles = np.random.default_rng(SEED), turned_deg()
     epochs_us = SCENARIO.start_us + MINUTE_US * np.arange(len(angles))
-    spacecraft = replace(payload.spacecraft, polarimeters=stated)
-    seen = scale * angles @ np.array(line_of_sight(spacecraft, FEED)) + 0.8 + rng.normal(0.0, 0.07, len(angles))
+    sight = line_of_sight(GeometryPayload.make(16, quiet_days=1.0).spacecraft, FEED)
+    seen = scale * angles @ np.array(sight) + 0.8 + rng.normal(0.0, 0.07, len(angles))
     told = zip(epochs_us.tolist(), seen.tolist(), strict=True)
-    start_us, stop_us = int(epochs_us[0]), int(epochs_us[-1]) + MINUTE_US
-    request = CalibrationRequest(
-        Window(start_us - 3_600_000_000, start_us), Window(start_us, stop_us), CalibrationMethod.GEOMETRY
-    )
-    measured = angles + rng.normal(0.0, 0.01, angles.shape)
-    made = payload.data(noise_db=0.03)
-    return replace(
-        made,
-        request=request,
-        ephemeris=replace(made.ephemeris, track=None),
-        references=(ReferenceSeries("star_tracker", epochs_us, measured, np.full(angles.shape, 0.01)),),
-        quiet_references=(),
-        spacecraft=spacecraft,
+    made = calibrated(
+        epochs_us,
+        angles + rng.normal(0.0, 0.01, angles.shape),
+        lambda spacecraft: replace(spacecraft, polarimeters=stated),
         polarization=tuple(PolarizationRecord("p", at_us, ratio_db(10.0, angle)) for at_us, angle in told)[:records],
     )
+    return replace(made, ephemeris=replace(made.ephemeris, track=None))
 
 
 def test_nothing_is_checked_where_the_catalogue_uses_none():
@@ -206,7 +205,7 @@ RATE_SEED, W_PER_H = 5, 0.2625162
 
 def rate_data(stated=GYRO, matrix=None, records=None):
     """Return the input of a calibration whose rates are a matrix times the truth, yaw, roll, pitch, deg/s."""
-    payload, rng, angles = (GeometryPayload.make(16, quiet_days=1.0), np.random.default_rng(RATE_SEED), turned_deg())
+    rng, angles = np.random.default_rng(RATE_SEED), turned_deg()
     turned = np.diff(angles, axis=0) * 60.0
     yaw, roll, pitch = (0.5 * (angles[1:] + angles[:-1])).T
     turned += W_PER_H * np.column_stack([roll, -yaw, 0.0 * pitch]) - np.array([0.0, 0.0, np.rad2deg(W_PER_H)])
@@ -217,19 +216,8 @@ def rate_data(stated=GYRO, matrix=None, records=None):
         TelemetryRecord(epoch_us, body_rate_deg_s=Axes(*values))
         for epoch_us, values in zip(epochs_us[1:].tolist(), rates.tolist(), strict=True)
     ]
-    start_us, stop_us = int(epochs_us[0]), int(epochs_us[-1]) + MINUTE_US
-    request = CalibrationRequest(
-        Window(start_us - 3_600_000_000, start_us), Window(start_us, stop_us), CalibrationMethod.GEOMETRY
-    )
     seen = angles + rng.normal(0.0, 0.01, angles.shape)
-    return replace(
-        payload.data(noise_db=0.03),
-        request=request,
-        references=(ReferenceSeries("star_tracker", epochs_us, seen, np.full(angles.shape, 0.01)),),
-        quiet_references=(),
-        spacecraft=replace(payload.spacecraft, onboard=replace(payload.spacecraft.onboard, rate_sensor=stated)),
-        telemetry=tuple(telemetry[:records]),
-    )
+    return calibrated(epochs_us, seen, on_board(rate_sensor=stated), telemetry=tuple(telemetry[:records]))
 
 
 def test_nothing_is_checked_where_the_catalogue_states_no_sensor_or_one_in_the_loop():

@@ -221,11 +221,11 @@ def test_levels_are_means_of_angles_and_medians_of_powers():
     assert levels.deviation_db.tolist() == [[1.2], [2.0]]
 
 
-def test_slews_are_left_out():
-    angle_deg = np.zeros((24, 3))
-    angle_deg[10:14, 1] = [0.1, 0.2, 0.3, 0.4]
-    angle_deg[14:, 1] = 0.5
-    assert reduce_to_levels(angle_deg, np.zeros((24, 1))).angle_deg[:, 1].tolist() == [0.0, 0.5]
+@pytest.mark.parametrize("slew", [[0.1, 0.2, 0.3, 0.4], [math.nan]])
+def test_slews_and_rows_without_angles_are_left_out(slew):
+    angle_deg = np.zeros((20 + len(slew), 3))
+    angle_deg[10:, 1] = slew + [0.5] * 10
+    assert reduce_to_levels(angle_deg, np.zeros((len(angle_deg), 1))).angle_deg[:, 1].tolist() == [0.0, 0.5]
 
 
 def test_rows_that_are_levels_already_pass_through():
@@ -240,12 +240,6 @@ def test_absent_rows_count_and_half_of_them_blank_a_level():
     levels = reduce_to_levels(np.zeros((4, 3)), deviation_db)
     assert levels.deviation_db[0, 0] == 2.0
     assert np.isnan(levels.deviation_db[0, 1])
-
-
-def test_rows_without_angles_are_left_out():
-    angle_deg = np.zeros((4, 3))
-    angle_deg[1] = np.nan
-    assert reduce_to_levels(angle_deg, np.array([[1.0], [99.0], [1.0], [1.0]])).deviation_db.tolist() == [[1.0]]
 
 
 def test_nothing_gives_no_levels():
@@ -303,15 +297,12 @@ def test_too_few_carriers_give_no_figures():
     assert np.isnan([test.median_db, test.spread_db, test.share_below]).all()
 
 
-def test_what_an_attitude_explains_better_is_no_fade():
+@pytest.mark.parametrize(
+    ("residual_db", "is_fade"), [([0.01] * 6, False), ([0.5] * 6, True), ([0.01] * 3 + [math.nan] * 3, True)]
+)
+def test_what_an_attitude_of_enough_carriers_explains_better_is_no_fade(residual_db, is_fade):
     deviation_db = np.array([-1.0, -1.1, -0.9, -1.2, -0.8, -1.0])
-    assert not fade_sign_test(deviation_db, fix_residual_db=np.full(6, 0.01)).is_fade
-    assert fade_sign_test(deviation_db, fix_residual_db=np.full(6, 0.5)).is_fade
-
-
-def test_a_fix_of_too_few_carriers_does_not_vote():
-    residual_db = np.array([0.01, 0.01, 0.01, np.nan, np.nan, np.nan])
-    assert fade_sign_test(np.array([-1.0, -1.1, -0.9, -1.2, -0.8, -1.0]), fix_residual_db=residual_db).is_fade
+    assert fade_sign_test(deviation_db, fix_residual_db=np.array(residual_db)).is_fade == is_fade
 
 
 def steps(tests, dt_s=60.0, state=None):
@@ -323,23 +314,21 @@ def steps(tests, dt_s=60.0, state=None):
     return states
 
 
-def test_five_minutes_of_the_condition_stop():
-    assert [state.is_stopped for state in steps([WET] * 6)] == [False] * 4 + [True] * 2
-
-
-def test_a_break_starts_the_five_minutes_anew():
-    assert not any(state.is_stopped for state in steps([WET] * 4 + [DRY] + [WET] * 4))
-
-
-def test_ten_dry_minutes_return_control():
-    states = steps([WET] * 5 + [DRY] * 10)
-    assert [state.is_stopped for state in states[4:]] == [True] * 10 + [False]
-
-
-def test_a_low_median_without_the_condition_neither_stops_nor_returns():
-    assert not steps([LOW] * 30)[-1].is_stopped
-    assert steps([WET] * 5 + [LOW] * 60)[-1].is_stopped
-    assert steps([WET] * 5 + [DRY] * 9 + [LOW] + [DRY] * 9)[-1].is_stopped
+@pytest.mark.parametrize(
+    ("minutes", "stopped"),
+    [
+        pytest.param([WET] * 6, [4, 5], id="five minutes of the condition stop"),
+        pytest.param([WET] * 4 + [DRY] + [WET] * 4, [], id="a break starts the five minutes anew"),
+        pytest.param([WET] * 5 + [DRY] * 10, range(4, 14), id="ten dry minutes return control"),
+        pytest.param([LOW] * 30, [], id="a low median alone does not stop"),
+        pytest.param([WET] * 5 + [LOW] * 60, range(4, 65), id="a low median does not return control"),
+        pytest.param(
+            [WET] * 5 + [DRY] * 9 + [LOW] + [DRY] * 9, range(4, 24), id="a low median starts dry minutes anew"
+        ),
+    ],
+)
+def test_a_fade_stops_control_and_dry_minutes_return_it(minutes, stopped):
+    assert np.flatnonzero([state.is_stopped for state in steps(minutes)]).tolist() == list(stopped)
 
 
 def test_a_gap_starts_the_entry_anew_but_keeps_a_standing_stop():

@@ -447,34 +447,24 @@ def test_residuals_are_given_for_rejected_carriers_too():
     np.testing.assert_allclose(result.residual_db, expected, rtol=0.0, atol=1e-12)  # rounding
 
 
-def test_no_fix_of_three_carriers_and_no_complaint():
+@pytest.mark.parametrize("absent", [2, 5])
+def test_no_fix_of_three_carriers_or_none_and_no_complaint(absent):
     plus, minus, deviation_db, _ = row(8, carriers=5)
-    deviation_db[:2] = np.nan
+    deviation_db[:absent] = np.nan
     result = reject_faded_carriers(plus, minus, deviation_db)
     assert np.isnan(result.fix.attitude_deg).all()
+    assert (result.reason == RejectionReason.ABSENT).sum() == absent
     assert not result.rejected.any()
     assert not result.is_exhausted
 
 
-def test_nothing_present_is_no_fix():
-    plus, minus, deviation_db, _ = row(8)
-    result = reject_faded_carriers(plus, minus, np.full_like(deviation_db, np.nan))
-    assert result.fix.carriers_used == 0
-    assert np.all(result.reason == RejectionReason.ABSENT)
-
-
-def test_the_gate_stops_at_the_least_number_and_says_so():
-    plus, minus, deviation_db, _ = row(9, carriers=8)
-    result = reject_faded_carriers(plus, minus, deviation_db - np.array([0, 3, 8, 0, 5, 12, 2, 9.0]), min_carriers=7)
-    assert result.fix.carriers_used >= 7
-    assert result.is_exhausted
-
-
-def test_the_sigma_rule_stops_at_the_least_number_and_says_so():
-    plus, minus, deviation_db, _ = row(10)
-    deviation_db[3] += 5.0
-    result = reject_faded_carriers(plus, minus, deviation_db, min_carriers=16)
-    assert result.fix.carriers_used == 16
+@pytest.mark.parametrize(
+    ("seed", "changes_db", "least"), [(9, (0, -3, -8, 0, -5, -12, -2, -9), 7), (10, (0, 0, 0, 5, *[0] * 12), 16)]
+)
+def test_gate_and_sigma_rule_stop_at_the_least_number_and_say_so(seed, changes_db, least):
+    plus, minus, deviation_db, _ = row(seed, carriers=len(changes_db))
+    result = reject_faded_carriers(plus, minus, deviation_db + np.array(changes_db), min_carriers=least)
+    assert result.fix.carriers_used >= least
     assert result.is_exhausted
 
 
