@@ -26,10 +26,9 @@ CONDITIONS = condition_table(AlarmConfig(), RobustConfig())
 PLAN = CarrierPlan(1, "sha", tuple(Carrier(f"c{k}", "Ku", "t", 11e9, 1e6) for k in range(3)))
 IDS = PLAN.carrier_ids
 #: every condition at once
-AT_ONCE = {name: {"on_s": 0.0, "off_s": 0.0} for name in CONDITIONS}
-AT_ONCE["carrier_absent"] = {"warning": 0.0, "off_s": 0.0}
-AT_ONCE["attitude_lost"] = {"warning": 0.0, "off_s": 0.0}
-AT_ONCE["measured_motion"] = {"warning": 0.0, "off_s": 0.0}
+AT_ONCE = {name: {"on_s": 0.0, "off_s": 0.0} for name in CONDITIONS} | {
+    name: {"warning": 0.0, "off_s": 0.0} for name in ("carrier_absent", "attitude_lost", "measured_motion")
+}
 
 
 class Rig:
