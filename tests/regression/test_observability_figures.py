@@ -424,6 +424,7 @@ def test_sigma_before_the_turns_is_the_error_after_them():
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_sigma_before_the_turns_of_one_world():
     sigma, _, rms = kept(predicted_and_reached, "nominal", 1)
     print(f"nominal, seed 1: predicted {sigma.round(3)}, reached {rms.round(3)}")

@@ -82,6 +82,7 @@ def with_reports(scenario, seed, days, *attenuations):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_reports_change_levels_and_wrong_ones_bring_no_wrong_torque():
     found = with_reports(*STORM, 0.8, reported, reported_everywhere, reported_inverted)
     assert all(one.wrong_min == 0.0 for one in found.values())
@@ -129,6 +130,7 @@ def assert_honest(scenario, seed):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_rain_teaches_no_wrong_angle():
     yardsticks = assert_honest(*RELEARNED)
     assert yardsticks["robust"].wrong_min == 0.0
@@ -143,7 +145,7 @@ def test_rain_teaches_no_wrong_angle_over_worlds(scenario, seed):
 
 
 SEEDS = range(1, 11)
-SLOPES_DB_MIN = (0.05, 0.1, 0.3, 1.0, 3.0)
+SLOPES_DB_MIN = (0.05, *(pytest.param(slope, marks=pytest.mark.nightly) for slope in (0.1, 0.3, 1.0)), 3.0)
 #: rows are a minute apart
 LATEST_STOP_MIN = 20
 

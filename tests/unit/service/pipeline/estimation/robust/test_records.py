@@ -210,6 +210,15 @@ def test_every_record_of_a_batch_is_used_once_in_its_order():
         for minute in minutes
     )
     at_once = Stepped(spacecraft=spacecraft, momenta=batch)
+    none_yet, effects = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[:1]))
+    assert (none_yet, effects) == (at_once.state, []), "older than 15 min"
+    # one of before the alignment serves while none follows
+    one_by_one, effects = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[:4]))
+    assert (len(effects), one_by_one.momentum.newest_us) == (1, batch[3].epoch_us)
+    first, effects = with_momenta(at_once.state, at_once.model, at_once.knowledge)
+    assert (len(effects), first.momentum.newest_us) == (1, ALIGNED_US)
+    alignment = replace(at_once.knowledge.alignment, epoch_us=ALIGNED_US - 60 * MINUTE)
+    at_once.knowledge = replace(at_once.knowledge, alignment=alignment)
     state, effects = with_momenta(at_once.state, at_once.model, at_once.knowledge)
     assert [effect.update is not None for effect in effects] == [True] * 4
     assert state.momentum.newest_us == ALIGNED_US
@@ -217,10 +226,9 @@ def test_every_record_of_a_batch_is_used_once_in_its_order():
     for record in batch[1:5]:
         one_by_one, _ = with_momenta(one_by_one, at_once.model, replace(at_once.knowledge, momenta=(record,)))
     np.testing.assert_array_equal(state.filter.gaussian.covariance, one_by_one.filter.gaussian.covariance)
-    newest_alone, _ = with_momenta(at_once.state, at_once.model, replace(at_once.knowledge, momenta=batch[4:5]))
     begin = sensors_first(at_once.model.filter, state.filter.gaussian, at_once.model.settings)
     own = slice(begin, begin + 3)
-    sigmas = [np.sqrt(each.filter.gaussian.covariance.diagonal()[own]) for each in (state, newest_alone)]
+    sigmas = [np.sqrt(each.filter.gaussian.covariance.diagonal()[own]) for each in (state, first)]
     assert (sigmas[0] < 0.75 * sigmas[1]).all()
     assert with_momenta(state, at_once.model, at_once.knowledge) == (state, [])
 
