@@ -1,6 +1,6 @@
 """Package map: draws the packages of each floor and their imports, and writes the page that shows them.
 
-`make map` runs it; `tests/docs/test_package_map.py` holds page and pictures current. An arrow means "imports"; an
+`make map` runs it; `tests/docs/test_reference.py` holds page and pictures current. An arrow means "imports"; an
 import that a longer chain of arrows implies is left out of the picture and listed in the table.
 """
 
@@ -160,7 +160,7 @@ def page(floors: dict[str, Edges]) -> str:
     lines = [
         "# Package map",
         "",
-        "Drawn from the imports by `make map`; `tests/docs/test_package_map.py` holds it current. An arrow means",
+        "Drawn from the imports by `make map`; `tests/docs/test_reference.py` holds it current. An arrow means",
         '"imports". A package imports only what stands below it, and no two packages import each other',
         "(`make imports`). The table lists every import, the picture leaves out those that longer chains imply.",
     ]

@@ -26,7 +26,7 @@ are its short form, brackets mark what may be left out, `|` alternatives, `<n>` 
 settings take `MIN MAX DEF` and answer to `? MIN` and the like, those of frequency, filters, sweep and level `UP DOWN`
 too; numbers are answered without a unit; a setting out of range is stored at its limit and reported as -222.
 
-Proofs: `tests/unit/analyzer_sim/dialects/test_dialect_table.py` sets and reads back every function in every dialect,
+Proofs: `tests/unit/analyzer_sim/test_dialect_table.py` sets and reads back every function in every dialect,
 `test_<name>.py` beside it what is peculiar to one, `tests/conformance` the rules of syntax and protocol in each;
 `make clients` runs third-party drivers against it.
 

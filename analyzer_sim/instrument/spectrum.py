@@ -164,7 +164,7 @@ def mean_trace(emission: Emission, grid: SweepGrid, own_noise_dbm_hz: float, lin
     Notes
     -----
     The integral of a modulated carrier over the trace, times spacing over ENBW, equals its power within 1e-4
-    (``tests/unit/analyzer_sim/instrument/test_spectrum.py``).
+    (``tests/unit/analyzer_sim/test_traces.py``).
     """
     modulated = [signal for signal in emission.signals if signal.symbol_rate_hz > 0.0]
     lines = [signal for signal in emission.signals if signal.symbol_rate_hz <= 0.0]

@@ -1,6 +1,6 @@
 """Command line: every command by name, with the module that is imported when it is run and its line in the help.
 
-The line is the first of the command's docstring or of its group's help; ``tests/docs/test_command_line.py`` holds it.
+The line is the first of the command's docstring or of its group's help; ``tests/docs/test_reference.py`` holds it.
 """
 
 from typing import Annotated

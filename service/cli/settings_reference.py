@@ -26,7 +26,7 @@ def settings_text(settings: Settings) -> str:
 
 _HEAD = """# Settings
 
-Made by `soo settings --markdown`; `tests/docs/test_settings.py` holds page and code together. Settings are read once,
+Made by `soo settings --markdown`; `tests/docs/test_reference.py` holds page and code together. Settings are read once,
 from the environment, or from the folder that `SOO_SECRETS_DIR` names, which has a file for each, called as the variable
 (`soo_bootstrap_key`). A double underscore leads into the configuration of a stage:
 `SOO_INTERLOCK__VALIDITY_LIMIT_DEG=0.35`. `soo settings` prints the values in force and marks what was changed; the

@@ -1,10 +1,13 @@
-"""References, corrections, telemetry: batches in, pages out."""
+"""References, corrections, telemetry, operations, polarisation and weather: batches in, pages out."""
 
 import pytest
 
 from service.api.problems.next_steps import NEXT_STEPS
+from service.records.epoch import format_epoch
 
 pytestmark = pytest.mark.anyio
+
+
 SC = "/api/v1/spacecraft"
 BASE = f"{SC}/yamal-202"
 T0 = "2026-11-20T00:00:00.000000Z"
@@ -234,3 +237,292 @@ async def test_an_unknown_spacecraft_is_a_404(soo, path, body):
         await soo.client.get(f"{BASE}/{path}"),
     ):
         assert (answer.status_code, answer.json()["code"]) == (404, "spacecraft.unknown")
+
+
+URL = f"{SC}/yamal-202/operations"
+START = "2026-11-25T00:00:00.000000Z"
+STOP = "2026-11-25T01:00:00.000000Z"
+FULL = {
+    "kind": "carrier_work",
+    "start": START,
+    "stop": STOP,
+    "carriers": ["c00", "c03"],
+    "transponders": ["Ku1"],
+    "inhibit_control": True,
+    "attitude_uncertainty_deg": {"yaw": 0.1, "roll": None, "pitch": 0.0},
+    "comment": "first line\nsecond line",
+}
+
+
+async def test_an_operation_reads_back_as_declared(soo, spacecraft):
+    await soo.client.post(SC, json=spacecraft)
+    soo.accepted.clear()
+    created = await soo.client.post(URL, json=FULL)
+    assert created.status_code == 201, created.text
+    assert created.json() == FULL | {"id": 1, "revision": 1}
+    assert created.headers["location"] == f"{URL}/1"
+    assert (await soo.client.get(created.headers["location"])).json() == created.json()
+    assert (await soo.client.get(URL)).json()["rows"] == [created.json()]
+    assert soo.accepted == ["yamal-202"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "does_inhibit"),
+    [("station_keeping", True), ("momentum_unloading", True), ("carrier_work", False), ("eclipse", False)],
+)
+async def test_kinds_that_turn_the_craft_inhibit_control_unless_it_is_said_otherwise(
+    soo, spacecraft, kind, does_inhibit
+):
+    await soo.client.post(SC, json=spacecraft)
+    plain = (await soo.client.post(URL, json={"kind": kind, "start": START})).json()
+    assert (plain["inhibit_control"], plain["stop"]) == (does_inhibit, None)
+    said = (await soo.client.post(URL, json={"kind": kind, "start": START, "inhibit_control": not does_inhibit})).json()
+    assert said["inhibit_control"] is not does_inhibit
+
+
+async def test_a_change_is_a_new_revision_and_only_the_newest_is_listed(soo, spacecraft):
+    await soo.client.post(SC, json=spacecraft)
+    await soo.client.post(URL, json=FULL)
+    soo.accepted.clear()
+    patch = {"stop": "2026-11-25T02:00:00.000000Z", "attitude_uncertainty_deg": {"yaw": None}, "carriers": None}
+    changed = await soo.client.patch(f"{URL}/1", json=patch)
+    assert changed.status_code == 200, changed.text
+    assert changed.json() == FULL | {
+        "id": 1,
+        "revision": 2,
+        "stop": "2026-11-25T02:00:00.000000Z",
+        "carriers": None,
+        "attitude_uncertainty_deg": {"yaw": None, "roll": None, "pitch": 0.0},
+    }
+    assert (await soo.client.get(URL)).json()["rows"] == [changed.json()]
+    assert soo.accepted == ["yamal-202"]
+
+
+OPERATION_BAD = [
+    ("", 400, "json.malformed"),
+    ("[]", 422, "value.type"),
+    ("{}", 422, "request.invalid"),
+    ({"kind": "holiday", "start": START}, 422, "value.choice"),
+    ({"kind": "other"}, 422, "field.missing"),
+    ({"kind": "other", "start": "soon"}, 422, "epoch.malformed"),
+    ({"kind": "other", "start": "1990-01-01T00:00:00Z"}, 422, "epoch.range"),
+    ({"kind": "other", "start": STOP, "stop": START}, 422, "range.invalid"),
+    ({"kind": "other", "start": START, "stop": START}, 422, "range.invalid"),
+    ({"kind": "other", "start": START, "carriers": "c00"}, 422, "value.type"),
+    ({"kind": "other", "start": START, "carriers": ["c 0"]}, 422, "value.pattern"),
+    ({"kind": "other", "start": START, "carriers": []}, 422, "value.length"),
+    ({"kind": "other", "start": START, "attitude_uncertainty_deg": {"yaw": -1}}, 422, "value.range"),
+    ({"kind": "other", "start": START, "attitude_uncertainty_deg": [1, 2, 3]}, 422, "value.type"),
+    ({"kind": "other", "start": START, "comment": "x" * 4001}, 422, "value.length"),
+    ({"kind": "other", "start": START, "comment": "\u0000"}, 422, "value.pattern"),
+    ({"kind": "other", "start": START, "inhibit_control": "yes"}, 422, "value.type"),
+    ({"kind": "other", "start": START, "id": 5}, 422, "field.unknown"),
+]
+
+
+@pytest.mark.parametrize(("body", "status", "code"), OPERATION_BAD)
+async def test_bad_operations_are_refused(soo, spacecraft, body, status, code):
+    await soo.client.post(SC, json=spacecraft)
+    soo.accepted.clear()
+    sent = {"content": body} if isinstance(body, str) else {"json": body}
+    answer = await soo.client.post(URL, **sent)
+    assert (answer.status_code, answer.json()["code"]) == (status, code), answer.text
+    assert (await soo.client.get(URL)).json()["rows"] == []
+    assert soo.accepted == []
+
+
+async def test_a_bad_change_changes_nothing(soo, spacecraft):
+    await soo.client.post(SC, json=spacecraft)
+    before = (await soo.client.post(URL, json=FULL)).json()
+    for patch, code in (
+        ({"stop": "2026-11-24T00:00:00Z"}, "range.invalid"),
+        ({"revision": 9}, "field.unknown"),
+        ({"kind": None}, "field.missing"),
+    ):
+        answer = await soo.client.patch(f"{URL}/1", json=patch)
+        assert (answer.status_code, answer.json()["code"]) == (422, code)
+    assert (await soo.client.get(f"{URL}/1")).json() == before
+
+
+async def test_unknown_operations_and_spacecraft_are_a_404(soo, spacecraft):
+    assert (await soo.client.post(URL, json=FULL)).json()["code"] == "spacecraft.unknown"
+    await soo.client.post(SC, json=spacecraft)
+    for answer in (await soo.client.get(f"{URL}/7"), await soo.client.patch(f"{URL}/7", json={})):
+        assert (answer.status_code, answer.json()["code"]) == (404, "operation.unknown")
+    for text in ("0", "x", "99999999999"):
+        assert (await soo.client.get(f"{URL}/{text}")).status_code == 422
+
+
+STATED = {"source": "pol-1", "feed_offset_deg": 10.0, "frequency_hz": 11.2e9}
+NOTHING = dict.fromkeys(
+    ("ratio_db", "co_power_dbm", "feed_offset_deg", "noise_db", "angle_deg", "sigma_deg", "tec_tecu")
+)
+
+
+@pytest.fixture
+async def now(soo, spacecraft):
+    """The present as text, of a spacecraft that has a polarimeter."""
+    answer = await soo.client.post(SC, json=spacecraft | {"polarimeters": [STATED]})
+    assert answer.status_code == 201, answer.text
+    soo.accepted.clear()
+    return format_epoch(soo.clock.system_us())
+
+
+async def sent(soo, *records, source="pol-1"):
+    answer = await soo.client.post(f"{BASE}/polarization:batch", json={"source": source, "records": list(records)})
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+async def test_records_read_back_as_sent_and_count_once(soo, now):
+    row = {"epoch": now, "ratio_db": -15.0, "co_power_dbm": -55.0, "noise_db": 0.06, "tec_tecu": 12.0}
+    assert (await sent(soo, row))["accepted"] == 1
+    assert soo.accepted == ["yamal-202"]
+    assert (await sent(soo, row))["duplicates"] == 1
+    assert [r["code"] for r in (await sent(soo, row | {"ratio_db": -14.0}))["refused"]] == ["input.conflict"]
+    listed = (await soo.client.get(f"{BASE}/polarization")).json()["rows"]
+    assert listed == [{"source": "pol-1"} | NOTHING | row]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"ratio_db": None}, "value.absent"),
+        ({"angle_deg": 0.1}, "value.absent"),
+        ({"ratio_db": 61.0}, "value.out_of_range"),
+        ({"feed_offset_deg": 0.0}, "value.out_of_range"),
+        ({"feed_offset_deg": 81.0}, "value.out_of_range"),
+        ({"noise_db": 0.0}, "value.out_of_range"),
+        ({"tec_tecu": -1.0}, "value.out_of_range"),
+        ({"epoch": "2099-01-01T00:00:00Z"}, "time.future"),
+        ({"epoch": "1999-01-01T00:00:00Z"}, "time.too_old"),
+    ],
+)
+async def test_records_that_cannot_be_are_left_out(soo, now, changes, code):
+    answer = await sent(soo, {"epoch": now, "ratio_db": -15.0} | changes)
+    assert [(r["index"], r["code"]) for r in answer["refused"]] == [(0, code)]
+    assert (await soo.client.get(f"{BASE}/polarization")).json()["rows"] == []
+    assert soo.accepted == []
+
+
+async def test_an_unknown_polarimeter_is_answered_with_the_known_ones(soo, now):
+    (refused,) = (await sent(soo, {"epoch": now, "ratio_db": -15.0}, source="pol-2"))["refused"]
+    assert refused["code"] == "polarimeter.unknown"
+    assert refused["detail"].endswith("it states: pol-1")
+
+
+@pytest.mark.parametrize(
+    ("polarimeters", "code"),
+    [
+        ([STATED | {"feed_offset_deg": 0.2}], "polarimeter.feed_offset"),
+        ([STATED, STATED], "polarimeter.duplicate"),
+        ([{"source": "pol-1"}], "request.invalid"),
+    ],
+)
+async def test_polarimeters_that_measure_nothing_are_refused(soo, spacecraft, polarimeters, code):
+    answer = await soo.client.post(SC, json=spacecraft | {"polarimeters": polarimeters})
+    assert (answer.status_code, answer.json()["code"]) == (422, code), answer.text
+
+
+async def test_a_polarimeter_reads_back_with_its_defaults(soo, now):
+    (stated,) = (await soo.client.get(BASE)).json()["polarimeters"]
+    assert {name: stated[name] for name in STATED} == STATED
+    assert (stated["site"], stated["used"], stated["field_t"]) == (None, True, 0.0)
+
+
+async def test_a_viewer_may_read_and_not_send(soo, now):
+    key = (await soo.client.post("/api/v1/keys", json={"name": "v", "role": "viewer"})).json()["key"]
+    headers = {"Authorization": f"Bearer {key}"}
+    body = {"source": "pol-1", "records": [{"epoch": now, "ratio_db": -15.0}]}
+    assert (await soo.client.post(f"{BASE}/polarization:batch", json=body, headers=headers)).status_code == 403
+    assert (await soo.client.get(f"{BASE}/polarization", headers=headers)).status_code == 200
+
+
+def report(make_epoch, **changes):
+    return {"epoch": make_epoch, "station": "Station 1", "rain_rate_mm_h": 2.5} | changes
+
+
+@pytest.fixture
+async def weather_now(soo, spacecraft, carriers):
+    """The present as text, of a spacecraft that has a carrier plan."""
+    await soo.client.post(SC, json=spacecraft)
+    await soo.client.put(f"{BASE}/carriers", json={"carriers": carriers})
+    soo.accepted.clear()
+    return format_epoch(soo.clock.system_us())
+
+
+async def weather_sent(soo, *reports, source="radar"):
+    answer = await soo.client.post(f"{BASE}/weather:batch", json={"source": source, "reports": list(reports)})
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+async def test_reports_read_back_as_sent_and_count_once(soo, weather_now):
+    rows = [report(weather_now), report(weather_now, station="Station 0", rain_rate_mm_h=None, attenuation_db=0.0)]
+    assert (await weather_sent(soo, *rows))["accepted"] == 2
+    assert soo.accepted == ["yamal-202"]
+    assert (await weather_sent(soo, *rows))["duplicates"] == 2
+    assert (await weather_sent(soo, *rows, source="gauge"))["accepted"] == 2
+    assert [r["code"] for r in (await weather_sent(soo, report(weather_now, rain_rate_mm_h=0.0)))["refused"]] == [
+        "input.conflict"
+    ]
+    listed = (await soo.client.get(f"{BASE}/weather")).json()["rows"]
+    assert listed == [{"source": source, "attenuation_db": None} | row for source in ("radar", "gauge") for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"station": "Station 7"}, "station.unknown"),
+        ({"station": "station 1"}, "station.unknown"),
+        ({"rain_rate_mm_h": None}, "value.absent"),
+        ({"rain_rate_mm_h": -0.1}, "value.out_of_range"),
+        ({"rain_rate_mm_h": 2001}, "value.out_of_range"),
+        ({"attenuation_db": -3.0}, "value.out_of_range"),
+        ({"attenuation_db": 101}, "value.out_of_range"),
+        ({"epoch": "2099-01-01T00:00:00Z"}, "time.future"),
+        ({"epoch": "1999-01-01T00:00:00Z"}, "time.too_old"),
+    ],
+)
+async def test_reports_that_cannot_be_are_left_out(soo, weather_now, changes, code):
+    answer = await weather_sent(soo, report(weather_now, **changes))
+    assert [(r["index"], r["code"]) for r in answer["refused"]] == [(0, code)]
+    assert (await soo.client.get(f"{BASE}/weather")).json()["rows"] == []
+    assert soo.accepted == []
+
+
+async def test_an_unknown_station_is_answered_with_the_known_ones(soo, weather_now):
+    (refused,) = (await weather_sent(soo, report(weather_now, station="Statoin 1")))["refused"]
+    assert refused["detail"].endswith("it has: Station 0, Station 1, Station 2")
+
+
+async def test_without_a_carrier_plan_there_is_no_station(soo, spacecraft):
+    await soo.client.post(SC, json=spacecraft)
+    body = {"source": "radar", "reports": [report("2026-11-20T00:00:00Z")]}
+    answer = await soo.client.post(f"{BASE}/weather:batch", json=body)
+    assert (answer.status_code, answer.json()["code"]) == (404, "plan.none")
+
+
+@pytest.mark.parametrize(
+    ("body", "code"),
+    [
+        ({"reports": []}, "field.missing"),
+        ({"source": "", "reports": []}, "value.pattern"),
+        ({"source": "radar", "reports": [{"epoch": "2026-11-20T00:00:00Z"}]}, "field.missing"),
+        ({"source": "radar", "reports": [report("2026-11-20T00:00:00Z", rain_rate_mm_h="wet")]}, "value.type"),
+        ({"source": "radar", "reports": [report("2026-11-20T00:00:00Z", rain=1)]}, "field.unknown"),
+        ({"source": "radar", "reports": [report("yesterday")]}, "epoch.malformed"),
+    ],
+)
+async def test_bad_batches_are_refused_whole_weather(soo, weather_now, body, code):
+    answer = await soo.client.post(f"{BASE}/weather:batch", json=body)
+    assert (answer.status_code, answer.json()["code"]) == (422, code), answer.text
+    assert soo.accepted == []
+
+
+async def test_a_viewer_may_read_and_not_send_weather(soo, weather_now):
+    key = (await soo.client.post("/api/v1/keys", json={"name": "v", "role": "viewer"})).json()["key"]
+    headers = {"Authorization": f"Bearer {key}"}
+    body = {"source": "radar", "reports": [report(weather_now)]}
+    assert (await soo.client.post(f"{BASE}/weather:batch", json=body, headers=headers)).status_code == 403
+    assert (await soo.client.get(f"{BASE}/weather", headers=headers)).status_code == 200

@@ -1,8 +1,10 @@
-"""What holds for every path: keys, problems, sizes, packing, request ids, health, the OpenAPI document."""
+"""What holds for every path: keys, problems, sizes, packing, request ids, origins, the OpenAPI document, about."""
 
 import gzip
 import json
 import logging
+from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +12,17 @@ import httpx
 import pytest
 from role_keys import RoleKeys
 
+from service.api.access.cross_origin import CrossOriginReading
 from service.api.app import render_openapi
+from service.api.limits.rate_limits import RateLimitConfig, RateLimits
+from service.composition.bootstrap import build_app, build_storage
+from service.composition.settings import Settings
 from service.errors import StorageError
+from service.records.epoch import format_epoch
 
 pytestmark = pytest.mark.anyio
+
+
 SC = "/api/v1/spacecraft"
 OPENAPI = Path(__file__).parents[2] / "docs" / "reference" / "openapi.json"
 LIMIT = 200_000
@@ -251,3 +260,150 @@ async def test_the_reference_page_needs_no_key(soo):
     assert answer.status_code == 200
     assert answer.headers["content-type"].startswith("text/html")
     assert "/api/v1/spacecraft/{spacecraft_id}/attitude" in answer.text
+
+
+ORIGIN = "https://openmct.example"
+GRANT = "access-control-allow-origin"
+
+
+@pytest.fixture
+def page(soo) -> Callable[..., httpx.AsyncClient]:
+    """Give a maker of pages: clients that state their origin, with the administrator's key or another one."""
+    soo.app.add_middleware(CrossOriginReading, origins=(ORIGIN, "http://localhost:8080"))
+
+    def make(origin: str = ORIGIN, key: str | None = None) -> httpx.AsyncClient:
+        soo.client.headers["Origin"] = origin
+        if key is not None:
+            soo.client.headers["Authorization"] = f"Bearer {key}"
+        return soo.client
+
+    return make
+
+
+def grants(answer) -> list[str]:
+    """Return the names of the headers that let a page read."""
+    return [name for name in answer.headers if name.startswith("access-control-")]
+
+
+async def ask(page, method, path=SC, headers="authorization"):
+    """Return the answer to a browser's question before its request."""
+    asked = {"Access-Control-Request-Method": method, "Access-Control-Request-Headers": headers}
+    return await page.options(path, headers=asked)
+
+
+async def test_without_a_list_nothing_is_granted(soo):
+    soo.client.headers["Origin"] = ORIGIN
+    for answer in (await soo.client.get(SC), await ask(soo.client, "GET")):
+        assert grants(answer) == []
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD"])
+async def test_a_listed_origin_may_ask_and_read(page, method):
+    asked = await ask(page(), method, headers="authorization, last-event-id")
+    assert (asked.status_code, asked.headers[GRANT]) == (200, ORIGIN)
+    assert asked.headers["access-control-allow-methods"] == "GET, HEAD"
+    assert "authorization" in asked.headers["access-control-allow-headers"]
+    read = await page().request(method, SC)
+    assert read.headers[GRANT] == ORIGIN
+    assert "RateLimit-Remaining" in read.headers["access-control-expose-headers"]
+    assert "origin" in read.headers["vary"].lower()
+
+
+async def test_refusals_are_readable_so_that_the_page_can_say_why(page, soo):
+    wrong = await page(key="wrong").get(SC)
+    assert (wrong.status_code, wrong.headers[GRANT]) == (401, ORIGIN)
+    soo.app.state.rate_limits = RateLimits(RateLimitConfig(anonymous_burst=1), lambda: 0.0)
+    floods = [await page().get(SC) for _ in range(2)]
+    assert [(each.status_code, each.headers[GRANT]) for each in floods] == [(401, ORIGIN), (429, ORIGIN)]
+    assert "retry-after" in floods[1].headers["access-control-expose-headers"].lower()
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "https://other.example",
+        "http://openmct.example",
+        "https://openmct.example:8443",
+        "https://openmct.example.evil.example",
+        "https://sub.openmct.example",
+        "HTTPS://OPENMCT.EXAMPLE",
+        "null",
+        "*",
+        "",
+    ],
+)
+async def test_another_origin_gets_no_header(page, origin):
+    for answer in (await page(origin).get(SC), await ask(page(origin), "GET")):
+        assert grants(answer) == []
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE"])
+async def test_what_changes_something_is_never_granted(page, spacecraft, method):
+    asked = await ask(page(), method)
+    assert (asked.status_code, asked.json()["code"]) == (405, "method.not_allowed")
+    assert grants(asked) == []
+    assert grants(await page().request(method, SC, json=spacecraft)) == []
+
+
+async def test_cookies_are_never_admitted(page, soo):
+    opened = await soo.client.post("/api/v1/session", json={"key": soo.client.headers["Authorization"].split()[1]})
+    for answer in (opened, await ask(page(), "GET"), await page().get(SC)):
+        assert "access-control-allow-credentials" not in answer.headers
+
+
+async def test_version_clock_and_licences(soo):
+    answer = (await soo.client.get("/api/v1/about")).json()
+    assert answer["version"] == version("soo")
+    assert answer["clock"] == {"now": format_epoch(soo.clock.system_us()), "kind": "system"}
+    licences = {each["name"]: each["licence"] for each in answer["shipped"]}
+    assert next(iter(licences)) == "soo"
+    assert licences["soo"] == "Apache-2.0"
+    assert {"numpy", "fastapi", "starlette"} <= licences.keys()
+    assert "pytest" not in licences
+
+
+async def test_settings_are_shown_without_secrets(tmp_path, monkeypatch):
+    """Each with value, default, unit and source; of what is secret only that it is set."""
+    folder = tmp_path / "secrets"
+    folder.mkdir()
+    (folder / "soo_alarm_webhook_secret").write_text("hidden-1")
+    monkeypatch.setenv("SOO_SECRETS_DIR", str(folder))
+    monkeypatch.setenv("SOO_BOOTSTRAP_KEY", "hidden-2")
+    monkeypatch.setenv("SOO_ALARM_WEBHOOK_URL", "https://user:hidden-3@hooks.test/T0/hidden-4")
+    monkeypatch.setenv("SOO_ALARM_MAIL_PASSWORD", "hidden-5")
+    monkeypatch.setenv("SOO_INTERLOCK__VALIDITY_LIMIT_DEG", "0.35")
+    settings = Settings(database_url=f"sqlite:///{tmp_path}/soo.db", clock="data")
+    app = build_app(settings, build_storage(settings))
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://soo.test") as client:
+        answer = await client.get("/api/v1/about", headers={"Authorization": "Bearer hidden-2"})
+        await app.state.context.on_shutdown()
+    assert answer.status_code == 200
+    assert "hidden" not in answer.text
+    shown = {each.pop("name"): each for each in answer.json()["settings"]}
+    assert (
+        shown["SOO_INTERLOCK__VALIDITY_LIMIT_DEG"].items()
+        >= {"value": "0.35", "default": "0.4", "unit": "deg", "source": "environment"}.items()
+    )
+    sources = {name: (each["value"], each["source"]) for name, each in shown.items()}
+    assert sources["SOO_BOOTSTRAP_KEY"] == sources["SOO_ALARM_WEBHOOK_URL"] == ("(set)", "environment")
+    assert sources["SOO_ALARM_WEBHOOK_SECRET"] == ("(set)", "file")
+    assert sources["SOO_CLOCK"] == ("data", "option")
+    assert sources["SOO_PORT"] == ("8000", "default")
+    assert answer.json()["clock"]["kind"] == "data"
+    assert len(json.dumps(shown)) < 100_000
+
+
+@pytest.mark.parametrize(
+    ("url", "expected"),
+    [
+        ("sqlite:////srv/soo.db", "sqlite:////srv/soo.db"),
+        ("postgresql+psycopg://u:p@db.test:5432/soo", "postgresql+psycopg://***@db.test:5432/soo"),
+        ("postgresql://u:p#a/b?c@d@db.test/soo?password=p", "postgresql://***@db.test/soo?***"),
+        ("postgresql://db.test/soo?user=u&password=p@q", "postgresql://***@q"),
+    ],
+)
+async def test_a_url_is_shown_without_what_it_hides(url, expected):
+    from service.composition.setting_entries import setting_entries
+
+    entries = setting_entries(Settings(database_url=url))
+    assert next(entries).value == expected

@@ -1,18 +1,27 @@
-"""Access keys over the interface: made, used, expired, revoked; kept as digests and never told twice."""
+"""Keys, audit log and sessions of browsers: made, used, expired, revoked, and committed with their entries."""
 
 import asyncio
 import logging
+from hashlib import sha256
 from http import HTTPStatus
+from typing import Any
 
+import httpx
 import pytest
 
 from db.storage import SqlStorage
 from service.api.access import key_cache as stored_keys
+from service.api.access import refusal_audit as refusals
+from service.api.access.session_cookie import COOKIE, LIFE_S
+from service.api.limits.rate_limits import RateLimitConfig, RateLimits
 from service.errors import StorageError
-from service.records.epoch import format_epoch
+from service.records.epoch import US_PER_S, format_epoch
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
+from service.records.operations.audit import findings
 
 pytestmark = pytest.mark.anyio
+
+
 KEYS = "/api/v1/keys"
 SC = "/api/v1/spacecraft"
 S = 1_000_000
@@ -215,3 +224,304 @@ async def test_a_key_in_a_path_is_left_out_of_the_answer(soo):
         answer = await soo.client.get(path)
         assert answer.status_code == 404
         assert made["key"].split("_", 2)[2] not in answer.text
+
+
+AUDIT = "/api/v1/audit"
+
+
+def chain(soo):
+    found = list(soo.storage.audit.chain())
+    assert list(findings(found, soo.storage.audit.head())) == []
+    return found
+
+
+def reported(soo):
+    return [(e.audit_event.who, e.audit_event.action, e.audit_event.target, e.audit_event.outcome) for e in chain(soo)]
+
+
+async def key_of(soo, role, name):
+    made = (await soo.client.post("/api/v1/keys", json={"name": name, "role": role})).json()
+    return made["id"], {"Authorization": f"Bearer {made['key']}"}
+
+
+async def test_every_change_is_written_down_with_what_it_made(soo, spacecraft, carriers):
+    key_id, operator = await key_of(soo, "operator", "olga")
+    request = soo.client.build_request("POST", SC, json=spacecraft, headers=operator | {"X-Request-ID": "r-7"})
+    assert (await soo.client.send(request)).status_code == 201
+    await soo.client.put(f"{SC}/yamal-202/carriers", json={"carriers": carriers}, headers=operator)
+    await soo.client.patch(f"{SC}/yamal-202", json={"name": "N"}, headers=operator)
+    assert reported(soo) == [
+        ("bootstrap", "create_key", f"/keys/{key_id}", "done"),
+        ("olga", "create_spacecraft", "/spacecraft", "done"),
+        ("olga", "put_carriers", "/spacecraft/yamal-202/carriers/1", "done"),
+        ("olga", "change_spacecraft", "/spacecraft/yamal-202", "done"),
+    ]
+    audit_event = chain(soo)[1].audit_event
+    assert (audit_event.key_id, audit_event.role, audit_event.request_id, audit_event.at_us) == (
+        key_id,
+        "operator",
+        "r-7",
+        soo.clock.system,
+    )
+    assert audit_event.address == "127.0.0.1"
+    assert audit_event.body_sha256 == sha256(request.content).hexdigest()
+
+
+async def test_reading_sending_and_what_fails_leave_no_entry(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    before = len(chain(soo))
+    await soo.client.get(SC)
+    row = {"epoch": format_epoch(soo.clock.system), "power_dbm": [None] * 4}
+    sent = await soo.client.post(
+        f"{SC}/yamal-202/measurements:batch", json={"plan_id": plan_id, "source": "a", "measurements": [row]}
+    )
+    assert sent.json()["accepted"] == 1
+    assert (await soo.client.post(SC, json=spacecraft)).status_code == 409
+    assert (await soo.client.post(SC, json={})).status_code == 422
+    assert len(chain(soo)) == before
+
+
+async def test_a_change_and_its_entry_are_one(soo, spacecraft, monkeypatch):
+    """When the entry cannot be written the change does not take place."""
+
+    def fail(*_):
+        raise StorageError("storage.unavailable", "on purpose")
+
+    monkeypatch.setattr("db.audit_chain.append_entry", fail)
+    answer = await soo.client.post(SC, json=spacecraft)
+    assert (answer.status_code, answer.headers["retry-after"]) == (503, "5")
+    monkeypatch.undo()
+    assert soo.storage.catalogue.all_spacecraft() == ()
+
+
+async def test_a_change_without_a_write_is_written_down_before_its_answer(soo, spacecraft, monkeypatch):
+    monkeypatch.setattr(soo.storage.catalogue, "replace_spacecraft", lambda _: None)
+    await soo.client.post(SC, json=spacecraft)
+    assert (await soo.client.patch(f"{SC}/yamal-202", json={"name": "N"})).status_code == 200
+    assert reported(soo)[-1][1] == "change_spacecraft"
+
+    def fail(_):
+        raise StorageError("storage.unavailable", "on purpose")
+
+    monkeypatch.setattr(soo.storage.audit, "append", fail)
+    answer = await soo.client.patch(f"{SC}/yamal-202", json={"name": "M"})
+    assert (answer.status_code, answer.json()["code"]) == (503, "storage.unavailable")
+
+
+async def test_a_change_that_fails_after_its_first_write_says_both(soo, spacecraft, monkeypatch):
+    await soo.client.post(SC, json=spacecraft)
+    real = soo.storage.catalogue.replace_spacecraft
+
+    def half(record):
+        real(record)
+        raise StorageError("storage.unavailable", "on purpose")
+
+    monkeypatch.setattr(soo.storage.catalogue, "replace_spacecraft", half)
+    assert (await soo.client.patch(f"{SC}/yamal-202", json={"name": "N"})).status_code == 503
+    assert [entry[1:] for entry in reported(soo)[-2:]] == [
+        ("change_spacecraft", "/spacecraft/yamal-202", "done"),
+        ("change_spacecraft", "/spacecraft/yamal-202", "503"),
+    ]
+
+
+async def test_refusals_are_written_down_with_who_is_known(soo, spacecraft):
+    _, viewer = await key_of(soo, "viewer", "vera")
+    await soo.client.post(SC, json=spacecraft, headers=viewer)
+    await soo.client.get(SC, headers={"Authorization": "Bearer nobody"})
+    assert reported(soo)[1:] == [
+        ("vera", "create_spacecraft", "/spacecraft", "403"),
+        ("anonymous", "list_spacecraft", "/spacecraft", "401"),
+    ]
+
+
+async def test_a_flood_of_refusals_is_counted(soo, monkeypatch):
+    now_s = [0.0]
+    soo.app.state.refusals = counted = refusals.Refusals(lambda: now_s[0])
+    for k in range(100):
+        await soo.client.get(f"{SC}/s{k}", headers={"Authorization": "Bearer nobody"})
+    assert len(chain(soo)) == 1
+    assert counted.settled() == []
+    now_s[0] = refusals.WINDOW_S
+    (audit_event,) = counted.settled()
+    assert (audit_event.times, audit_event.target, audit_event.outcome) == (99, "/spacecraft/s99", "401")
+    await soo.client.get(SC, headers={"Authorization": "Bearer nobody"})
+    assert len(chain(soo)) == 2
+
+
+async def test_a_flood_from_everywhere_is_bounded(soo):
+    for k in range(60):
+        transport = httpx.ASGITransport(app=soo.app, client=(f"192.0.2.{k}", 1))
+        async with httpx.AsyncClient(transport=transport, base_url="http://soo.test") as client:
+            for _ in range(3):
+                await client.get(SC)
+    assert len(chain(soo)) == refusals.MAX_GROUPS + 1
+    rest = soo.app.state.refusals.settled(is_last=True)
+    assert sum(audit_event.times for audit_event in rest) == 60 * 3 - len(chain(soo))
+    assert len(rest) == refusals.MAX_GROUPS + 1
+
+
+async def test_who_keeps_the_log_while_the_archive_is_gone(soo, monkeypatch, caplog):
+    def fail(_):
+        raise StorageError("storage.unavailable", "on purpose")
+
+    monkeypatch.setattr(soo.storage.audit, "append", fail)
+    answer = await soo.client.get(SC, headers={"Authorization": "Bearer nobody"})
+    assert answer.status_code == 401
+    assert "could not be written to the audit log" in caplog.text
+
+
+async def test_the_log_is_paged_filtered_and_names_its_head(soo, spacecraft):
+    _, approver = await key_of(soo, "approver", "anton")
+    for k in range(5):
+        soo.clock.system += 1_000_000
+        await soo.client.post(SC, json=spacecraft | {"id": f"s{k}"})
+    page = (await soo.client.get(AUDIT, params={"limit": 4}, headers=approver)).json()
+    assert [row["number"] for row in page["rows"]] == [1, 2, 3, 4]
+    assert page["head"] == {"number": 6, "hash": chain(soo)[-1].hash}
+    rest = (await soo.client.get(AUDIT, params={"limit": 4, "cursor": page["next"]}, headers=approver)).json()
+    assert ([row["number"] for row in rest["rows"]], rest["next"]) == ([5, 6], None)
+    for params, numbers in (
+        ({"action": "create_key"}, [1]),
+        ({"who": "bootstrap", "target": "/spacecraft"}, [2, 3, 4, 5, 6]),
+        ({"start": format_epoch(soo.clock.system)}, [6]),
+        ({"outcome": "401"}, []),
+    ):
+        rows = (await soo.client.get(AUDIT, params=params)).json()["rows"]
+        assert [row["number"] for row in rows] == numbers, params
+
+
+@pytest.mark.parametrize(("role", "status"), [("viewer", 403), ("station", 403), ("operator", 403), ("approver", 200)])
+async def test_the_log_is_for_approvers_and_administrators(soo, role, status):
+    _, key = await key_of(soo, role, role)
+    assert (await soo.client.get(AUDIT, headers=key)).status_code == status
+
+
+SESSION = "/api/v1/session"
+
+
+@pytest.fixture
+async def browser(soo):
+    """A browser on this machine that has no key yet."""
+    transport = httpx.ASGITransport(app=soo.app, client=("127.0.0.1", 50_000))
+    async with httpx.AsyncClient(transport=transport, base_url="https://soo.test") as client:
+        yield client
+
+
+async def session_new_key(soo, role, expires_us=None) -> dict[str, Any]:
+    """Return a fresh key."""
+    expires = {} if expires_us is None else {"expires_at": format_epoch(expires_us)}
+    made = await soo.client.post("/api/v1/keys", json={"name": f"some {role}", "role": role, **expires})
+    assert made.status_code == 201, made.text
+    return dict(made.json())
+
+
+async def test_a_key_becomes_a_cookie_that_no_script_reads(soo, browser):
+    made = await session_new_key(soo, "operator")
+    opened = await browser.post(SESSION, json={"key": made["key"]})
+    assert opened.status_code == 200
+    ends_us = soo.clock.system_us() + LIFE_S * US_PER_S
+    assert opened.json() == {
+        "name": "some operator",
+        "role": "operator",
+        "permissions": ["operate", "read", "send"],
+        "key_expires_at": None,
+        "session_ends_at": format_epoch(ends_us),
+    }
+    cookie = opened.headers["set-cookie"]
+    for word in ("HttpOnly", "SameSite=strict", "Secure", "Path=/", f"Max-Age={LIFE_S}"):
+        assert word in cookie
+    assert made["key"] not in opened.text
+    assert opened.headers["cache-control"] == "no-store"
+    asked = await browser.get(SESSION)
+    assert asked.json() == opened.json()
+    assert (await browser.get("/api/v1/spacecraft")).status_code == 200
+
+
+async def test_a_session_ends_with_its_key(soo, browser):
+    expires_us = soo.clock.system_us() + 3600 * US_PER_S
+    made = await session_new_key(soo, "viewer", expires_us)
+    opened = await browser.post(SESSION, json={"key": made["key"]})
+    assert opened.json()["session_ends_at"] == opened.json()["key_expires_at"] == format_epoch(expires_us)
+    soo.clock.system = expires_us
+    assert (await browser.get(SESSION)).status_code == 401
+
+
+async def test_a_session_ends_after_its_life_though_the_browser_kept_the_cookie(soo, browser):
+    made = await session_new_key(soo, "viewer")
+    await browser.post(SESSION, json={"key": made["key"]})
+    browser.cookies.jar.clear_expired_cookies()
+    soo.clock.system = soo.clock.system_us() + LIFE_S * US_PER_S
+    assert (await browser.get(SESSION)).json()["code"] == "key.invalid"
+
+
+async def test_a_revoked_key_ends_its_session(soo, browser):
+    made = await session_new_key(soo, "viewer")
+    await browser.post(SESSION, json={"key": made["key"]})
+    assert (await soo.client.delete(f"/api/v1/keys/{made['id']}")).status_code < 300
+    assert (await browser.get("/api/v1/spacecraft")).status_code == 401
+
+
+async def test_closing_takes_the_cookie_away_and_leaves_the_key(soo, browser):
+    made = await session_new_key(soo, "viewer")
+    await browser.post(SESSION, json={"key": made["key"]})
+    closed = await browser.delete(SESSION, headers={"Origin": "https://soo.test"})
+    assert closed.status_code == 204
+    assert COOKIE not in browser.cookies
+    assert (await browser.get(SESSION)).status_code == 401
+    answer = await browser.get(SESSION, headers={"Authorization": f"Bearer {made['key']}"})
+    assert answer.json()["session_ends_at"] is None
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [{}, {"Origin": "https://elsewhere.test"}, {"Origin": "http://soo.test"}, {"Origin": "null"}],
+    ids=["none", "other site", "without TLS", "null"],
+)
+async def test_a_change_by_cookie_needs_the_services_own_page(soo, browser, headers):
+    made = await session_new_key(soo, "operator")
+    await browser.post(SESSION, json={"key": made["key"]})
+    note = {"text": "by a page of another site"}
+    refused = await browser.post("/api/v1/notes", json=note, headers=headers)
+    assert (refused.status_code, refused.json()["code"]) == (403, "session.origin")
+    own = await browser.post("/api/v1/notes", json=note, headers={"Origin": "https://soo.test"})
+    assert own.json().get("code") != "session.origin"
+    bearer = await browser.post("/api/v1/notes", json=note, headers={"Authorization": f"Bearer {made['key']}"})
+    assert bearer.json().get("code") != "session.origin"
+
+
+async def test_a_second_persons_key_goes_before_the_cookie(soo, browser):
+    first, second = await session_new_key(soo, "viewer"), await session_new_key(soo, "approver")
+    await browser.post(SESSION, json={"key": first["key"]})
+    with_both = await browser.get(SESSION, headers={"Authorization": f"Bearer {second['key']}"})
+    assert with_both.json()["role"] == "approver"
+    wrong = await browser.get(SESSION, headers={"Authorization": "Bearer soo_wrong_key"})
+    assert wrong.status_code == 401
+    assert (await browser.get(SESSION)).json()["role"] == "viewer"
+
+
+@pytest.mark.parametrize("value", ["", "x", "1.", ".key", "99999999999999999.x", "-1.key", "1e9.key"])
+async def test_a_cookie_that_is_none_is_no_key(soo, value):
+    answer = await soo.client.get(SESSION, headers={"Authorization": "", "Cookie": f"{COOKIE}={value}"})
+    assert answer.status_code == 401
+
+
+async def test_wrong_keys_are_refused_and_counted(soo, browser):
+    soo.app.state.rate_limits = RateLimits(RateLimitConfig(anonymous_per_s=0.001, anonymous_burst=2))
+    statuses = [(await browser.post(SESSION, json={"key": f"wrong{n}"})).status_code for n in range(3)]
+    assert statuses == [401, 401, 429]
+
+
+@pytest.mark.parametrize(
+    ("scheme", "client", "status"), [("http", "192.0.2.1", 403), ("http", "::1", 200), ("https", "192.0.2.1", 200)]
+)
+async def test_no_key_crosses_a_network_without_tls(soo, scheme, client, status):
+    made = await session_new_key(soo, "viewer")
+    transport = httpx.ASGITransport(app=soo.app, client=(client, 50_000))
+    async with httpx.AsyncClient(transport=transport, base_url=f"{scheme}://soo.test") as browser:
+        answer = await browser.post(SESSION, json={"key": made["key"]})
+    assert answer.status_code == status
+    if status == 403:
+        assert answer.json()["code"] == "session.plain_http"
+        assert "set-cookie" not in answer.headers
+    else:
+        assert ("Secure" in answer.headers["set-cookie"]) == (scheme == "https")

@@ -1,17 +1,24 @@
-"""Every role at every route, against docs/reference/roles.md: what is served and not on that page fails."""
+"""Every role at every route, against docs/reference/roles.md; rates of requests, and a flood shuts nobody out."""
 
+import asyncio
 import re
+import threading
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
 from service.api.access.audit_context import BASE_PATH
-from service.api.limits.rate_limits import class_of
+from service.api.context.monitoring_settings import MonitoringSettings
+from service.api.limits.rate_limits import RateLimitConfig, RateLimits, class_of
+from service.api.monitoring.readiness import SharedReadiness
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.records.operations.access_key import Role
 
 pytestmark = pytest.mark.anyio
+
+
 PAGE = (Path(__file__).parents[2] / "docs/reference/roles.md").read_text(encoding="utf-8")
 #: status of a refusal; whatever else is answered, the key was let in
 REFUSED = {401, 403}
@@ -78,3 +85,104 @@ def test_rates_are_those_of_the_page():
     for (method, path), (permission, rate) in table().items():
         without_key = "none" if path == "/healthz" else "anonymous"
         assert rate == (without_key if permission == "-" else class_of(method, path)), path
+
+
+SC = "/api/v1/spacecraft"
+WRONG = {"Authorization": "Bearer wrong"}
+
+
+@pytest.fixture
+def limited(soo):
+    """The service with small bursts that do not refill during a test."""
+    config = RateLimitConfig(read_per_s=0.01, read_burst=3, control_per_s=0.01, control_burst=1, anonymous_burst=4)
+    soo.app.state.rate_limits = RateLimits(config, lambda: 0.0)
+    return soo
+
+
+async def test_answers_say_what_is_left_and_the_last_one_when_to_come_back(limited):
+    answers = [await limited.client.get(SC) for _ in range(4)]
+    assert [answer.status_code for answer in answers] == [200, 200, 200, 429]
+    assert [answer.headers["ratelimit-remaining"] for answer in answers] == ["2", "1", "0", "0"]
+    assert {answer.headers["ratelimit-limit"] for answer in answers} == {"3"}
+    assert (answers[0].headers["ratelimit-reset"], answers[3].headers["ratelimit-reset"]) == ("100", "100")
+    problem = answers[3].json()
+    assert (problem["code"], answers[3].headers["retry-after"]) == ("rate.limited", "100")
+    assert answers[3].headers["content-type"] == "application/problem+json"
+
+
+async def test_classes_have_rates_of_their_own(limited, spacecraft):
+    for _ in range(4):
+        last = await limited.client.get(SC)
+    assert last.status_code == 429
+    assert (await limited.client.post(SC, json=spacecraft)).status_code == 201
+    assert (await limited.client.post(SC, json=spacecraft | {"id": "other"})).status_code == 429
+    assert len(limited.storage.catalogue.all_spacecraft()) == 1
+
+
+async def test_a_flood_without_a_key_is_stopped_and_shuts_nobody_out(limited):
+    statuses = [(await limited.client.get(SC, headers=WRONG)).status_code for _ in range(6)]
+    assert statuses == [401] * 4 + [429] * 2
+    assert (await limited.client.get(SC)).status_code == 200
+    transport = httpx.ASGITransport(app=limited.app, client=("192.0.2.1", 1))
+    async with httpx.AsyncClient(transport=transport, base_url="http://soo.test") as elsewhere:
+        assert (await elsewhere.get(SC)).status_code == 401
+
+
+async def test_public_paths_are_counted_by_address_but_not_the_sign_of_life(limited):
+    anonymous = {"Authorization": ""}
+    statuses = [(await limited.client.get("/openapi.json", headers=anonymous)).status_code for _ in range(5)]
+    assert statuses == [200] * 4 + [429]
+    for path in ("/healthz", "/readyz"):
+        assert (await limited.client.get(path, headers=anonymous)).status_code == 200
+
+
+async def test_files_of_the_console_have_a_rate_of_their_own(limited):
+    # nothing is served there without the console, but it is counted all the same
+    limited.app.state.rate_limits = RateLimits(RateLimitConfig(static_burst=3, anonymous_burst=1), lambda: 0.0)
+    anonymous = {"Authorization": ""}
+    paths = ("/", "/console/app.js", "/console/", "/console/store.js")
+    statuses = [(await limited.client.get(path, headers=anonymous)).status_code for path in paths]
+    assert statuses == [404, 404, 404, 429]
+    statuses = [(await limited.client.get("/openapi.json", headers=anonymous)).status_code for _ in range(2)]
+    assert statuses == [200, 429]
+
+
+@pytest.mark.parametrize("is_key_needed", [False, True])
+async def test_wrong_keys_of_others_keep_health_checks_and_holders_of_a_key_in(limited, is_key_needed):
+    context = limited.app.state.context
+    object.__setattr__(context, "monitoring", MonitoringSettings(metrics_need_key=is_key_needed))
+    statuses = [(await limited.client.get("/metrics", headers=WRONG)).status_code for _ in range(6)]
+    assert statuses == [401 if is_key_needed else 200] * 4 + [429] * 2
+    assert (await limited.client.get(SC, headers=WRONG)).status_code == 429
+    for _ in range(8):
+        assert (await limited.client.get("/readyz", headers=WRONG)).status_code == 200
+    assert (await limited.client.get("/metrics")).status_code == 200
+
+
+async def test_health_checks_that_come_together_share_one_look(limited, monkeypatch):
+    looks, asked, state, parts = [], [], limited.storage.state, SharedReadiness.parts
+    have_come = threading.Event()
+
+    def slow_state():
+        looks.append(1)
+        have_come.wait(120)
+        return state()
+
+    async def counted_parts(shared):
+        asked.append(1)
+        if len(asked) == 50:
+            have_come.set()
+        return await parts(shared)
+
+    monkeypatch.setattr(limited.storage, "state", slow_state)
+    monkeypatch.setattr(SharedReadiness, "parts", counted_parts)
+    answers = await asyncio.gather(*[limited.client.get("/readyz") for _ in range(50)])
+    assert {answer.status_code for answer in answers} == {200}
+    # the last one may come when the look is just over
+    assert len(looks) <= 2
+
+
+async def test_thousands_of_query_parameters_are_refused(soo):
+    answer = await soo.client.get(f"{SC}?" + "&".join(f"a{k}=1" for k in range(2000)))
+    assert (answer.status_code, answer.json()["code"]) == (400, "query.too_many")
+    assert (await soo.client.get(f"{SC}?" + "&".join(f"a{k}=1" for k in range(100)))).status_code == 200

@@ -1,4 +1,4 @@
-"""Program messages and their units: where they end, how they are joined, what their path is."""
+"""Program messages: headers, elements, numbers."""
 
 import pytest
 
@@ -87,3 +87,247 @@ def test_path_does_not_outlive_its_message(bench):
 def test_message_beyond_all_limits_is_refused_and_the_next_one_heard(bench):
     assert bench.send(b"x" * 5_000_000 + b"\n*ESE?\n") == b"0\n"
     assert bench.errors() == [-223]
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "FREQ:CENT",
+        "freq:cent",
+        "FREQuency:CENTer",
+        "frequency:center",
+        "FrEq:cEnTeR",
+        ":FREQ:CENT",
+        "SENS:FREQ:CENT",
+        ":SENSe:FREQuency:CENTer",
+        "sense:freq:center",
+    ],
+)
+def test_header_in_either_form_and_any_case(bench, header):
+    bench.ask(f"{header} 1.5 GHZ")
+    assert bench.ask(f"{header}?") == "1500000000"
+    assert bench.errors() == []
+
+
+@pytest.mark.parametrize("header", ["FRE:CENT", "FREQU:CENT", "FREQ:CENTE", "SENSES:FREQ:CENT", "FREQ"])
+def test_nothing_between_short_and_long_form(bench, header):
+    bench.ask(f"{header} 1 GHZ")
+    assert bench.ask(f"{header}?") == ""
+    assert bench.errors() == [-113, -113]
+
+
+def test_suffix_is_one_when_left_out(bench, name, facts):
+    if name in {"rs", "keysight"}:
+        bench.ask("SENS1:FREQ:CENT 1 GHZ")
+        assert bench.ask("SENSe1:FREQ:CENT?;:SENS:FREQ:CENT?;:FREQ:CENT?") == ";".join(["1000000000"] * 3)
+    without = facts.suffix_beyond.replace("9", "")
+    assert bench.ask(without.replace(":", "1:", 1)) == bench.ask(without) != ""
+    assert bench.errors() == []
+
+
+def test_suffix_out_of_range(bench, facts):
+    assert bench.ask(facts.suffix_beyond) == ""
+    assert bench.errors() == [-114]
+
+
+@pytest.mark.parametrize("suffix", ["0", "99999999999999999999"])
+def test_suffix_of_no_sense(bench, facts, suffix):
+    header = facts.suffix_beyond.replace("99", suffix).replace("9", suffix if suffix == "0" else "9")
+    assert bench.ask(header) == ""
+    assert bench.errors() == [-114]
+
+
+@pytest.mark.parametrize("word", ["asc", "ASC", "ASCii", "ascii", "AsCiI"])
+def test_words_in_either_form_and_any_case(bench, word):
+    bench.ask(f"FORM {word}")
+    assert bench.ask("FORM?").startswith("ASC")
+    assert bench.errors() == []
+
+
+def test_word_between_short_and_long_form(bench):
+    bench.ask("FORM ASCI")
+    assert bench.errors() == [-141]
+
+
+@pytest.mark.parametrize("header", ["*IDN", "*CLS?", "*RST?", "INIT?", "SYST:ERR", "*OPT"])
+def test_form_that_a_header_does_not_have(bench, header):
+    assert bench.ask(header) == ""
+    assert bench.errors() == [-113]
+
+
+def test_identity_is_what_drivers_look_for(bench, facts):
+    import re
+
+    assert re.fullmatch(facts.identity, bench.ask("*IDN?"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1013000000",
+        "+1013000000.",
+        "1.013E9",
+        "1.013e+09",
+        "0.1013E10",
+        ".1013e10",
+        "10130000 e2",
+        "1.013 GHz",
+        "1.013GHZ",
+        "1013 MHZ",
+        "1013mhz",
+        "1013 MAHZ",
+        "1013000 kHz",
+        "1.013000e+09 Hz",
+        "1013000000.0",
+        "#H3C612B40",
+        "#Q7430225500",
+        "#B111100011000010010101101000000",
+    ],
+)
+def test_ways_to_write_a_frequency(bench, text):
+    bench.ask(f"FREQ:SPAN 1 MHZ;CENT {text}")
+    value = float(bench.ask("FREQ:CENT?"))
+    expected = {"#": float(int(text[2:], {"H": 16, "Q": 8, "B": 2}.get(text[1:2], 10))) if text[0] == "#" else 1.013e9}
+    assert value == expected["#"]
+    assert bench.errors() == []
+
+
+@pytest.mark.parametrize(("text", "time_s"), [("0.25", 0.25), ("250 MS", 0.25), ("250000 us", 0.25), ("2 S", 2.0)])
+def test_ways_to_write_a_time(bench, text, time_s):
+    bench.ask(f"FREQ:SPAN 1 MHZ;:SWE:TIME {text}")
+    assert float(bench.ask("SWE:TIME?")) == time_s
+    assert bench.errors() == []
+
+
+@pytest.mark.parametrize("text", ["-20", "-20 DBM", "-20dbm", "-2E1"])
+def test_ways_to_write_a_level(bench, text):
+    bench.ask(f"DISP:WIND:TRAC:Y:RLEV {text}")
+    assert bench.ask("DISP:WIND:TRAC:Y:RLEV?") == "-20"
+    assert bench.errors() == []
+
+
+@pytest.mark.parametrize("text", ["20", "20 DB", "20db"])
+def test_ways_to_write_a_ratio(bench, facts, text):
+    bench.ask(f"{facts.attenuation} {text}")
+    assert float(bench.ask(f"{facts.attenuation}?")) == 20.0
+    assert bench.errors() == []
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        ("1 S", -131),
+        ("1 PARSEC", -131),
+        ("'1'", -158),
+        ("1,2", -108),
+        ("1,", -102),
+        ("", -109),
+        ("ABC", -141),
+        ("1.2.3", -121),
+        ("1e99999", -123),
+        ("1" * 300, -124),
+        ("(@1)", -104),
+        ("+", -120),
+        ("#HXY", -121),
+        ("#13abc", -168),
+        ("#9", -161),
+    ],
+)
+def test_data_that_a_number_is_not(bench, text, code):
+    before = bench.ask("FREQ:CENT?")
+    bench.ask(f"FREQ:CENT {text}")
+    assert bench.errors() == [code]
+    assert bench.ask("FREQ:CENT?") == before
+
+
+SETTINGS = ["FREQ:CENT", "FREQ:SPAN", "BAND", "BAND:VID", "SWE:TIME", "DISP:WIND:TRAC:Y:RLEV"]
+
+
+def limits(bench, header):
+    return [float(bench.ask(f"{header}? {word}")) for word in ("MIN", "MAX")]
+
+
+def slack(header):
+    """Half of the span left about a centre that is driven to the edge of the band."""
+    return 1e3 if "CENT" in header else 0.0
+
+
+@pytest.mark.parametrize("header", SETTINGS)
+@pytest.mark.parametrize(("word", "position"), [("MIN", 0), ("MINimum", 0), ("max", 1), ("MAXIMUM", 1)])
+def test_minimum_and_maximum_are_told_and_taken(bench, header, word, position):
+    bench.ask("FREQ:SPAN 1 KHZ")
+    low, high = limits(bench, header)
+    assert low < high
+    bench.ask(f"{header} {word}")
+    assert float(bench.ask(f"{header}?")) == pytest.approx((low, high)[position], rel=1e-6, abs=slack(header))
+    assert bench.errors() == []
+
+
+def test_default_up_and_down(bench):
+    bench.ask("FREQ:SPAN 1 MHZ;:BAND 10 KHZ")
+    bench.ask("BAND UP")
+    wider = float(bench.ask("BAND?"))
+    bench.ask("BAND DOWN")
+    assert float(bench.ask("BAND?")) == 10e3 < wider
+    bench.ask("BAND DEF")
+    assert float(bench.ask("BAND?")) == float(bench.ask("BAND? DEF"))
+    bench.ask("FREQ:CENT 1 GHZ;SPAN 100 MHZ")
+    assert bench.ask("FREQ:CENT UP;CENT?;CENT DOWN;CENT?;CENT? UP") == "1010000000;1000000000;1010000000"
+    assert bench.errors() == []
+
+
+@pytest.mark.parametrize(
+    ("text", "answer"), [("ON", "1"), ("on", "1"), ("1", "1"), ("OFF", "0"), ("0", "0"), ("2", "1")]
+)
+def test_booleans_are_answered_as_digits(bench, text, answer):
+    bench.ask(f"INIT:CONT {text}")
+    assert bench.ask("INIT:CONT?") == answer
+    assert bench.errors() == []
+
+
+def test_units_are_never_returned(bench, facts):
+    bench.ask("FREQ:CENT 1.5 GHZ;SPAN 3 MHZ;:BAND 10 KHZ;:SWE:TIME 20 MS;:DISP:WIND:TRAC:Y:RLEV -10 DBM")
+    for header in ("FREQ:CENT", "FREQ:SPAN", "BAND", "SWE:TIME", "DISP:WIND:TRAC:Y:RLEV", facts.attenuation):
+        float(bench.ask(f"{header}?"))
+    assert bench.errors() == []
+
+
+@pytest.mark.parametrize("header", SETTINGS)
+@pytest.mark.parametrize(("value", "position"), [("1E30", 1), ("-1E30", 0)])
+def test_value_out_of_range_is_set_to_the_limit_and_reported(bench, header, value, position):
+    bench.ask("FREQ:SPAN 1 KHZ")
+    limit = limits(bench, header)[position]
+    bench.ask(f"{header} {value}")
+    assert bench.errors() == [-222]
+    assert float(bench.ask(f"{header}?")) == pytest.approx(limit, rel=1e-6, abs=slack(header))
+
+
+def test_bandwidth_goes_to_a_legal_step(bench, facts):
+    bench.ask(f"BAND {facts.rbw_asked_hz}")
+    assert float(bench.ask("BAND?")) == facts.rbw_step_hz
+    assert bench.errors() == []
+
+
+def test_couplings_follow_the_span(bench, facts):
+    bench.ask("FREQ:CENT 1 GHZ;SPAN 100 MHZ;:BAND:AUTO ON;:BAND:VID:AUTO ON;:SWE:TIME:AUTO ON")
+    wide = [float(bench.ask(query)) for query in ("BAND?", "BAND:VID?", "SWE:TIME?")]
+    assert 0.5 < wide[0] * facts.span_per_rbw / 100e6 < 2.0
+    bench.ask("FREQ:SPAN 1 MHZ")
+    narrow = [float(bench.ask(query)) for query in ("BAND?", "BAND:VID?", "SWE:TIME?")]
+    assert narrow[0] < wide[0]
+    assert narrow[1] < wide[1]
+    bench.ask("BAND 100 KHZ")
+    assert bench.ask("BAND:AUTO?") == "0"
+    assert float(bench.ask("SWE:TIME?")) <= narrow[2]
+    assert bench.errors() == []
+
+
+def test_span_start_and_stop_are_consistent(bench):
+    bench.ask("FREQ:STAR 1 GHZ;STOP 1.2 GHZ")
+    assert bench.ask("FREQ:CENT?;SPAN?") == "1100000000;200000000"
+    bench.ask("FREQ:CENT 1.5 GHZ")
+    assert bench.ask("FREQ:STAR?;STOP?") == "1400000000;1600000000"
+    bench.ask("FREQ:STAR 2 GHZ")
+    start, stop = map(float, bench.ask("FREQ:STAR?;STOP?").split(";"))
+    assert start == 2e9 < stop
+    assert bench.errors() == []

@@ -1,11 +1,17 @@
-"""Keys, audit log and TLS as operators meet them: a service process, its commands, and everything that they write."""
+"""Keys, streams of clients and lost rows with a real service."""
 
+import asyncio
 import json
+import random
+import shutil
 import socket
 import ssl
 import subprocess
 import sys
+import threading
 import time
+from collections import Counter
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from urllib.parse import quote
 
@@ -14,8 +20,11 @@ import pytest
 from typer.testing import CliRunner
 
 from service.cli.app import app
+from service.client.async_service_client import AsyncServiceClient
+from service.client.service_client import ServiceClient, StreamEvent
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
+
 
 BASE = "/api/v1/spacecraft"
 #: a connection without a request is ended after so long
@@ -199,3 +208,181 @@ def test_a_certificate_that_cannot_be_used_and_a_proxy_that_is_everybody_are_ref
     for (code, output), words in zip(ended, said, strict=True):
         assert (code, words in output) == (2, True), (code, output)
     assert not (tmp_path / "soo.db").exists()
+
+
+KEY = "a-key-for-tests-only"
+SEED = 20261122
+KILLS = 2
+SC = "sim-1"
+
+
+def epoch_of(number: int) -> str:
+    """Return the epoch of a row."""
+    return time.strftime("%Y-%m-%dT%H:%M:%S.000000Z", time.gmtime(1_795_000_000 + number))
+
+
+class Sender(threading.Thread):
+    """Sends a row every few milliseconds and remembers what was acknowledged."""
+
+    def __init__(self, url: str, plan_id: int) -> None:
+        super().__init__()
+        self._client = ServiceClient(url, KEY, retries=200, first_wait_s=0.05)
+        self._plan_id = plan_id
+        self._is_over = threading.Event()
+        self.acknowledged: list[str] = []
+
+    def run(self) -> None:
+        number = 0
+        while not self._is_over.wait(0.01):
+            number += 1
+            row = {"epoch": epoch_of(number), "power_dbm": [-40.0 - number % 7] * 16}
+            receipt = self._client.post_measurements(SC, self._plan_id, [row], source="sa-1")
+            assert receipt["accepted"] + receipt["duplicates"] == 1, receipt
+            self.acknowledged.append(row["epoch"])
+
+    def finish(self) -> None:
+        self._is_over.set()
+        self.join(120)
+        self._client.close()
+
+
+def follow(url: str, events: list[StreamEvent], last: threading.Event, wanted: set[str]) -> None:
+    """Follow with the synchronous client until every wanted row has come."""
+    with ServiceClient(url, KEY) as client:
+        for event in client.stream(SC, patience_s=120):
+            events.append(event)
+            if last.is_set() and wanted <= epochs(events):
+                return
+
+
+async def follow_async(url: str, events: list[StreamEvent], last: threading.Event, wanted: set[str]) -> None:
+    """Follow with the asynchronous client until every wanted row has come."""
+    async with AsyncServiceClient(url, KEY) as client:
+        async for event in client.stream(SC, patience_s=120):
+            events.append(event)
+            if last.is_set() and wanted <= epochs(events):
+                return
+
+
+def epochs(events: list[StreamEvent]) -> set[str]:
+    """Return the epochs of the rows that were told."""
+    return {event.data["epoch"] for event in list(events) if event.kind == "measurement"}
+
+
+def wait_for(is_true, timeout_s: float = 120.0) -> None:
+    """Wait for something."""
+    deadline = time.monotonic() + timeout_s
+    while not is_true():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_service, spacecraft, carriers):
+    print(f"seed {SEED}")
+    instants = random.Random(SEED)
+    service = start_service()
+    url = service.url
+    with ServiceClient(url, KEY, timeout_s=120) as client:
+        client.create_spacecraft(spacecraft)
+        plan_id = client.put_carriers(SC, carriers)["plan_id"]
+    reported: dict[str, list[StreamEvent]] = {"sync": [], "async": []}
+    last, wanted = threading.Event(), set()
+    readers = [
+        threading.Thread(target=follow, args=(url, reported["sync"], last, wanted)),
+        threading.Thread(target=lambda: asyncio.run(follow_async(url, reported["async"], last, wanted))),
+    ]
+    for reader in readers:
+        reader.start()
+    # both have an id to go on from before the first row is sent
+    wait_for(lambda: all(reported.values()))
+    sender = Sender(url, plan_id)
+    sender.start()
+    for _ in range(KILLS):
+        time.sleep(instants.uniform(0.2, 1.0))
+        service.process.kill()
+        service.process.wait()
+        service = start_service("--port", url.rpartition(":")[2], "--clock", "data")
+        service.await_announcement()
+    time.sleep(0.5)
+    sender.finish()
+    wanted.update(sender.acknowledged)
+    last.set()
+    with ServiceClient(url, KEY, timeout_s=120) as client:
+        # one more row wakes readers that have everything already
+        row = {"epoch": epoch_of(100_000), "power_dbm": [-40.0] * 16}
+        client.post_measurements(SC, plan_id, [row], source="sa-1")
+        stored = [
+            row["epoch"] for row in client.measurement_history(SC, "2026-01-01T00:00:00Z", "2027-01-01T00:00:00Z")
+        ]
+    for reader in readers:
+        reader.join(120)
+        assert not reader.is_alive()
+    print(f"{len(wanted)} rows acknowledged, {KILLS} kills")
+    assert len(wanted) > KILLS
+    assert wanted <= set(stored)
+    for name, events in reported.items():
+        counts = Counter(event.data["epoch"] for event in events if event.kind == "measurement")
+        assert wanted <= counts.keys(), name
+        assert set(counts.values()) == {1}, name
+        assert not [event for event in events if event.kind == "dropped"], name
+        # the order of the journal, which here is that of the epochs
+        assert list(counts) == sorted(counts), name
+    assert service.end()[0] == 0
+
+
+LOST_BASE = "/api/v1/spacecraft/sim-1"
+FIRST = datetime(2026, 11, 1, tzinfo=UTC)
+
+
+def post(client, first, rows):
+    """Post rows of rising epochs, a hundred at once."""
+    for start in range(first, first + rows, 100):
+        measurements = [
+            {"epoch": (FIRST + timedelta(seconds=start + k)).isoformat(), "power_dbm": [-50.0] * 16}
+            for k in range(min(100, first + rows - start))
+        ]
+        answer = client.post(
+            f"{LOST_BASE}/measurements:batch", json={"plan_id": 1, "source": "sa", "measurements": measurements}
+        )
+        assert answer.json()["accepted"] == len(measurements), answer.text
+
+
+def doctor(file, log):
+    command = [
+        sys.executable,
+        "-m",
+        "service",
+        "doctor",
+        "--database",
+        f"sqlite:///{file}",
+        "--json",
+        "--log",
+        str(log),
+    ]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+def test_a_thousand_lost_rows_are_told_by_the_log_of_the_service(start_service, spacecraft, carriers, tmp_path):
+    file, older = tmp_path / "soo.db", tmp_path / "older.db"
+    service = start_service()
+    with service.client() as client:
+        assert client.post("/api/v1/spacecraft", json=spacecraft).status_code == 201
+        assert client.put(f"{LOST_BASE}/carriers", json={"carriers": carriers}).status_code == 200
+        post(client, 0, 5)
+    assert service.end()[0] == 0
+    # the state of the file before its log held the next rows
+    shutil.copy(file, older)
+    service = start_service()
+    with service.client() as client:
+        post(client, 5, 1000)
+    assert service.end()[0] == 0
+    assert service.log.read_text().count("journal head sim-1 ") == 2
+    whole = doctor(file, service.log)
+    assert whole.returncode in {0, 3}, whole.stdout + whole.stderr
+    assert "2 entries are those that the log names" in whole.stdout
+    lost = doctor(older, service.log)
+    assert lost.returncode == 1
+    assert "sim-1: 1000 entries are lost" in lost.stdout
+    assert doctor(file, tmp_path / "none.log").returncode == 2
+    (tmp_path / "empty.log").write_text("nothing\n")
+    assert "names no head of a journal" in doctor(file, tmp_path / "empty.log").stderr

@@ -100,7 +100,7 @@ def reference_page() -> str:
     parts = [
         "# States of an acquisition",
         "Printed by `soo acquire --states` from the table that the code runs by,\n"
-        "`service/frontend/acquisition/states.py`. `tests/docs/test_watch_the_links.py` holds page and table equal.",
+        "`service/frontend/acquisition/states.py`. `tests/docs/test_how_to.py` holds page and table equal.",
         "```mermaid\n" + diagram() + "\n```",
         "\n".join(["| state | action |", "|---|---|", *actions]),
         "\n".join([head, rule, *rows]),

@@ -15,7 +15,7 @@ from service.records.operations.alarm import ChangeKind, Severity
 _HEAD = """# Alarms
 
 Written by `python -m service.pipeline.alarms.reference_page` from the tables that the code runs by
-(`service/pipeline/alarms/conditions.py`, `alarm_sets.py`, `alarm_states.py`); `tests/docs/test_alarms.py` holds page
+(`service/pipeline/alarms/conditions.py`, `alarm_sets.py`, `alarm_states.py`); `tests/docs/test_reference.py` holds page
 and tables equal. How to live with alarms: [handle alarms](../how-to/handle-alarms.md)."""
 
 _CONDITIONS = """## Conditions

@@ -1,13 +1,20 @@
-"""Attitude: newest, history, validity."""
+"""Attitude and measurements on their way out: newest, history, validity, status, smoothed rows, carriers left out."""
 
+import math
+from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
+from served_stream import Reader, Served, serving
 
-from service.ports import LIVE, Outcome
+from service.ports import LIVE, SMOOTHED, Outcome
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
-from service.records.levels.attitude import NO_ANGLES, Exclusion, Status
+from service.records.levels.attitude import NO_ANGLES, Axes, Exclusion, Status
+from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.measurement import CarrierDetails
 
 pytestmark = pytest.mark.anyio
 
@@ -156,3 +163,267 @@ async def test_versions_are_apart(bench, make):
     assert again == live | {"residual_rms_db": 0.25, "version": version}
     assert len((await bench.get("/torques/history", version=version))["rows"]) == 1
     assert repr(bench.storage.results.newest_attitude(make.sc, LIVE, Method.PAPER)) == repr(make.row(row))
+
+
+OF_SERIES = {"version": SMOOTHED, "method": "robust_smoothed"}
+
+
+@pytest.fixture
+def served(bench, make) -> Iterator[Served]:
+    with serving(bench.app, make.key) as served:
+        yield served
+
+
+@pytest.fixture
+def store(bench, make):
+    """Return what stores smoothed rows of measurements some minutes old."""
+
+    def store(*minutes):
+        rows = bench.append([make.now_us - minute * 60 * make.s for minute in minutes])
+        made = [
+            replace(make.row(row, method=Method.ROBUST_SMOOTHED), lag_s=7200.0, control_allowed=False) for row in rows
+        ]
+        outcomes = [Outcome((row,), None) for row in made]
+        bench.storage.results.save_outcomes(make.sc, SMOOTHED, outcomes, 0, None)
+        return made
+
+    return store
+
+
+async def test_the_series_is_listed_page_by_page_in_both_orders(bench, store):
+    assert (await bench.get("/attitude/smoothed"))["rows"] == []
+    made = store(30, 25, 20)
+    first = await bench.get("/attitude/smoothed", limit=2)
+    rest = await bench.get("/attitude/smoothed", limit=2, cursor=first["next"])
+    rows = first["rows"] + rest["rows"]
+    assert (len(first["rows"]), rest["next"]) == (2, None)
+    assert [row["roll_deg"] for row in rows] == [row.attitude_deg.roll for row in made]
+    assert {(row["method"], row["version"], row["lag_s"]) for row in rows} == {("robust_smoothed", SMOOTHED, 7200.0)}
+    assert not any(row["control_allowed"] for row in rows)
+    assert (first["method"], first["version"]) == ("robust_smoothed", SMOOTHED)
+    backward = await bench.get("/attitude/smoothed", order="desc")
+    assert backward["rows"] == rows[::-1]
+    # the same rows under the general names
+    assert (await bench.get("/attitude/history", **OF_SERIES))["rows"] == rows
+
+
+async def test_samples_and_exports_have_them(bench, store):
+    made = store(30, 25, 20)
+    samples = await bench.get("/samples", quantity="roll_deg", count=10, **OF_SERIES)
+    assert "robust_smoothed" in str(samples)
+    answer = await bench.client.get(f"{bench.url}/archive/attitude:export", params={"format": "csv", **OF_SERIES})
+    assert answer.status_code == 200, answer.text
+    lines = [line for line in answer.text.splitlines() if line and not line.startswith("#")]
+    assert len(lines) == len(made) + 1
+    assert "attitude_robust_smoothed_smoothed" in answer.headers["content-disposition"]
+
+
+async def test_nothing_of_the_present_is_touched(bench, make, store):
+    before = await bench.get("/attitude")
+    head = bench.storage.archive.head(make.sc)
+    made = store(30)
+    assert bench.storage.archive.head(make.sc).result_sequence == head.result_sequence
+    after = await bench.get("/attitude")
+    assert (after["method"], after["version"]) == (before["method"], before["version"])
+    assert after["control"]["allowed"] is before["control"]["allowed"]
+    assert (await bench.get("/torques/history", version=SMOOTHED))["rows"] == []
+    assert len(made) == 1
+
+
+@pytest.mark.parametrize("path", ["attitude/history", "archive/attitude:export", "samples"])
+async def test_other_methods_have_no_rows_in_it(bench, store, path):
+    store(30)
+    for method in ("robust", "paper"):
+        query = {"version": SMOOTHED, "method": method, "quantity": "roll_deg", "format": "csv"}
+        answer = await bench.client.get(f"{bench.url}/{path}", params=query)
+        assert (answer.status_code, answer.json()["code"]) == (422, "method.smoothed"), path
+        assert "has rows of method robust_smoothed alone" in answer.text
+
+
+async def test_an_unknown_spacecraft_has_no_series(bench):
+    answer = await bench.client.get("/api/v1/spacecraft/nobody/attitude/smoothed")
+    assert (answer.status_code, answer.json()["code"]) == (404, "spacecraft.unknown")
+
+
+async def test_the_stream_sends_each_new_row_as_the_list_has_it(served, bench, store):
+    store(40)
+    with served.open(None, "status", "smoothed") as response:
+        reader = Reader(response)
+        # what there is at the first look is no change
+        reader.consume(1, "status")
+        store(35, 30)
+        events = reader.consume(2)
+    rows = (await bench.get("/attitude/smoothed"))["rows"]
+    assert [event.kind for event in events] == ["smoothed", "smoothed"]
+    assert [event.data for event in events] == rows[1:]
+
+
+@pytest.mark.parametrize(
+    ("methods", "after_paper"), [(("paper",), 0), (("paper", "robust"), 3), (("robust",), 3), ((), 0)]
+)
+async def test_pending_counts_every_method_that_runs(bench, make, methods, after_paper):
+    bench.calibrate([make.carrier_calibration(k, Axes(0.1 * k * k, 1.0, 0.5 * k)) for k in range(6)])
+    first = bench.align(make.now_us - 600 * make.s)
+    named = dict.fromkeys(methods, first.calibration_id)
+    bench.storage.results.add_alignment(make.sc, replace(first, calibration_by_method=named))
+    rows = bench.append([make.now_us - (3 - k) * 60 * make.s for k in range(3)])
+    assert (await bench.get("/status"))["pending"] == 3
+    bench.consume([Outcome((make.row(row),), None) for row in rows])
+    assert (await bench.get("/status"))["pending"] == after_paper
+    bench.consume([Outcome((make.row(row, method=Method.ROBUST),), None) for row in rows])
+    assert (await bench.get("/status"))["pending"] == 0
+
+
+async def test_nothing_is_pending_before_an_alignment(bench, make):
+    bench.append([make.now_us])
+    status = await bench.get("/status")
+    assert (status["pending"], status["aligned"], status["realignment_advised"]) == (0, False, False)
+
+
+def results_of(plan_id, carriers):
+    levels_db = np.linspace(-0.5, 0.5, carriers)
+    levels_db[1] = np.nan
+    codes = np.arange(carriers) % 5
+    return CarrierResults(plan_id, levels_db, levels_db / 2, codes, codes)
+
+
+async def test_rows_tell_state_reason_and_levels(bench, make):
+    rows = bench.append([make.now_us - seconds * make.s for seconds in (90, 60, 30)])
+    carriers = len(rows[0].power_dbm)
+    known = results_of(rows[0].plan_id, carriers)
+    outcomes = [
+        Outcome((make.row(row),), None, carriers=() if position == 1 else (known,)) for position, row in enumerate(rows)
+    ]
+    bench.consume(outcomes)
+    page = await bench.get("/carriers/c02/results", method="paper")
+    assert (page["carrier"], page["method"], page["version"], page["next"]) == ("c02", "paper", "live", None)
+    first, without, last = page["rows"]
+    assert first == {
+        "epoch": "2026-11-21T02:58:30.000000Z",
+        "state": "excluded",
+        "reason": None,
+        "deviation_db": pytest.approx(known.deviation_db[2], abs=0.003),
+        "residual_db": pytest.approx(known.residual_db[2], abs=0.003),
+        "hypothesis": "wet",
+        "plan_id": rows[0].plan_id,
+    }
+    assert {**last, "epoch": first["epoch"]} == first
+    assert [without[name] for name in ("state", "deviation_db", "hypothesis", "plan_id")] == [None] * 4
+    absent = (await bench.get("/carriers/c01/results"))["rows"][0]
+    assert (absent["state"], absent["deviation_db"]) == ("absent", None)
+    assert (await bench.get("/carriers/c03/results"))["rows"][0]["reason"] == "uplink_fade"
+    robust = await bench.get("/carriers/c02/results", method="robust")
+    assert {row["state"] for row in robust["rows"]} == {None}
+    # sealed it is the same
+    list(bench.storage.results.seal(make.sc, 1 << 60))
+    assert await bench.get("/carriers/c02/results", method="paper") == page
+
+
+async def test_pages_meet(bench, make):
+    rows = bench.append([make.now_us - seconds * make.s for seconds in range(50, 0, -10)])
+    known = results_of(rows[0].plan_id, len(rows[0].power_dbm))
+    bench.consume([Outcome((make.row(row, method=Method.PAPER),), None, carriers=(known,)) for row in rows])
+    whole = (await bench.get("/carriers/c02/results"))["rows"]
+    first = await bench.get("/carriers/c02/results", limit=3)
+    second = await bench.get("/carriers/c02/results", limit=3, cursor=first["next"])
+    assert first["rows"] + second["rows"] == whole
+    assert len(whole) == 5
+
+
+async def test_a_carrier_that_no_plan_has_is_refused(bench, make):
+    bench.append([make.now_us])
+    path = f"/spacecraft/{make.sc}/carriers/c99/results"
+    assert await bench.refused("GET", path) == (404, "carrier.unknown", [])
+
+
+async def test_newest_row_before_anything_is_calibrated(bench, make):
+    assert await bench.get("/measurements") == []
+    nan = math.nan
+    stated = np.float32(
+        [[[0.05, nan, 1, 1, 1, 1]], [[71.3, nan, 1, 1, 1, 1]], [[nan] * 6], [[-1250.5, 0.0, 1, 1, 1, 1]]]
+    )
+    bench.append(
+        [make.now_us],
+        [-42.1, nan, -43.3, -44.0, -45.0, -46.0],
+        flags=(0, 16, 512, 0, 0, 0),
+        details=CarrierDetails(*stated),
+    )
+    newest = await bench.get("/measurements")
+    nobody_asked = {"hypothesis": None, "hypothesis_probability": None, "hypothesis_since": None}
+    assert newest[:2] == [
+        {
+            "carrier": "c00",
+            "epoch": format_epoch(make.now_us),
+            "power_dbm": -42.1,
+            "expected_dbm": None,
+            "deviation_db": None,
+            "residual_db": None,
+            "sigma_db": None,
+            "measured_sigma_db": 0.05,
+            "c_n0_db_hz": 71.3,
+            "occupied_bandwidth_hz": None,
+            "centroid_offset_hz": -1250.5,
+            "flags": 0,
+            "flag_names": [],
+            "state": "uncalibrated",
+            **nobody_asked,
+        },
+        {
+            "carrier": "c01",
+            "epoch": format_epoch(make.now_us),
+            "power_dbm": None,
+            "expected_dbm": None,
+            "deviation_db": None,
+            "residual_db": None,
+            "sigma_db": None,
+            "measured_sigma_db": None,
+            "c_n0_db_hz": None,
+            "occupied_bandwidth_hz": None,
+            "centroid_offset_hz": 0.0,
+            "flags": 16,
+            "flag_names": ["NO_CARRIER"],
+            "state": "absent",
+            **nobody_asked,
+        },
+    ]
+    assert [row["carrier"] for row in newest] == [f"c{k:02d}" for k in range(6)]
+
+
+async def test_history_tells_powers_by_carrier_under_each_plan(bench, make):
+    bench.append([make.now_us], [-42.1, math.nan, -43.3, -44.0, -45.0, -46.0], flags=(1, 2, 3, 4, 5, 6))
+    plan = bench.storage.catalogue.put_plan(make.sc, [make.carrier(9), make.carrier(0)], "second")
+    bench.append([make.now_us + 1], [-50.5, -51.25], source="sa-2", plan_id=plan.id)
+    first, second = (await bench.get("/measurements/history"))["rows"]
+    assert first["power_dbm"] == {"c00": -42.1, "c01": None, "c02": -43.3, "c03": -44.0, "c04": -45.0, "c05": -46.0}
+    assert first["flag_names"]["c02"] == ["CLOCK_UNSYNC", "LATE"]
+    assert (first["measured_sigma_db"], second["flag_names"]) == (None, None)
+    assert first["flags"] == {"c00": 1, "c01": 2, "c02": 3, "c03": 4, "c04": 5, "c05": 6}
+    assert (first["source"], first["plan_id"], first["late"]) == ("sa-1", 1, False)
+    assert second["power_dbm"] == {"c09": -50.5, "c00": -51.25}
+    assert (second["flags"], second["plan_id"], second["feeds_estimator"]) == (None, plan.id, False)
+    (only,) = (await bench.get("/measurements/history", source="sa-2"))["rows"]
+    assert only == second
+    chosen = (await bench.get("/measurements/history", carrier="c00"))["rows"]
+    assert [row["power_dbm"] for row in chosen] == [{"c00": -42.1}, {"c00": -51.25}]
+
+
+async def test_told_powers_round_to_the_stored_float32(bench, make):
+    seed = 20261121
+    print("seed", seed)
+    sent = np.random.default_rng(seed).uniform(-120.0, 10.0, (20, 6)).astype(np.float32)
+    bench.append([make.now_us + k for k in range(20)], sent)
+    rows = (await bench.get("/measurements/history"))["rows"]
+    reported = np.array([list(row["power_dbm"].values()) for row in rows])
+    # exact: the fewest digits that name a float32 read back to it
+    assert np.array_equal(reported.astype(np.float32), sent)
+
+
+async def test_history_pages(bench, make):
+    epochs_us = [make.now_us + k for k in range(5)]
+    bench.append(epochs_us)
+    first = await bench.get("/measurements/history", limit=2)
+    second = await bench.get("/measurements/history", limit=2, cursor=first["next"])
+    third = await bench.get("/measurements/history", limit=2, cursor=second["next"])
+    reported = [row["epoch"] for page in (first, second, third) for row in page["rows"]]
+    assert reported == [format_epoch(epoch_us) for epoch_us in epochs_us]
+    assert third["next"] is None

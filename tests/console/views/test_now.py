@@ -1,14 +1,16 @@
-"""View Now: the sentence, the axes, what is old, what is excluded, and what is hostile, on one screen."""
+"""Now, keys and links: what stands on the pages, and who may change it."""
 
 import re
 
+import httpx
 import pytest
 from playwright.sync_api import expect
 from release_ground import record
 
+from service.records.operations.access_key import Role
+
 HOSTILE = "<img src=x onerror=alert(1)>\u202e" + "long " * 40
 CRAFTS = (record("yamal-202"), record("zeta", name=HOSTILE[:100]))
-
 #: a path with points
 CURVE = re.compile(r"^M[\d.-]+ [\d.-]+L")
 
@@ -114,3 +116,138 @@ def test_at_twice_the_size_everything_can_be_reached_by_keyboard(new_page, groun
     expect(page.get_by_role("link", name="To the view")).to_be_focused()
     page.keyboard.press("Enter")
     expect(page.locator("main")).to_be_focused()
+
+
+KEY_HOSTILE = '<img src=x onerror="alert(1)">'
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("language", ["en", "ru"])
+def test_the_view_in_each_theme_and_language(new_page, ground, open_view, screenshot, axe_violations, theme, language):
+    ground.key("Anna", Role.OPERATOR)
+    page = open_view(new_page(theme=theme, language=language), "keys")
+    expect(page.locator("main tbody tr", has_text="Anna")).to_be_visible()
+    assert axe_violations(page) == []
+    screenshot(page, f"keys-{theme}-{language}")
+
+
+def test_a_key_is_made_shown_once_and_revoked(page, open_view, service):
+    open_view(page, "keys")
+    page.get_by_label("Holder").fill(KEY_HOSTILE)
+    page.get_by_label("Role").select_option("station")
+    page.get_by_label("Valid for").select_option("30")
+    page.get_by_role("button", name="Make a key").click()
+    secret = page.get_by_label("New key").input_value()
+    with httpx.Client(base_url=service.url, headers={"Authorization": f"Bearer {secret}"}, trust_env=False) as client:
+        assert client.get("/api/v1/session").json()["role"] == "station"
+        page.get_by_role("button", name="Put away").click()
+        expect(page.get_by_label("New key")).to_have_count(0)
+        assert secret not in page.content()
+        row = page.locator("main tbody tr", has_text=KEY_HOSTILE)
+        expect(row).to_contain_text("valid")
+        assert page.locator("main img").count() == 0
+        row.get_by_role("button", name="Revoke").click()
+        page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
+        expect(row).to_have_count(0)
+        assert client.get("/api/v1/session").status_code == 401
+    page.get_by_label("Show revoked keys too").check()
+    expect(row).to_contain_text("revoked")
+
+
+def test_a_name_that_is_given_is_refused_in_words(new_page, ground, open_view):
+    ground.key("Boris", Role.VIEWER)
+    page = open_view(new_page(allowed=(409,)), "keys")
+    page.get_by_label("Holder").fill("boris")
+    page.get_by_role("button", name="Make a key").click()
+    expect(page.get_by_role("alert").filter(has_text="A valid key has this name")).to_be_visible()
+    expect(page.get_by_label("Holder")).to_have_value("boris")
+
+
+def test_who_may_not_administer_is_not_offered_the_view(new_page, new_context, ground, open_view):
+    page = open_view(new_page(new_context(key=ground.key("Clara", Role.APPROVER))), "now")
+    expect(page.get_by_role("link", name="Audit")).to_be_visible()
+    expect(page.get_by_role("link", name="Keys")).to_have_count(0)
+
+
+def test_a_service_that_refuses_is_told_and_asked_again(new_page, ground):
+    page = new_page(allowed=(503,))
+    page.route("**/api/v1/keys?*", lambda route: route.fulfill(status=503, json={"code": "no.such.code"}))
+    page.goto("/console/#/keys")
+    expect(page.locator("main [role=alert]")).to_contain_text("503")
+    page.unroute_all()
+    page.get_by_role("button", name="Read again").click()
+    expect(page.locator("main tbody tr").first).to_be_visible()
+
+
+LINK_HOSTILE = "<img src=x onerror=alert(1)> \u202egnorw " + "long " * 80
+WARNING = {"code": "spool.disk_full", "detail": LINK_HOSTILE, "since": "2027-01-15T10:00:00Z"}
+
+
+def analyzer(state="MEASURE", rows=120, **changes):
+    """Return the report of one analyzer."""
+    detail = {"analyzer": LINK_HOSTILE, "last_fault": None, "last_failure": "", "period_s": 60.0}
+    counters = {"rows": rows, "accepted": rows - 3, "refused": 2, "waiting": 1, "dropped_full": 4}
+    known = {"id": "rack-1.a", "kind": "analyzer", "spacecraft_id": "yamal-202", "source": "sa-1"}
+    return {**known, "state": state, "detail": detail, "counters": counters, "period_s": 5.0, **changes}
+
+
+@pytest.fixture
+def report(ground):
+    """Give a function that reports links."""
+
+    def send(*links):
+        answer = ground.client.post("/api/v1/links:report", json={"links": links})
+        assert answer.is_success, answer.text
+
+    return send
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+@pytest.mark.parametrize("language", ["en", "ru"])
+def test_links_and_sources_are_shown(ground, report, new_page, open_view, screenshot, axe_violations, theme, language):
+    front_end = {"id": "rack-1", "kind": "front_end", "state": "SERVICE_AWAY", "counters": {"rows": 120}}
+    stranger = analyzer("of_another_version", id="rack-2", last_good=ground.epoch(), warnings=[WARNING])
+    report(analyzer(last_good=ground.epoch()), stranger, front_end)
+    page = open_view(new_page(theme=theme, language=language), "links")
+    expect(page.locator("[data-link]")).to_have_count(3)
+    expect(page.locator("[data-link='rack-1.a'] .symbol.normal")).to_be_visible()
+    expect(page.locator("[data-link='rack-1'] .symbol.serious")).to_be_visible()
+    expect(page.locator("[data-link='rack-2']")).to_contain_text("of_another_version")
+    expect(page.locator("[data-link='rack-2']")).to_contain_text("<img src=x onerror=alert(1)>")
+    expect(page.locator("[data-source='sa-1']")).to_be_visible()
+    assert axe_violations(page) == []
+    screenshot(page, f"links-{theme}-{language}")
+
+
+def test_an_operator_disables_a_link_and_a_viewer_is_not_offered_it(ground, report, new_page, open_view):
+    report(analyzer())
+    page = open_view(new_page(key=ground.key("Anna", Role.OPERATOR)), "links")
+    row = page.locator("[data-link='rack-1.a']")
+    row.get_by_role("button", name="Disable").click()
+    expect(row.get_by_role("button", name="Enable")).to_be_visible()
+    assert ground.client.get("/api/v1/links/rack-1.a").json()["enabled"] is False
+    row.get_by_role("button", name="Reset").click()
+    expect(row).to_contain_text("reset asked for")
+    row.get_by_role("button", name="Enable").click()
+    expect(row.get_by_role("button", name="Disable")).to_be_visible()
+    viewer = open_view(new_page(key=ground.key("Vera", Role.VIEWER)), "links")
+    expect(viewer.locator("[data-link='rack-1.a']")).to_be_visible()
+    expect(viewer.locator("main button")).to_have_count(0)
+
+
+def test_a_rate_is_that_between_two_reports(report, page, open_view):
+    report(analyzer(rows=1000))
+    open_view(page, "links")
+    row = page.locator("[data-link='rack-1.a']")
+    expect(row).to_contain_text("1000")
+    expect(row).not_to_contain_text("rows/min")
+    report(analyzer(rows=1010))
+    expect(row).to_contain_text("rows/min")
+
+
+def test_a_service_that_does_not_answer_is_told(ground, open_view, new_page):
+    unsure = new_page(allowed=(503,))
+    open_view(unsure, "now")
+    unsure.route("**/api/v1/links", lambda route: route.fulfill(status=503, json={"code": "service.unavailable"}))
+    unsure.get_by_role("link", name="Links").click()
+    expect(unsure.locator("main .failure")).to_be_visible()

@@ -1,19 +1,36 @@
-"""``soo demo`` as a user starts it, shortened: the spacecraft is kept, its rows are kept and replay to the last bit."""
+"""The demonstration as a user runs it: both methods, faults that are injected, two-step operation."""
 
 import csv
 import json
+import re
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from datetime import datetime, timedelta
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from child_processes import children_of
 
+from service.cli.demonstration.demo_run import Alone, own_station
+from service.cli.demonstration.persons import two_persons
+from service.client.problem import ProblemError
+from service.client.service_client import ServiceClient
+from service.records.epoch import parse_epoch
+from service.study.closed_loop.plant_process import PlantProcess
+from service.study.demonstration.demonstration import Scene, run_story
+from service.study.demonstration.merit import AXES
+from service.study.demonstration.two_step_centre import RowPaces, TwoStepCentre
+
 pytestmark = [pytest.mark.system, pytest.mark.slow]
+
 
 KEY = "a-key-for-tests-only"
 SEED = 1
@@ -162,3 +179,203 @@ def test_two_days_on_a_tour_of_slews_keep_every_bound(compiled_environment):
     ran = soo(compiled_environment, "demo", "--open", "--exit", "--json", "--seed", str(SEED))
     print(ran.stdout)
     assert (json.loads(ran.stdout)["missed"], ran.returncode) == ([], 0)
+
+
+CRAFT = "yamal-202"
+#: bounds hangs; half a quiet day is measured first
+TIMEOUT_S = 500.0
+
+
+def until(reached: Callable[[], Any], what: str) -> Any:
+    """Wait until something is true and return it."""
+    deadline = time.monotonic() + TIMEOUT_S
+    while not (found := reached()):
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
+    return found
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory, compiled_environment) -> dict[str, str]:
+    """Return the environment of both terminals; the compiler would take longer than the rows."""
+    return {**compiled_environment, "XDG_RUNTIME_DIR": str(tmp_path_factory.mktemp("run")), "SOO_KERNELS": "numpy"}
+
+
+@pytest.fixture(scope="module")
+def client(environment, tmp_path_factory) -> Iterator[ServiceClient]:
+    """Start the demonstration, wait until it steers, and give a client of its service."""
+    folder = tmp_path_factory.mktemp("demo")
+    output = folder / "output"
+    lengths = ("--quiet-days", "0.5", "--rows-per-second", "60")
+    command = [sys.executable, "-m", "service", "demo", "--keep", str(folder / "kept"), *lengths]
+    with output.open("wb") as stream:
+        process = subprocess.Popen(command, env=environment, stdout=stream, stderr=stream)
+    try:
+
+        def address() -> re.Match[str] | None:
+            assert process.poll() is None, output.read_text()
+            return re.search(r"console (http://[\d.:]+)/console/, sign in", output.read_text())
+
+        url = until(address, "the console is announced")[1]
+        key = (folder / "kept" / "administrator.key").read_text().strip()
+        with ServiceClient(url, key, timeout_s=60.0) as made:
+            until(lambda: made.control(CRAFT)["state"] == "ENGAGED", output.read_text())
+            yield made
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(120)
+
+
+def inject(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "service", "demo", "inject", *arguments]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+
+
+def injected(environment: dict[str, str], *arguments: str) -> dict[str, Any]:
+    ran = inject(environment, *arguments, "--json")
+    assert ran.returncode == 0, ran.stderr
+    return dict(json.loads(ran.stdout))
+
+
+def torque_is_zero(client: ServiceClient) -> bool:
+    torques = client.torques(CRAFT)
+    return not torques["control"]["allowed"] and not any(torques[f"{axis}_n_m"] for axis in ("yaw", "roll", "pitch"))
+
+
+def excluded(client: ServiceClient) -> set[str]:
+    return {item["carrier"] for item in client.attitude(CRAFT)["excluded"]}
+
+
+def test_no_demonstration_is_changed_where_none_runs(environment, tmp_path):
+    ran = inject({**environment, "XDG_RUNTIME_DIR": str(tmp_path)}, "rain")
+    assert (ran.returncode, "start one with soo demo" in ran.stderr) == (1, True)
+
+
+def test_what_is_injected_has_its_answer_and_no_wrong_torque(client, environment):
+    """One story: each change begins in the state that the one before it left."""
+    _its_addresses_are_for_its_user_alone(environment)
+    ran = inject(environment, "step", "--carrier", "c99")
+    assert (ran.returncode, "the carriers are c00" in ran.stderr) == (2, True)
+    for kind, carrier in (("dead-carrier", "c03"), ("step", "c05")):
+        _a_carrier_that_changes_is_left_out_and_control_goes_on(client, environment, kind, carrier)
+    _rain_over_the_receiving_site_inhibits_until_it_is_over(client, environment)
+    _wheels_that_reverse_end_control(client, environment)
+    _a_stop_trips_control_until_it_is_reset(client, environment)
+
+
+def _its_addresses_are_for_its_user_alone(environment):
+    path = Path(environment["XDG_RUNTIME_DIR"]) / "soo" / "demonstration.json"
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+def _a_carrier_that_changes_is_left_out_and_control_goes_on(client, environment, kind, carrier):
+    until(lambda: client.control(CRAFT)["state"] == "ENGAGED", "control goes")
+    assert injected(environment, kind, "--carrier", carrier, "--minutes", "60")["carrier"] == carrier
+    until(lambda: carrier in excluded(client), f"{carrier} is left out")
+    assert client.control(CRAFT)["state"] == "ENGAGED"
+
+
+def _rain_over_the_receiving_site_inhibits_until_it_is_over(client, environment):
+    # short: nobody keeps the spacecraft until ten good minutes after it
+    injected(environment, "rain", "--minutes", "10")
+    until(lambda: "fade" in client.control(CRAFT)["reasons"], "the fade inhibits")
+    until(lambda: torque_is_zero(client), "no torque goes")
+    until(lambda: client.control(CRAFT)["state"] == "ENGAGED", "control resumes by itself")
+
+
+def _wheels_that_reverse_end_control(client, environment):
+    injected(environment, "sign", "--minutes", "720")
+    # by the response that was missed, or at the latest where roll or pitch leaves the range of control
+    until(lambda: {"response_missed", "hand_over"} & set(client.control(CRAFT)["reasons"]), "control ends")
+    until(lambda: torque_is_zero(client), "no torque goes")
+
+
+def _a_stop_trips_control_until_it_is_reset(client, environment):
+    assert injected(environment, "stop") == {"type": "stopped", "state": "TRIPPED"}
+    assert "stop" in client.control(CRAFT)["trips"]
+    until(lambda: torque_is_zero(client), "no torque goes")
+
+
+TWO_STEP_SEED, TWO_STEP_DAYS, TWO_STEP_QUIET_DAYS = 1, 0.2, 0.5
+TWO_STEP_TIMEOUT_S = 300.0
+
+
+class Over(Exception):  # noqa: N818 - ends the story once the persons are done
+    """The persons have what they came for."""
+
+
+def two_step_until(client: ServiceClient, is_reached) -> None:
+    deadline = time.monotonic() + TWO_STEP_TIMEOUT_S
+    while not is_reached():
+        assert time.monotonic() < deadline, client.control(CRAFT)
+        time.sleep(0.1)
+
+
+def release(anna: ServiceClient, boris: ServiceClient) -> dict:
+    """Do what the two persons do, and return the command when it is reported."""
+
+    def is_armed() -> bool:
+        rows = anna.request("GET", "/spacecraft")["rows"]
+        return bool(rows) and anna.control(CRAFT)["armed"]
+
+    two_step_until(anna, is_armed)
+    command = anna.prepare_torques(CRAFT, "roll and pitch are off")
+    with pytest.raises(ProblemError) as refused:
+        anna.confirm_torques(CRAFT, command["id"], command["digest"])
+    assert refused.value.status == 403, "nobody confirms alone"
+    boris.confirm_torques(CRAFT, command["id"], command["digest"], "pulses seen")
+    two_step_until(anna, lambda: anna.command(CRAFT, command["id"])["state"] not in {"RELEASED", "SENT"})
+    return anna.command(CRAFT, command["id"])
+
+
+def show(persons: Future, scene: Scene) -> None:
+    if persons.done() and parse_epoch(scene.until) > parse_epoch(persons.result()["stop"]):
+        raise Over
+
+
+def alone_deg(epoch_us: int) -> tuple[float, ...]:
+    """Return the attitude of the same spacecraft that gets no command."""
+    with PlantProcess(
+        "demo", TWO_STEP_SEED, "ideal", TWO_STEP_DAYS, ("--quiet-days", str(TWO_STEP_QUIET_DAYS))
+    ) as plant:
+        plant.opening()
+        for row in plant.rows():
+            if row.truth.epoch_us == epoch_us:
+                return row.truth.attitude_deg
+            plant.send((), None)
+    raise AssertionError(epoch_us)
+
+
+def test_two_keys_release_a_torque_and_the_spacecraft_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # the compiler would take longer than the rows
+    monkeypatch.setenv("SOO_KERNELS", "numpy")
+    kept: list[Scene] = []
+    alone = Alone(TWO_STEP_SEED, TWO_STEP_DAYS, TWO_STEP_QUIET_DAYS)
+    with ExitStack() as stack:
+        endpoints = stack.enter_context(own_station(tmp_path, alone, "two_step"))
+        client = stack.enter_context(ServiceClient(endpoints.service_url, endpoints.key, timeout_s=60.0))
+        with ThreadPoolExecutor(1) as pool:
+            persons = two_persons(client, tmp_path)
+            assert [person.key_file.stat().st_mode & 0o777 for person in persons] == [0o600, 0o600]
+            anna, boris = (
+                stack.enter_context(ServiceClient(endpoints.service_url, person.key, timeout_s=60.0))
+                for person in persons
+            )
+            work = pool.submit(release, anna, boris)
+            centre_of = partial(TwoStepCentre, operator=anna, paces=RowPaces(0.5, 3.0, 0.0))
+
+            def keep(scene: Scene) -> None:
+                kept[:] = [scene]
+                show(work, scene)
+
+            with pytest.raises(Over):
+                run_story(tmp_path, endpoints, client, keep, centre_of)
+    command, story = work.result(), kept[0].story
+    assert (command["state"], command["prepared_by"], command["confirmed_by"]) == ("EXECUTED", "Anna", "Boris")
+    assert command["executed"] == command["schedule"]
+    assert story.centre.log.counts()["executed"] == len(story.centre.log.sent) == 1, "nothing else went up"
+    stop_us = min(epoch_us for epoch_us in story.truth_deg if epoch_us >= parse_epoch(command["stop"]))
+    predicted = command["predicted"]["angle_change_deg"]
+    assert max(abs(predicted[axis]) for axis in AXES) > 0.005, "a turn that can be seen"
+    for axis, flown_deg, left_deg in zip(AXES, story.truth_deg[stop_us], alone_deg(stop_us), strict=True):
+        assert flown_deg - left_deg == pytest.approx(predicted[axis], abs=0.003)

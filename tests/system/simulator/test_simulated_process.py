@@ -1,6 +1,8 @@
-"""``soo-analyzer`` as a process: every port, real pace, truth log, faults from the command line."""
+"""The simulator's process: its command line, ports and truth."""
 
 import json
+import math
+import os
 import signal
 import socket
 import subprocess
@@ -11,9 +13,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from recording_service import Recorder
+
+from analyzer_sim.world.ground import ground
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.world import World
 
 pytestmark = pytest.mark.system
+
 
 SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:STAR 954 MHZ;STOP 990 MHZ;:BAND 30 KHZ;:SWE:POIN 1201;:DET RMS;:SWE:TIME"
 #: of simulated time are enough, and a world of them is made in no time
@@ -244,3 +253,151 @@ def test_a_dozen_sessions_of_both_kinds_at_once(every_port: Process) -> None:
         assert [job.result() for job in [*sockets, *hislips]] == [20] * 12
     with made.connect() as line:
         assert ask(line, "SYST:ERR:COUN?") == "0"
+
+
+SEED = 20261122
+ROWS = 60
+WORLD = ["--scenario", "nominal", "--seed", str(SEED), "--operation-days", "0.1"]
+
+
+def simulator(log: Path, environment: dict[str, str]) -> tuple[subprocess.Popen[str], dict[str, Any]]:
+    command = [sys.executable, "-m", "analyzer_sim", *WORLD, "--port", "0", "--ground-port", "0", "--hislip-port", "0"]
+    process = subprocess.Popen(
+        [*command, "--ideal", "--truth-log", str(log)], stdout=subprocess.PIPE, text=True, env=environment
+    )
+    assert process.stdout is not None
+    return process, json.loads(process.stdout.readline())
+
+
+def front_end(
+    folder: Path, ports: dict[str, Any], service_port: int, environment: dict[str, str]
+) -> subprocess.Popen[str]:
+    resource = f"TCPIP::127.0.0.1::hislip0,{ports['hislip_port']}::INSTR"
+    command = [sys.executable, "-m", "service", "acquire", "--task", str(folder / "task.json"), "--resource", resource]
+    command += ["--spacecraft", "sc", "--service", f"http://127.0.0.1:{service_port}", "--epoch", "analyzer"]
+    command += ["--period", "0", "--spool", str(folder / "spool")]
+    return subprocess.Popen(command, env=environment | {"SOO_KEY": "key"}, stderr=subprocess.PIPE, text=True)
+
+
+def test_every_trace_that_left_is_a_row_and_every_row_is_true(
+    tmp_path: Path, compiled_environment: dict[str, str]
+) -> None:
+    print(f"seed {SEED}")
+    world = World(scenario_named("nominal", operation_days=0.1), SEED)
+    (tmp_path / "task.json").write_text(json.dumps(ground.task(world, world.plan_versions[0].carriers)))
+    environment = os.environ | compiled_environment
+    recorder = Recorder(list(world.carrier_ids))
+    recorder.start()
+    sim, ports = simulator(tmp_path / "truth.jsonl", environment)
+    acquire = front_end(tmp_path, ports, recorder.port, environment)
+    try:
+        deadline_s = time.monotonic() + 120.0
+        while len(recorder.rows) < ROWS and time.monotonic() < deadline_s and acquire.poll() is None:
+            time.sleep(0.02)
+        acquire.send_signal(signal.SIGTERM)
+        _, said = acquire.communicate(timeout=120.0)
+        assert acquire.returncode == 0, said
+    finally:
+        acquire.kill()
+        sim.kill()
+        sim.communicate()
+        recorder.stop()
+    lines = [json.loads(text) for text in (tmp_path / "truth.jsonl").read_text().splitlines()]
+    sweeps = {line["sweep"]: line for line in lines if line["kind"] == "sweep"}
+    traces = [line for line in lines if line["kind"] == "trace"]
+    assert len(recorder.rows) >= ROWS, said
+    assert sorted(recorder.rows) == sorted({line["epoch"] for line in traces}), "neither lost nor doubled nor made up"
+    truth = {line["epoch"]: list(sweeps[line["sweep"]]["power_dbm"].values()) for line in traces}
+    epochs = sorted(recorder.rows)
+    measured_dbm = np.array([recorder.rows[epoch]["power_dbm"] for epoch in epochs], dtype=float)
+    error_db = measured_dbm - np.array([truth[epoch] for epoch in epochs], dtype=float)
+    # seen: .07 to .12 dB for one sweep, the mean of each carrier within .02 dB; four times the error of a mean allowed
+    assert np.nanstd(error_db) < 0.15
+    assert np.max(np.abs(np.nanmean(error_db, axis=0))) < 0.05
+
+
+DAYS = 0.25
+PLANT_ROWS = 360
+PLANT_SEED = 1
+COMMAND = [sys.executable, "-m", "analyzer_sim", "plant", "--scenario", "nominal", "--seed", str(PLANT_SEED)]
+#: about yaw, roll, pitch, kg m2
+INERTIA = {"yaw": 2600.0, "roll": 2600.0, "pitch": 1400.0}
+QUANTUM_N_M = 0.002
+
+
+@pytest.fixture
+def plant() -> Iterator[subprocess.Popen]:
+    command = [*COMMAND, "--operation-days", str(DAYS)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        yield process
+        if process.poll() is None:
+            process.kill()
+
+
+def say(process: subprocess.Popen, data: bytes) -> None:
+    process.stdin.write(data + b"\n")
+    process.stdin.flush()
+
+
+def steered(truth: dict) -> dict:
+    """Return pulses of one quantum whose mean over a minute works against what the truth says."""
+    frequency, damping = 2.0 * math.pi / 7200.0, 0.9
+    still = {"roll_n_m": 0.0, "pitch_n_m": 0.0, "yaw_n_m": 0.0}
+    elements = []
+    for axis, inertia in INERTIA.items():
+        rate = truth["rates_deg_s"][axis]
+        torque = -inertia * math.radians(frequency**2 * truth[f"{axis}_deg"] + 2.0 * damping * frequency * rate)
+        one = math.copysign(QUANTUM_N_M, torque)
+        duration_s = max(1e-3, min(60.0, abs(torque) * 60.0 / QUANTUM_N_M))
+        elements.append({"start": truth["epoch"], "duration_s": duration_s, **still, f"{axis}_n_m": one})
+    return {"schedule": elements}
+
+
+def test_a_loop_closes_over_pipes(plant) -> None:
+    answered, largest_deg, truth, began_s = 0, 0.0, {}, 0.0
+    for text in plant.stdout:
+        line = json.loads(text)
+        if line["type"] == "truth":
+            truth = line
+        if line["type"] == "end":
+            break
+        if line["type"] == "row" and "rates_deg_s" in truth:
+            began_s = began_s or time.perf_counter()
+            assert truth["epoch"] == line["epoch"]
+            largest_deg = max(largest_deg, abs(truth["roll_deg"]), abs(truth["pitch_deg"]))
+            say(plant, json.dumps(steered(truth)).encode())
+            answered += 1
+    rate = answered / (time.perf_counter() - began_s)
+    print(f"seed {PLANT_SEED}: {answered} rows at {rate:.0f} rows/s, roll and pitch within {largest_deg:.3f} deg")
+    assert answered == PLANT_ROWS
+    assert plant.wait(120) == 0
+    assert largest_deg < 0.1
+    assert plant.stderr.read() == b""
+
+
+OTHERS = [pytest.param(data, marks=pytest.mark.slow) for data in (b"\xff\xfe\x00", b"")]
+
+
+@pytest.mark.parametrize("data", [b'{"schedule":[{"start":1}]}', *OTHERS])
+def test_a_bad_line_is_answered(plant, data: bytes) -> None:
+    truth = {}
+    for text in plant.stdout:
+        line = json.loads(text)
+        truth = line if line["type"] == "truth" else truth
+        if line["type"] == "row" and "rates_deg_s" in truth:
+            break
+    say(plant, data)
+    assert json.loads(plant.stdout.readline())["type"] == "error"
+    say(plant, b'{"schedule":[]}')
+    types = [json.loads(plant.stdout.readline())["type"] for _ in range(3)]
+    assert types == ["ground", "truth", "row"]
+    plant.stdin.close()
+    assert plant.wait(120) == 0
+
+
+def test_a_reader_that_leaves_ends_the_plant_in_silence(plant) -> None:
+    plant.stdout.readline()
+    plant.stdout.close()
+    plant.stdin.close()
+    assert plant.wait(120) == 0
+    assert plant.stderr.read() == b""

@@ -35,7 +35,7 @@ def reference_page() -> str:
     parts = [
         "# Interlock and commands",
         "Drawn from the tables that the code runs by, `service/pipeline/control/release`.\n"
-        "`tests/docs/test_interlock_page.py` holds page and tables equal,\n"
+        "`tests/docs/test_reference.py` holds page and tables equal,\n"
         "`tests/property/test_release_interlock.py` that no sequence of events yields a torque while a reason stands.\n"
         "Every figure is the default of a setting. The interlock stops control, never estimation.",
         "## States",

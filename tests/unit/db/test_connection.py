@@ -1,0 +1,287 @@
+"""Engines keep what is committed; a file that was exchanged is noticed; batches are inserted; the writer goes on."""
+
+import errno
+import math
+import os
+import shutil
+from threading import Event
+
+import pytest
+from sqlalchemy import create_engine, select, text
+from sqlalchemy.dialects.postgresql import psycopg
+from sqlalchemy.exc import OperationalError
+from sqlalchemy.schema import CreateTable
+
+from db.connection.engines import open_engines, translated_faults
+from db.connection.file_identity import FileWatch
+from db.connection.prepared_statements import PreparedStatement
+from db.connection.row_insertion import insert_new
+from db.connection.writer import GROUP_LIMIT, Writer
+from db.encoding.row_mapping import attitude_values
+from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE
+from db.measurements.ingest_grouped import _READ_STATES
+from db.schema.layout import create_tables
+from db.schema.row_checksum import checksum_of
+from db.schema.tables import attitude, head, measurement
+from service.errors import StorageError
+from service.records.catalogue import Method
+from service.records.levels.attitude import row_without_attitude
+
+
+@pytest.fixture
+def engines(tmp_path):
+    opened = open_engines(f"sqlite:///{tmp_path / 'soo.db'}")
+    yield opened
+    opened.dispose()
+
+
+@pytest.mark.parametrize("role", ["write", "read"])
+def test_sqlite_is_durable(engines, role):
+    with getattr(engines, role).connect() as connection:
+        said = {
+            name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()
+            for name in ("journal_mode", "synchronous", "foreign_keys")
+        }
+    # synchronous 2 is FULL
+    assert said == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1}
+
+
+def test_readers_cannot_write(engines):
+    with engines.read.connect() as connection, pytest.raises(OperationalError, match="readonly"):
+        connection.exec_driver_sql("CREATE TABLE t (a INT)")
+
+
+def test_a_reader_sees_one_state_while_the_writer_goes_on(engines):
+    with engines.write.begin() as connection:
+        connection.exec_driver_sql("CREATE TABLE t (a INT)")
+    with engines.read.connect() as reader:
+        assert reader.exec_driver_sql("SELECT count(*) FROM t").scalar() == 0
+        with engines.write.begin() as connection:
+            connection.exec_driver_sql("INSERT INTO t VALUES (1)")
+        assert reader.exec_driver_sql("SELECT count(*) FROM t").scalar() == 0
+    with engines.read.connect() as reader:
+        assert reader.exec_driver_sql("SELECT count(*) FROM t").scalar() == 1
+
+
+def test_a_transaction_that_the_database_gave_up_does_not_pass_for_committed(engines):
+    with engines.write.connect() as connection:
+        transaction = connection.begin()
+        connection.connection.driver_connection.execute("ROLLBACK")
+        with pytest.raises(OperationalError, match="no transaction"):
+            transaction.commit()
+
+
+@pytest.mark.parametrize("url", ["sqlite://", "sqlite:///:memory:", "mysql://host/soo"])
+def test_databases_that_cannot_keep_the_promise_are_refused(url):
+    with pytest.raises(ValueError, match="database"):
+        open_engines(url)
+
+
+def test_faults_become_storage_errors_without_the_statement(engines):
+    with pytest.raises(StorageError) as caught, translated_faults(), engines.read.connect() as connection:
+        connection.exec_driver_sql("SELECT secret FROM nowhere")
+    assert caught.value.code == "storage.unavailable"
+    assert "no such table: nowhere" in caught.value.detail
+    assert "secret" not in caught.value.detail
+
+
+@pytest.fixture
+def identity_engines(tmp_path):
+    """An archive that is open."""
+    opened = open_engines(f"sqlite:///{tmp_path / 'soo.db'}")
+    with opened.write.begin() as connection:
+        create_tables(connection)
+    yield opened
+    opened.dispose()
+
+
+def insert(engines, key):
+    """Write a row."""
+    with engines.write.begin() as connection:
+        connection.exec_driver_sql("INSERT INTO spacecraft VALUES (?, 'craft-' || ?, '')", (key, key))
+
+
+def stored(engines):
+    """Return the keys of the rows."""
+    with engines.read.connect() as connection:
+        return list(connection.scalars(text("SELECT spacecraft_key FROM spacecraft")))
+
+
+@pytest.mark.parametrize("name", ["soo.db", "soo.db-wal"])
+def test_a_file_or_a_log_that_is_away_keeps_nothing_until_it_is_back(identity_engines, tmp_path, name):
+    insert(identity_engines, 1)
+    path, away = tmp_path / name, tmp_path / "away"
+    path.rename(away)
+    for use in (lambda: insert(identity_engines, 2), lambda: stored(identity_engines)):
+        with pytest.raises(StorageError) as caught:
+            use()
+        assert caught.value.code == "storage.gone"
+    assert not path.exists()
+    away.rename(path)
+    insert(identity_engines, 3)
+    assert stored(identity_engines) == [1, 3]
+
+
+def test_a_commit_that_the_file_system_disowns_is_not_acknowledged(identity_engines, monkeypatch):
+    """An fsync can end well although the journal was given up meanwhile; from then on nothing can be changed."""
+
+    def refuse(*_):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    insert(identity_engines, 1)
+    with monkeypatch.context() as changed:
+        changed.setattr("db.connection.file_identity.os.removexattr", refuse)
+        with pytest.raises(StorageError, match="cannot be written: Read-only file system") as caught:
+            insert(identity_engines, 2)
+        # a repetition finds the row, writes nothing, and is not acknowledged either
+        with pytest.raises(StorageError), identity_engines.write.begin():
+            pass
+        assert stored(identity_engines) == [1, 2]
+    assert caught.value.code == "storage.unavailable"
+    insert(identity_engines, 3)
+
+
+def test_a_log_that_was_deleted_costs_nothing_once_the_archive_is_opened_anew(identity_engines, tmp_path):
+    insert(identity_engines, 1)
+    watch = FileWatch(tmp_path / "soo.db")
+    watch.note()
+    (tmp_path / "soo.db-wal").unlink()
+    assert watch.is_to_be_reopened()
+    identity_engines.dispose()
+    again = open_engines(f"sqlite:///{tmp_path / 'soo.db'}")
+    assert stored(again) == [1]
+    again.dispose()
+
+
+def test_a_commit_into_a_file_that_went_meanwhile_is_not_told_as_kept(identity_engines, tmp_path):
+    connection = identity_engines.write.connect()
+    transaction = connection.begin()
+    connection.exec_driver_sql("INSERT INTO spacecraft VALUES (1, 'craft', '')")
+    (tmp_path / "soo.db").unlink()
+    with pytest.raises(StorageError) as caught:
+        transaction.commit()
+    connection.close()
+    assert caught.value.code == "storage.gone"
+
+
+def test_another_archive_in_its_place_is_told_from_another_file(identity_engines, tmp_path):
+    path, other = tmp_path / "soo.db", tmp_path / "other.db"
+    insert(identity_engines, 1)
+    watch = FileWatch(path)
+    watch.note()
+    assert not watch.is_to_be_reopened()
+    other.write_text("no database")
+    other.replace(path)
+    with pytest.raises(StorageError) as caught:
+        insert(identity_engines, 2)
+    assert caught.value.code == "storage.replaced"
+    assert not watch.is_to_be_reopened()
+    # the log of the file that was open would be taken for one of the new file
+    assert not (tmp_path / "soo.db-wal").exists()
+    assert (tmp_path / "soo.db-wal.of-replaced").exists()
+    made = open_engines(f"sqlite:///{other}")
+    with made.write.begin() as connection:
+        create_tables(connection)
+    made.dispose()
+    shutil.move(other, path)
+    assert watch.is_to_be_reopened()
+
+
+def test_a_file_that_is_away_is_not_replaced(identity_engines, tmp_path):
+    watch = FileWatch(tmp_path / "soo.db")
+    watch.note()
+    (tmp_path / "soo.db").unlink()
+    assert not watch.is_to_be_reopened()
+
+
+@pytest.fixture
+def rows():
+    """Return the columns of three rows without angles, all of whose figures are NaN."""
+    made = [row_without_attitude(60 * k, 60 * k + 1, k, Method.ROBUST, ("not_aligned",)) for k in (1, 2, 3)]
+    return [{**attitude_values(7, "live", row, row.number), "carriers": None} for row in made]
+
+
+def test_rows_that_stand_stay_as_they_are(rows):
+    engine = create_engine("sqlite://")
+    with engine.begin() as connection:
+        attitude.create(connection)
+        assert insert_new(connection, attitude, rows[:2]) == 2
+        changed = [{**row, "carriers": b"other"} for row in rows]
+        assert insert_new(connection, attitude, changed) == 1
+        stored = connection.execute(select(attitude).order_by(attitude.c.epoch_us)).all()
+    engine.dispose()
+    assert [row.carriers for row in stored] == [None, None, b"other"]
+    assert [row.checksum for row in stored] == [checksum_of(attitude, row) for row in (*rows[:2], changed[2])]
+    assert all(math.isnan(row.common_db) for row in stored)
+    assert insert_new(connection, attitude, []) == 0
+
+
+def test_values_go_by_name_to_postgresql(rows):
+    class Recorder:
+        dialect, rowcount = psycopg.dialect(), 3
+
+        def exec_driver_sql(self, text, values, **_options):
+            self.said = text, values
+            return self
+
+    recorder = Recorder()
+    assert insert_new(recorder, attitude, rows) == 3
+    text, values = recorder.said
+    assert text.endswith("ON CONFLICT DO NOTHING")
+    assert all(f"%({name})s" in text for name in values[0])
+    assert [each["epoch_us"] for each in values] == [60, 120, 180]
+    assert {each["common_db"] for each in values} == {None}
+
+
+def test_more_than_a_group_waiting_at_once_is_all_written_in_order(tmp_path):
+    engines = open_engines(f"sqlite:///{tmp_path / 'soo.db'}")
+    writer, released, written = Writer(engines.write), Event(), []
+    blocking = writer.submit(lambda _connection: released.wait(60))
+    waiting = [
+        writer.submit(lambda _connection, number=number: number, written.append) for number in range(3 * GROUP_LIMIT)
+    ]
+    released.set()
+    assert blocking.result(60)
+    assert [future.result(60) for future in waiting] == list(range(3 * GROUP_LIMIT)) == written
+    writer.close()
+    engines.dispose()
+
+
+class Recorder:
+    """A connection that keeps what it is told to run."""
+
+    dialect = psycopg.dialect()
+
+    def exec_driver_sql(self, text, values):
+        self.said = text, values
+        return self
+
+
+@pytest.mark.parametrize("statement", [_MOVE_SOURCE, _READ_STATE, _READ_STATES])
+def test_values_go_by_name(statement):
+    recorder = Recorder()
+    values = range(len(statement._names))
+    statement.run(recorder, *values)
+    text, named = recorder.said
+    assert named == dict(zip(statement._names, values, strict=True))
+    assert all(f"%({name})s" in text for name in named)
+
+
+def test_a_wrong_number_of_values_is_an_error():
+    with pytest.raises(ValueError, match="zip"):
+        _MOVE_SOURCE.run(Recorder(), 1)
+
+
+def test_the_head_is_locked_where_others_write_too():
+    lock = select(head).with_for_update()
+    recorder = Recorder()
+    PreparedStatement(lock).run(recorder)
+    assert recorder.said[0].endswith("FOR UPDATE")
+
+
+def test_columns_have_the_server_s_types():
+    assert "powers BYTEA NOT NULL" in str(CreateTable(measurement).compile(dialect=Recorder.dialect))
+    made = str(CreateTable(attitude).compile(dialect=Recorder.dialect))
+    # FLOAT without a precision is double precision on this server
+    assert "yaw_deg FLOAT," in made
+    assert "epoch_us BIGINT NOT NULL" in made

@@ -1,0 +1,599 @@
+"""Jobs: every one ends and says how; alignment, calibration, analyses and upkeep from what the archive stores."""
+
+import threading
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from synthetic_payload import HOUR, START_US, SyntheticPayload
+
+import service.runtime.jobs.calibration_job as calibrating
+from service.api.schemas.alignments import AlignmentAnswer
+from service.core.dynamics.orbital_frame_analysis import SettlingRequest
+from service.core.dynamics.orbital_frame_flight import Start
+from service.core.dynamics.orbital_frame_model import rigid_spacecraft
+from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError, StorageError
+from service.records.calibration import CalibrationMethod, CalibrationState, Window
+from service.records.catalogue import Method, Onboard
+from service.records.inputs import PolarizationRecord, TelemetryRecord
+from service.records.levels.attitude import Axes, row_without_attitude
+from service.records.operations.job import JobState
+from service.records.storage.archive_maintenance import (
+    SERIES,
+    RetentionConfig,
+    RetiredRows,
+    SealedPart,
+    SealedResults,
+    SealingConfig,
+)
+from service.runtime.jobs.alignment_service import AlignmentRequest
+from service.runtime.jobs.archive_analysis import newest_advice, runnable_methods
+from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
+from service.runtime.jobs.flight_analysis_job import MOST_WAITING, FlightAnalyses, fly_thinned
+from service.runtime.jobs.job_runner import JobAbortedError, JobRunner
+
+TRACKER = ("star_tracker",) * 3
+SIGMA = Axes(0.02, 0.01, 0.01)
+
+
+@pytest.fixture
+def ground(new_ground):
+    """A station that is calibrated but not aligned."""
+    return new_ground()
+
+
+def by_hand(at_us, angles=(0.0, 0.0, 0.0), reason=None):
+    return AlignmentRequest(None, None, (at_us, Axes(*angles), SIGMA), reason, "approver")
+
+
+def test_a_window_of_the_star_tracker_gives_angles_and_references(ground):
+    found = ground.align()
+    assert found.epoch_us == ground.alignment_window.stop_us - ground.synthetic.MINUTE
+    np.testing.assert_allclose(found.attitude_deg, 0.0, atol=1e-12)  # the tracker of this day reads zero
+    assert (found.calibration_id, found.source, found.created_by) == (1, "star_tracker", "operator")
+    assert {item.samples for item in found.references} == {30}
+    reference = [item.reference_dbm for item in found.references]
+    # mean of thirty rows of 0.05 dB, and the harmonic's own error of two days: six sigma
+    np.testing.assert_allclose(reference, ground.payload.level_dbm, atol=0.06)
+    assert ground.storage.results.alignments(ground.id) == (found,)
+
+
+def test_angles_stated_by_hand_take_the_powers_before_them(ground):
+    found = ground.aligner.align(ground.id, by_hand(ground.at(0)))
+    assert (found.epoch_us, found.source, found.sigma_deg) == (ground.at(0), "manual", SIGMA)
+    assert found.window == Window(ground.at(-15), ground.at(0) + 1)
+    assert {item.samples for item in found.references} == {16}
+
+
+@pytest.mark.parametrize("coupling", [True, False, None])
+def test_an_exchange_of_roll_and_yaw_that_nobody_stated_is_warned_of(ground, coupling):
+    record = ground.storage.catalogue.spacecraft(ground.id)
+    ground.storage.catalogue.replace_spacecraft(replace(record, onboard=Onboard(roll_yaw_coupling=coupling)))
+    warnings = ground.align().warnings
+    assert len(warnings) == (coupling is None)
+    assert all("onboard.roll_yaw_coupling" in warning for warning in warnings)
+    # it is kept with the alignment, whatever the catalogue says later
+    ground.storage.catalogue.replace_spacecraft(replace(record, onboard=Onboard(roll_yaw_coupling=True)))
+    assert ground.storage.results.alignments(ground.id)[0].warnings == warnings
+    assert AlignmentAnswer.of(ground.storage.results.alignments(ground.id)[0]).warnings == list(warnings)
+
+
+def test_powers_that_contradict_are_refused_with_what_they_tell_unless_overridden(ground):
+    with pytest.raises(ConflictError) as caught:
+        ground.aligner.align(ground.id, by_hand(ground.at(0), (0.0, 0.5, -0.5)))
+    assert caught.value.code == "alignment.inconsistent"
+    assert "roll -0." in caught.value.detail
+    assert ground.storage.results.alignments(ground.id) == ()
+    forced = ground.aligner.align(ground.id, by_hand(ground.at(0), (0.0, 0.5, -0.5), "sensor was re-mounted"))
+    assert forced.override_reason == "sensor was re-mounted"
+
+
+def refused(ground, request, kind=InvalidInputError):
+    with pytest.raises(kind) as caught:
+        ground.aligner.align(ground.id, request)
+    return caught.value.code, caught.value.detail
+
+
+def test_a_window_without_references(ground):
+    empty = Window(ground.at(100), ground.at(130))
+    code, detail = refused(ground, AlignmentRequest(empty, TRACKER, None, None, "operator"))
+    assert code == "alignment.no_reference"
+    assert detail.startswith("no yaw and roll and pitch of star_tracker between")
+
+
+def test_a_window_without_powers(ground):
+    code, detail = refused(ground, by_hand(ground.at(500)))
+    assert code == "alignment.no_powers"
+    assert detail.startswith("0 carriers have 8 rows or more between")
+
+
+def test_neither_a_window_nor_angles(ground):
+    code, _ = refused(ground, AlignmentRequest(ground.alignment_window, None, None, None, "operator"))
+    assert code == "alignment.shape"
+
+
+def test_without_an_active_calibration(ground):
+    storage = ground.storage
+    storage.catalogue.add_spacecraft(
+        type(ground.payload.spacecraft())(
+            "fresh", "Fresh", 90.0, ground.payload.spacecraft().receiving_site, ground.synthetic.INERTIA, 0.05
+        )
+    )
+    with pytest.raises(ConflictError, match="no calibration of fresh is active"):
+        ground.aligner.align("fresh", by_hand(ground.at(0)))
+    with pytest.raises(NotFoundError):
+        ground.aligner.align("nobody", by_hand(ground.at(0)))
+
+
+PAYLOAD = SyntheticPayload.make(6)
+
+
+def storage_with(**results: Any) -> Any:
+    """Return a storage whose results answer as stated."""
+    return SimpleNamespace(results=SimpleNamespace(**{name: lambda *_, v=value: v for name, value in results.items()}))
+
+
+@pytest.mark.parametrize("advice", [(), ("realign",), ("realign", "state_torque")])
+def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...]) -> None:
+    row = replace(row_without_attitude(START_US, START_US, 1, Method.ROBUST, ()), advice=advice)
+    assert newest_advice(storage_with(newest_attitude=row), "sc") == advice
+
+
+def test_without_a_row_nothing_is_advised() -> None:
+    assert newest_advice(storage_with(newest_attitude=None), "sc") == ()
+
+
+@pytest.mark.parametrize(
+    ("named", "methods"),
+    [
+        ({"robust": 3, "paper": 3}, {Method.ROBUST, Method.PAPER}),
+        ({"robust": 3}, {Method.ROBUST}),
+        ({"paper": 3}, {Method.PAPER}),
+        ({}, {Method.PAPER}),
+    ],
+)
+def test_methods_that_the_alignment_started_run(named: dict[str, int], methods: set[Method]) -> None:
+    alignment = replace(PAYLOAD.alignment(START_US + HOUR), calibration_by_method=named)
+    assert set(runnable_methods(storage_with(alignments=(alignment,)), "sc")) == methods
+
+
+def test_without_an_alignment_nothing_runs() -> None:
+    assert runnable_methods(storage_with(alignments=()), "sc") == ()
+
+
+DAY_US = 86_400_000_000
+NOW_US = 20_000 * DAY_US
+PART = SealedPart("sa-1", 1, NOW_US - DAY_US, NOW_US, 10, 10)
+FAST = SealingConfig(quiet_s=900.0, period_s=0.01, pause_s=0.0)
+
+
+class Archive:
+    """Records what it is asked; seals one part and drops two rows each time."""
+
+    def __init__(self):
+        self.asked, self.faults, self.fitting, self.results = [], {}, None, Results()
+        self.sealed = threading.Event()
+
+    def seal(self, name, before_us, received_before_us):
+        self.asked.append(("seal", name, before_us, received_before_us))
+        if name in self.faults:
+            raise self.faults.pop(name)
+        yield PART
+        self.sealed.set()
+
+    def drop_before(self, name, series, before_us):
+        self.asked.append(("drop", series, before_us))
+        yield RetiredRows(series, 2, before_us)
+
+    def drop_replays(self, name, created_before_us):
+        if created_before_us is not None:
+            self.asked.append(("replays", name, created_before_us))
+            yield 7
+
+    def fitting_us(self, name, series, size_bytes):
+        self.asked.append(("fit", series, size_bytes))
+        return self.fitting
+
+
+class Results:
+    """Seals results of a replay each time; keeps until when."""
+
+    def __init__(self):
+        self.before_us, self.summarised_us, self.marked = [], [], []
+
+    def seal(self, _name, before_us):
+        self.before_us.append(before_us)
+        yield SealedResults("attitude", "replay-1", "paper", NOW_US - DAY_US, 7, 9)
+
+    def complete_summaries(self, _name, before_us):
+        self.summarised_us.append(before_us)
+        yield 1
+
+    def alignments(self, _name):
+        return ()
+
+    def mark_complete(self, name, methods):
+        self.marked.append((name, methods))
+
+
+class Clock:
+    def __init__(self, now_us=NOW_US):
+        self.now = now_us
+
+    def now_us(self, _name):
+        return self.now
+
+    def system_us(self):
+        return NOW_US + 5
+
+
+@pytest.fixture
+def archive():
+    return Archive()
+
+
+def maintainer(archive, retention=None, clock=None, names=("a",)):
+    catalogue = SimpleNamespace(all_spacecraft=lambda: [SimpleNamespace(id=name) for name in names])
+    archive.results.drop_replays = archive.drop_replays
+    storage = SimpleNamespace(catalogue=catalogue, archive=archive, results=archive.results)
+    return ArchiveMaintenance(storage, clock or Clock(), FAST, retention or RetentionConfig())
+
+
+def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(archive):
+    made = maintainer(archive)
+    made.poll_once()
+    quiet_us = 900_000_000
+    assert archive.asked == [("seal", "a", NOW_US - quiet_us, NOW_US + 5 - quiet_us)]
+    assert archive.results.before_us == [NOW_US - quiet_us]
+    assert (made.sealed_rows, made.sealed_results) == (10, 7)
+    assert set(made.dropped_rows.values()) == {0}
+
+
+def test_versions_are_dropped_by_the_age_of_the_replay(archive):
+    made = maintainer(archive, RetentionConfig(replays_days=2.0))
+    made.poll_once()
+    assert archive.asked[0] == ("replays", "a", NOW_US + 5 - 2 * DAY_US)
+    assert made.dropped_rows["replays"] == 7
+
+
+def test_closed_days_are_summarised_and_the_rows_without_pending_results_marked(archive):
+    made = maintainer(archive)
+    made.poll_once()
+    assert made.summarised_days == 1
+    results = made._storage.results
+    assert (results.summarised_us, results.marked) == ([NOW_US - 900_000_000], [("a", ())])
+
+
+def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):
+    archive.fitting = NOW_US - 3 * DAY_US
+    made = maintainer(archive, RetentionConfig(measurements_days=30.0, attitude_bytes=1000))
+    made.poll_once()
+    assert archive.asked[:3] == [
+        ("drop", "measurements", NOW_US - 30 * DAY_US),
+        ("fit", "attitude", 1000),
+        ("drop", "attitude", NOW_US - 3 * DAY_US),
+    ]
+    assert {name: rows for name, rows in made.dropped_rows.items() if rows} == {"measurements": 2, "attitude": 2}
+    archive.asked.clear()
+    made.poll_once()
+    assert ("fit", "attitude", 1000) not in archive.asked, "sizes are looked at once an hour"
+    monkeypatch.setattr("service.runtime.jobs.archive_maintenance.SIZING_S", 0.0)
+    archive.fitting = None
+    made.poll_once()
+    assert ("fit", "attitude", 1000) in archive.asked
+    assert not [asked for asked in archive.asked if asked[:2] == ("drop", "attitude")]
+
+
+@pytest.mark.parametrize("series", SERIES)
+def test_every_series_has_its_age(archive, series):
+    maintainer(archive, RetentionConfig(**{f"{series}_days": 1.5})).poll_once()
+    assert archive.asked[0] == ("drop", series, NOW_US - 3 * DAY_US // 2)
+
+
+def test_a_clock_that_knows_no_time_yet_seals_nothing(archive):
+    maintainer(archive, clock=Clock(None)).poll_once()
+    assert archive.asked == []
+
+
+def test_a_fault_of_one_spacecraft_is_logged_and_keeps_no_other_from_its_turn(archive, caplog):
+    archive.faults["a"] = StorageError("storage.unavailable", "the disk is full")
+    made = maintainer(archive, names=("a", "b"))
+    made.poll_once()
+    assert [asked[1] for asked in archive.asked] == ["a", "b"]
+    assert "the disk is full" in caplog.text
+    made.poll_once()
+    assert made.sealed_rows == 30
+
+
+def test_the_thread_looks_again_and_again_until_it_is_stopped(archive):
+    made = maintainer(archive)
+    made.start()
+    assert archive.sealed.wait(120)
+    archive.sealed.clear()
+    assert archive.sealed.wait(120)
+    made.stop()
+    count = len(archive.asked)
+    made.poll_once()
+    assert len(archive.asked) == count
+
+
+def test_alarms_and_notes_are_dropped_by_age_of_each_spacecraft_and_of_the_service(archive):
+    asked = []
+
+    def log(kind):
+        def drop_before(name, before_us):
+            asked.append((kind, name, before_us))
+            yield 3
+
+        return SimpleNamespace(drop_before=drop_before)
+
+    work = maintainer(archive, RetentionConfig(alarms_days=2.0, notes_days=1.0))
+    work._storage.alarms, work._storage.notes = log("alarms"), log("notes")
+    work.poll_once()
+    of_service = [("alarms", None, NOW_US + 5 - 2 * DAY_US), ("notes", None, NOW_US + 5 - DAY_US)]
+    assert asked == [("alarms", "a", NOW_US - 2 * DAY_US), ("notes", "a", NOW_US - DAY_US), *of_service]
+    assert (work.dropped_rows["alarms"], work.dropped_rows["notes"]) == (6, 6)
+
+
+@pytest.fixture
+def seen():
+    """Inputs that the job hands to the fits, in order; the fits themselves run."""
+    found, fit = [], calibrating.calibrate_paper
+
+    def fitted(data, config):
+        found.append(data)
+        return fit(data, config)
+
+    with patch.object(calibrating, "calibrate_paper", side_effect=fitted):
+        yield found
+
+
+def run(ground, request):
+    draft, job = ground.calibrator.start(ground.id, request, "engineer")
+    assert (draft.state, draft.created_by) == (CalibrationState.DRAFT, "engineer")
+    ground.finish(job.id)
+    return ground.storage.results.calibration(ground.id, draft.id), ground.storage.results.job(job.id)
+
+
+def test_a_fit_ends_with_a_result_that_can_be_activated(ground):
+    calibration, job = run(ground, ground.payload.request)
+    assert job.state is JobState.DONE
+    assert [carrier.id for carrier in calibration.result.carriers] == list(ground.payload.ids)
+    active = ground.calibrator.activate(ground.id, calibration.id)
+    assert active.state is CalibrationState.ACTIVE
+    assert ground.calibrator.activate(ground.id, calibration.id) == active
+    assert ground.storage.results.calibration(ground.id, 1).state is CalibrationState.SUPERSEDED
+
+
+def test_windows_without_what_is_needed_fail_with_the_same_text_in_job_and_calibration(ground):
+    calibration, job = run(ground, replace(ground.payload.request, turns=Window(0, 1)))
+    assert job.state is JobState.FAILED
+    assert job.error == calibration.error
+    assert "the window of turns holds 0 measurements" in job.error
+    assert calibration.state is CalibrationState.FAILED
+    with pytest.raises(ConflictError, match="the window of turns holds 0 measurements"):
+        ground.calibrator.activate(ground.id, calibration.id)
+
+
+def test_a_fault_of_the_fit_fails_calibration_and_job(ground):
+    with patch.object(calibrating, "calibrate_paper", side_effect=ZeroDivisionError("x")):
+        calibration, job = run(ground, ground.payload.request)
+    assert calibration.error == "internal error: ZeroDivisionError('x')"
+    assert "ZeroDivisionError" in job.error
+
+
+def test_a_calibration_by_geometry_says_what_its_windows_lack(ground):
+    """The archive of this station has readings of the turns alone."""
+    geometry = replace(ground.payload.request, method=CalibrationMethod.GEOMETRY)
+    calibration, job = run(ground, geometry)
+    assert (calibration.state, job.state) == (CalibrationState.FAILED, JobState.FAILED)
+    assert "only 1 rows of the quiet window have angles of star_tracker" in job.error
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_draft_names_its_job_until_that_has_ended(ground, fails):
+    named = []
+    fit = calibrating.calibrate_paper
+
+    def fitted(data, config):
+        named.append(ground.calibrator.job_id(ground.id, 2))
+        if fails:
+            raise ZeroDivisionError
+        return fit(data, config)
+
+    with patch.object(calibrating, "calibrate_paper", side_effect=fitted):
+        calibration, job = run(ground, ground.payload.request)
+    assert (calibration.id, named) == (2, [job.id])
+    assert ground.calibrator.job_id(ground.id, 2) is None
+
+
+def test_measured_motion_of_the_turns_reaches_the_fit(ground, seen):
+    turns = ground.payload.request.turns
+    inside, outside = turns.start_us + 60_000_000, turns.stop_us
+    ground.storage.archive.append_inputs(ground.id, [TelemetryRecord(at_us, "hold") for at_us in (inside, outside)])
+    told = [PolarizationRecord("p", at_us, angle_deg=0.3, sigma_deg=0.1) for at_us in (inside, outside)]
+    ground.storage.archive.append_inputs(ground.id, told)
+    run(ground, ground.payload.request)
+    ((telemetry,), (angle,)) = seen[0].telemetry, seen[0].polarization
+    assert (telemetry.epoch_us, angle) == (inside, told[0])
+
+
+def test_of_quiet_days_it_is_given_telemetry_a_minute_apart_and_unloadings(ground, seen):
+    quiet = ground.payload.request.quiet
+    told = [TelemetryRecord(quiet.start_us + 20_000_000 * k, "hold", thrusters_active=k == 4) for k in range(25)]
+    ground.storage.archive.append_inputs(ground.id, told)
+    # four records a page: pages end within a minute and between minutes
+    with patch.object(calibrating, "_MAX_RECORDS", 4):
+        run(ground, ground.payload.request)
+    seconds = [(one.epoch_us - quiet.start_us) // 1_000_000 for one in seen[0].telemetry]
+    # the unloading at 80 s begins the next minute
+    assert seconds == [0, 60, 80, 140, 200, 260, 320, 380, 440]
+
+
+def test_of_quiet_days_it_is_given_angles_of_each_polarimeter_a_minute_apart(ground, seen):
+    quiet = ground.payload.request.quiet
+    told = [
+        PolarizationRecord(source, quiet.start_us + 20_000_000 * k, ratio_db=-15.0) for k in range(7) for source in "pq"
+    ]
+    ground.storage.archive.append_inputs(ground.id, told)
+    with patch.object(calibrating, "_MAX_RECORDS", 4):
+        run(ground, ground.payload.request)
+    seconds = [(one.source, (one.epoch_us - quiet.start_us) // 1_000_000) for one in seen[0].polarization]
+    assert seconds == [(source, second) for second in (0, 60, 120) for source in "pq"]
+
+
+def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
+    with patch.object(calibrating, "calibrate_paper", side_effect=JobAbortedError("the service is stopping")):
+        calibration, job = run(ground, ground.payload.request)
+    assert calibration.error == job.error == "the service is stopping"
+
+
+def test_a_draft_cannot_be_activated(ground):
+    draft = ground.storage.results.add_calibration(ground.id, ground.payload.request, 1, 1, 0, "engineer")
+    with pytest.raises(ConflictError, match="its job has not ended"):
+        ground.calibrator.activate(ground.id, draft.id)
+
+
+def test_what_cannot_begin_is_refused_at_once(ground):
+    with pytest.raises(NotFoundError):
+        ground.calibrator.start("nobody", ground.payload.request, "engineer")
+
+
+def test_only_so_many_wait_and_leaving_makes_room(ground):
+    may_go = threading.Event()
+
+    def fit(_data):
+        assert may_go.wait(60)
+        raise InvalidInputError("analysis.too_long", "it was ended after 600 s of computing")
+
+    calibrator = calibrating.Calibrator(ground.storage, ground.clock, ground.jobs, fit, 2)
+    started = [calibrator.start(ground.id, ground.payload.request, "engineer") for _ in range(2)]
+    with pytest.raises(BusyError, match=r"analysis\.busy: 2 calibrations wait or run already"):
+        calibrator.start(ground.id, ground.payload.request, "engineer")
+    may_go.set()
+    for draft, job in started:
+        assert ground.finish(job.id) is JobState.FAILED
+        stored = ground.storage.results.calibration(ground.id, draft.id)
+        assert (stored.state, stored.error) == (
+            CalibrationState.FAILED,
+            "analysis.too_long: it was ended after 600 s of computing",
+        )
+    assert calibrator.start(ground.id, ground.payload.request, "engineer")
+
+
+FLOWN = partial(fly_thinned, kernels="numpy")
+SHORT = SettlingRequest(rigid_spacecraft(), Start(yaw_deg=1.0), 1.0)
+
+
+def test_a_flight_is_kept_thinned(ground):
+    flights = FlightAnalyses(ground.jobs, FLOWN)
+    job = flights.start(SHORT, points=3)
+    assert ground.finish(job.id) is JobState.DONE
+    found = flights.result(job.id)
+    assert found.flight.time_s.tolist() == [0.0, 0.375, 0.75]
+    assert found.merit.peak_deg[2] == pytest.approx(1.0)
+    assert flights.result("closed-loop-0") is None
+
+
+def test_too_many_are_refused_until_one_is_over_even_by_failing(ground):
+    may_go = threading.Event()
+
+    def flown(_wish, _points):
+        assert may_go.wait(120)
+        raise ValueError("no kernel")
+
+    flights = FlightAnalyses(ground.jobs, flown)
+    waiting = [flights.start(SHORT, 3) for _ in range(MOST_WAITING)]
+    assert all(waiting)
+    with pytest.raises(BusyError, match=r"analysis\.busy: 4 analyses wait or fly"):
+        flights.start(SHORT, 3)
+    may_go.set()
+    for job in waiting:
+        assert ground.finish(job.id) is JobState.FAILED
+    assert ground.storage.results.job(waiting[0].id).error == "no kernel"
+    assert flights.start(SHORT, 3) is not None
+
+
+def test_the_longest_flight_is_that_of_the_kernel(ground):
+    flights = FlightAnalyses(ground.jobs, FLOWN, most_steps=8)
+    with pytest.raises(ValueError, match="8 steps"):
+        flights.start(SHORT._replace(duration_s=1.2), 3)
+
+
+def runner_run(ground, work):
+    job = ground.jobs.add("test")
+    assert ground.storage.results.job(job.id).state is JobState.QUEUED
+    ground.jobs.run(job, work)
+    ground.finish(job.id)
+    return ground.storage.results.job(job.id)
+
+
+def test_a_job_that_works_is_done_and_its_progress_is_kept(ground):
+    seen = []
+
+    def work(report):
+        report(0.4)
+        running = [job for job in ids if ground.storage.results.job(job).state is JobState.RUNNING]
+        seen.extend(ground.storage.results.job(job).progress for job in running)
+
+    job = ground.jobs.add("test")
+    ids = [job.id]
+    ground.jobs.run(job, work)
+    assert ground.finish(job.id) is JobState.DONE
+    ended = ground.storage.results.job(job.id)
+    assert (ended.progress, ended.error, seen) == (1.0, None, [0.4])
+    assert ended.created_at_us == ground.clock.system_us()
+    assert ended.id.startswith("test-")
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (JobAbortedError("no turns in the window"), "no turns in the window"),
+        (ConflictError("thing.busy", "wait"), "thing.busy: wait"),
+        (KeyError("c05"), "internal error, see the log: KeyError('c05')"),
+    ],
+)
+def test_a_job_that_fails_says_why(ground, error, text, caplog):
+    def work(_report):
+        raise error
+
+    ended = runner_run(ground, work)
+    assert (ended.state, ended.error) == (JobState.FAILED, text)
+    assert ("Traceback" in caplog.text) == isinstance(error, KeyError)
+
+
+def test_jobs_run_one_after_another(ground):
+    order = []
+    jobs = [ground.jobs.add("test") for _ in range(3)]
+    for k, job in enumerate(jobs):
+        ground.jobs.run(job, lambda _report, k=k: order.append(k))
+    ground.finish(jobs[-1].id)
+    assert order == [0, 1, 2]
+
+
+def test_a_stop_ends_the_running_job_at_its_next_report_and_drops_the_others(ground):
+    started = threading.Event()
+
+    def work(report):
+        started.set()
+        ground.jobs._is_stopping.wait(120)
+        report(0.5)
+
+    running, waiting = ground.jobs.add("test"), ground.jobs.add("test")
+    ground.jobs.run(running, work)
+    ground.jobs.run(waiting, work)
+    started.wait(120)
+    ground.jobs.stop()
+    ended = ground.storage.results.job(running.id)
+    assert (ended.state, ended.error) == (JobState.FAILED, "the service is stopping; start the job again")
+    assert ground.storage.results.job(waiting.id).state is JobState.QUEUED
+    # the next start tells the operator
+    JobRunner(ground.storage.results, ground.clock).start()
+    left = ground.storage.results.job(waiting.id)
+    assert left.state is JobState.FAILED
+    assert "restarted while the job ran; start it again" in left.error
