@@ -9,9 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 from analyzer_thread import AnalyzerThread, start_in_thread
 from standing_source import StandingSource
@@ -70,57 +68,6 @@ def hears_nothing(line: socket.socket, for_s: float = 0.2) -> bool:
         return True
     finally:
         line.settimeout(120.0)
-
-
-def test_pyvisa_reads_the_same_trace_in_both_formats(analyzer: AnalyzerThread) -> None:
-    # the first script of section 8 of the analyzer specification, its socket part, word for word
-    import pyvisa
-
-    manager = pyvisa.ResourceManager("@py")
-    i = manager.open_resource(
-        f"TCPIP::127.0.0.1::{analyzer.port}::SOCKET",
-        read_termination="\n",
-        write_termination="\n",
-        timeout=120_000,
-        chunk_size=1 << 20,
-    )
-    i.write("*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BAND 30 KHZ;:SWE:POIN 2001;TIME 0.2;:DET RMS")
-    assert i.query("INIT;*OPC?").strip() == "1"
-    i.write("FORM REAL,32")
-    y = i.query_binary_values("TRAC? TRACE1", "f", is_big_endian=False, container=np.array)
-    i.write("FORM ASC")
-    a = np.array(i.query_ascii_values("TRAC:DATA? TRACE1"))
-    assert len(y) == len(a) == 2001
-    assert np.max(np.abs(y - a)) < 1e-4  # the specification's figure: seven digits against 24 bits
-    assert i.query("SYST:ERR?").startswith("0,")
-    i.close()
-
-
-def test_line_feeds_inside_a_block_do_not_end_it(analyzer: AnalyzerThread) -> None:
-    with connect(analyzer.port) as line:
-        line.sendall(SETUP + b"SWE:POIN 32001;:INIT\nTRAC? TRACE1\n")
-        block = receive(line, 8 + 4 * 32001 + 1)
-        assert block[:8] == b"#6128004"
-        assert block.count(b"\n") > 50  # about one byte in 500
-        levels_dbm = np.frombuffer(block[8:-1], "<f4")
-        assert np.all(np.isfinite(levels_dbm))
-        assert ask(line, b"*OPC?") == b"1"
-
-
-def test_ten_sessions_at_once_get_their_own_answers(analyzer: AnalyzerThread) -> None:
-    def talk(number: int) -> int:
-        with connect(analyzer.port) as line:
-            right = 0
-            for turn in range(30):
-                mask = (number * 7 + turn) % 128
-                answer = ask(line, f"*IDN?;:STAT:QUES:ENAB?;:FORM?;*ESE {mask}".encode())
-                right += answer.decode().startswith(IDENTITY + ";0;")
-            return right
-
-    with ThreadPoolExecutor(10) as pool:
-        assert list(pool.map(talk, range(10))) == [30] * 10
-    with connect(analyzer.port) as line:
-        assert ask(line, b"SYST:ERR:COUN?") == b"0"
 
 
 def test_garbage_never_ends_the_connection(analyzer: AnalyzerThread) -> None:
@@ -210,28 +157,6 @@ def test_a_late_answer_delays_those_after_it(analyzer: AnalyzerThread) -> None:
         assert time.monotonic() - began_s >= 0.3
 
 
-def test_bytes_once_written_stay_in_the_stream(analyzer: AnalyzerThread) -> None:
-    # the raw socket knows no interruption: who does not read an answer reads it in place of the next one
-    with connect(analyzer.port) as line:
-        line.sendall(b"*ESE?\nFORM?\n")
-        assert receive(line, 8) == b"0\nASC,0\n"
-        assert ask(line, b"SYST:ERR:COUN?") == b"0"
-
-
-def test_sweep_waits_for_permission_while_others_are_served() -> None:
-    allowed = threading.Event()
-    instrument = Instrument(StandingSource.endless(), TracePainter(1), may_advance=allowed.is_set)
-    with start_in_thread(instrument) as handle, connect(handle.port) as waiting, connect(handle.port) as other:
-        waiting.sendall(SETUP + b"INIT;*OPC?\n")
-        while not instrument.is_pending:
-            time.sleep(0.001)
-        assert hears_nothing(waiting)
-        assert ask(other, b"STAT:OPER:COND?;*STB?") == b"32;16"
-        allowed.set()
-        assert receive(waiting, 2) == b"1\n"
-        assert ask(other, b"STAT:OPER:COND?") == b"0"
-
-
 READ_TRACE = {
     "rs": b"TRAC? TRACE1",
     "keysight": b"TRAC? TRACE1",
@@ -258,16 +183,6 @@ def test_every_dialect_sweeps_at_real_pace(name: str) -> None:
         assert len(ask(line, READ_TRACE[name])) > 5000
         assert source.row == 1
         assert b"No error" in ask(line, b"SYST:ERR?")
-
-
-def test_abort_from_another_session_releases_the_one_that_waits() -> None:
-    instrument = Instrument(StandingSource.endless(), TracePainter(1), may_advance=lambda: False)
-    with start_in_thread(instrument) as handle, connect(handle.port) as waiting, connect(handle.port) as other:
-        waiting.sendall(SETUP + b"INIT;*OPC?\n")
-        while ask(other, b"STAT:OPER:COND?") != b"32":
-            time.sleep(0.005)
-        other.sendall(b"ABOR\n")
-        assert receive(waiting, 2) == b"1\n"
 
 
 def test_the_sweep_of_a_client_that_left_takes_no_row_once_it_is_aborted() -> None:

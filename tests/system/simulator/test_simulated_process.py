@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -230,29 +229,6 @@ def test_continuous_sweeping_at_real_pace_gives_fresh_traces(real_pace: Process)
             traces.append(ask(line, "TRAC? TRACE1"))
             assert time.monotonic() - began_s < 120.0
         assert time.monotonic() - began_s > 0.2, "more than two sweeps were needed"
-
-
-def test_a_dozen_sessions_of_both_kinds_at_once(every_port: Process) -> None:
-    made = every_port
-
-    def by_socket(number: int) -> int:
-        with made.connect() as line:
-            return sum(
-                ask(line, f"*OPC?;*IDN?;:STAT:QUES:ENAB?;*ESE {number}").startswith("1;Rohde") for _ in range(20)
-            )
-
-    def by_hislip(_number: int) -> int:
-        session = visa(made.ports)
-        right = sum(session.query("*OPC?;*IDN?").startswith("1;Rohde") for _ in range(20))
-        session.close()
-        return right
-
-    with ThreadPoolExecutor(12) as pool:
-        sockets = [pool.submit(by_socket, number) for number in range(8)]
-        hislips = [pool.submit(by_hislip, number) for number in range(4)]
-        assert [job.result() for job in [*sockets, *hislips]] == [20] * 12
-    with made.connect() as line:
-        assert ask(line, "SYST:ERR:COUN?") == "0"
 
 
 SEED = 20261122

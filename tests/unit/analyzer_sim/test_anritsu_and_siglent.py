@@ -193,15 +193,6 @@ def test_ascii_trace_ends_with_a_comma(siglent_bench: Any, name: str) -> None:
     assert np.all(np.isfinite(np.array(fields[:-1], dtype=float)))
 
 
-def test_block_holds_the_ascii_trace(siglent_bench: Any) -> None:
-    siglent_bench.ask(SIGLENT_SETUP + ";:INIT;*WAI")
-    ascii_dbm = np.array(siglent_bench.ask("TRAC? 1").split(",")[:-1], dtype=float)
-    siglent_bench.ask("FORM REAL")
-    block = siglent_bench.send(b"TRAC? 1\n")
-    assert block[:6] == b"#43004"
-    np.testing.assert_allclose(np.frombuffer(block[6:-1], "<f4"), ascii_dbm, atol=1e-4)  # seven digits of the text
-
-
 @pytest.mark.parametrize(("name", "code"), [("2", -230), ("5", -224), ("TRC5", -141), ("FOO1", -141), ("1 HZ", -138)])
 def test_other_traces_are_refused(siglent_bench: Any, name: str, code: int) -> None:
     siglent_bench.ask(SIGLENT_SETUP + ";:INIT;*WAI")

@@ -1,4 +1,4 @@
-"""SCPI without an instrument: framing, units and data elements, parameters, headers to commands, status registers."""
+"""SCPI without an instrument: framing, units and data elements, parameters; commands that share no header."""
 
 import math
 
@@ -19,7 +19,6 @@ from analyzer_sim.scpi.parameters import (
     TraceName,
 )
 from analyzer_sim.scpi.parser import Block, Character, Number, Text, parse_data, parse_unit, split_units
-from analyzer_sim.scpi.status import StatusModel, StatusRegister
 from analyzer_sim.scpi.tree import CommandTree
 
 
@@ -279,92 +278,6 @@ def test_other_element_has_its_error(parameter: Parameter, text: str, code: int)
     assert caught.value.code == code
 
 
-ROWS = (
-    ("*IDN", "idn"),
-    ("[SENSe<6>]:FREQuency:CENTer", "center"),
-    ("[SENSe<6>]:FREQuency:SPAN", "span"),
-    ("[SENSe<6>]:BANDwidth|BWIDth[:RESolution]", "rbw"),
-    ("[SENSe<6>]:BANDwidth|BWIDth[:RESolution]:AUTO", "rbw auto"),
-    ("[SENSe<6>]:BANDwidth|BWIDth:VIDeo", "vbw"),
-    ("[SENSe<6>][:WINDow<16>]:DETector<6>[:FUNCtion]", "detector"),
-)
-
-
-def find(text: str, *, is_lenient: bool = False) -> list[str]:
-    """Return the commands of a message's units; an error as its code."""
-    tree = CommandTree(ROWS, is_lenient=is_lenient)
-    path: tuple[str, ...] = ()
-    found = []
-    for unit in text.split(";"):
-        try:
-            command, path = tree.find(parse_unit(unit), path)
-        except ScpiError as error:
-            command = str(error.code)
-        found.append(command)
-    return found
-
-
-@pytest.mark.parametrize(
-    ("header", "command"),
-    [
-        ("FREQ:CENT", "center"),
-        ("FREQUENCY:CENTER", "center"),
-        ("frequency:cent", "center"),
-        ("SENS:FREQ:CENT", "center"),
-        (":SENSE1:FREQ:CENT", "center"),
-        ("SENS6:FREQ:CENT", "center"),
-        ("BAND", "rbw"),
-        ("BWID:RES", "rbw"),
-        ("BANDWIDTH:RESOLUTION:AUTO", "rbw auto"),
-        ("BAND:AUTO", "rbw auto"),
-        ("BWID:VID", "vbw"),
-        ("DET2", "detector"),
-        ("SENS:WIND3:DET1:FUNC", "detector"),
-        ("*IDN?", "idn"),
-    ],
-)
-def test_header_matches_in_short_and_long_form_with_optional_nodes(header: str, command: str) -> None:
-    assert find(header) == [command]
-
-
-@pytest.mark.parametrize(
-    ("header", "code"),
-    [
-        ("FREQU:CENT", "-113"),
-        ("FRE:CENT", "-113"),
-        ("FREQ", "-113"),
-        ("FREQ:CENT:X", "-113"),
-        ("FREQ1:CENT", "-113"),
-        ("*XYZ", "-113"),
-        ("SENS0:FREQ:CENT", "-114"),
-        ("SENS7:FREQ:CENT", "-114"),
-        ("SENS99999999999999999999:FREQ:CENT", "-114"),
-        ("DET7", "-114"),
-    ],
-)
-def test_header_between_the_forms_or_beyond_the_suffix_is_refused(header: str, code: str) -> None:
-    assert find(header) == [code]
-
-
-@pytest.mark.parametrize(
-    ("message", "commands"),
-    [
-        ("FREQ:CENT 1;SPAN 2", ["center", "span"]),
-        ("FREQ:CENT 1;FREQ:SPAN 2", ["center", "-113"]),
-        ("FREQ:CENT 1;:FREQ:SPAN 2", ["center", "span"]),
-        ("FREQ:CENT 1;*IDN?;SPAN 2", ["center", "idn", "span"]),
-        ("SENS:BAND:RES 1;VID 2", ["rbw", "vbw"]),
-        ("FREQ:CENT 1;NONE 1;SPAN 2", ["center", "-113", "span"]),
-    ],
-)
-def test_relative_header_continues_the_path(message: str, commands: list[str]) -> None:
-    assert find(message) == commands
-
-
-def test_lenient_tree_goes_back_to_the_root() -> None:
-    assert find("FREQ:CENT 1;FREQ:SPAN 2;CENT 3", is_lenient=True) == ["center", "span", "center"]
-
-
 def test_two_commands_cannot_share_a_header() -> None:
     with pytest.raises(ValueError, match="two commands"):
         CommandTree([("A[:B]", "one"), ("A", "two")])
@@ -376,58 +289,3 @@ def test_every_error_belongs_to_a_class() -> None:
 
 def test_detail_is_one_printable_string() -> None:
     assert error_entry(-101, 'a"b\n\xff') == '-101,"Invalid character;a\'b.."'
-
-
-def test_status_byte_sums_every_source() -> None:
-    status = StatusModel()
-    status.pop_event()
-    assert status.status_byte(has_response=False) == 0
-    assert status.status_byte(has_response=True) == 16
-    status.push_error(-113)
-    assert status.status_byte(has_response=False) == 4
-    status.event_enable = 32
-    assert status.status_byte(has_response=False) == 4 + 32
-    status.service_enable = 32
-    assert status.status_byte(has_response=False) == 4 + 32 + 64
-    status.questionable.put_enable(8)
-    status.put_questionable_power(1)
-    status.operation.put_enable(32)
-    status.operation.put_bit(32, is_set=True)
-    assert status.status_byte(has_response=False) == 4 + 8 + 32 + 64 + 128
-
-
-def test_clear_empties_events_and_errors_but_not_enables() -> None:
-    status = StatusModel()
-    status.push_error(-113)
-    status.event_enable = 60
-    status.operation.put_enable(8)
-    status.operation.put_bit(8, is_set=True)
-    status.clear()
-    assert (status.event, status.error_count, status.operation.event) == (0, 0, 0)
-    assert (status.event_enable, status.operation.enable, status.operation.condition) == (60, 8, 8)
-    status.preset()
-    assert (status.event_enable, status.operation.enable) == (60, 0)
-
-
-def test_register_latches_rising_edges_only() -> None:
-    register = StatusRegister()
-    register.put_bit(4, is_set=True)
-    assert register.pop_event() == 4
-    register.put_bit(4, is_set=True)
-    assert register.pop_event() == 0
-    register.put_bit(4, is_set=False)
-    assert (register.condition, register.pop_event()) == (0, 0)
-    register.put_enable(0xFFFF)
-    assert register.enable == 0x7FFF
-
-
-def test_filters_of_edges_decide_what_is_latched() -> None:
-    register = StatusRegister()
-    register.rising, register.falling = 2, 4
-    register.put_condition(7)
-    assert register.pop_event() == 2
-    register.put_condition(0)
-    assert register.pop_event() == 4
-    register.preset()
-    register.put_condition(7)
-    assert register.pop_event() == 7

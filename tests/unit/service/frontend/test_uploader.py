@@ -4,6 +4,7 @@ import itertools
 import math
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +16,13 @@ from spooled_rows import NOW_US, row, spool, sweep
 
 from service.frontend.spool.row import SpooledTask
 from service.frontend.spool.spool import Spool
+
+
+@pytest.fixture
+def rows(tmp_path: Path) -> Iterator[Spool]:
+    """Give a spool that keeps every trace."""
+    with spool(tmp_path, trace_period_s=0.0) as made:
+        yield made
 
 
 def test_rows_go_in_order_with_their_first_number(rows: Spool) -> None:

@@ -13,6 +13,8 @@ from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.service_client import JobFailedError, ServiceClient
 
 pytestmark = pytest.mark.anyio
+
+
 #: what each parameter is called with
 GIVEN = {"plan_id": 3, "limit": 5, "calibration_id": 7, "start": 0, "stop": 9}
 LISTS = {"carriers", "measurements", "traces", "links", "references", "corrections"}
