@@ -1,6 +1,7 @@
 """The R&S dialect: what each row sets, answers and couples; channel power of the trace shown."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
