@@ -514,13 +514,13 @@ async def test_without_a_carrier_plan_there_is_no_station(soo, spacecraft):
         ({"source": "radar", "reports": [report("yesterday")]}, "epoch.malformed"),
     ],
 )
-async def test_bad_batches_are_refused_whole_weather(soo, weather_now, body, code):
+async def test_bad_batches_of_weather_are_refused_whole(soo, weather_now, body, code):
     answer = await soo.client.post(f"{BASE}/weather:batch", json=body)
     assert (answer.status_code, answer.json()["code"]) == (422, code), answer.text
     assert soo.accepted == []
 
 
-async def test_a_viewer_may_read_and_not_send_weather(soo, weather_now):
+async def test_a_viewer_may_read_weather_and_not_send_it(soo, weather_now):
     key = (await soo.client.post("/api/v1/keys", json={"name": "v", "role": "viewer"})).json()["key"]
     headers = {"Authorization": f"Bearer {key}"}
     body = {"source": "radar", "reports": [report(weather_now)]}

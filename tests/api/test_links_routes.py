@@ -343,7 +343,7 @@ async def test_unknown_ones_are_404_and_a_bad_epoch_is_422(record):
     assert (answer.status_code, answer.json()["code"]) == (404, "spacecraft.unknown")
 
 
-async def test_roles_trace(record):
+async def test_roles_of_traces(record):
     record.app.state.key_ring = RoleKeys()
     body = {"source": "sa-1", "traces": [trace(-1)]}
     for role, status in (("viewer", 403), ("station", 200)):

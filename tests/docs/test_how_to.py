@@ -291,7 +291,7 @@ def test_the_page_names_every_state_and_no_other() -> None:
 
 @pytest.mark.system
 @pytest.mark.slow
-def test_the_blocks_run_as_they_stand_link(service: Any, tmp_path: Path) -> None:
+def test_the_blocks_on_links_run_as_they_stand(service: Any, tmp_path: Path) -> None:
     blocks = re.findall(r"^```bash\n(.*?)^```", LINK_PAGE.read_text(), re.DOTALL | re.MULTILINE)
     with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6, timeout_s=120) as client:
         client.create_spacecraft(CRAFT)

@@ -269,7 +269,7 @@ async def test_powers_read_back_to_the_stored_float32(bench, make):
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2, 3, 6, 7])
-async def test_pages_make_the_same_file_as_one_route(bench, make, monkeypatch, rows):
+async def test_pages_of_attitude_make_the_same_file_as_one(bench, make, monkeypatch, rows):
     if rows:
         stored = bench.append([make.now_us + k for k in range(rows)])
         bench.consume([Outcome((make.row(row),), None) for row in stored])
@@ -282,7 +282,7 @@ async def test_pages_make_the_same_file_as_one_route(bench, make, monkeypatch, r
             assert await lines_of(bench, f"/archive/{series}:export") == whole
 
 
-async def test_version_of_a_replay_route(bench, make):
+async def test_attitude_of_the_version_of_a_replay(bench, make):
     (row,) = bench.append([make.now_us])
     version = bench.replay()
     bench.storage.results.save_outcomes(make.sc, version, [Outcome((make.row(row),), None)], 0, None)

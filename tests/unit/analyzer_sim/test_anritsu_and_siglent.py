@@ -242,7 +242,7 @@ def test_filter_type_is_remembered_and_byte_order_unknown(siglent_bench: Any) ->
     assert siglent_bench.errors() == [-113]
 
 
-def test_channel_power_and_density_siglent(swept: Any) -> None:
+def test_channel_power_and_density_of_siglent(swept: Any) -> None:
     assert swept.ask("CHP:BWID:INT?") == "2000000"
     values = numbers(swept.ask("CHP:BWID:INT 3 MHZ;:MEAS:CHP?;:MEAS:CHP:CHP?;:MEAS:CHP:DENS?"))
     assert values[0] == pytest.approx(B_DBM, abs=0.08)
@@ -291,6 +291,6 @@ def test_measurement_on_the_screen(siglent_bench: Any) -> None:
         ("FREQ:SPAN 0;:MEAS:CHP?", -221),
     ],
 )
-def test_wrong_unit_of_channel_power_queues_its_error_siglent(swept: Any, message: str, code: int) -> None:
+def test_wrong_unit_of_siglent_queues_its_error(swept: Any, message: str, code: int) -> None:
     assert swept.ask(message) == ""
     assert swept.errors() == [code]

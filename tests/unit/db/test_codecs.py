@@ -347,7 +347,7 @@ def sealed_rows(draw):
 
 @settings(derandomize=True, deadline=None)
 @given(rows=sealed_rows())
-def test_every_bit_comes_back_segment(rows):
+def test_every_bit_of_a_segment_comes_back(rows):
     blobs = pack(rows)
     columns = unpack_columns(blobs.columns, len(rows.epochs_us))
     for name, column in columns._asdict().items():

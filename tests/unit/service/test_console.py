@@ -244,14 +244,12 @@ def test_words_that_modules_name_exist():
     assert named - known == set()
 
 
-WORDS = Path(__file__).parents[3] / "service/console/static/words"
 STATES = {each.value for each in Process} | {each.value for each in Cover if each is not Cover.NONE}
 
 
-@pytest.mark.parametrize("language", ["en", "ru"])
+@pytest.mark.parametrize("language", LANGUAGES)
 def test_every_state_change_and_limit_set_has_words(language):
-    table = json.loads((WORDS / f"{language}.json").read_text())
-    view = table["views"]["alarms"]
+    view = LANGUAGES[language]["views"]["alarms"]
     assert set(view["state"]) == STATES
     assert set(view["change"]) == {each.value for each in ChangeKind}
     assert set(view["set"]) == set(get_args(SetName))
@@ -266,9 +264,9 @@ def test_the_view_offers_every_format_of_every_series():
     assert found == {series: list(offered) for series, offered in OFFERED.items()}
 
 
-@pytest.mark.parametrize("language", ["en", "ru"])
+@pytest.mark.parametrize("language", LANGUAGES)
 def test_every_code_that_the_view_names_has_words(language):
-    table = json.loads((STATIC / f"words/{language}.json").read_text())["views"]["archive"]
+    table = LANGUAGES[language]["views"]["archive"]
     assert set(table["series"]) == set(OFFERED)
     assert set(table["state"]) == {each.value for each in JobState}
     assert set(table["method"]) == {each.value for each in Method}
@@ -280,13 +278,9 @@ def test_every_code_that_the_view_names_has_words(language):
 CALIBRATION_MODULES = [STATIC / "views/calibration.js", *sorted((STATIC / "views/calibration").glob("*.js"))]
 
 
-def words_of(language):
-    return json.loads((STATIC / f"words/{language}.json").read_text())["views"]["calibration"]
-
-
-@pytest.mark.parametrize("language", ["en", "ru"])
-def test_every_code_that_the_view_names_has_words_calibration(language):
-    table = words_of(language)
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_code_that_the_view_of_calibrations_names_has_words(language):
+    table = LANGUAGES[language]["views"]["calibration"]
     assert set(table["state"]) == {each.value for each in CalibrationState} | {"running"}
     assert set(table["method"]) == {each.value for each in CalibrationMethod}
     assert set(table["job"]) == {each.value for each in JobState}
@@ -297,7 +291,7 @@ def test_every_code_that_the_view_names_has_words_calibration(language):
 
 
 def test_words_that_its_modules_name_exist():
-    table = words_of("en")
+    table = LANGUAGES["en"]["views"]["calibration"]
     named = {key for module in CALIBRATION_MODULES for key in re.findall(r'\bw\("([^"]+)"', module.read_text())}
     assert len(named) > 60, "the search for words finds too few"
     for key in sorted(named):
@@ -305,10 +299,6 @@ def test_words_that_its_modules_name_exist():
         for name in key.split("."):
             level = level[name]
         assert isinstance(level, str) or "other" in level, key
-
-
-def control_words_of(language):
-    return json.loads((STATIC / f"words/{language}.json").read_text())["views"]["control"]
 
 
 def values_of(kind: type[Enum]) -> set[str]:
@@ -324,9 +314,9 @@ def test_the_diagram_draws_every_change_of_state():
     assert ways == changes
 
 
-@pytest.mark.parametrize("language", ["en", "ru"])
-def test_every_code_that_the_view_names_has_words_control(language):
-    table = control_words_of(language)
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_every_code_that_the_view_of_control_names_has_words(language):
+    table = LANGUAGES[language]["views"]["control"]
     checks = set(re.findall(r'_check\("([a-z ]+)"', Path(release_checks.__file__).read_text()))
     assert set(table["check"]) == {name.replace(" ", "_") for name in checks}
     assert set(table["triggers"]) == {row.trigger.name for row in TRANSITIONS if row.source is not row.target}

@@ -23,7 +23,6 @@ from service.formats.tabular import parquet_stream, row_text
 from service.formats.tabular.joined_table import JoinedRow, joined_table
 from service.formats.tabular.measurement_file import (
     CsvFile,
-    Kernels,
     MeasurementColumns,
     MeasurementFile,
     NdjsonFile,
@@ -128,45 +127,40 @@ BLOCKS = [
 PARTS = ["one plan", "two plans", "two sources", "nothing"]
 
 
-@pytest.mark.parametrize("blocks", BLOCKS, ids=PARTS)
-@pytest.mark.parametrize("kernels", ["numba", "numpy"])
-def test_csv_reads_back(blocks: list[MeasurementBlock], kernels: Kernels) -> None:
-    plans = [block.plan_id for block in blocks]
-    text = _written(CsvFile(_columns(*plans), kernels), blocks).decode()
-    rows = list(csv.DictReader(io.StringIO(text, newline="")))
-    epochs, sources, levels = _wanted(blocks)
-    assert [row["epoch"] for row in rows] == epochs
-    assert [row["source"] for row in rows] == sources
-    for name, wanted in levels.items():
-        cells = [row[f"{name}_dbm"] for row in rows]
-        assert _same(np.array([float(cell) if cell else np.nan for cell in cells], dtype=np.float32), wanted)
+def _csv_rows(content: bytes) -> list[dict[str, Any]]:
+    rows = csv.DictReader(io.StringIO(content.decode(), newline=""))
+    return [
+        {name: float(cell) if name.endswith("_dbm") and cell else cell or None for name, cell in row.items()}
+        for row in rows
+    ]
+
+
+def _parquet_rows(content: bytes) -> list[dict[str, Any]]:
+    table = parquet.read_table(io.BytesIO(content))
+    epochs_us = table.column("epoch").cast("int64").to_pylist()
+    return [row | {"epoch": format_epoch(epoch)} for row, epoch in zip(table.to_pylist(), epochs_us, strict=True)]
 
 
 @pytest.mark.parametrize("blocks", BLOCKS, ids=PARTS)
-@pytest.mark.parametrize("kernels", ["numba", "numpy"])
-def test_ndjson_reads_back(blocks: list[MeasurementBlock], kernels: Kernels) -> None:
-    plans = [block.plan_id for block in blocks]
-    rows = [json.loads(line) for line in _written(NdjsonFile(_columns(*plans), kernels), blocks).splitlines()]
+@pytest.mark.parametrize(
+    ("file", "rows_of"),
+    [
+        (lambda columns: CsvFile(columns, "numba"), _csv_rows),
+        (lambda columns: CsvFile(columns, "numpy"), _csv_rows),
+        (lambda columns: NdjsonFile(columns, "numba"), lambda content: list(map(json.loads, content.splitlines()))),
+        (lambda columns: NdjsonFile(columns, "numpy"), lambda content: list(map(json.loads, content.splitlines()))),
+        (ParquetFile, _parquet_rows),
+    ],
+    ids=["csv", "csv, numpy", "ndjson", "ndjson, numpy", "parquet"],
+)
+def test_every_bit_reads_back(blocks: list[MeasurementBlock], file: Any, rows_of: Any) -> None:
+    rows = rows_of(_written(file(_columns(*(block.plan_id for block in blocks))), blocks))
     epochs, sources, levels = _wanted(blocks)
     assert [(row["epoch"], row["source"]) for row in rows] == list(zip(epochs, sources, strict=True))
     for name, wanted in levels.items():
         cells = [row[f"{name}_dbm"] for row in rows]
+        assert [cell is None for cell in cells] == np.isnan(wanted).tolist()
         assert _same(np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float32), wanted)
-
-
-@pytest.mark.parametrize("blocks", BLOCKS, ids=PARTS)
-def test_parquet_reads_back(blocks: list[MeasurementBlock]) -> None:
-    plans = [block.plan_id for block in blocks]
-    table = parquet.read_table(io.BytesIO(_written(ParquetFile(_columns(*plans)), blocks)))
-    epochs, sources, levels = _wanted(blocks)
-    stored_us = table.column("epoch").cast("int64").to_pylist()
-    assert [format_epoch(epoch) for epoch in stored_us] == epochs
-    assert table.column("source").to_pylist() == sources
-    for name, wanted in levels.items():
-        column = table.column(f"{name}_dbm")
-        assert column.null_count == int(np.isnan(wanted).sum())
-        cells = [np.nan if cell is None else cell for cell in column.to_pylist()]
-        assert _same(np.array(cells, dtype=np.float32), wanted)
 
 
 def test_parquet_gives_its_bytes_group_by_group() -> None:

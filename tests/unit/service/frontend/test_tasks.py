@@ -198,7 +198,7 @@ def test_the_hash_is_that_of_the_bytes() -> None:
     assert parse_task(one)[1] == parse_task(one)[1]
 
 
-def test_a_missing_file_is_named_task(tmp_path: Any) -> None:
+def test_a_missing_task_is_named(tmp_path: Any) -> None:
     with pytest.raises(TaskError, match=r"absent\.json"):
         load_task(tmp_path / "absent.json")
     (tmp_path / "good.json").write_text(json.dumps(document()))
