@@ -79,6 +79,7 @@ def blocks() -> list[str]:
     return re.findall(r"^```bash\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
 
 
+@pytest.mark.nightly
 @pytest.mark.system
 @pytest.mark.slow
 def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:

@@ -85,6 +85,7 @@ def test_first_shift(archive: None, service: Any, tmp_path: Path) -> None:
     assert [note["tags"] for note in handover["notes"]] == [[], ["control"]]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.system
 def test_own_satellite(service: Any, tmp_path: Path) -> None:

@@ -294,6 +294,7 @@ def test_orbital_frame() -> None:
             assert float(written[4]) == pytest.approx(float(printed[4]), abs=0.02), written
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_rf_attitude() -> None:
     for written, printed in zip(*tables("rf-attitude"), strict=True):

@@ -362,6 +362,7 @@ def doctor(file, log):
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
 
 
+@pytest.mark.nightly
 def test_a_thousand_lost_rows_are_told_by_the_log_of_the_service(start_service, spacecraft, carriers, tmp_path):
     file, older = tmp_path / "soo.db", tmp_path / "older.db"
     service = start_service()

@@ -349,6 +349,7 @@ def processor_s(*arguments):
     return usage.ru_utime + usage.ru_stime
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "wait4"), reason="the system does not tell what a process took")
 def test_a_command_starts_in_three_times_the_import_of_typer():

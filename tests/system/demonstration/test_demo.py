@@ -251,6 +251,7 @@ def test_no_demonstration_is_changed_where_none_runs(environment, tmp_path):
     assert (ran.returncode, "start one with soo demo" in ran.stderr) == (1, True)
 
 
+@pytest.mark.nightly
 def test_what_is_injected_has_its_answer_and_no_wrong_torque(client, environment):
     """One story: each change begins in the state that the one before it left."""
     _its_addresses_are_for_its_user_alone(environment)
@@ -346,6 +347,7 @@ def alone_deg(epoch_us: int) -> tuple[float, ...]:
     raise AssertionError(epoch_us)
 
 
+@pytest.mark.nightly
 def test_two_keys_release_a_torque_and_the_spacecraft_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # the compiler would take longer than the rows
     monkeypatch.setenv("SOO_KERNELS", "numpy")

@@ -102,6 +102,7 @@ def durable_url(durable_postgresql_cluster):
     durable_postgresql_cluster.drop(made)
 
 
+@pytest.mark.nightly
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize(
     ("kills", "victims"),

@@ -189,6 +189,7 @@ def test_a_volume_that_turns_read_only_under_the_service(trial, start_service, t
         one.conclude()
 
 
+@pytest.mark.nightly
 def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster):
     cluster = durable_postgresql_cluster
     url = cluster.new_database()
@@ -203,6 +204,7 @@ def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster):
     cluster.drop(url)
 
 
+@pytest.mark.nightly
 def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_postgresql_cluster):
     cluster = durable_postgresql_cluster
     url = cluster.new_database()
@@ -289,7 +291,8 @@ def doubtful(path):
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("kills", [6, pytest.param(60, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("kills", [6, 60])
 def test_kills_while_results_are_sealed(start_service, empty_database, tmp_path, kills):
     print(f"seed {SEED}")
     instants, database, original = random.Random(SEED), tmp_path / "soo.db", tmp_path / "filled.db"
@@ -356,6 +359,7 @@ def contents(storage, version):
     return counts, storage.archive.head("bench"), everything(storage, version)
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(os.getuid() != 0, reason="only root mounts volumes")
 def test_a_full_disk_fails_each_write_whole(empty_database, tmp_path):
     with small_volume(tmp_path / "volume", "96m") as volume:
