@@ -318,12 +318,12 @@ def steps(tests, dt_s=60.0, state=None):
     ("minutes", "stopped"),
     [
         pytest.param([WET] * 6, [4, 5], id="five minutes of the condition stop"),
-        pytest.param([WET] * 4 + [DRY] + [WET] * 4, [], id="a break starts the five minutes anew"),
+        pytest.param([WET] * 4 + [DRY] + [WET] * 4, [], id="a break starts the five minutes again"),
         pytest.param([WET] * 5 + [DRY] * 10, range(4, 14), id="ten dry minutes return control"),
         pytest.param([LOW] * 30, [], id="a low median alone does not stop"),
         pytest.param([WET] * 5 + [LOW] * 60, range(4, 65), id="a low median does not return control"),
         pytest.param(
-            [WET] * 5 + [DRY] * 9 + [LOW] + [DRY] * 9, range(4, 24), id="a low median starts dry minutes anew"
+            [WET] * 5 + [DRY] * 9 + [LOW] + [DRY] * 9, range(4, 24), id="a low median starts dry minutes again"
         ),
     ],
 )
