@@ -101,7 +101,7 @@ def _fault(text: str) -> tuple[str, int]:
 
 
 def _response(text: str) -> tuple[str, float]:
-    from analyzer_sim.world.spacecraft.wheels import AXES
+    from analyzer_sim.world.spacecraft.body import AXES
 
     axis, _, value = text.partition("=")
     if axis not in AXES or not value:
@@ -235,7 +235,7 @@ def _scenario(options: argparse.Namespace) -> "Scenario":
 
 def _flown(options: argparse.Namespace) -> "PlantOptions":
     from analyzer_sim.plant.plant import PlantOptions
-    from analyzer_sim.world.spacecraft.wheels import AXES
+    from analyzer_sim.world.spacecraft.body import AXES
 
     factors = {**dict.fromkeys(AXES, 1.0), **dict(options.response)}
     response = (factors["roll"], factors["pitch"], factors["yaw"])

@@ -77,14 +77,12 @@ from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.ground.ground import catalogue_lines, events
 from analyzer_sim.world.motion_statistics import motion_statistics
-from analyzer_sim.world.orbit.orbit import predicted_track
+from analyzer_sim.world.orbit import predicted_track
 from analyzer_sim.world.payload.carriers import ROLLOFF
 from analyzer_sim.world.payload.effects import SOURCES
-from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
-from analyzer_sim.world.payload.user_noise import carrier_noise, sweep_sigma_db
+from analyzer_sim.world.payload.level_terms import carrier_noise, sensitivity_db_per_deg, sweep_sigma_db
 from analyzer_sim.world.polarimeter import body_turn_deg
-from analyzer_sim.world.scenario.story import Scenario
-from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE
+from analyzer_sim.world.scenario.story import SLEW_MIN, TIMETABLE, Scenario
 from analyzer_sim.world.sensors import References
 from analyzer_sim.world.world import World, flag_names
 

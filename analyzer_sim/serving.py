@@ -20,10 +20,9 @@ from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.instrument.truth_log import TruthLog
 from analyzer_sim.lines.line_faults import LineFault, LineFaults
 from analyzer_sim.lines.server import SimulatedAnalyzer, port_error
-from analyzer_sim.plant.change_port import serve_changes
 from analyzer_sim.plant.flown_world import FlownWorld
 from analyzer_sim.plant.plant import PlantOptions
-from analyzer_sim.plant.uplink_port import UplinkPort
+from analyzer_sim.plant.uplink_port import UplinkPort, serve_changes
 from analyzer_sim.world.ground.ground_port import Gate, serve_ground
 from analyzer_sim.world.scenario.scenario import Scenario
 from analyzer_sim.world.world import World

@@ -24,7 +24,7 @@ from service.pipeline.config import ChainConfig
 from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.levels.measurement import Measurement, MeasurementBatch
-from service.records.operations.job import Job, JobState, Replay
+from service.records.operations.work import Job, JobState, Replay
 from service.runtime.jobs.replay_run import ReplayRun
 from tests.fakes.worlds.geometry_flight import HOUR, MINUTE, SC, START_US, FlightPayload
 

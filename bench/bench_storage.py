@@ -21,9 +21,7 @@ from db.storage import SqlStorage
 from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Carrier, Method, Site, Spacecraft
-from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Status
-from service.records.levels.carrier_results import CarrierResults
-from service.records.levels.command import Pulse, TorqueCommand
+from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, CarrierResults, Pulse, Status, TorqueCommand
 from service.records.levels.measurement import Measurement, MeasurementBatch
 
 START_US = 1_795_000_000_000_000

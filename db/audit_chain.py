@@ -7,8 +7,8 @@ from typing import TypeVar
 from sqlalchemy import Connection, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from db.schema.access_tables import audit_entry, audit_head
-from service.records.operations.audit import GENESIS, AuditEntry, AuditEvent, AuditHead, naming_result, next_entry
+from db.schema.tables import audit_entry, audit_head
+from service.records.operations.access import GENESIS, AuditEntry, AuditEvent, AuditHead, naming_result, next_entry
 
 Result = TypeVar("Result")
 

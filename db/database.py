@@ -12,17 +12,16 @@ from typing import Any, NamedTuple, TypeVar
 from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, or_, select, true, update
 
 from db.audit_chain import accompanied
-from db.connection.engines import open_engines, translated_faults
+from db.connection.engines import open_engines, sqlite_path, translated_faults
 from db.connection.lease import FileLeases, SqlLeases
-from db.connection.sqlite_files import sqlite_path
 from db.connection.writer import Writer
-from db.encoding.json_documents import encode, kind_of
+from db.encoding.record_codec import encode, kind_of
 from db.encoding.segments import SegmentCache
 from db.schema.tables import head, journal, spacecraft
 from service.errors import NotFoundError
 from service.records.calibration import Window
 from service.records.journal import SlowInput
-from service.records.operations.audit import CURRENT_NOTE
+from service.records.operations.access import CURRENT_NOTE
 
 Result = TypeVar("Result")
 
@@ -60,7 +59,7 @@ class Database:
         if path is not None:
             return FileLeases(path, self._writer)
         # the driver costs time and memory that a file does not need
-        from db.connection.server_leases import ServerLeases
+        from db.connection.lease import ServerLeases
 
         return ServerLeases(url, limit_s, self.read)
 

@@ -2,17 +2,14 @@
 
 from sqlalchemy import Connection, select
 
-from db.connection.sqlite_files import disk_of
+from db.connection.engines import disk_of
 from db.database import Database
 from db.measurements.archive import SqlArchive
-from db.operations.alarms import SqlAlarms
-from db.operations.audit import SqlAudit
+from db.operations.access import SqlAudit, SqlKeys
+from db.operations.alarms import SqlAlarms, SqlNotes
 from db.operations.catalogue import SqlCatalogue
-from db.operations.keys import SqlKeys
-from db.operations.links import SqlLinks
-from db.operations.notes import SqlNotes
+from db.operations.links import SqlLinks, SqlTraces
 from db.operations.releases import SqlReleases
-from db.operations.traces import SqlTraces
 from db.results.results import SqlResults
 from db.schema.layout import LAYOUT, create_tables, layout_of, refusal
 from db.schema.tables import head
@@ -29,7 +26,7 @@ from service.ports import (
     Results,
     Traces,
 )
-from service.records.storage.storage_state import StorageState
+from service.records.storage import StorageState
 
 
 class SqlStorage:

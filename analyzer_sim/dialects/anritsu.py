@@ -14,7 +14,12 @@ from dataclasses import replace
 from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
 from analyzer_sim.dialects.settings_rows import (
     bandwidth_rows,
+    channel_power,
+    channel_power_rows,
+    channel_row,
+    channel_switch_row,
     constant,
+    format_row,
     frequency_rows,
     inert,
     inert_number,
@@ -22,9 +27,16 @@ from analyzer_sim.dialects.settings_rows import (
     number_text,
     numeric,
     previous_span_row,
+    reset_channel,
+    results_text,
+    start_sweep,
     sweep_time_rows,
+    trace_row,
 )
 from analyzer_sim.dialects.sweep_rows import (
+    COMMON_COMMANDS,
+    LOCAL_ROWS,
+    SYSTEM_COMMANDS,
     application_row,
     continuous_row,
     detector_rows,
@@ -32,22 +44,9 @@ from analyzer_sim.dialects.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.system_rows import COMMON_COMMANDS, LOCAL_ROWS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.trace_rows import (
-    channel_power,
-    channel_power_rows,
-    channel_row,
-    channel_switch_row,
-    format_row,
-    reset_channel,
-    results_text,
-    start_sweep,
-    trace_row,
-)
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.instrument_settings import MS2090A, Settings
 from analyzer_sim.instrument.levels import definite_block
-from analyzer_sim.instrument.models import MS2090A
 from analyzer_sim.instrument.quantities import load
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, Choice, TraceName

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from analyzer_sim.instrument.imperfections import Imperfections
 from analyzer_sim.instrument.instrument import Instrument
-from analyzer_sim.instrument.models import AnalyzerModel
+from analyzer_sim.instrument.instrument_settings import AnalyzerModel
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import Parameter
 from analyzer_sim.scpi.parser import Unit, parse_data, short_form

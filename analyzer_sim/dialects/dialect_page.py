@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable
 
 from analyzer_sim.dialects.dialect import Command, Dialect
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.dialects.system_rows import CLOCK_ROWS, COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.instrument.models import AnalyzerModel, FilterSteps, Limits
+from analyzer_sim.dialects.sweep_rows import CLOCK_ROWS, COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.instrument.instrument_settings import AnalyzerModel, FilterSteps, Limits
 from analyzer_sim.scpi.parameters import Boolean, Choice, Level, Numeric, Parameter, Quoted, TraceName
 
 #: what keeps the page current

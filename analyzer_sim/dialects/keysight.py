@@ -20,23 +20,39 @@ from collections.abc import Mapping
 from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
 from analyzer_sim.dialects.settings_rows import (
     bandwidth_rows,
+    byte_order_row,
+    channel_power,
+    channel_power_rows,
+    channel_row,
+    channel_switch_row,
     constant,
+    format_row,
     frequency_rows,
     inert,
     inert_number,
     level_rows,
+    levels_shown,
     number_text,
     numeric,
+    pairs_shown,
     previous_span_row,
+    reset_channel,
+    results_text,
+    start_sweep,
     step_auto_row,
     sweep_time_rows,
+    trace_reader,
+    trace_row,
     zero_span_row,
 )
 from analyzer_sim.dialects.sweep_rows import (
     BY_TYPE,
+    COMMON_COMMANDS,
     DB6_RATIO,
     IMPULSE_RATIO,
+    LOCAL_ROWS,
     NOISE_RATIO,
+    SYSTEM_COMMANDS,
     application_row,
     average_state_row,
     average_type_row,
@@ -44,29 +60,13 @@ from analyzer_sim.dialects.sweep_rows import (
     detector_rows,
     filter_type_row,
     initiate_row,
+    register_rows,
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.system_rows import COMMON_COMMANDS, LOCAL_ROWS, SYSTEM_COMMANDS, register_rows
-from analyzer_sim.dialects.trace_rows import (
-    byte_order_row,
-    channel_power,
-    channel_power_rows,
-    channel_row,
-    channel_switch_row,
-    format_row,
-    levels_shown,
-    pairs_shown,
-    reset_channel,
-    results_text,
-    start_sweep,
-    trace_reader,
-    trace_row,
-)
 from analyzer_sim.instrument.channel_power import OWN_AVERAGES, OWN_SPAN_HZ, own_sweep_settings
-from analyzer_sim.instrument.instrument_settings import Settings, reset_state
+from analyzer_sim.instrument.instrument_settings import N9020B, Settings, reset_state
 from analyzer_sim.instrument.levels import ascii_list
-from analyzer_sim.instrument.models import N9020B
 from analyzer_sim.instrument.quantities import load, shown_limits, store
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Boolean, Choice, Numeric, TraceName

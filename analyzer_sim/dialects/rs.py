@@ -3,17 +3,28 @@
 from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
 from analyzer_sim.dialects.settings_rows import (
     bandwidth_rows,
+    channel_power,
+    channel_row,
+    channel_switch_row,
     choice,
     constant,
+    format_row,
+    frequencies_shown,
     frequency_rows,
     inert,
     inert_number,
     level_rows,
     numeric,
+    results_text,
     step_auto_row,
     sweep_time_rows,
+    trace_reader,
+    trace_row,
 )
 from analyzer_sim.dialects.sweep_rows import (
+    COMMON_COMMANDS,
+    LOCAL_ROWS,
+    SYSTEM_COMMANDS,
     application_row,
     average_state_row,
     average_type_row,
@@ -23,18 +34,7 @@ from analyzer_sim.dialects.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.system_rows import COMMON_COMMANDS, LOCAL_ROWS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.trace_rows import (
-    channel_power,
-    channel_row,
-    channel_switch_row,
-    format_row,
-    frequencies_shown,
-    results_text,
-    trace_reader,
-    trace_row,
-)
-from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.instrument_settings import FSW_26
 from analyzer_sim.instrument.quantities import QUANTITIES
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, Boolean, Choice, TraceName

@@ -9,22 +9,32 @@ first only when the settings have changed since and the instrument does not swee
 from analyzer_sim.dialects.dialect import Call, Command, Dialect, TraceFormat, TraceStyle
 from analyzer_sim.dialects.settings_rows import (
     bandwidth_rows,
+    channel_power,
+    channel_power_rows,
+    channel_row,
     choice,
     constant,
+    format_row,
     frequency_rows,
     inert,
     inert_number,
     level_rows,
     numeric,
     previous_span_row,
+    results_text,
     scaled_span_row,
+    start_sweep,
     step_auto_row,
     sweep_time_rows,
+    trace_row,
     zero_span_row,
 )
 from analyzer_sim.dialects.sweep_rows import (
     BY_TYPE,
+    COMMON_COMMANDS,
     DB6_RATIO,
+    LOCAL_ROWS,
+    SYSTEM_COMMANDS,
     application_row,
     average_type_row,
     continuous_row,
@@ -34,17 +44,7 @@ from analyzer_sim.dialects.sweep_rows import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.system_rows import COMMON_COMMANDS, LOCAL_ROWS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.trace_rows import (
-    channel_power,
-    channel_power_rows,
-    channel_row,
-    format_row,
-    results_text,
-    start_sweep,
-    trace_row,
-)
-from analyzer_sim.instrument.models import SSA3032X
+from analyzer_sim.instrument.instrument_settings import SSA3032X
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, PURE, Choice, Numeric, TraceName
 

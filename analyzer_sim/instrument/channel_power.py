@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.instrument.instrument_settings import Settings
-from analyzer_sim.instrument.models import MAX_SWEEPS, Limits
+from analyzer_sim.instrument.instrument_settings import MAX_SWEEPS, Limits, Settings
 from analyzer_sim.instrument.quantities import store
 from analyzer_sim.instrument.spectrum import SweepGrid
 

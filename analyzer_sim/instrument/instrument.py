@@ -19,8 +19,7 @@ from operator import or_
 
 from analyzer_sim.emission import Emission, EmissionSource, EndOfScenario
 from analyzer_sim.instrument.channel_power import ChannelSettings, own_sweep_settings
-from analyzer_sim.instrument.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.models import FSW_26, AnalyzerModel
+from analyzer_sim.instrument.instrument_settings import FSW_26, AnalyzerModel, Settings, reset_state
 from analyzer_sim.instrument.painter import FloatArray, Trace, TracePainter
 from analyzer_sim.instrument.sweep_progress import OPERATION_BITS, Pace, SweepProgress, SweepState
 from analyzer_sim.instrument.trace_faults import TraceFaults

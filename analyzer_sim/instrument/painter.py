@@ -13,8 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analyzer_sim.emission import Emission
-from analyzer_sim.instrument.detectors import FAST_DRAWS, Dwell, draw_rms
-from analyzer_sim.instrument.envelope import MAX_SAMPLES, MAX_SAMPLES_ALL_SWEEPS, draw_envelope, sample_count
+from analyzer_sim.instrument.detectors import (
+    FAST_DRAWS,
+    MAX_SAMPLES,
+    MAX_SAMPLES_ALL_SWEEPS,
+    Dwell,
+    draw_envelope,
+    draw_rms,
+    sample_count,
+)
 from analyzer_sim.instrument.imperfections import Imperfections, LevelErrors
 from analyzer_sim.instrument.instrument_settings import Settings
 from analyzer_sim.instrument.spectrum import MeanTrace, SweepGrid, mean_trace, milliwatts, too_fast_line_loss

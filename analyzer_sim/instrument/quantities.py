@@ -7,8 +7,7 @@ shown. Every limit and every step is a figure of the model.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from analyzer_sim.instrument.instrument_settings import Settings
-from analyzer_sim.instrument.models import MAX_SWEEPS, Limits
+from analyzer_sim.instrument.instrument_settings import MAX_SWEEPS, Limits, Settings
 
 
 def _store_window(settings: Settings, center_hz: float, span_hz: float) -> None:

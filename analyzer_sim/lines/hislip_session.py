@@ -1,39 +1,199 @@
-"""State of one HiSLIP session (IVI-6.1, synchronized mode): what is legal when, and what its messages add up to.
+"""Messages, state and locks of HiSLIP sessions (IVI-6.1; VPP-4.3, 3.6). No socket, no waiting."""
 
-No socket, no clock, no SCPI. The session as a table; a message without a row is refused (see :func:`_refusal`)::
-
-    phase      message                          next phase   what happens
-    (none)     Initialize               sync    HALF_OPEN    session number given, version agreed, overlap declined
-    HALF_OPEN  AsyncInitialize          async   OPEN         the two channels are one session
-    OPEN       Data                     sync    OPEN         gathered
-    OPEN       DataEnd, Trigger         sync    OPEN         a request: executed strictly in order
-    OPEN       AsyncMaxMsgSize          async   OPEN         answers are cut to the client's size
-    OPEN       AsyncLock, AsyncLockInfo async   OPEN         `lock_table.py`
-    OPEN       AsyncStatusQuery         async   OPEN         status byte, bit 6 = service requested since last asked
-    OPEN       AsyncRemoteLocalControl  async   OPEN         acknowledged
-    OPEN       AsyncDeviceClear         async   CLEARING     execution ends, input and output are emptied
-    CLEARING   Data, DataEnd, Trigger   sync    CLEARING     dropped: they were sent before the client knew
-    CLEARING   DeviceClearComplete      sync    OPEN         acknowledged on the synchronous channel
-    CLEARING   the other async ones     async   CLEARING     as in OPEN
-    OPEN, CLEARING  Error               both    the same     nothing
-    any        FatalError               both    CLOSED       both channels are closed
-
-Interrupted (IVI-6.1, 3.1.1; IEEE 488.2, 6.3.2.3): a request that comes while an answer has not been delivered, as the
-RMT-delivered bit of requests and status queries tells, clears the answer, queues -410 and is told on both channels.
-"""
-
-from enum import Enum, auto
+import struct
+from collections.abc import Hashable, Iterator
+from enum import Enum, IntEnum, auto
 from typing import NamedTuple
 
-from analyzer_sim.lines.hislip_messages import (
-    DEFAULT_CLIENT_BYTES,
-    ErrorCode,
-    FatalCode,
-    FatalProtocolError,
-    Message,
-    MessageType,
-)
 from analyzer_sim.scpi.framing import MESSAGE_LIMIT_BYTES, FramerState, MessageFramer, ProgramMessage
+
+HEADER = struct.Struct("!2sBBIQ")
+_PROLOGUE = b"HS"
+_SIZE = struct.Struct("!Q")
+
+#: largest payload taken from a client, bytes; announced to it
+MAX_PAYLOAD_BYTES = 1 << 20
+#: what VISA lets a server assume until the client has told its own largest message, bytes
+DEFAULT_CLIENT_BYTES = 1 << 20
+#: a length above this is no length but garbage, bytes
+_ABSURD_BYTES = 1 << 30
+#: smallest part of an answer, whatever the client claims to be able to take, bytes
+_LEAST_PART_BYTES = 16
+
+
+class MessageType(IntEnum):
+    """Numbers of table 4 of IVI-6.1 that versions 1.0 and 1.1 have."""
+
+    INITIALIZE = 0
+    INITIALIZE_RESPONSE = 1
+    FATAL_ERROR = 2
+    ERROR = 3
+    ASYNC_LOCK = 4
+    ASYNC_LOCK_RESPONSE = 5
+    DATA = 6
+    DATA_END = 7
+    DEVICE_CLEAR_COMPLETE = 8
+    DEVICE_CLEAR_ACKNOWLEDGE = 9
+    ASYNC_REMOTE_LOCAL_CONTROL = 10
+    ASYNC_REMOTE_LOCAL_RESPONSE = 11
+    TRIGGER = 12
+    INTERRUPTED = 13
+    ASYNC_INTERRUPTED = 14
+    ASYNC_MAX_MSG_SIZE = 15
+    ASYNC_MAX_MSG_SIZE_RESPONSE = 16
+    ASYNC_INITIALIZE = 17
+    ASYNC_INITIALIZE_RESPONSE = 18
+    ASYNC_DEVICE_CLEAR = 19
+    ASYNC_SERVICE_REQUEST = 20
+    ASYNC_STATUS_QUERY = 21
+    ASYNC_STATUS_RESPONSE = 22
+    ASYNC_DEVICE_CLEAR_ACKNOWLEDGE = 23
+    ASYNC_LOCK_INFO = 24
+    ASYNC_LOCK_INFO_RESPONSE = 25
+
+
+class FatalCode(IntEnum):
+    """Code of a fatal error, which ends the session."""
+
+    UNIDENTIFIED = 0
+    POORLY_FORMED_HEADER = 1
+    CHANNELS_INCOMPLETE = 2
+    INVALID_INITIALIZATION = 3
+    TOO_MANY_CLIENTS = 4
+
+
+class ErrorCode(IntEnum):
+    """Code of an error that refuses one message; the session continues."""
+
+    UNIDENTIFIED = 0
+    UNKNOWN_TYPE = 1
+    UNKNOWN_CONTROL_CODE = 2
+    UNKNOWN_VENDOR_MESSAGE = 3
+    MESSAGE_TOO_LARGE = 4
+
+
+class FatalProtocolError(Exception):
+    """The channel cannot go on; its code and text go to the client before it is closed."""
+
+    def __init__(self, code: FatalCode, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+        self.text = text
+
+
+class Message(NamedTuple):
+    """One message as it came."""
+
+    #: a number of :class:`MessageType`, or any other
+    kind: int
+    control: int
+    parameter: int
+    payload: bytes
+    #: the payload was larger than the limit and has been dropped
+    is_oversize: bool = False
+
+
+def encode(kind: MessageType, control: int = 0, parameter: int = 0, payload: bytes = b"") -> bytes:
+    """Return the bytes of one message.
+
+    Examples
+    --------
+    >>> encode(MessageType.TRIGGER, 1, 0xFFFFFF00).hex(" ", 4)
+    '48530c01 ffffff00 00000000 00000000'
+    """
+    return HEADER.pack(_PROLOGUE, kind, control, parameter, len(payload)) + payload
+
+
+def encode_size(size_bytes: int) -> bytes:
+    """Return the payload of the exchange of largest sizes."""
+    return _SIZE.pack(size_bytes)
+
+
+def decode_size(payload: bytes) -> int | None:
+    """Return the size a client told, ``None`` when the payload is none."""
+    return int(_SIZE.unpack(payload)[0]) if len(payload) == _SIZE.size else None
+
+
+def answer_parts(answer: bytes, message_id: int, client_bytes: int) -> Iterator[bytes]:
+    """Cut an answer into messages of at most ``client_bytes``, header included; the last one is DataEnd."""
+    part = max(client_bytes - HEADER.size, _LEAST_PART_BYTES)
+    last = max(0, (len(answer) - 1) // part * part)
+    for start in range(0, last, part):
+        yield encode(MessageType.DATA, 0, message_id, answer[start : start + part])
+    yield encode(MessageType.DATA_END, 0, message_id, answer[last:])
+
+
+class Decoder:
+    """Cuts the bytes of one channel into messages.
+
+    Parameters
+    ----------
+    limit_bytes : int
+        Largest payload kept; it bounds the memory together with what is fed at once.
+
+    Examples
+    --------
+    >>> decoder = Decoder()
+    >>> [message.payload for message in decoder.feed(encode(MessageType.DATA_END, 0, 4, b"*IDN?"))]
+    [b'*IDN?']
+    """
+
+    def __init__(self, limit_bytes: int = MAX_PAYLOAD_BYTES) -> None:
+        self._limit_bytes = limit_bytes
+        self._buffer = bytearray()
+        self._header: Message | None = None
+        self._missing = 0
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes held of a message that is not complete."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> Iterator[Message]:
+        """Take bytes and give the messages they complete, in order.
+
+        Raises
+        ------
+        FatalProtocolError
+            A header is none; the messages before it have been given.
+        """
+        self._buffer += data
+        while (message := self._next()) is not None:
+            yield message
+
+    def _next(self) -> Message | None:
+        if self._header is None and not self._read_header():
+            return None
+        return self._read_payload()
+
+    def _read_header(self) -> bool:
+        """Read the next header; return whether there was one."""
+        if not _PROLOGUE.startswith(self._buffer[:2]) and self._buffer[:2] != _PROLOGUE:
+            raise FatalProtocolError(FatalCode.POORLY_FORMED_HEADER, "a message begins with HS")
+        if len(self._buffer) < HEADER.size:
+            return False
+        _, kind, control, parameter, length = HEADER.unpack_from(self._buffer)
+        if length > _ABSURD_BYTES:
+            raise FatalProtocolError(FatalCode.POORLY_FORMED_HEADER, f"a payload of {length} bytes")
+        del self._buffer[: HEADER.size]
+        self._header = Message(kind, control, parameter, b"", is_oversize=length > self._limit_bytes)
+        self._missing = length
+        return True
+
+    def _read_payload(self) -> Message | None:
+        """Complete the message whose header has been read; ``None`` when bytes are missing."""
+        header = self._header
+        if header is None or (len(self._buffer) < self._missing and not header.is_oversize):
+            return None
+        payload = b"" if header.is_oversize else bytes(self._buffer[: self._missing])
+        taken = min(self._missing, len(self._buffer))
+        del self._buffer[:taken]
+        self._missing -= taken
+        if self._missing:
+            return None
+        self._header = None
+        return header._replace(payload=payload)
+
 
 _M = MessageType
 #: newest version spoken, major and minor byte
@@ -233,3 +393,85 @@ def _refusal(phase: Phase, kind: int) -> FatalProtocolError | RefusedMessageErro
     if kind >= 128:
         return RefusedMessageError(ErrorCode.UNKNOWN_VENDOR_MESSAGE, "no vendor's messages are known")
     return RefusedMessageError(ErrorCode.UNKNOWN_TYPE, f"message type {kind} is unknown here")
+
+
+class LockAnswer(IntEnum):
+    """Control code of AsyncLockResponse."""
+
+    #: no lock could be had in time
+    FAILURE = 0
+    #: a lock was granted, or an exclusive one released
+    SUCCESS = 1
+    #: a shared lock was released
+    SUCCESS_SHARED = 2
+    #: the client holds such a lock already, or none to release
+    INVALID = 3
+
+
+class LockTable:
+    """Holders of the exclusive lock and of the shared lock; a client is any hashable object.
+
+    Examples
+    --------
+    >>> table = LockTable()
+    >>> table.request("a", ""), table.request("b", ""), table.may_run("b")
+    (<LockAnswer.SUCCESS: 1>, None, False)
+    """
+
+    def __init__(self) -> None:
+        self._exclusive: Hashable | None = None
+        self._shared: set[Hashable] = set()
+        self._key = ""
+
+    @property
+    def is_exclusive(self) -> bool:
+        """Return whether an exclusive lock is held."""
+        return self._exclusive is not None
+
+    @property
+    def holders(self) -> int:
+        """Clients that hold a lock of either kind."""
+        return len(self._shared | ({self._exclusive} if self.is_exclusive else set()))
+
+    def may_run(self, client: Hashable) -> bool:
+        """Tell whether a client's messages are executed now."""
+        if self.is_exclusive:
+            return self._exclusive == client
+        return not self._shared or client in self._shared
+
+    def request(self, client: Hashable, key: str) -> LockAnswer | None:
+        """Ask for a lock, the exclusive one when the key is empty; ``None`` = it must be waited for."""
+        if client == self._exclusive if not key else client in self._shared:
+            return LockAnswer.INVALID
+        if self.is_exclusive and self._exclusive != client:
+            return None
+        return self._share(client, key) if key else self._exclude(client)
+
+    def _exclude(self, client: Hashable) -> LockAnswer | None:
+        if self._shared and client not in self._shared:
+            return None
+        self._exclusive = client
+        return LockAnswer.SUCCESS
+
+    def _share(self, client: Hashable, key: str) -> LockAnswer | None:
+        if self._shared and key != self._key:
+            return None
+        self._key = key
+        self._shared.add(client)
+        return LockAnswer.SUCCESS
+
+    def release(self, client: Hashable) -> LockAnswer:
+        """Give back the exclusive lock, or else the shared one."""
+        if self.is_exclusive and self._exclusive == client:
+            self._exclusive = None
+            return LockAnswer.SUCCESS
+        if client in self._shared:
+            self._shared.discard(client)
+            return LockAnswer.SUCCESS_SHARED
+        return LockAnswer.INVALID
+
+    def drop(self, client: Hashable) -> None:
+        """Give back all a client holds: it has left."""
+        if self._exclusive == client:
+            self._exclusive = None
+        self._shared.discard(client)

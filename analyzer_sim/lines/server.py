@@ -13,9 +13,8 @@ from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.lines.dispatcher import Dispatcher, poll_permission
-from analyzer_sim.lines.faulty_line import FaultyLine, LineEndedError
 from analyzer_sim.lines.hislip_server import HislipServer
-from analyzer_sim.lines.line_faults import LineFaults
+from analyzer_sim.lines.line_faults import FaultyLine, LineEndedError, LineFaults
 from analyzer_sim.scpi.framing import MessageFramer
 
 _READ_BYTES = 1 << 16

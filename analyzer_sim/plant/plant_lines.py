@@ -32,16 +32,13 @@ from typing import Any, TextIO
 import numpy as np
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.plant.plant import Plant, PlantOptions
-from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS, Schedule, ScheduleError, parse_schedule
+from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, Plant, PlantOptions, Schedule, ScheduleError, parse_schedule
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, reported_lines, truth_row
 from analyzer_sim.world.scenario.story import Scenario
-from analyzer_sim.world.spacecraft.disturbance import fed_forward
-from analyzer_sim.world.spacecraft.stored_momentum import with_errors
-from analyzer_sim.world.spacecraft.telemetry import PERIOD_H
+from analyzer_sim.world.spacecraft.body import rotor_speed_rpm
+from analyzer_sim.world.spacecraft.telemetry import PERIOD_H, fed_forward, with_errors
 from analyzer_sim.world.spacecraft.uplink import Report
-from analyzer_sim.world.spacecraft.wheels import rotor_speed_rpm
 from analyzer_sim.world.world import World
 
 Line = dict[str, Any]

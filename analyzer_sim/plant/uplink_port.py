@@ -1,21 +1,4 @@
-"""Uplink port: torque schedules to the spacecraft of a served instrument and its reports, as JSON lines over TCP.
-
-Out; fields in brackets are not always there:
-
-    {"type":"start","scenario":..,"seed":..,"uplink":..,"onboard":..,"operation_start":..,"fed_forward_torque":{..}}
-    {"type":"taken","counter":..,"sent":..}      the line was handed to the channel; counter null = nothing to send
-    {"type":"report","counter":..,"state":"executed|repeated|late|refused","told":..,"received":..,
-     ["executed_from":..,"executed_until":..,"impulse_n_m_s":{..}]}
-    {"type":"flown","epoch":..}                  the spacecraft has come to this row; its reports precede this line
-    {"type":"error","detail":..}                 the line was refused and changes nothing
-
-In, at any time once the first row of operation has been measured; it leaves at the epoch of the newest row:
-
-    {"schedule":[{"start":..,"duration_s":..,"roll_n_m":..,"pitch_n_m":..,"yaw_n_m":..},..],["counter":..]}
-
-Of a command that was lost there is no report. One client holds the port at a time; reports that nobody has heard are
-told to the next one. A client that does not read is dropped.
-"""
+"""Ports of the plant: schedules to the spacecraft, changes of its world."""
 
 import asyncio
 import json
@@ -24,9 +7,47 @@ from contextlib import suppress
 from typing import Any
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.plant.flown_world import FlownWorld
+from analyzer_sim.plant.flown_world import MAX_LINE_BYTES, ChangeError, FlownWorld
+from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, ScheduleError
 from analyzer_sim.plant.plant_lines import fed_forward_line
-from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS, ScheduleError
+
+
+async def serve_changes(flown: FlownWorld, host: str, port: int) -> asyncio.Server:
+    """Open the port; 0 takes a free one.
+
+    Raises
+    ------
+    OSError
+        It is taken.
+    """
+
+    async def on_connection(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        # the loop cancels connections when the simulator stops; asyncio's own callback would report that as an error
+        with suppress(asyncio.CancelledError, ConnectionError):
+            try:
+                while line := await reader.readline():
+                    await _send(writer, _answer(flown, line))
+            except ValueError:
+                await _send(writer, {"type": "error", "detail": f"a line holds at most {MAX_LINE_BYTES} bytes"})
+            writer.close()
+
+    return await asyncio.start_server(on_connection, host, port, limit=MAX_LINE_BYTES)
+
+
+def _answer(flown: FlownWorld, line: bytes) -> dict[str, Any]:
+    """Change the world and return the answer."""
+    try:
+        change = flown.change(line.decode("utf-8", errors="replace"))
+    except ChangeError as error:
+        return {"type": "error", "detail": str(error)}
+    span = {"from": rfc3339(change.start_us), "until": rfc3339(change.stop_us)}
+    return {"type": "changed", "change": change.kind.value, "carrier": change.carrier or None, **span}
+
+
+async def _send(writer: asyncio.StreamWriter, message: dict[str, Any]) -> None:
+    writer.write(json.dumps(message).encode() + b"\n")
+    await writer.drain()
+
 
 Line = dict[str, Any]
 

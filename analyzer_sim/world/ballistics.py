@@ -12,7 +12,7 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_DAY, US_PER_H, US_PER_S
 from analyzer_sim.streams import stream
-from analyzer_sim.world.orbit.orbit import Impulse, Orbit
+from analyzer_sim.world.orbit import Impulse, Orbit
 from analyzer_sim.world.payload.effects import NOTICE_H, Operation, draw
 from analyzer_sim.world.scenario.events import Burn
 from analyzer_sim.world.scenario.story import Scenario

@@ -20,8 +20,13 @@ import numpy as np
 from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.world.polarimeter import RAIN_DEG, WANDER_TAU_S, body_turn_deg
 from analyzer_sim.world.scenario.story import PolarimeterFigures, WheelTelemetry
-from analyzer_sim.world.spacecraft.disturbance import CONSTANT_SHARE, wave_size_n_m
-from analyzer_sim.world.spacecraft.stored_momentum import QUANTUM_N_M_S, UNLOADED_SHARE, unloadings_us
+from analyzer_sim.world.spacecraft.telemetry import (
+    CONSTANT_SHARE,
+    QUANTUM_N_M_S,
+    UNLOADED_SHARE,
+    unloadings_us,
+    wave_size_n_m,
+)
 from analyzer_sim.world.world import World
 
 #: turn by which the sight is measured, deg

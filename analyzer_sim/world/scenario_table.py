@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterator
 
-from analyzer_sim.world.orbit.orbit import Orbit
+from analyzer_sim.world.orbit import Orbit
 from analyzer_sim.world.payload.carriers import PLANS, CarrierPlan
-from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg
 from analyzer_sim.world.scenario.events import (
     ChainStep,
     Eclipse,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
-from analyzer_sim.world.orbit.orbit import EpochArray
+from analyzer_sim.world.orbit import EpochArray
 
 _US_PER_MIN = 60_000_000
 _NONE = float("nan")

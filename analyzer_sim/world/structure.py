@@ -13,7 +13,7 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.payload.payload import nominal_gain_db, sensitivity_db_per_deg
+from analyzer_sim.world.payload.level_terms import nominal_gain_db, sensitivity_db_per_deg
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 

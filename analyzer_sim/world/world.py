@@ -12,19 +12,16 @@ from numpy.typing import NDArray
 from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.ballistics import Ephemeris, burn_operations, burnt_orbit, ephemerides
-from analyzer_sim.world.faults.faults import effects_of
-from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
-from analyzer_sim.world.payload.carriers import PLANS, ROLLOFF, CarrierPlan
+from analyzer_sim.world.faults import effects_of
+from analyzer_sim.world.orbit import EpochArray, Orbit
+from analyzer_sim.world.payload.carriers import PLANS, ROLLOFF, CarrierPlan, PlanVersion, plan_versions
 from analyzer_sim.world.payload.effects import Effects, FaultFlag, Operation
-from analyzer_sim.world.payload.level_terms import LevelTerms
-from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
-from analyzer_sim.world.payload.plan_versions import PlanVersion, plan_versions
+from analyzer_sim.world.payload.level_terms import LevelTerms, sensitivity_db_per_deg
 from analyzer_sim.world.polarimeter import PolarizationReport, polarization_reports
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.sensors import References, references
-from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
-from analyzer_sim.world.spacecraft.operator import sensed_error_deg
-from analyzer_sim.world.spacecraft.spacecraft import Correction, Sensing, attitude_history
+from analyzer_sim.world.spacecraft.body import INERTIA_KG_M2
+from analyzer_sim.world.spacecraft.spacecraft import Correction, Sensing, attitude_history, sensed_error_deg
 from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord, telemetry
 
 #: longitude of the satellite, deg East

@@ -25,7 +25,7 @@ from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementBatch
-from service.records.operations.job import JobState, Replay
+from service.records.operations.work import JobState, Replay
 from service.runtime.clock import SystemClock
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.calibration_job import Calibrator, fitted

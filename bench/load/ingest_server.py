@@ -19,7 +19,7 @@ import uvicorn
 from db.connection.engines import open_engines
 from db.encoding.segments import SegmentCache
 from db.measurements.ingest import store_batch
-from db.measurements.prepared_batch import PreparedBatch, prepare
+from db.measurements.row_insert import PreparedBatch, prepare
 from service.api.server_process import StreamingServer, calm_collector
 from service.composition.bootstrap import build_app, build_storage
 from service.composition.settings import Settings

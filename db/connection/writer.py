@@ -1,29 +1,146 @@
-"""The one writer: functions queue up, run one after another, and share a commit.
-
-A future resolves only after the COMMIT of its group has returned, so what a caller hears of is durable. When a function
-fails, the group is rolled back and runs again with a SAVEPOINT around each function, so that only the failing one is
-lost; functions therefore depend on nothing but the connection. Neighbours of a class that has ``together`` are run by
-it in one call, with what each would have come to alone. A COMMIT that fails takes the whole group with it.
-
-A server that stops deadlocks or conflicts by ending one transaction has the group run again. Where a wait has come to
-its end, so have the others: what was queued meanwhile fails with the group, each after one wait and none after many.
-"""
+"""The writer: one thread that commits what callers wait for, with the statements that it prepares."""
 
 import logging
+import sqlite3
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from functools import lru_cache
 from itertools import groupby
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
-from sqlalchemy import Connection, Engine
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy import Connection, Engine, Select, Table, Update
+from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.engine import Dialect
+from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 
 from db.connection.engines import storage_error
-from db.connection.retryable_errors import is_passing, is_wait_ended
+from db.schema.columns import checksum_of
 from service.errors import StorageError
+
+
+class StatementResult(Protocol):
+    """Result of a prepared statement, to be read at once."""
+
+    def fetchone(self) -> Any:
+        """Return the next row, None after the last."""
+
+    def fetchall(self) -> Any:
+        """Return all rows."""
+
+
+def run_bare(connection: Connection, text: str, values: tuple[Any, ...]) -> sqlite3.Cursor:
+    """Run a statement on SQLite's driver; its faults come as those of SQLAlchemy."""
+    driver: Any = connection.connection.driver_connection
+    try:
+        cursor: sqlite3.Cursor = driver.execute(text, values)
+    except sqlite3.Error as fault:
+        # the values stay out of it: they are blobs of whole batches
+        raise OperationalError(text, None, fault) from fault
+    return cursor
+
+
+class PreparedStatement:
+    """A statement and its text in the dialect that runs it.
+
+    Parameters
+    ----------
+    statement : Select or Update
+        Its parameters are named by ``bindparam``.
+    names : str
+        Names of the parameters, in the order of the values that ``run`` takes.
+    """
+
+    def __init__(self, statement: Select[Any] | Update, *names: str) -> None:
+        self._statement = statement
+        self._names = names
+        self._known: dict[str, tuple[str, tuple[int, ...] | None]] = {}
+
+    def run(self, connection: Connection, *values: Any) -> StatementResult:
+        """Execute with one set of values."""
+        text, order = self._compiled(connection.dialect)
+        if order is None:
+            return connection.exec_driver_sql(text, dict(zip(self._names, values, strict=True)))
+        placed = tuple(values[position] for position in order)
+        if connection.dialect.name == "sqlite":
+            return run_bare(connection, text, placed)
+        return connection.exec_driver_sql(text, placed)
+
+    def _compiled(self, dialect: Dialect) -> tuple[str, tuple[int, ...] | None]:
+        """Return the text, and the places of the values if the driver takes them by position."""
+        known = self._known.get(dialect.name)
+        if known is None:
+            compiled = self._statement.compile(dialect=dialect)
+            order = tuple(self._names.index(name) for name in compiled.positiontup or ())
+            known = self._known[dialect.name] = (str(compiled), order if compiled.positional else None)
+        return known
+
+
+#: serialization_failure, deadlock_detected: one of two transactions was ended, the other went on
+_PASSING = frozenset({"40001", "40P01"})
+#: lock_not_available, query_canceled, idle_in_transaction_session_timeout
+_WAIT_ENDED = frozenset({"55P03", "57014", "25P03"})
+_BUSY = "SQLITE_BUSY"
+
+
+def is_passing(fault: BaseException) -> bool:
+    """Return whether a transaction was ended so that another could go on: it may run again at once."""
+    return _state_of(fault) in _PASSING
+
+
+def is_wait_ended(fault: BaseException) -> bool:
+    """Return whether a lock, or an answer of the server, was waited for too long."""
+    if not isinstance(fault, DBAPIError):
+        return False
+    is_busy = getattr(fault.orig, "sqlite_errorname", "").startswith(_BUSY)
+    return is_busy or getattr(fault.orig, "is_wait_ended", False) or _state_of(fault) in _WAIT_ENDED
+
+
+def _state_of(fault: BaseException) -> str | None:
+    """Return the code that PostgreSQL gives a fault."""
+    found = getattr(fault.orig, "sqlstate", None) if isinstance(fault, DBAPIError) else None
+    return None if found is None else str(found)
+
+
+class _Insertion(NamedTuple):
+    """Statement in a dialect."""
+
+    text: str
+    #: columns in the order of their values
+    names: tuple[str, ...]
+    #: what makes of a value that of the driver, by column; None = it is the value
+    converted: tuple[Callable[[Any], Any] | None, ...]
+
+
+def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
+    """Insert rows of the same columns and return how many were new; those whose primary key exists stay as they are."""
+    if not rows:
+        return 0
+    named = [{**row, "checksum": checksum_of(table, row)} for row in rows] if "checksum" in table.c else rows
+    dialect = connection.dialect
+    text, names, converted = _insertion(dialect, table, tuple(named[0]))
+    columns = (
+        [row[name] for row in named] if convert is None else [convert(row[name]) for row in named]
+        for name, convert in zip(names, converted, strict=True)
+    )
+    values: Any = list(zip(*columns, strict=True))
+    if not dialect.positional:
+        values = [dict(zip(names, each, strict=True)) for each in values]
+    return connection.exec_driver_sql(text, values, execution_options={"preserve_rowcount": True}).rowcount
+
+
+@lru_cache(maxsize=64)
+def _insertion(dialect: Dialect, table: Table, columns: tuple[str, ...]) -> _Insertion:
+    """Return the statement that gives values to some columns of a table."""
+    insert = sqlite.insert if dialect.name == "sqlite" else postgresql.insert
+    statement = insert(table).on_conflict_do_nothing().inline()
+    compiled: Any = statement.compile(dialect=dialect, column_keys=list(columns))
+    names = tuple(compiled.positiontup) if dialect.positional else columns
+    kinds = (table.c[name].type.dialect_impl(dialect) for name in names)
+    return _Insertion(str(compiled), names, tuple(kind.bind_processor(dialect) for kind in kinds))
+
 
 Result = TypeVar("Result")
 GROUP_LIMIT = 64

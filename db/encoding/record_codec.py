@@ -1,22 +1,62 @@
-"""Coding of records to columns and back, derived from the fields of the record.
-
-Values that a column holds as they are go through one `operator.attrgetter`; only the others are coded one by one.
-"""
+"""Records as columns of a row, and documents as JSON."""
 
 import json
 from collections.abc import Callable
 from dataclasses import MISSING
+from functools import cache
 from operator import attrgetter, itemgetter
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
+import numpy as np
+from pydantic import ConfigDict, TypeAdapter
 from sqlalchemy import Row, Table
 
-from db.encoding.json_documents import decode, decode_all, encode, encode_all
-from db.schema.record_columns import column_names
-from service.records.levels.attitude import NO_ANGLES, Axes
+from db.schema.columns import column_names
+from service.records.journal import KIND_OF, KINDS, SlowInput
+from service.records.levels.attitude import NO_ANGLES, Axes, IntArray
+from service.records.levels.measurement import Float32Array, QualityFlag
 from service.records.record_fields import FieldKind, RecordField, record_fields
 
 Record = TypeVar("Record")
+
+
+def encode(record: object) -> str:
+    """Return the JSON text of a record."""
+    return encode_all(type(record), (record,))[1:-1]
+
+
+def decode(kind: type[Record], text: str) -> Record:
+    """Return the record of a kind that a JSON text holds."""
+    return decode_all(kind, f"[{text}]")[0]
+
+
+def encode_all(kind: Any, records: object) -> str:
+    """Return the JSON text of a sequence of values of one kind."""
+    return _adapter(kind).dump_json(records).decode()
+
+
+def decode_all(kind: type[Record], text: str) -> tuple[Record, ...]:
+    """Return the values of one kind that a JSON list holds."""
+    adapter: TypeAdapter[tuple[Record, ...]] = _adapter(cast("Any", kind))
+    return adapter.validate_json(text)
+
+
+def kind_of(record: SlowInput) -> str:
+    """Return the name of the kind of a slow input."""
+    return KIND_OF[type(record)]
+
+
+def decode_input(kind: str, text: str) -> SlowInput:
+    """Return the slow input that a document of a kind holds."""
+    return decode(KINDS[kind], text)
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    # the configuration reaches a standard dataclass only from a container around it
+    return TypeAdapter(tuple[kind, ...], config=ConfigDict(ser_json_inf_nan="constants"))
+
+
 #: columns of a value
 Encode = Callable[[Any], tuple[Any, ...]]
 #: value of a stored row
@@ -31,7 +71,7 @@ class RecordCodec(Generic[Record]):
     record : type
         Dataclass.
     table : Table
-        Has the columns of `db.schema.record_columns.record_columns`.
+        Has the columns of `db.schema.columns.record_columns`.
     """
 
     def __init__(self, record: type[Record], table: Table) -> None:
@@ -135,3 +175,51 @@ def _value_of(field: RecordField) -> Callable[[str], Any] | None:
     if issubclass(content, tuple):
         return lambda text: tuple(content(*each) for each in json.loads(text))
     return lambda text: decode_all(content, text)
+
+
+class RowContent(NamedTuple):
+    """Plan, powers, flags and details of one row; arrays as bytes, None = none."""
+
+    plan_id: int
+    powers: bytes
+    flags: bytes | None
+    details: bytes | None
+
+    @property
+    def is_leap(self) -> bool:
+        """True for a row measured within a leap second, or moved because of one."""
+        flags = b"" if self.flags is None else self.flags
+        return bool(np.any(np.frombuffer(flags, dtype="<i4") & QualityFlag.LEAP_SECOND))
+
+    def in_leap_second(self, carriers: int) -> "RowContent":
+        """Return the content with the flag LEAP_SECOND on every carrier."""
+        flags = bytes(4 * carriers) if self.flags is None else self.flags
+        return self._replace(flags=(np.frombuffer(flags, dtype="<i4") | np.int32(QualityFlag.LEAP_SECOND)).tobytes())
+
+
+def row_content(
+    plan_id: int, power_dbm: Float32Array, flags: IntArray | None, details: Float32Array | None
+) -> RowContent:
+    """Return the content of a row.
+
+    Parameters
+    ----------
+    plan_id : int
+        Carrier plan.
+    power_dbm : ndarray, shape (N,)
+        dBm, NaN = absent.
+    flags : ndarray, shape (N,), or None
+        Bit masks.
+    details : ndarray, shape (K, N), or None
+        Figures of DETAIL_NAMES, NaN = not stated.
+    """
+    masks = None if flags is None else flags.astype("<i4").tobytes()
+    has_details = details is not None and not np.isnan(details).all()
+    return RowContent(plan_id, _canonical(power_dbm), masks, _canonical(details) if has_details else None)
+
+
+def _canonical(figures: Float32Array | None) -> bytes:
+    """Return figures as float32 bytes, equal for equal figures."""
+    canonical = np.array(figures, dtype="<f4") + np.float32(0.0)
+    canonical[np.isnan(canonical)] = np.nan
+    return canonical.tobytes()

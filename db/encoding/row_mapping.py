@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Row
 
-from db.encoding.measurement_details import details_of
+from db.encoding.measurement_runs import details_of
 from db.encoding.power_codec import unpack_flags, unpack_parts, unpack_powers
 from db.encoding.record_codec import RecordCodec
 from db.schema.tables import attitude, measurement, measurement_detail, source, torque
-from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
-from service.records.levels.command import TorqueCommand
+from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray, TorqueCommand
 from service.records.levels.measurement import Measurement
 
 #: when a row was received; the table holds how long after its epoch that was, which takes half the bytes

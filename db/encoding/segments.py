@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Select, and_, select, tuple_
 
-from db.encoding.row_content import RowContent, row_content
+from db.encoding.record_codec import RowContent, row_content
 from db.encoding.segment_codec import (
     CODEC,
     Blobs,

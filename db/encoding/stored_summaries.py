@@ -7,10 +7,10 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from sqlalchemy import Column, Connection, Table, bindparam, func, select
 
-from db.connection.prepared_statements import PreparedStatement
+from db.connection.writer import PreparedStatement
 from db.encoding.summary_codec import FrameRows, Level, unpack_level, unpack_rows
 from db.schema.tables import attitude_summary, carrier_summary, power_summary
-from service.core.rows.summaries import IntArray, Summaries, joined
+from service.core.rows import IntArray, Summaries, joined
 from service.ports import Intervals
 
 _LOG = logging.getLogger(__name__)

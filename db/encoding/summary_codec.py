@@ -15,7 +15,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from service.core.rows.summaries import NEVER_US, Summaries
+from service.core.rows import NEVER_US, Summaries
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import IntArray
 

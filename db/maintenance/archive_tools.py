@@ -10,8 +10,7 @@ from db.maintenance.restore import Restored, restore_backup
 from service.ports import Clock
 from service.records.epoch import format_epoch
 from service.records.journal import JournalHead
-from service.records.storage.backup import Manifest
-from service.records.storage.diagnosis import Diagnosis
+from service.records.storage import Diagnosis, Manifest
 
 
 class ArchiveTools:

@@ -18,15 +18,13 @@ from typing import Any
 from sqlalchemy import Connection, func, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.connection.engines import open_engines
-from db.connection.sqlite_files import Progress, flush, reading_engine, settle, sha256_of, sqlite_path
+from db.connection.engines import Progress, flush, open_engines, reading_engine, settle, sha256_of, sqlite_path
 from db.maintenance.integrity_check import examine
 from db.maintenance.table_copy import copy_tables
 from db.measurements.checksum_check import damage_of
 from db.schema.layout import LAYOUT, create_tables, layout_of, refusal
 from db.schema.tables import head, metadata, spacecraft
-from service.records.storage.backup import BackupError, Manifest, SpacecraftCount
-from service.records.storage.diagnosis import Diagnosis
+from service.records.storage import BackupError, Diagnosis, Manifest, SpacecraftCount
 
 ARCHIVE_FILE, MANIFEST_FILE = "archive.db", "manifest.json"
 #: 8 MiB a step, between which the progress is told

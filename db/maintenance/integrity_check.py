@@ -1,27 +1,294 @@
-"""Examination of an archive: reads all of it in one transaction and says what is wrong, in words.
-
-Each check returns diagnoses; the tables below say which ones run and in which order. A check that the database itself
-cuts short is a fault with the database's words, never an exception.
-"""
+"""Check of an archive: rows, checksums, journal, summaries."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from itertools import chain
+from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Row, Select, func, select
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table, func, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.database import Database
-from db.maintenance.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
-from db.maintenance.summary_check import compare_summaries
+from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentCache, SegmentHead, heads, read_chunk
+from db.encoding.summary_codec import SummaryBlobs, unpack_level
 from db.measurements.checksum_check import checked_tables
-from db.operations.audit import SqlAudit
+from db.measurements.power_summaries import summary_of
+from db.measurements.retention import kept_from_us
+from db.operations.access import SqlAudit
+from db.results.attitude_reader import AttitudeReader
+from db.results.attitude_summaries import NO_ROWS, TORQUE, day_blobs
+from db.results.carrier_summaries import blobs_by_plan, carrier_rows
+from db.results.state_summaries import stored_states, stretch_of
+from db.results.stored_rows import ResultSeries, opened, paged
 from db.schema.layout import LAYOUT, layout_of, refusal
-from db.schema.tables import attitude, measurement, measurement_detail, result_segment, source, spacecraft, torque
+from db.schema.tables import (
+    attitude,
+    attitude_summary,
+    carrier_summary,
+    head,
+    journal,
+    measurement,
+    measurement_detail,
+    measurement_segment,
+    power_summary,
+    result_segment,
+    retention_mark,
+    source,
+    spacecraft,
+    torque,
+)
 from service.errors import StorageError
 from service.ports import LIVE
-from service.records.operations.audit import findings
-from service.records.storage.diagnosis import Diagnosis
+from service.records.calibration import Window
+from service.records.catalogue import Method
+from service.records.epoch import format_epoch
+from service.records.levels.attitude import IntArray
+from service.records.operations.access import findings
+from service.records.storage import Diagnosis
+
+_FETCH = 50_000
+_FOR_EVER_US = 1 << 62
+#: numbers that a report names at most
+_NAMED = 5
+
+
+@dataclass
+class Ledger:
+    """Numbers of one spacecraft's journal.
+
+    Attributes
+    ----------
+    times_held : ndarray, shape (newest + 1,)
+        How often each number is taken; place 0 is none.
+    beyond : int
+        Entries with numbers above the head.
+    rows_of_source : dict
+        Measurements by key of their source.
+    rows_dropped : dict
+        What retention has taken away of each series.
+    kept_from_us : int
+        Epoch from which on measurements are kept.
+    damaged : list of str
+        What is wrong with sealed days that cannot be read.
+    damaged_results : list of str
+        The same of results, where these have been read.
+    """
+
+    times_held: NDArray[np.uint8]
+    beyond: int = 0
+    rows_of_source: dict[int, int] = field(default_factory=dict)
+    rows_dropped: dict[str, int] = field(default_factory=dict)
+    kept_from_us: int = 0
+    rows_sealed: int = 0
+    segments: int = 0
+    damaged: list[str] = field(default_factory=list)
+    damaged_results: list[str] = field(default_factory=list)
+
+    def count(self, numbers: IntArray) -> None:
+        """Count numbers in."""
+        known = numbers[(numbers >= 1) & (numbers < len(self.times_held))]
+        self.beyond += len(numbers) - len(known)
+        np.add.at(self.times_held, known, np.uint8(1))
+
+    @property
+    def measurements_dropped(self) -> int:
+        """Return how many measurements retention has taken away."""
+        return self.rows_dropped.get("measurements", 0)
+
+    def holes(self) -> IntArray:
+        """Return the numbers that nothing holds."""
+        return np.flatnonzero(self.times_held[1:] == 0) + 1
+
+    def doubles(self) -> IntArray:
+        """Return the numbers that are taken more than once."""
+        return np.flatnonzero(self.times_held > 1)
+
+
+def read_ledger(connection: Connection, state: Row[Any]) -> Ledger:
+    """Return the ledger of the spacecraft whose head is given."""
+    key = state.spacecraft_key
+    ledger = Ledger(np.zeros(int(state.newest_number) + 1, dtype=np.uint8))
+    for table in (journal, measurement):
+        for numbers in _numbers(connection, table, table.c.spacecraft_key == key):
+            ledger.count(numbers)
+    counted = select(measurement.c.source_key, func.count()).where(measurement.c.spacecraft_key == key)
+    ledger.rows_of_source = {row[0]: row[1] for row in connection.execute(counted.group_by(measurement.c.source_key))}
+    for mark in connection.execute(select(retention_mark).where(retention_mark.c.spacecraft_key == key)):
+        ledger.rows_dropped[mark.series] = mark.rows_dropped
+        if mark.series == "measurements":
+            ledger.kept_from_us = mark.kept_from_us
+    _add_segments(connection, key, ledger)
+    return ledger
+
+
+def orphans(connection: Connection, key: int, ledger: Ledger) -> dict[str, list[int]]:
+    """Return numbers of measurements that results name and nothing holds, by table; below a mark none can be told."""
+    found = {}
+    for table in (attitude, torque):
+        lacking: list[int] = []
+        is_kept = (table.c.spacecraft_key == key) & (table.c.epoch_us >= ledger.kept_from_us)
+        sealed = _sealed_numbers(connection, key, table, ledger)
+        for numbers in chain(_numbers(connection, table, is_kept), sealed):
+            inside = (numbers >= 1) & (numbers < len(ledger.times_held))
+            is_held = np.zeros(len(numbers), dtype=np.bool_)
+            is_held[inside] = ledger.times_held[numbers[inside]] > 0
+            lacking += numbers[~is_held].tolist()
+        if lacking:
+            found[table.name] = sorted(set(lacking))
+    return found
+
+
+def named(numbers: list[int]) -> str:
+    """Return a few numbers in words.
+
+    Examples
+    --------
+    >>> named([3, 4, 9])
+    '3, 4, 9'
+    """
+    shown = ", ".join(map(str, numbers[:_NAMED]))
+    return shown if len(numbers) <= _NAMED else f"{shown} and {len(numbers) - _NAMED} more"
+
+
+def heads_of_all(connection: Connection) -> list[Row[Any]]:
+    """Return the heads of all spacecraft."""
+    return list(connection.execute(select(head).order_by(head.c.spacecraft_key)))
+
+
+def _add_segments(connection: Connection, key: int, ledger: Ledger) -> None:
+    """Count the numbers of sealed days in, and note which days are damaged."""
+    for segment in heads(connection, key, 0, _FOR_EVER_US):
+        ledger.segments += 1
+        ledger.rows_sealed += segment.row_count
+        held = ledger.rows_of_source.get(segment.source_key, 0)
+        ledger.rows_of_source[segment.source_key] = held + segment.row_count
+        numbers = _numbers_of(connection, segment, ledger)
+        if numbers is not None:
+            ledger.count(numbers)
+
+
+def _numbers_of(connection: Connection, segment: SegmentHead, ledger: Ledger) -> IntArray | None:
+    """Return the numbers of a sealed day; None, and a note, when it cannot be read."""
+    try:
+        chunk = read_chunk(connection, None, segment)
+        chunk.extras()
+    except StorageError as error:
+        ledger.damaged.append(error.detail)
+        return None
+    return chunk.numbers
+
+
+def _sealed_numbers(connection: Connection, key: int, table: Table, ledger: Ledger) -> Iterator[IntArray]:
+    """Yield the numbers of measurements that sealed results name, and note which segments are damaged."""
+    segment_id = result_segment.c.segment_id
+    is_its = (result_segment.c.spacecraft_key == key, result_segment.c.series == table.name)
+    for found in paged(connection, select(result_segment).where(*is_its).order_by(segment_id), segment_id):
+        try:
+            segment = opened(connection, found)
+        except StorageError as error:
+            ledger.damaged_results.append(error.detail)
+            continue
+        yield segment.numbers[segment.epochs_us >= ledger.kept_from_us]
+
+
+def _numbers(connection: Connection, table: Table, condition: ColumnElement[bool]) -> Iterator[IntArray]:
+    """Yield the numbers of a table, some at a time."""
+    options = {"stream_results": True, "max_row_buffer": _FETCH}
+    result = connection.execute(select(table.c.number).where(condition), execution_options=options)
+    for rows in result.partitions(_FETCH):
+        yield np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))
+
+
+_Item = TypeVar("_Item")
+#: summaries of powers, and of attitude, that are compared with their rows
+_COMPARED = 10
+_ADVICE = "Charts and timelines of these days are wrong, exports are not. Restore a backup that is known to be sound."
+
+
+def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[Diagnosis]:
+    """Yield whether evenly chosen summaries of a spacecraft agree with their rows, where those can be read."""
+    compared, wrong = 0, []
+    for start_us, is_right in [*_of_powers(connection, key), *_of_attitude(connection, key)]:
+        compared += 1
+        if not is_right:
+            wrong.append(format_epoch(start_us)[:10])
+    if wrong:
+        detail = f"{name}: {len(wrong)} of {compared} summaries differ from their rows: {', '.join(sorted(set(wrong)))}"
+        yield Diagnosis("summaries", "fault", detail, _ADVICE)
+    else:
+        yield Diagnosis("summaries", "ok", f"{name}: {compared} summaries compared with their rows")
+
+
+def _of_powers(connection: Connection, key: int) -> Iterator[tuple[int, bool]]:
+    """Yield the first epoch of some segments and whether their hours are those made again."""
+    ids = list(
+        connection.scalars(
+            select(power_summary.c.segment_id)
+            .join(measurement_segment)
+            .where(measurement_segment.c.spacecraft_key == key)
+            .order_by(power_summary.c.segment_id)
+        )
+    )
+    for segment_id in _evenly(ids):
+        is_it = measurement_segment.c.segment_id == segment_id
+        head = SegmentHead(*connection.execute(select(*HEAD_COLUMNS).where(is_it)).one())
+        hours = connection.scalar(select(power_summary.c.hours).where(power_summary.c.segment_id == segment_id))
+        try:
+            rows = read_chunk(connection, None, head).rows()
+        except StorageError:
+            continue
+        yield head.first_epoch_us, _agree(hours or b"", summary_of(rows))
+
+
+def _of_attitude(connection: Connection, key: int) -> Iterator[tuple[int, bool]]:
+    """Yield some days of attitude and whether their hours, those of their carriers and their states are right."""
+    table, cache = attitude_summary, SegmentCache()
+    measured_from_us = kept_from_us(connection, key, "measurements")
+    is_its = (table.c.spacecraft_key == key, table.c.day.is_not(None), table.c.method != TORQUE)
+    query = select(table.c.start_us, table.c.method, table.c.summary_id).where(*is_its).order_by(table.c.start_us)
+    for start_us, method, summary_id in map(tuple, _evenly(connection.execute(query).all())):
+        hours = connection.scalar(select(table.c.hours).where(table.c.summary_id == summary_id))
+        is_its_plan = carrier_summary.c.summary_id == summary_id
+        of_plans = select(carrier_summary.c.plan_id, carrier_summary.c.hours).where(is_its_plan)
+        stored = {row.plan_id: row.hours for row in connection.execute(of_plans)}
+        read_carriers = partial(carrier_rows, connection, ResultSeries(key, attitude, LIVE, method))
+        read = AttitudeReader(connection, cache, key, Method(method)).rows
+        try:
+            made = day_blobs(read, start_us, method)
+            by_plan = blobs_by_plan(read_carriers, start_us)
+            states = stretch_of(read, Window(start_us, start_us + DAY_US))
+        except StorageError:
+            continue
+        yield start_us, _agree(hours or b"", made)
+        for plan_id in stored.keys() | by_plan.keys():
+            yield start_us, _agree(stored.get(plan_id, b""), by_plan.get(plan_id, NO_ROWS))
+        # rows for which nothing was computed are made of measurements, which may have been deleted since
+        if start_us >= measured_from_us and (known := stored_states(connection, summary_id)) is not None:
+            yield start_us, known == states
+
+
+def _evenly(found: Sequence[_Item]) -> Sequence[_Item]:
+    """Return about ``_COMPARED`` of some items, the first among them."""
+    return found[:: max(1, len(found) // _COMPARED)]
+
+
+def _agree(stored: bytes, made: SummaryBlobs) -> bool:
+    """Return whether hours are those made again; sums to rounding."""
+    if not stored or not made.hours:
+        return stored == made.hours
+    try:
+        one, other = unpack_level(stored).buckets, unpack_level(made.hours).buckets
+    except ValueError:
+        return False
+    if one.counts.shape != other.counts.shape:
+        return False
+    arrays = (each._replace(sums=each.minima) for each in (one, other))
+    is_equal = all(np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
+    return is_equal and bool(np.allclose(one.sums, other.sums, rtol=1e-9, atol=1e-9))
+
 
 Report = Callable[[str], None]
 #: settings of a PostgreSQL server, and what happens without them

@@ -10,15 +10,22 @@ from typing import NamedTuple
 
 from sqlalchemy import Connection, text
 
-from db.connection.engines import open_engines
-from db.connection.sqlite_files import COMPANIONS, copy_file, flush, reading_engine, settle, sha256_of, sqlite_path
+from db.connection.engines import (
+    COMPANIONS,
+    copy_file,
+    flush,
+    open_engines,
+    reading_engine,
+    settle,
+    sha256_of,
+    sqlite_path,
+)
 from db.maintenance.backup import Report, read_manifest, verify_backup
 from db.maintenance.integrity_check import examine_content
 from db.maintenance.table_copy import copy_tables
 from db.schema.layout import archive_layout, create_tables
 from db.schema.tables import metadata
-from service.records.storage.backup import BackupError, Manifest
-from service.records.storage.diagnosis import Diagnosis, worst
+from service.records.storage import BackupError, Diagnosis, Manifest, worst
 
 _OURS = text(
     "SELECT c.relname FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace "

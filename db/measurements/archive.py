@@ -9,14 +9,14 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
 
 from db.database import Database, add_entries, count_entries, lock_head, page_of, within
-from db.encoding.json_documents import decode, decode_all, decode_input
 from db.encoding.measurement_runs import Cursor
+from db.encoding.record_codec import decode, decode_all, decode_input
 from db.encoding.segments import DAY_US
 from db.measurements import power_summaries, retention, sealing
 from db.measurements.ingest_grouped import StoreBatch
 from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
-from db.measurements.prepared_batch import prepare
+from db.measurements.row_insert import prepare
 from db.measurements.slow_inputs import revise_operation, store_inputs, store_operation
 from db.schema.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
@@ -26,10 +26,18 @@ from service.records.catalogue import Carrier
 from service.records.inputs import AttitudeReference, Operation, SourceSelection
 from service.records.journal import JournalEntry, JournalHead, SlowInput
 from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
-from service.records.levels.measurement_block import MeasurementBlock
-from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
-from service.records.storage.archive_maintenance import RetiredRows, SealedPart, SegmentState
+from service.records.levels.measurement import (
+    BatchReceipt,
+    HeadState,
+    InputReceipt,
+    Measurement,
+    MeasurementBatch,
+    MeasurementBlock,
+    MeasurementSeries,
+    ReferenceSeries,
+    SourceState,
+)
+from service.records.storage import RetiredRows, SealedPart, SegmentState
 
 #: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
 BLOCK_PAGE_ROWS = 32_768

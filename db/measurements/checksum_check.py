@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import Connection, Row, Select, Table, and_, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.schema.row_checksum import checksum_of, measurement_checksums
+from db.schema.columns import checksum_of, measurement_checksums
 from db.schema.tables import measurement, measurement_detail, metadata, result_segment
 from service.records.epoch import format_epoch
 

@@ -11,13 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import Connection, and_, bindparam, func, select, update
 
-from db.connection.prepared_statements import PreparedStatement
+from db.connection.writer import PreparedStatement
 from db.database import lock_head
-from db.encoding.measurement_details import insert_details
+from db.encoding.measurement_runs import insert_details
 from db.encoding.segments import SegmentCache
-from db.measurements.prepared_batch import PreparedBatch
-from db.measurements.row_insert import RowRun, insert_run
-from db.measurements.row_sorting import SortedRows, seq_at, sort_rows
+from db.measurements.row_insert import PreparedBatch, RowRun, SortedRows, insert_run, seq_at, sort_rows
 from db.measurements.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.schema.tables import head, source
 from service.errors import InvalidInputError

@@ -17,11 +17,11 @@ from typing import Any
 
 from sqlalchemy import Connection, bindparam, select
 
-from db.connection.prepared_statements import PreparedStatement, run_bare
+from db.connection.writer import PreparedStatement, run_bare
 from db.encoding.segments import SegmentCache
 from db.measurements.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later, store_batch
-from db.measurements.prepared_batch import PreparedBatch
-from db.schema.row_checksum import measurement_checksums
+from db.measurements.row_insert import PreparedBatch
+from db.schema.columns import measurement_checksums
 from db.schema.tables import head, source
 from service.records.levels.measurement import BatchReceipt
 

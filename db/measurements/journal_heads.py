@@ -15,9 +15,8 @@ from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import MeasurementPages
 from db.schema.tables import head, journal, spacecraft
 from service.records.journal import JournalHead
-from service.records.levels.measurement import DETAIL_NAMES, Measurement
-from service.records.levels.series import HeadState
-from service.records.storage.diagnosis import Diagnosis
+from service.records.levels.measurement import DETAIL_NAMES, HeadState, Measurement
+from service.records.storage import Diagnosis
 
 #: where the journal and its consumer stand, in the order of `HeadState`
 HEAD_COLUMNS = (

@@ -29,8 +29,7 @@ from db.newest_rows import newest_rows, start_of_last
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.records.calibration import Window
 from service.records.levels.attitude import BoolArray, IntArray
-from service.records.levels.measurement import Float32Array, Measurement
-from service.records.levels.measurement_block import MeasurementBlock
+from service.records.levels.measurement import Float32Array, Measurement, MeasurementBlock
 
 Columns = tuple[ColumnElement[Any], ...]
 #: rows of the table of rows in memory at once

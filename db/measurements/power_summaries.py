@@ -14,7 +14,7 @@ from db.encoding.summary_codec import SummaryBlobs, pack_day
 from db.measurements.measurement_pages import FULL, Chosen, MeasurementPages
 from db.measurements.measurement_pages import POWERS as POWER_COLUMNS
 from db.schema.tables import power_summary
-from service.core.rows.summaries import Summaries
+from service.core.rows import Summaries
 from service.ports import Intervals, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
 from service.records.levels.attitude import FloatArray

@@ -38,7 +38,7 @@ from db.schema.tables import (
     torque,
     trace,
 )
-from service.records.storage.archive_maintenance import RetiredRows
+from service.records.storage import RetiredRows
 
 #: rows that one transaction drops
 ROWS_AT_ONCE = 500

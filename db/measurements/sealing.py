@@ -21,13 +21,13 @@ from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentHead, crc32_of, da
 from db.encoding.summary_codec import SummaryBlobs
 from db.measurements.checksum_check import agrees
 from db.measurements.power_summaries import store_summary, summary_of
-from db.schema.row_checksum import measurement_checksums
+from db.schema.columns import measurement_checksums
 from db.schema.tables import head as head_table
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.errors import StorageError
 from service.records.epoch import format_epoch
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
-from service.records.storage.archive_maintenance import SealedPart, SegmentState
+from service.records.storage import SealedPart, SegmentState
 
 _LOG = logging.getLogger(__name__)
 #: rows of a segment: a day at a row every eight seconds, 1.4 MB of powers of 32 carriers in memory

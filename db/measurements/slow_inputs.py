@@ -6,7 +6,7 @@ from dataclasses import replace
 from sqlalchemy import Connection, select, update
 
 from db.database import EpochSpan, add_entries, lock_head, next_id
-from db.encoding.json_documents import encode, kind_of
+from db.encoding.record_codec import encode, kind_of
 from db.schema.tables import journal, operation
 from service.errors import InvalidInputError, NotFoundError
 from service.records.inputs import (
@@ -18,9 +18,8 @@ from service.records.inputs import (
     WeatherReport,
 )
 from service.records.journal import SlowInput
-from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
-from service.records.levels.measurement import RowRefusal
-from service.records.levels.series import InputReceipt
+from service.records.levels.attitude import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.levels.measurement import InputReceipt, RowRefusal
 from service.records.operations.release import InterlockHold
 
 LOOKUP_CHUNK = 500

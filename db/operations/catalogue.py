@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Row, Select, Table, delete, select, update
 from sqlalchemy.exc import IntegrityError
 
 from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
-from db.encoding.json_documents import decode, decode_all, encode, encode_all
+from db.encoding.record_codec import decode, decode_all, encode, encode_all
 from db.schema.tables import calibration, carrier_plan, ephemeris, head, measurement, measurement_segment, source
 from db.schema.tables import spacecraft as spacecraft_table
 from service.errors import ConflictError, NotFoundError

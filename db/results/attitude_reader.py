@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from sqlalchemy import Connection, and_, func, select
 
-from db.encoding.json_documents import decode
 from db.encoding.measurement_runs import ChunkRun
+from db.encoding.record_codec import decode
 from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages

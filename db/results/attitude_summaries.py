@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, and_, delete, select
 
-from db.connection.row_insertion import insert_new
+from db.connection.writer import insert_new
 from db.database import Database, lock_head
 from db.encoding.segments import DAY_US, day_of
 from db.encoding.stored_summaries import ATTITUDE, READ_AT_ONCE, Stored
@@ -24,12 +24,10 @@ from db.results.state_summaries import store_states, stretch_of
 from db.results.stored_rows import pages
 from db.schema.tables import attitude_summary as table
 from db.schema.tables import head
-from service.core.rows.state_runs import Stretch
-from service.core.rows.summaries import Summaries
+from service.core.rows import Stretch, Summaries
 from service.ports import Intervals
 from service.records.calibration import Window
-from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
-from service.records.levels.command import TorqueCommand
+from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray, TorqueCommand
 
 #: name under which the commands of all methods are summarised
 TORQUE = "torque"

@@ -6,7 +6,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, select, update
 
 from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
-from db.encoding.json_documents import decode, encode
+from db.encoding.record_codec import decode, encode
 from db.schema.tables import alignment as alignment_table
 from db.schema.tables import calibration as calibration_table
 from service.errors import ConflictError, NotFoundError

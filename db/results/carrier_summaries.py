@@ -11,18 +11,17 @@ import numpy as np
 from sqlalchemy import Connection, select
 
 from db.database import Database
-from db.encoding.carrier_codec import unpack_carriers
+from db.encoding.measurement_runs import unpack_carriers
 from db.encoding.segments import DAY_US
 from db.encoding.stored_summaries import CARRIERS, READ_AT_ONCE, Stored
 from db.encoding.summary_codec import MINUTE_US, SummaryBlobs, is_dense, pack_buckets
 from db.newest_rows import RowPages
 from db.results.stored_rows import ResultSeries, pages, stored_rows
 from db.schema.tables import attitude_summary, carrier_summary
-from service.core.rows.summaries import Summaries, joined
+from service.core.rows import Summaries, joined
 from service.ports import Intervals, SampledCarriers
 from service.records.calibration import Window
-from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.carrier_results import STEP_DB, CarrierResults
+from service.records.levels.attitude import STEP_DB, CarrierResults, FloatArray, IntArray
 
 
 class CarrierRow(NamedTuple):

@@ -6,20 +6,19 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, Row, Table, select, tuple_, update
 
-from db.connection.row_insertion import insert_new
+from db.connection.writer import insert_new
 from db.database import lock_head
-from db.encoding.carrier_codec import pack_carriers
+from db.encoding.measurement_runs import pack_carriers
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
 from db.results.attitude_summaries import forget_days
-from db.results.checkpoints import store_checkpoint
+from db.results.jobs import store_checkpoint
 from db.results.replays import note_rows
 from db.results.stored_rows import ResultSeries, sealed_keys
 from db.schema.tables import attitude, head, torque
 from service.ports import LIVE, Outcome
-from service.records.levels.attitude import AttitudeRow
-from service.records.levels.command import TorqueCommand
-from service.records.storage.checkpoint import Checkpoint
+from service.records.levels.attitude import AttitudeRow, TorqueCommand
+from service.records.storage import Checkpoint
 
 #: key tuples in one query; SQLite before 3.32 binds 999 values at most
 _LOOKUP_CHUNK = 250

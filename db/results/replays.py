@@ -12,17 +12,17 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, not_, or_, select, update
 
 from db.database import Database, Repository, lock_head, next_id
-from db.encoding.json_documents import decode, encode
+from db.encoding.record_codec import decode, encode
 from db.measurements.checksum_check import agrees
 from db.measurements.retention import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
-from db.schema.row_checksum import checksum_of
+from db.schema.columns import checksum_of
 from db.schema.tables import job as job_table
 from db.schema.tables import replay as replay_table
 from db.schema.tables import replay_checkpoint
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
-from service.records.operations.job import JobState, Replay, ReplayVersion
-from service.records.storage.checkpoint import Checkpoint
+from service.records.operations.work import JobState, Replay, ReplayVersion
+from service.records.storage import Checkpoint
 
 _FINISHED = (JobState.DONE, JobState.FAILED)
 _SERIES = ("attitude", "torques")

@@ -17,13 +17,12 @@ from db.database import Database, lock_head
 from db.encoding.column_codec import CODEC, pack_columns
 from db.encoding.segments import DAY_US, day_of
 from db.measurements.checksum_check import agrees
-from db.results.result_segments import HEAD_COLUMNS, is_of, is_row_of, opened, segments
-from db.results.stored_rows import TABLES, ResultSeries
-from db.schema.row_checksum import checksum_of
+from db.results.stored_rows import HEAD_COLUMNS, TABLES, ResultSeries, is_of, is_row_of, opened, segments
+from db.schema.columns import checksum_of
 from db.schema.tables import result_segment
 from service.errors import StorageError
 from service.records.epoch import format_epoch
-from service.records.storage.archive_maintenance import SealedResults
+from service.records.storage import SealedResults
 
 _LOG = logging.getLogger(__name__)
 #: rows of a segment; a write transaction takes as many rows away

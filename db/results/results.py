@@ -9,15 +9,14 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, and_, func, select
 
 from db.database import Database
-from db.encoding.carrier_codec import unpack_carriers
+from db.encoding.measurement_runs import unpack_carriers
 from db.encoding.row_mapping import attitude_of, torque_of
 from db.results import attitude_summaries, carrier_summaries, result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
 from db.results.attitude_summaries import TORQUE
 from db.results.calibrations import SqlCalibrations
 from db.results.carrier_summaries import CarrierRow
-from db.results.checkpoints import checkpoints
-from db.results.jobs import SqlJobs
+from db.results.jobs import SqlJobs, checkpoints
 from db.results.outcomes import Consumed, Result, store_outcomes
 from db.results.pending import PendingCount
 from db.results.replays import SqlReplays, check_held
@@ -31,16 +30,12 @@ from db.results.stored_rows import (
     sealed_of_sequences,
 )
 from db.schema.tables import attitude, torque
-from service.core.rows.state_runs import History
-from service.core.rows.summaries import Summaries
+from service.core.rows import History, Summaries
 from service.ports import LIVE, SMOOTHED, Intervals, Outcome, SampledCarriers
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import LIVE_METHODS, Method
-from service.records.levels.attitude import AttitudeRow, IntArray
-from service.records.levels.carrier_results import CarrierResults
-from service.records.levels.command import TorqueCommand
-from service.records.storage.archive_maintenance import SealedResults
-from service.records.storage.checkpoint import Checkpoint
+from service.records.levels.attitude import AttitudeRow, CarrierResults, IntArray, TorqueCommand
+from service.records.storage import Checkpoint, SealedResults
 
 
 class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):

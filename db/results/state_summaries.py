@@ -17,10 +17,9 @@ from db.encoding.segments import DAY_US
 from db.measurements.checksum_check import agrees
 from db.newest_rows import RowPages
 from db.results.stored_rows import pages
-from db.schema.row_checksum import checksum_of
+from db.schema.columns import checksum_of
 from db.schema.tables import attitude_summary, state_summary
-from service.core.rows.row_gaps import Gap
-from service.core.rows.state_runs import History, RowState, StateRun, Stretch, StretchSearch, joined_stretches
+from service.core.rows import Gap, History, RowState, StateRun, Stretch, StretchSearch, joined_stretches
 from service.records.calibration import Window
 from service.records.levels.attitude import AttitudeRow
 

@@ -6,7 +6,7 @@ columns mean, raises `LAYOUT`.
 
 from sqlalchemy import Column, Connection, Integer, MetaData, Table, inspect, select
 
-from db.schema import access_tables, alarm_tables, lease_tables, release_tables  # noqa: F401 - they add their tables
+from db.schema import tables  # noqa: F401 - they add their tables
 from db.schema.tables import metadata, spacecraft
 
 #: number of the layout that this program makes and reads

@@ -1,15 +1,11 @@
-"""Tables: one schema for SQLite and PostgreSQL.
-
-Epochs are BIGINT microseconds UTC, the powers of a row are one BLOB (see
-db.encoding.power_codec), records that no query looks into are JSON documents.
-Tables that grow with every measurement carry no foreign keys: their rows are written
-under the lock of the spacecraft's head by code that has just read the parents.
-"""
+"""Tables: one schema for SQLite and PostgreSQL."""
 
 from sqlalchemy import (
+    DDL,
     BigInteger,
     Boolean,
     Column,
+    ColumnElement,
     ForeignKey,
     Index,
     Integer,
@@ -18,14 +14,14 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    event,
+    literal_column,
+    select,
+    text,
 )
 
-from db.schema.column_types import Figure
-from db.schema.columns import keys, needed, optional, spacecraft_key
-from db.schema.record_columns import record_columns
-from db.schema.row_checksum import checksum_column
-from service.records.levels.attitude import AttitudeRow
-from service.records.levels.command import TorqueCommand
+from db.schema.columns import Figure, checksum_column, keys, needed, optional, record_columns, spacecraft_key
+from service.records.levels.attitude import AttitudeRow, TorqueCommand
 
 metadata = MetaData()
 
@@ -106,7 +102,7 @@ measurement = Table(
     # both as db.encoding.power_codec lays them out
     Column("powers", LargeBinary, nullable=False),
     Column("flags", LargeBinary),
-    # of the row and of its details; see db.schema.row_checksum
+    # of the row and of its details; see db.schema.columns
     Column("checksum", LargeBinary),
     Index("measurement_number", "spacecraft_key", "number", unique=True),
     sqlite_with_rowid=False,
@@ -224,7 +220,7 @@ attitude = Table(
     *keys(BigInteger, "epoch_us", "number"),
     Column("sequence", BigInteger),
     *record_columns(AttitudeRow, without=("method", "epoch_us", "number")),
-    # see db.encoding.carrier_codec
+    # see db.encoding.measurement_runs
     Column("carriers", LargeBinary),
     checksum_column(),
     Index("attitude_sequence", "spacecraft_key", "sequence", unique=True),
@@ -244,7 +240,7 @@ torque = Table(
     sqlite_with_rowid=False,
 )
 
-#: rows of results of closed days, see db.results.result_segments
+#: rows of results of closed days, see db.results.stored_rows
 result_segment = Table(
     "result_segment",
     metadata,
@@ -392,4 +388,180 @@ trace = Table(
     UniqueConstraint("spacecraft_key", "source", "epoch_us", "sweep", name="trace_key"),
     Index("trace_epoch", "spacecraft_key", "epoch_us", "trace_id"),
     Index("trace_size", "spacecraft_key", "source", "epoch_us", "trace_id", "size_bytes"),
+)
+
+
+access_key = Table(
+    "access_key",
+    metadata,
+    Column("key_id", Text, primary_key=True),
+    *needed(Text, "name", "role"),
+    Column("digest", LargeBinary, nullable=False),
+    Column("created_at_us", BigInteger, nullable=False),
+    Column("created_by", Text, nullable=False),
+    *optional(BigInteger, "expires_at_us", "last_used_us", "revoked_at_us"),
+)
+
+audit_entry = Table(
+    "audit_entry",
+    metadata,
+    Column("number", BigInteger().with_variant(Integer(), "sqlite"), primary_key=True, autoincrement=False),
+    Column("at_us", BigInteger, nullable=False),
+    *needed(Text, "who", "key_id", "role", "address", "action", "target", "outcome", "request_id"),
+    Column("body_sha256", Text),
+    Column("times", Integer, nullable=False),
+    *needed(Text, "previous_hash", "hash"),
+    Index("audit_entry_time", "at_us"),
+)
+
+_POSTGRESQL_GUARD = (
+    """
+CREATE FUNCTION audit_entry_guard() RETURNS trigger LANGUAGE plpgsql AS
+$$ BEGIN RAISE EXCEPTION 'audit entries are never changed'; END $$
+""",
+    """
+CREATE TRIGGER audit_entry_guard BEFORE UPDATE OR DELETE OR TRUNCATE ON audit_entry
+FOR EACH STATEMENT EXECUTE FUNCTION audit_entry_guard()
+""",
+)
+_SQLITE_GUARD = tuple(
+    f"""
+CREATE TRIGGER audit_entry_no_{change} BEFORE {change} ON audit_entry
+BEGIN SELECT RAISE(ABORT, 'audit entries are never changed'); END
+"""
+    for change in ("UPDATE", "DELETE")
+)
+for _dialect, _statements in (("postgresql", _POSTGRESQL_GUARD), ("sqlite", _SQLITE_GUARD)):
+    for _statement in _statements:
+        _guard: DDL = DDL(_statement)  # type: ignore[no-untyped-call]
+        event.listen(audit_entry, "after_create", _guard.execute_if(dialect=_dialect))
+
+#: one row: the newest entry; locking it orders all who write entries
+audit_head = Table(
+    "audit_head",
+    metadata,
+    Column("head_key", Integer, primary_key=True, autoincrement=False),
+    Column("number", BigInteger, nullable=False),
+    Column("hash", Text, nullable=False),
+)
+
+
+#: alarms of the service as a whole have no spacecraft
+alarm = Table(
+    "alarm",
+    metadata,
+    Column("alarm_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("spacecraft_id", Text),
+    Column("state", Text, nullable=False),
+    Column("is_open", Boolean, nullable=False),
+    Column("raised_at_us", BigInteger, nullable=False),
+    Column("document", Text, nullable=False),
+    Index("alarm_raised", "spacecraft_id", "raised_at_us", "alarm_id"),
+    Index("alarm_open", "is_open", "spacecraft_id"),
+)
+
+#: every change of every alarm with the alarm as it was after it; only ever added to
+alarm_change = Table(
+    "alarm_change",
+    metadata,
+    Column("sequence", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("alarm_id", BigInteger, nullable=False),
+    Column("spacecraft_id", Text),
+    Column("document", Text, nullable=False),
+    checksum_column(),
+    Index("alarm_change_alarm", "alarm_id", "sequence"),
+    Index("alarm_change_spacecraft", "spacecraft_id", "sequence"),
+)
+
+#: what is about to alarm; the empty id stands for the service as a whole
+alarm_memory = Table(
+    "alarm_memory",
+    metadata,
+    Column("spacecraft_id", Text, primary_key=True),
+    Column("document", Text, nullable=False),
+)
+
+alarm_limits = Table(
+    "alarm_limits",
+    metadata,
+    Column("spacecraft_id", Text, primary_key=True),
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("document", Text, nullable=False),
+)
+
+#: only ever added to
+note = Table(
+    "note",
+    metadata,
+    Column("note_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("spacecraft_id", Text),
+    Column("epoch_us", BigInteger, nullable=False),
+    Column("document", Text, nullable=False),
+    checksum_column(),
+    Index("note_epoch", "epoch_us", "note_id"),
+)
+
+
+#: a member that was silent for so long has lost its leases, microseconds
+LEASE_US = 15_000_000
+#: class of the advisory locks that members hold under their numbers; any number, the same in every process
+MEMBERS_LOCK = 5_210_122
+#: present of the server, microseconds UTC
+SERVER_NOW_US: ColumnElement[int] = literal_column("(extract(epoch FROM clock_timestamp()) * 1000000)::bigint")
+
+#: processes; seen_at_us by the clock of the server
+member = Table(
+    "member",
+    metadata,
+    Column("member_id", Integer, primary_key=True),
+    Column("name", Text, nullable=False),
+    Column("is_estimator", Boolean, nullable=False),
+    Column("seen_at_us", BigInteger, nullable=False),
+)
+
+#: by spacecraft id, and of the archive under the empty name; holder 0 = nobody's
+lease = Table(
+    "lease",
+    metadata,
+    Column("name", Text, primary_key=True),
+    *needed(BigInteger, "holder", "term"),
+)
+
+_HAS_SESSION = text(
+    "EXISTS (SELECT FROM pg_locks WHERE locktype = 'advisory' AND classid = :locks AND objid::bigint = member_id AND "
+    "objsubid = 2 AND granted AND database = (SELECT oid FROM pg_database WHERE datname = current_database()))"
+).bindparams(locks=MEMBERS_LOCK)
+#: members that live, on PostgreSQL
+live_member = select(member).where(member.c.seen_at_us > SERVER_NOW_US - LEASE_US, _HAS_SESSION).subquery("live")
+
+
+#: one document a spacecraft; a writer must name the version that it changes
+release_state = Table(
+    "release_state",
+    metadata,
+    spacecraft_key(is_referencing=False),
+    Column("version", BigInteger, nullable=False),
+    *needed(Text, "holder", "document"),
+)
+
+release_command = Table(
+    "release_command",
+    metadata,
+    spacecraft_key(is_referencing=False),
+    Column("counter", BigInteger, primary_key=True, autoincrement=False),
+    Column("prepared_us", BigInteger, nullable=False),
+    *needed(Text, "state", "digest", "document"),
+    Index("release_command_prepared", "spacecraft_key", "prepared_us", "counter"),
+)
+
+#: only ever added to
+uplink_product = Table(
+    "uplink_product",
+    metadata,
+    spacecraft_key(is_referencing=False),
+    Column("form", Text, primary_key=True),
+    Column("counter", BigInteger, primary_key=True, autoincrement=False),
+    Column("created_us", BigInteger, nullable=False),
+    Column("document", Text, nullable=False),
+    checksum_column(),
 )

@@ -12,32 +12,30 @@ from typing import Any
 from fastapi import FastAPI
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
-from service.api.access.access_housekeeping import AccessHousekeeping
 from service.api.access.access_middleware import AccessLayer
-from service.api.access.audit_context import BASE_PATH
-from service.api.access.auth import MAY_READ
-from service.api.access.cross_origin import CrossOriginReading
-from service.api.access.key_cache import StoredKeys
-from service.api.access.refusal_audit import Refusals
-from service.api.context.carrier_names import CarrierNameCache
-from service.api.context.commit_waiter import CommitWaiter
-from service.api.context.dependencies import ApiContext, Limits
-from service.api.context.epoch_limits import EpochLimits
-from service.api.context.monitoring_settings import MonitoringSettings
-from service.api.context.plan_widths import PlanWidths
+from service.api.access.auth import BASE_PATH, MAY_READ, CrossOriginReading
+from service.api.access.housekeeping import AccessHousekeeping, Refusals, StoredKeys
+from service.api.context import (
+    ApiContext,
+    CarrierNameCache,
+    CommitWaiter,
+    EpochLimits,
+    Limits,
+    MonitoringSettings,
+    PlanWidths,
+)
 from service.api.limits.body_limit import BodyLimit
-from service.api.limits.connections import Connections
+from service.api.limits.http_protocol import Connections
 from service.api.limits.rate_limits import RateLimits
 from service.api.monitoring.access_log import RequestLog
 from service.api.monitoring.metrics import Metrics
 from service.api.monitoring.readiness import SharedReadiness
 from service.api.monitoring.request_metrics import RequestMetrics
-from service.api.problems.handlers import add_handlers
+from service.api.problems.problems import add_handlers
 from service.api.protocol import openapi
-from service.api.protocol.request_ids import RequestIds
+from service.api.protocol.requests import RequestIds
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
-from service.api.stream.event_stream import StreamParts
-from service.api.stream.open_streams import OpenStreams
+from service.api.stream.event_stream import OpenStreams, StreamParts
 from service.runtime.control.automatic_release import AutomaticRelease
 
 #: answers shorter than this are sent as they are

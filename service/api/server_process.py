@@ -13,7 +13,7 @@ import uvicorn
 from fastapi import FastAPI
 
 from service.api.limits.http_protocol import HEAD_TIMEOUT_S, BoundedProtocol
-from service.api.stream.open_streams import OpenStreams
+from service.api.stream.event_stream import OpenStreams
 
 #: of the collector: new objects from which the young are looked at, and rounds of that from which older ones are
 #: (rows on their way are many objects without a cycle; at the 700, 10, 10 of Python looking took a fifth of ingest)

@@ -46,12 +46,12 @@ _COMMANDS = {
     ),
     "alarms": CommandSource("shift.reading", "List open alarms with their ids and next steps."),
     "ack": CommandSource(
-        "shift.orders", "Acknowledge an alarm; no further notice unless it becomes worse or comes back."
+        "shift.reading", "Acknowledge an alarm; no further notice unless it becomes worse or comes back."
     ),
-    "shelve": CommandSource("shift.orders", "Keep an alarm quiet for some hours of the spacecraft's clock."),
+    "shelve": CommandSource("shift.reading", "Keep an alarm quiet for some hours of the spacecraft's clock."),
     "control": CommandSource("shift.control", "Control: arm, stop, reset."),
     "torque": CommandSource("shift.torque", "Release of torques by two persons: prepare, confirm, report."),
-    "note": CommandSource("shift.orders", "Write a note into the shift log."),
+    "note": CommandSource("shift.reading", "Write a note into the shift log."),
     "handover": CommandSource(
         "shift.handover", "Write what the next shift must know: alarms, control, operations, links, what ends, notes."
     ),

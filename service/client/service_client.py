@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from service.client.call import Epoch, epoch_text
 from service.client.documents import JobReply
-from service.client.endpoints.every_endpoint import Endpoints
+from service.client.endpoints import Endpoints
 from service.client.event_lines import StreamEvent
 from service.client.jobs import JobFailedError, JobWatch
 from service.client.transport import Transport

@@ -11,32 +11,29 @@ from fastapi import FastAPI
 from pydantic import SecretStr
 
 from db.storage import SqlStorage
-from service.api.access.cross_origin import origins_of
+from service.api.access.auth import origins_of
 from service.api.app import create_app
-from service.api.context.dependencies import ApiContext, Limits
-from service.api.context.monitoring_settings import MonitoringSettings
+from service.api.context import ApiContext, Limits, MonitoringSettings
 from service.composition.setting_entries import entries_in_force
 from service.composition.settings import Settings
 from service.console.pages import with_console
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.checkpoints.chain_state import fingerprint
+from service.pipeline.checkpoints import fingerprint
 from service.ports import Clock, Storage, Term
-from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
-from service.records.operations.alarm import Severity
-from service.records.operations.audit import DONE, AuditEvent
+from service.records.operations.access import DONE, AccessKey, AuditEvent, Role, StoredKey, digest_of, new_key
+from service.records.operations.alarms import Severity
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
 from service.runtime.clock import DataClock, SystemClock
-from service.runtime.control.release_publisher import ReleasePublisher
+from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
 from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
-from service.runtime.jobs.lagged_run import lagged_in_process
-from service.runtime.jobs.lagged_series import LaggedSeries
+from service.runtime.jobs.lagged_run import LaggedSeries, lagged_in_process
 from service.runtime.jobs.replay_job import Replayer
 from service.runtime.jobs.replay_run import prepare_process, replay_in_process
 from service.runtime.jobs.workers import WorkerConfig, Workers
@@ -46,7 +43,7 @@ from service.runtime.live.supervisor import Supervisor
 from service.runtime.process_metrics import raised_descriptor_limit
 
 if TYPE_CHECKING:
-    from db.connection.file_identity import FileWatch
+    from db.connection.engines import FileWatch
     from db.maintenance.archive_tools import ArchiveTools
 
 #: descriptors that connections leave to the archive, logs and worker processes
@@ -67,8 +64,7 @@ def build_storage(settings: Settings) -> Storage:
 
 def watch_file(settings: Settings) -> "FileWatch | None":
     """Return what tells whether another file has taken the place of the archive's; None for a server."""
-    from db.connection.file_identity import FileWatch
-    from db.connection.sqlite_files import sqlite_path
+    from db.connection.engines import FileWatch, sqlite_path
 
     path = sqlite_path(settings.database_url)
     if path is None:
@@ -95,13 +91,13 @@ def open_storage(settings: Settings) -> Storage:
 
 def storage_opener(settings: Settings) -> Callable[[], Storage]:
     """Return what opens the archive of the settings, also in another process, as `open_storage` does."""
-    from db.connection.sqlite_files import absolute_url
+    from db.connection.engines import absolute_url
 
     return partial(_opened, absolute_url(settings.database_url), settings.database_timeout_s)
 
 
 def _opened(url: str, timeout_s: float) -> Storage:
-    from db.connection.sqlite_files import sqlite_path
+    from db.connection.engines import sqlite_path
 
     path = sqlite_path(url)
     if path is not None and not path.is_file():
@@ -121,7 +117,7 @@ def first_administrator(settings: Settings, storage: Storage) -> Path | None:
 
     The archive keeps a digest. The file stands beside the archive, that of a server in the working directory.
     """
-    from db.connection.sqlite_files import sqlite_path
+    from db.connection.engines import sqlite_path
 
     now_us = SystemClock().system_us()
     has_one = any(each.key.role is Role.ADMIN and each.key.is_valid(now_us) for each in storage.keys.all())

@@ -18,7 +18,7 @@ from pydantic_settings import (
     SettingsError,
 )
 
-from service.api.access.cross_origin import origins_of
+from service.api.access.auth import origins_of
 from service.api.limits.rate_limits import RateLimitConfig
 from service.pipeline.config import (
     AlarmConfig,
@@ -32,9 +32,9 @@ from service.pipeline.config import (
     RobustConfig,
     TorqueConfig,
 )
-from service.pipeline.control.release.settings import ReleaseSettings
-from service.records.storage.archive_maintenance import RetentionConfig, SealingConfig
-from service.runtime.jobs.lagged_series import SmoothingConfig
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
+from service.records.storage import RetentionConfig, SealingConfig
+from service.runtime.jobs.lagged_run import SmoothingConfig
 from service.runtime.jobs.workers import WorkerConfig
 
 

@@ -28,8 +28,7 @@ from service.formats.ccsds import (
 from service.formats.numbers import text_of_float32
 from service.records.catalogue import Carrier
 from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.measurement import Measurement
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import Measurement, QualityFlag
 
 #: dBW = dBm - 30
 DBM_OF_DBW = 30.0

@@ -13,7 +13,7 @@ from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.frontend.station import MeasuringStation
 from service.records.epoch import format_epoch
-from service.records.operations.link import STOPPED
+from service.records.operations.work import STOPPED
 
 logger = logging.getLogger("service.frontend.link_report")
 

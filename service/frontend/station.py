@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.acquisition import Acquisition
-from service.frontend.acquisition.settings import AcquisitionCounters, AcquisitionSettings
+from service.frontend.acquisition.states import AcquisitionCounters, AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask
 from service.frontend.spool.spool import Spool
 from service.frontend.upload.uploader import UploadCounters, Uploader, UploadSettings

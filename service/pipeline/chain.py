@@ -18,17 +18,21 @@ from itertools import pairwise
 
 import numpy as np
 
-from service.pipeline.checkpoints.chain_state import ChainState
+from service.pipeline.checkpoints import ChainState
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
-from service.pipeline.estimation.carrier_results import carrier_results, carrier_state
-from service.pipeline.estimation.method import CommandEvidence, MethodRunner
-from service.pipeline.estimation.method_disagreement import Disagreement, compare
+from service.pipeline.estimation.method import (
+    CommandEvidence,
+    MethodRunner,
+    RowEvidence,
+    carrier_results,
+    carrier_state,
+)
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.runner import RobustRunner
-from service.pipeline.estimation.row_evidence import RowEvidence
+from service.pipeline.estimation.row_inhibitions import Disagreement, compare
 from service.pipeline.inputs.knowledge import Knowledge, Lookup, update
 from service.ports import Outcome
 from service.records.calibration import Calibration
@@ -36,9 +40,15 @@ from service.records.catalogue import CarrierPlan, Method, Release
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, SpacecraftChange
 from service.records.journal import SlowInput
-from service.records.levels.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
-from service.records.levels.carrier_results import CarrierResults
-from service.records.levels.command import AppliedCommand, ReleasedCommand
+from service.records.levels.attitude import (
+    AppliedCommand,
+    AttitudeRow,
+    CarrierResults,
+    CarrierState,
+    IntArray,
+    ReleasedCommand,
+    row_without_attitude,
+)
 from service.records.levels.measurement import Measurement
 
 _LOG = logging.getLogger("soo.chain")

@@ -6,20 +6,38 @@ needs is damaged. Unknown names raise NotFoundError with the codes
 ``spacecraft.unknown``, ``plan.unknown``, ``ephemeris.unknown``, ``calibration.unknown``, ``alignment.unknown``,
 ``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``, ``key.unknown``.
 
-While a request has an audit note (``service.records.operations.audit.CURRENT_NOTE``), the first write that it waits for
-commits its audit entry together with the change.
+While a request has an audit note (``service.records.operations.access.CURRENT_NOTE``), the first write that it waits
+for commits its audit entry together with the change.
 """
 
-from service.ports.access import Audit, Keys
-from service.ports.archive import Archive, Intervals, MeasuredFigure, SampledPowers
-from service.ports.catalogue import Catalogue
-from service.ports.clock import Clock
-from service.ports.lease import ARCHIVE, Leases, Term
-from service.ports.release import Releases
-from service.ports.results import ATTITUDE_FIGURES, LIVE, SMOOTHED, AttitudeFigure, Outcome, Results, SampledCarriers
-from service.ports.stations import Links, Traces
-from service.ports.storage import Storage
-from service.ports.watch import Alarms, Notes
+from service.ports.archive import (
+    ATTITUDE_FIGURES,
+    LIVE,
+    SMOOTHED,
+    Archive,
+    AttitudeFigure,
+    Intervals,
+    MeasuredFigure,
+    Outcome,
+    Results,
+    SampledCarriers,
+    SampledPowers,
+)
+from service.ports.storage import (
+    ARCHIVE,
+    Alarms,
+    Audit,
+    Catalogue,
+    Clock,
+    Keys,
+    Leases,
+    Links,
+    Notes,
+    Releases,
+    Storage,
+    Term,
+    Traces,
+)
 
 __all__ = [
     "ARCHIVE",

@@ -17,7 +17,7 @@ from service.records.inputs import (
     TelemetryRecord,
     WeatherReport,
 )
-from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.levels.measurement import Measurement
 from service.records.operations.release import InterlockHold
 

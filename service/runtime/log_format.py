@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from typing import Any, Literal, TextIO
 
 from service.records.epoch import US_PER_S, format_epoch
-from service.records.operations import access_key
+from service.records.operations import access
 
 #: id of the request in progress; empty outside of requests
 REQUEST_ID: ContextVar[str] = ContextVar("request_id", default="")
@@ -88,7 +88,7 @@ def without_secrets(text: str) -> str:
     >>> without_secrets("postgresql://soo:secret@host/soo said no to Bearer abc")
     'postgresql://[hidden]@host/soo said no to Bearer [hidden]'
     """
-    return access_key.without_secrets(_SECRETS.sub(_HIDDEN, text))
+    return access.without_secrets(_SECRETS.sub(_HIDDEN, text))
 
 
 def write_log(level: str, form: LogForm, stream: TextIO | None = None) -> None:

@@ -16,10 +16,10 @@ from shared_routes import with_shared_routes
 
 from db.storage import SqlStorage
 from service.api.app import create_app
-from service.api.context.dependencies import ApiContext, Limits
+from service.api.context import ApiContext, Limits
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.release.settings import ReleaseSettings
-from service.runtime.control.release_publisher import ReleasePublisher
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
+from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.live_feed import LiveFeed

@@ -12,7 +12,7 @@ import httpx
 import pytest
 from role_keys import RoleKeys
 
-from service.api.access.cross_origin import CrossOriginReading
+from service.api.access.auth import CrossOriginReading
 from service.api.app import render_openapi
 from service.api.limits.rate_limits import RateLimitConfig, RateLimits
 from service.composition.bootstrap import build_app, build_storage

@@ -10,14 +10,13 @@ import httpx
 import pytest
 
 from db.storage import SqlStorage
-from service.api.access import key_cache as stored_keys
-from service.api.access import refusal_audit as refusals
-from service.api.access.session_cookie import COOKIE, LIFE_S
+from service.api.access import housekeeping as refusals
+from service.api.access import housekeeping as stored_keys
+from service.api.access.auth import COOKIE, LIFE_S
 from service.api.limits.rate_limits import RateLimitConfig, RateLimits
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
-from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
-from service.records.operations.audit import findings
+from service.records.operations.access import AccessKey, Role, StoredKey, digest_of, findings, new_key
 
 pytestmark = pytest.mark.anyio
 

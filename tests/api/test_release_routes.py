@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from scripted_release_service import AT_US, S, ScriptedReleaseService
 
-from service.core.control.envelope import Envelope
+from service.core.control.slew_schedule import Envelope
 from service.errors import (
     ConflictError,
     ForbiddenError,

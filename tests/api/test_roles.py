@@ -9,12 +9,12 @@ from typing import Any
 import httpx
 import pytest
 
-from service.api.access.audit_context import BASE_PATH
-from service.api.context.monitoring_settings import MonitoringSettings
+from service.api.access.auth import BASE_PATH
+from service.api.context import MonitoringSettings
 from service.api.limits.rate_limits import RateLimitConfig, RateLimits, class_of
 from service.api.monitoring.readiness import SharedReadiness
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 pytestmark = pytest.mark.anyio
 

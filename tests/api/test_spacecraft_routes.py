@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from service.api.schemas.spacecraft import SpacecraftDocument
+from service.api.schemas.catalogue import SpacecraftDocument
 from service.records.catalogue import ControlLaw, GyroOrbitantGains
 
 pytestmark = pytest.mark.anyio

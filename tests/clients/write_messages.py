@@ -17,14 +17,13 @@ import numpy as np
 
 from db.storage import SqlStorage
 from service.api.export.export_files import FileFormat, FileOrder, archive_file
-from service.core.geometry.quaternion import attitude_of_quaternion
-from service.formats.aem import AemWriter, AttitudeMessage
+from service.core.geometry.frames import attitude_of_quaternion
+from service.formats.ccsds import AemWriter, AttitudeMessage
 from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft, Station
 from service.records.levels.attitude import AttitudeRow, Axes, Status, row_without_attitude
-from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch, QualityFlag
 
 #: 2026-11-21T00:00:00Z
 START_US = 1_795_219_200_000_000

@@ -6,7 +6,7 @@ from itertools import count
 import numpy as np
 import pytest
 
-from analyzer_sim.lines.session import OUTPUT_LIMIT_BYTES
+from analyzer_sim.lines.dispatcher import OUTPUT_LIMIT_BYTES
 from analyzer_sim.scpi.errors import ERROR_TEXTS, event_bit
 from analyzer_sim.scpi.status import OPERATION_WAITING_FOR_TRIGGER
 

@@ -16,7 +16,7 @@ from db.encoding.summary_codec import pack_day
 from db.results.state_summaries import store_states
 from db.schema.tables import attitude_summary
 from db.storage import SqlStorage
-from service.core.rows.state_runs import RowState, StateRun, Stretch
+from service.core.rows import RowState, StateRun, Stretch
 from service.ports import ATTITUDE_FIGURES
 from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch

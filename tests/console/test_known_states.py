@@ -12,7 +12,7 @@ from playwright.sync_api import expect
 from release_ground import PAYLOAD, ReleaseGround, record
 
 from service.records.epoch import format_epoch
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 GOOD_DEG = (0.0, 0.03, 0.0)
 FADE_ROWS = 15

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "docs/reference/openapi.json").read_text())
 VIEWS = ["now", "carriers", "carriers?form=multiples", "carriers?carrier=c03&hours=1", "links", "control"]

@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import expect
 from service_process import KEY
 
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

@@ -22,8 +22,7 @@ from service.records.calibration import (
     Window,
 )
 from service.records.catalogue import Carrier, Ephemeris, Method, Site, Spacecraft
-from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, Status
-from service.records.levels.command import Pulse, TorqueCommand
+from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, Pulse, Status, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
 
 CARRIERS = tuple(Carrier(f"c{k:02}", "C", f"t{k // 2}", 3.7e9 + k * 1e7, 5e6) for k in range(3))

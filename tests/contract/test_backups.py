@@ -15,9 +15,8 @@ from db.storage import SqlStorage
 from service.ports import Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import Operation
-from service.records.operations.audit import AuditEvent
-from service.records.storage.backup import BackupError
-from service.records.storage.diagnosis import worst
+from service.records.operations.access import AuditEvent
+from service.records.storage import BackupError, worst
 
 STAMP = "20261122T040302Z"
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from db.encoding.json_documents import decode, encode
+from db.encoding.record_codec import decode, encode
 from service.errors import ConflictError, NotFoundError
 from service.records.catalogue import (
     AxisTorques,

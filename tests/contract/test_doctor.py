@@ -17,10 +17,8 @@ from db.schema.tables import state_summary
 from service.cli.app import app
 from service.ports import LIVE, Outcome
 from service.records.inputs import Correction
-from service.records.operations.audit import AuditEvent
-from service.records.storage.archive_maintenance import SealedPart
-from service.records.storage.checkpoint import Checkpoint
-from service.records.storage.diagnosis import worst
+from service.records.operations.access import AuditEvent
+from service.records.storage import Checkpoint, SealedPart, worst
 from service.runtime.clock import system_now_us
 
 DAY_US = 86_400_000_000
@@ -79,7 +77,7 @@ def test_it_says_how_long_the_next_start_takes(filled, url, make, monkeypatch):
         results.save_outcomes(filled.id, LIVE, [], consumed, 1, Checkpoint(number, 1, fingerprint, b""))
     entries = f"the next start of {filled.id} consumes 30 entries since its last checkpoint, 0 s"
     assert said() == [("ok", entries)]
-    monkeypatch.setattr("db.maintenance.restart_forecast.LONG_S", 0.01)
+    monkeypatch.setattr("db.maintenance.doctor.LONG_S", 0.01)
     assert [state for state, _ in said()] == ["warning"]
 
 

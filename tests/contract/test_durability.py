@@ -9,7 +9,7 @@ import pytest
 from psycopg import Connection
 from sqlalchemy import create_engine, event, select
 
-from db.connection.postgresql_engines import BoundedConnection, NoAnswerError
+from db.connection.engines import BoundedConnection, NoAnswerError
 from db.connection.writer import ATTEMPTS
 from db.encoding.segments import DAY_US
 from db.measurements import retention
@@ -22,7 +22,7 @@ from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails
-from service.records.levels.trace import Ring, Trace, TraceSettings
+from service.records.levels.sweep import Ring, Trace, TraceSettings
 
 
 def held(storage):

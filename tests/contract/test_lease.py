@@ -9,14 +9,14 @@ from threading import Event
 import pytest
 from sqlalchemy import text
 
-from db.connection.server_leases import require_own_session
+from db.connection.lease import require_own_session
 from db.maintenance.doctor import diagnose
-from db.schema.lease_tables import LEASE_US
+from db.schema.tables import LEASE_US
 from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports import ARCHIVE, Outcome
-from service.records.operations.alarm_memory import EngineMemory
-from service.records.operations.job import Job, JobState
+from service.records.operations.alarms import EngineMemory
+from service.records.operations.work import Job, JobState
 from service.runtime.clock import system_now_us
 
 

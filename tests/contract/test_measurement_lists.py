@@ -13,7 +13,7 @@ from sqlalchemy import select
 
 from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements.ingest_grouped import StoreBatch
-from db.measurements.prepared_batch import prepare
+from db.measurements.row_insert import prepare
 from db.schema.tables import head, measurement, measurement_detail, sequence_interval, source
 from service.errors import NotFoundError
 from service.ports import LIVE, Outcome
@@ -22,12 +22,11 @@ from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails
-from service.records.levels.trace import Ring, Trace, TraceSettings
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
-from service.records.operations.audit import AuditEvent, AuditFilter
-from service.records.operations.job import Replay
-from service.records.operations.note import Note
+from service.records.levels.sweep import Ring, Trace, TraceSettings
+from service.records.operations.access import AuditEvent, AuditFilter
+from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Note, Process, Severity
 from service.records.operations.release import Command, CommandState, Purpose, ReleaseChange
+from service.records.operations.work import Replay
 
 
 def reported(setting, window, **options):

@@ -12,14 +12,32 @@ from db.storage import SqlStorage
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.calibration import Window
 from service.records.catalogue import Site, Spacecraft
-from service.records.levels.attitude import Axes
-from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
-from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity
-from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.alarm_memory import EngineMemory, ValueMemory, WatchMemory
-from service.records.operations.audit import CURRENT_NOTE, AuditContext, AuditEvent, AuditFilter, findings
-from service.records.operations.note import Note
+from service.records.levels.attitude import Axes, Pulse, ReleasedCommand, ReportedCommand
+from service.records.operations.access import (
+    CURRENT_NOTE,
+    AccessKey,
+    AuditContext,
+    AuditEvent,
+    AuditFilter,
+    Role,
+    StoredKey,
+    digest_of,
+    findings,
+)
+from service.records.operations.alarms import (
+    Alarm,
+    AlarmChange,
+    AlarmLimits,
+    ChangeKind,
+    Cover,
+    EngineMemory,
+    Handling,
+    Note,
+    Process,
+    Severity,
+    ValueMemory,
+    WatchMemory,
+)
 from service.records.operations.release import (
     Command,
     CommandCheck,

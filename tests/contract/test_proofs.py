@@ -13,20 +13,17 @@ import db.measurements.checksum_check
 from db.maintenance.backup import create_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.restore import restore_backup
-from db.schema.row_checksum import CHECKSUM_BYTES, checksum_of
+from db.schema.columns import CHECKSUM_BYTES, checksum_of
 from db.schema.tables import attitude, measurement, metadata
 from service.ports import LIVE, Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import AttitudeReference, Operation
 from service.records.journal import JournalHead
 from service.records.levels.measurement import CarrierDetails
-from service.records.levels.trace import Ring, Trace, TraceSettings
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
-from service.records.operations.note import Note
+from service.records.levels.sweep import Ring, Trace, TraceSettings
+from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Note, Process, Severity
 from service.records.operations.release import ProductForm, ReleaseChange, UplinkProduct
-from service.records.storage.backup import BackupError
-from service.records.storage.checkpoint import Checkpoint
-from service.records.storage.diagnosis import worst
+from service.records.storage import BackupError, Checkpoint, worst
 from service.runtime.clock import system_now_us
 
 DAY_US = 86_400_000_000

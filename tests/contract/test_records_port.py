@@ -24,11 +24,10 @@ from service.records.inputs import (
     TelemetryRecord,
     WeatherReport,
 )
-from service.records.levels.attitude import NO_ANGLES, Axes
-from service.records.levels.command import AppliedCommand
+from service.records.levels.attitude import NO_ANGLES, AppliedCommand, Axes
 from service.records.levels.measurement import Measurement
-from service.records.levels.trace import Ring, Trace, TraceReceipt, TraceSettings
-from service.records.operations.link import LinkReport, LinkWarning
+from service.records.levels.sweep import Ring, Trace, TraceReceipt, TraceSettings
+from service.records.operations.work import LinkReport, LinkWarning
 
 NAN = float("nan")
 

@@ -10,7 +10,7 @@ from example_counts import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.core.rows.sample_bins import SampleBins
+from service.core.rows import SampleBins
 from service.errors import ConflictError, NotFoundError
 from service.ports import LIVE, Outcome
 from service.records.calibration import (
@@ -28,11 +28,9 @@ from service.records.calibration import (
 )
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, CalibrationActivation
-from service.records.levels.attitude import NO_ANGLES, Axes, Status
-from service.records.levels.carrier_results import CarrierResults
-from service.records.levels.command import AppliedCommand
-from service.records.operations.job import Job, JobState, Replay
-from service.records.storage.checkpoint import Checkpoint
+from service.records.levels.attitude import NO_ANGLES, AppliedCommand, Axes, CarrierResults, Status
+from service.records.operations.work import Job, JobState, Replay
+from service.records.storage import Checkpoint
 
 HOURS = SampleBins(0, 86_400_000_000, 24, 1)
 CARRIERS = CarrierResults(1, *np.ones((2, 3)), *np.zeros((2, 3), dtype=np.int64))

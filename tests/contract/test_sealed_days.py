@@ -13,14 +13,13 @@ from db.encoding.segments import DAY_US
 from db.measurements import sealing
 from db.schema.tables import measurement, measurement_segment
 from db.storage import SqlStorage
-from service.core.rows.sample_bins import SampleBins
+from service.core.rows import SampleBins
 from service.errors import StorageError
 from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.inputs import Correction
-from service.records.levels.attitude import Axes
-from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.attitude import Axes, CarrierResults
 from service.records.levels.measurement import CarrierDetails
 
 #: two days and a bit: no row is older than the spacecraft

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select, update
 
-from db.encoding.carrier_codec import pack_carriers
+from db.encoding.measurement_runs import pack_carriers
 from db.encoding.segments import DAY_US
 from db.measurements import retention
 from db.results import result_sealing
@@ -16,9 +16,7 @@ from service.errors import StorageError
 from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
-from service.records.levels.attitude import Axes
-from service.records.levels.carrier_results import CarrierResults
-from service.records.levels.command import Pulse
+from service.records.levels.attitude import Axes, CarrierResults, Pulse
 
 DAYS = 3
 STEP_US = DAY_US // 8

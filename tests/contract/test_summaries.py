@@ -11,18 +11,15 @@ import pytest
 from sqlalchemy import delete, select, update
 
 from db.encoding.segments import DAY_US
-from db.maintenance.summary_check import compare_summaries
+from db.maintenance.integrity_check import compare_summaries
 from db.results import attitude_summaries, state_summaries
 from db.results.results import SqlResults
 from db.schema.tables import attitude_summary, carrier_summary, power_summary, state_summary
-from service.core.rows.row_gaps import GapSearch
-from service.core.rows.sample_bins import SampleBins
-from service.core.rows.state_runs import RowState
+from service.core.rows import GapSearch, RowState, SampleBins
 from service.ports import ATTITUDE_FIGURES, LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
-from service.records.levels.attitude import NO_ANGLES, Axes, Exclusion, Status
-from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.attitude import NO_ANGLES, Axes, CarrierResults, Exclusion, Status
 from service.records.levels.measurement import CarrierDetails
 
 pytestmark = pytest.mark.slow

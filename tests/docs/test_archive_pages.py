@@ -231,8 +231,6 @@ def test_limits_and_checks_are_those_of_the_code() -> None:
     files = (
         "maintenance/integrity_check",
         "maintenance/doctor",
-        "maintenance/restart_forecast",
-        "maintenance/summary_check",
         "measurements/journal_heads",
     )
     code = "".join((root / f"db/{name}.py").read_text() for name in files)

@@ -18,8 +18,8 @@ from release_ground import ReleaseGround, record, seed_archive
 
 from analyzer_sim.__main__ import main
 from service.api.monitoring.metric_families import FAMILIES, MAX_CARRIERS, MAX_LINKS, MAX_SOURCES, MAX_SPACECRAFT
-from service.api.schemas.carriers import CarrierDocument
-from service.api.views.links import SILENT
+from service.api.schemas.catalogue import CarrierDocument
+from service.api.views.present import SILENT
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.states import (
     ACTIONS,
@@ -30,13 +30,12 @@ from service.frontend.acquisition.states import (
     diagram,
     reference_page,
 )
-from service.frontend.drivers.base import SINGLE, Dialect
-from service.frontend.drivers.choice import DIALECTS
+from service.frontend.drivers.dialects import DIALECTS, SINGLE, Dialect
 from service.frontend.link_report import RUNNING, SERVICE_AWAY
 from service.frontend.measurement_task import MeasurementTask, parse_task
 from service.frontend.tasks.station_file import load_station
 from service.frontend.tasks.task_plan import plan_task
-from service.records.operations.link import STOPPED
+from service.records.operations.work import STOPPED
 
 AXES = ("yaw", "roll", "pitch")
 NAMES = tuple(f"{axis}_deg" for axis in AXES)

@@ -30,15 +30,23 @@ from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.reference_page import reference_page
 from service.pipeline.alarms.states import diagram
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
+from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS
 from service.pipeline.control.release import reference_page as release_page
-from service.pipeline.control.release.command_states import COMMAND_TRANSITIONS, CommandState, CommandTransition
+from service.pipeline.control.release.command_states import (
+    COMMAND_TRANSITIONS,
+    REFUSALS,
+    TRANSITIONS,
+    CommandState,
+    CommandTransition,
+    Guard,
+    State,
+    Trigger,
+)
 from service.pipeline.control.release.interlock_conditions import Condition
-from service.pipeline.control.release.interlock_states import REFUSALS, TRANSITIONS, Guard, State, Trigger
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.records.levels.attitude import Status
-from service.records.levels.quality_flag import QualityFlag
-from service.records.operations.alarm import ChangeKind
+from service.records.levels.measurement import QualityFlag
+from service.records.operations.alarms import ChangeKind
 from service.records.setting import ORIGINS
 
 ROOT = Path(__file__).resolve().parents[2]

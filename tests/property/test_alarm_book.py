@@ -6,11 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
-from service.pipeline.alarms.condition import AlarmCondition, Kind, Origin
 from service.pipeline.alarms.limit_sets import AlarmContext
-from service.records.operations.alarm import ChangeKind, Cover, Handling, Process
-from service.records.operations.alarm_limits import ConditionLimits
-from service.records.operations.alarm_memory import EngineMemory
+from service.pipeline.alarms.states import AlarmCondition, Kind, Origin
+from service.records.operations.alarms import ChangeKind, ConditionLimits, Cover, EngineMemory, Handling, Process
 
 S = 1_000_000
 THINGS = ("c0", "c1")

@@ -10,16 +10,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.plant.schedule_lines import ScheduleError, parse_schedule
-from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
-from analyzer_sim.world.spacecraft.flown_spacecraft import spacecraft_at_rest
-from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
-from analyzer_sim.world.spacecraft.wheels import QUANTUM_N_M
-from analyzer_sim.world.spacecraft.wheels import wheel_set as simulated_wheels
-from service.core.control.pulses import shape_pulses
-from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect
-from service.core.control.wheel_allocation import allocate, wheel_set
-from service.core.control.wheels import allocate_to_wheels, body_torque_limit_n_m
+from analyzer_sim.plant.plant import ScheduleError, parse_schedule
+from analyzer_sim.world.spacecraft.body import INERTIA_KG_M2, QUANTUM_N_M, TorqueElement, spacecraft_at_rest
+from analyzer_sim.world.spacecraft.body import wheel_set as simulated_wheels
+from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect, shape_pulses
+from service.core.control.wheel_allocation import allocate, allocate_to_wheels, body_torque_limit_n_m, wheel_set
 
 WISHES = st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3).map(np.array)
 CARRIES = st.lists(st.floats(-0.5, 0.5), min_size=3, max_size=3).map(np.array)

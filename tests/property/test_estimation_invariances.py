@@ -8,20 +8,19 @@ from flight_geometry import direction_vector
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.core.estimation.calibration.quadratic_response import exact_response, predict_deviation
+from service.core.estimation.calibration.geometry_columns import exact_response, predict_deviation
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion
-from service.core.estimation.paper.downlink_fade import fade_sign_test
+from service.core.estimation.paper.downlink_fade import empty_window, fade_sign_test, mean, push
 from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
 from service.core.estimation.paper.octants import predict_deviation_db, solve_octants
 from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.core.estimation.paper.sensitivity import fit_turn_sensitivity
-from service.core.estimation.paper.trailing_mean import empty_window, mean, push
 from service.core.estimation.snapshot.snapshot import solve_snapshots
-from service.core.estimation.snapshot.snapshot_start import subset_orders
+from service.core.estimation.snapshot.snapshot_steps import subset_orders
 from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir
-from service.core.geometry.node_phase import latest_node_us, node_phase_at_rad, node_phase_rad
-from service.core.radio.decibel import db_from_ratio, dbm_from_mw, mw_from_dbm, ratio_from_db
+from service.core.geometry.line_of_sight import latest_node_us, node_phase_at_rad, node_phase_rad
+from service.core.radio.levels import db_from_ratio, dbm_from_mw, mw_from_dbm, ratio_from_db
 
 SEEDS = st.integers(0, 2**32 - 1)
 CARRIERS = st.integers(4, 24)

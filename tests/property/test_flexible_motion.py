@@ -7,14 +7,12 @@ from example_counts import examples
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from service.core.flexible.limit_cycle import one_sided_motion
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState, start_leg, state_at, states_at
 from service.core.flexible.return_kernels import one_return
-from service.core.flexible.schedule.schedule_check import analyse_schedule
-from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, schedule_response
-from service.core.flexible.spacecraft import HubMode, WheelDrive
-from service.core.flexible.succession import one_sided_motion
-from service.core.flexible.switching_law import SwitchingLaw
+from service.core.flexible.schedule import TorquePulse, analyse_schedule, carry_phasor, schedule_response
+from service.core.flexible.spacecraft import HubMode, SwitchingLaw, WheelDrive
 
 MODES = st.builds(HubMode, st.floats(0.1, 4.0), st.floats(1e-4, 0.5), st.floats(0.0, 3.0))
 STATES = st.builds(

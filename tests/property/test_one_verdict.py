@@ -26,16 +26,22 @@ from sign_world import (
     profile_angles_deg,
 )
 
-from service.api.context.dependencies import Limits
+from service.api.context import Limits
 from service.api.monitoring.metrics import Metrics
-from service.api.routes.attitude import get_attitude
-from service.api.routes.control import get_control
-from service.api.routes.torques import get_torques
-from service.api.views.handover import handover_of
-from service.api.views.status import status_of
-from service.cli.demonstration.operation_screen import operation_screen
-from service.core.control.sign_check import Sign, SignContext, SignState, decide, weigh, wheel_decision
-from service.core.control.sign_profiles import pitch_profile, roll_profile, yaw_profile
+from service.api.routes.control import get_attitude, get_control, get_torques
+from service.api.views.present import handover_of, status_of
+from service.cli.demonstration.demo_screen import operation_screen
+from service.core.control.sign_check import (
+    Sign,
+    SignContext,
+    SignState,
+    decide,
+    pitch_profile,
+    roll_profile,
+    weigh,
+    wheel_decision,
+    yaw_profile,
+)
 from service.errors import SooError
 from service.pipeline.config import InterlockConfig, TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
 from release_driver import GOOD, INPUTS, SETTINGS, US, ReleaseDriver
 
-from service.core.control.envelope import Envelope
 from service.core.control.sign_check import SignState
-from service.pipeline.control.release.command_states import CommandState, CommandTransition
+from service.core.control.slew_schedule import Envelope
+from service.pipeline.control.release.command_states import TRANSITIONS, CommandState, CommandTransition, State
 from service.pipeline.control.release.events import (
     Automatic,
     Cancel,
@@ -28,9 +28,7 @@ from service.pipeline.control.release.events import (
     RowSeen,
     SignJudged,
 )
-from service.pipeline.control.release.interlock_states import TRANSITIONS, State
-from service.records.levels.attitude import Axes
-from service.records.levels.command import ReportedCommand
+from service.records.levels.attitude import Axes, ReportedCommand
 
 PERSONS = st.sampled_from(["ann", "bob", "cas"])
 NAN = float("nan")

@@ -8,7 +8,7 @@ from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer_sim.world.orbit.geometry import antenna_angles_deg, body_from_orbital
+from analyzer_sim.world.orbit import antenna_angles_deg, body_from_orbital
 from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,

@@ -15,7 +15,7 @@ from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
-from analyzer_sim.lines.session import Session, command_tree
+from analyzer_sim.lines.dispatcher import Session, command_tree
 from analyzer_sim.scpi.framing import MessageFramer
 
 SEED = 20261122

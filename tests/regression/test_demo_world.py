@@ -11,7 +11,7 @@ from analyzer_sim.export import export_npz
 from analyzer_sim.world.scenario.scenario import SCENARIOS
 from analyzer_sim.world.world import World
 from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
-from service.core.geometry.node_phase import node_phase_rad
+from service.core.geometry.line_of_sight import node_phase_rad
 from service.records.levels.attitude import Axes
 from service.study.closed_loop import run
 from service.study.closed_loop.controllers import LEAD_S, ByTruth, Sensing

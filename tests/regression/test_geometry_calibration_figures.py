@@ -13,10 +13,9 @@ from kept_results import kept
 
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.carrier_model.beam_report import HOUR_US, Group, HourlyMeans, WaveCause, beam_report
-from service.pipeline.carrier_model.calibrated_arrays import geometry_model
-from service.pipeline.carrier_model.expected_level import ExpectedLevel
+from service.pipeline.carrier_model.expected_level import ExpectedLevel, geometry_model
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.documents import JournalDocuments
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.calibration import Window
 from service.records.epoch import parse_epoch
 from service.study.estimation.flight.drive import calibrate

@@ -9,12 +9,12 @@ import pytest
 from kept_results import kept
 from plan_files import write_plan_files
 
-from analyzer_sim.world.orbit.orbit import Orbit
+from analyzer_sim.world.orbit import Orbit
 from analyzer_sim.world.payload.carriers import PLANS
-from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg
 from service.cli.planning.sources import PlanFiles, PlanRequest, planned_by_files
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
-from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.carrier_sets import averaged_crlb_deg, judge_set
 from service.core.estimation.design import choose_carriers
 from service.core.estimation.filtering.filter_predict import Weather, predict
@@ -24,11 +24,11 @@ from service.core.estimation.filtering.model.filter_state import Gaussian, core_
 from service.core.estimation.filtering.model.hidden_motion import inserted
 from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_covariance
 from service.core.estimation.paper.selection import select_by_axis
-from service.pipeline.inputs.documents import JournalDocuments
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.pipeline.planning.assumed_beams import NOISES
 from service.pipeline.planning.candidates import candidates_of
 from service.pipeline.planning.planning import Rule, recommend
-from service.study.estimation.accuracy import measure_accuracy
+from service.study.estimation.bounds import measure_accuracy
 from service.study.estimation.flight.drive import calibrate, drive
 from service.study.estimation.flight.world import export_world, read_world
 

@@ -7,23 +7,24 @@ import pytest
 import robust_world
 
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.payload.payload import nominal_gain_db
+from analyzer_sim.world.payload.level_terms import nominal_gain_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry
-from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion
-from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
-from service.core.estimation.calibration.quadratic_response import (
+from service.core.estimation.calibration.geometry_columns import (
+    CarrierGeometry,
+    OrbitMotion,
     QuadraticResponse,
     exact_response,
     predict_deviation,
     predict_jacobian,
 )
+from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
 from service.core.estimation.design import choose_carriers
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.observability import crlb_deg
 from service.core.estimation.snapshot.snapshot import CarrierUse, solve_snapshots
-from service.core.estimation.snapshot.snapshot_start import subset_orders
+from service.core.estimation.snapshot.snapshot_steps import subset_orders
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
     Positions,

@@ -17,11 +17,11 @@ from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
-from service.pipeline.calibration.windows import CalibrationError
+from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import MotionVerdict
 from service.records.inputs import PolarizationRecord
-from service.study.estimation.accuracy import AXES
+from service.study.estimation.bounds import AXES
 from service.study.estimation.flight.drive import calibrate, drive
 from service.study.estimation.flight.world import GroundEvent, export_world, read_world
 from service.study.estimation.smoothing_gain import gain_statistics, measure_gain

@@ -28,7 +28,7 @@ from schemathesis.specs.openapi.checks import (
     status_code_conformance,
 )
 
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 pytestmark = pytest.mark.system
 KEY = "a-key-for-tests-only"

@@ -29,9 +29,8 @@ from analyzer_sim.world.ground.ground_bodies import (
 )
 from analyzer_sim.world.payload.carriers import Carrier
 from analyzer_sim.world.payload.effects import FaultFlag
-from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
-from analyzer_sim.world.scenario.story import Phase
-from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE
+from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg
+from analyzer_sim.world.scenario.story import SLEW_MIN, TIMETABLE, Phase
 from analyzer_sim.world.structure import crlb_deg
 from analyzer_sim.world.world import World
 

@@ -8,15 +8,14 @@ import numpy as np
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.ballistics import Ephemeris
-from analyzer_sim.world.orbit.orbit import predicted_track
+from analyzer_sim.world.orbit import predicted_track
 from analyzer_sim.world.payload.carriers import BANDS, ROLLOFF, SPAN_START_HZ, Carrier
 from analyzer_sim.world.payload.effects import Operation
-from analyzer_sim.world.payload.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
+from analyzer_sim.world.payload.level_terms import SWEEP_RBW_HZ, SWEEP_TIME_S
 from analyzer_sim.world.polarimeter import FIELD_T, FREQUENCY_HZ, SOURCE, PolarizationReport
-from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
-from analyzer_sim.world.spacecraft.disturbance import stated_profile
+from analyzer_sim.world.spacecraft.body import INERTIA_KG_M2
 from analyzer_sim.world.spacecraft.spacecraft import Correction
-from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord
+from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord, stated_profile
 from analyzer_sim.world.world import LONGITUDE_DEG, World
 
 Line = dict[str, Any]

@@ -1,21 +1,109 @@
-"""Carrier plans: which station radiates which carrier through which beam, and where it lies in the analyzer's span.
-
-A beacon is an unmodulated line of the satellite itself: no station, no uplink beam, no symbol rate.
-
-Of the sixteen carriers of `ku16` five are dominant in roll, six have at least twice as much pitch as roll, and four
-have their largest figure in yaw scaled by eight. Twice the others, as the rule of the method asks, scaled yaw can
-never be: with gradients p along pitch and r along roll the geometry gives 8 yaw = 8 (el p - az r), at most 1.2 |p| +
-0.75 |r|. One user has an unstable level (c08), one sits on the curved top of its beam (c12). `python -m
-analyzer_sim.world.structure` prints the table.
-"""
+"""Carrier plans: which station radiates which carrier through which beam, and where it lies in the analyzer's span."""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.payload.beams import Beam, Ripple
-from analyzer_sim.world.payload.carrier_rows import C8, KU16, KU_MORE, Row
+from analyzer_sim.world.scenario.events import PlanChange
+from analyzer_sim.world.scenario.story import Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class Ripple:
+    """One wave of the shaped pattern."""
+
+    #: amplitude, dB
+    amplitude_db: float
+    #: wave numbers along azimuth and elevation, rad/deg
+    azimuth_rad_deg: float
+    elevation_rad_deg: float
+    #: phase at the centre, rad
+    phase_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Beam:
+    """One shaped beam of the satellite."""
+
+    name: str
+    #: centre in the antenna frame, deg
+    azimuth_deg: float
+    elevation_deg: float
+    #: curvatures, dB/deg^2, positive = falling away from the centre
+    azimuth_curvature: float = 1.5
+    elevation_curvature: float = 2.7
+    cross_curvature: float = 0.0
+    ripples: tuple[Ripple, ...] = ()
+
+    def gain_db(self, azimuth_deg: FloatArray, elevation_deg: FloatArray) -> FloatArray:
+        """Return the gain relative to the centre, dB, for any shape of angles."""
+        u = azimuth_deg - self.azimuth_deg
+        v = elevation_deg - self.elevation_deg
+        gain = (
+            -0.5 * self.azimuth_curvature * u**2 - 0.5 * self.elevation_curvature * v**2 + self.cross_curvature * u * v
+        )
+        for wave in self.ripples:
+            phase = wave.azimuth_rad_deg * u + wave.elevation_rad_deg * v + wave.phase_rad
+            gain = gain + wave.amplitude_db * np.cos(phase)
+        return np.asarray(gain)
+
+
+Row = tuple[str, float, float, str, int, float, float, float, float]
+
+#: four users on each of four transponders
+KU16: tuple[Row, ...] = (
+    ("Rostov-on-Don", 47.23, 39.72, "Ku1", 1000, -42.9, 0.62, 0.150, 0.0),
+    ("Saint Petersburg", 59.94, 30.31, "Ku1", 1200, -42.4, 0.36, 0.140, 0.0),
+    ("Kaliningrad", 54.71, 20.51, "Ku1", 720, -43.5, 0.88, 0.155, 0.0),
+    ("Moscow", 55.75, 37.62, "Ku1", 1200, -42.2, 0.31, 0.135, 0.0),
+    ("Yekaterinburg", 56.84, 60.61, "Ku2", 1000, -42.8, 0.48, 0.150, 0.0),
+    ("Vorkuta", 67.50, 64.05, "Ku2", 640, -43.8, 0.95, 0.165, 0.0),
+    ("Omsk", 54.99, 73.37, "Ku2", 880, -43.1, 0.55, 0.150, 0.0),
+    ("Tyumen", 57.15, 65.53, "Ku2", 1120, -42.6, 0.33, 0.145, 0.0),
+    ("Krasnoyarsk", 56.01, 92.87, "Ku3", 800, -43.2, 0.72, 0.160, 0.30),
+    ("Gorno-Altaysk", 51.96, 85.96, "Ku3", 560, -43.9, 0.90, 0.165, 0.0),
+    ("Tiksi", 71.64, 128.87, "Ku3", 640, -43.6, 0.78, 0.165, 0.0),
+    ("Kyzyl", 51.72, 94.44, "Ku3", 1120, -42.7, 0.42, 0.140, 0.0),
+    ("Blagoveshchensk", 50.27, 127.54, "Ku4", 960, -43.0, 0.40, 0.150, 0.0),
+    ("Yuzhno-Sakhalinsk", 46.96, 142.73, "Ku4", 720, -43.4, 0.65, 0.160, 0.0),
+    ("Petropavlovsk-Kamchatsky", 53.02, 158.65, "Ku4", 640, -43.7, 0.82, 0.165, 0.0),
+    ("Khabarovsk", 48.48, 135.07, "Ku4", 1200, -42.5, 0.32, 0.140, 0.0),
+)
+
+#: sixteen users more; two of them take the places of carriers that leave the plan
+KU_MORE: tuple[Row, ...] = (
+    ("Petrozavodsk", 61.79, 34.36, "Ku1", 560, -43.9, 0.85, 0.160, 0.0),
+    ("Krasnodar", 45.04, 38.98, "Ku1", 640, -43.4, 0.58, 0.155, 0.0),
+    ("Astrakhan", 46.35, 48.04, "Ku1", 640, -43.5, 0.70, 0.155, 0.0),
+    ("Saratov", 51.53, 46.03, "Ku1", 720, -43.2, 0.45, 0.150, 0.0),
+    ("Kurgan", 55.44, 65.34, "Ku2", 640, -43.3, 0.40, 0.150, 0.0),
+    ("Khanty-Mansiysk", 61.00, 69.02, "Ku2", 640, -43.6, 0.66, 0.160, 0.0),
+    ("Salekhard", 66.53, 66.60, "Ku2", 560, -43.8, 0.90, 0.165, 0.0),
+    ("Tobolsk", 58.20, 68.25, "Ku2", 720, -43.1, 0.52, 0.150, 0.0),
+    ("Novosibirsk", 55.03, 82.92, "Ku3", 720, -43.0, 0.38, 0.145, 0.0),
+    ("Norilsk", 69.35, 88.20, "Ku3", 560, -43.9, 0.92, 0.165, 0.0),
+    ("Abakan", 53.72, 91.44, "Ku3", 720, -43.2, 0.50, 0.150, 0.0),
+    ("Tomsk", 56.50, 84.97, "Ku3", 640, -43.5, 0.74, 0.160, 0.0),
+    ("Vladivostok", 43.12, 131.89, "Ku4", 720, -43.2, 0.44, 0.150, 0.0),
+    ("Birobidzhan", 48.79, 132.92, "Ku4", 560, -43.8, 0.86, 0.165, 0.0),
+    ("Sovetskaya Gavan", 48.97, 140.28, "Ku4", 640, -43.4, 0.60, 0.155, 0.0),
+    ("Komsomolsk-on-Amur", 50.55, 137.01, "Ku4", 640, -43.5, 0.56, 0.155, 0.0),
+)
+
+#: users of the C band: wide dishes, weaker beams, levels that rain hardly touches
+C8: tuple[Row, ...] = (
+    ("Sochi", 43.60, 39.73, "C1", 800, -43.1, 1.30, 0.145, 0.0),
+    ("Arkhangelsk", 64.54, 40.54, "C1", 720, -43.4, 1.60, 0.150, 0.0),
+    ("Perm", 58.01, 56.25, "C1", 880, -43.0, 1.40, 0.145, 0.0),
+    ("Samara", 53.20, 50.15, "C1", 960, -42.8, 1.20, 0.140, 0.0),
+    ("Barnaul", 53.35, 83.76, "C2", 800, -43.2, 1.50, 0.150, 0.0),
+    ("Dudinka", 69.41, 86.18, "C2", 640, -43.7, 1.80, 0.155, 0.0),
+    ("Nakhodka", 42.82, 132.88, "C2", 880, -43.0, 1.30, 0.145, 0.0),
+    ("Magadan", 59.56, 150.81, "C2", 640, -43.8, 1.80, 0.160, 0.0),
+)
+
 
 #: signal bandwidth over symbol rate is one plus this
 ROLLOFF = 0.25
@@ -245,3 +333,29 @@ PLANS: dict[str, CarrierPlan] = {
     "ku16_beacons": _with_beacons(_KU16, "ku16_beacons", {"b00": 955.1e6, "b01": 988.9e6}),
     "ku16_changed": _with_successors(_KU16, "ku16_changed", SUCCESSORS),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class PlanVersion:
+    """The carriers of one published plan."""
+
+    #: epoch from which it holds
+    reported_us: int
+    carriers: tuple[Carrier, ...]
+
+
+def plan_versions(scenario: Scenario, plan: CarrierPlan) -> tuple[PlanVersion, ...]:
+    """Return every version in order of time; the first holds from the start."""
+    changes = sorted((f for f in scenario.faults if isinstance(f, PlanChange)), key=lambda change: change.start_h)
+    on_air = {carrier.id for carrier in plan.carriers} - {name for change in changes for name in change.new}
+    versions = [_version(scenario.start_us, plan, on_air)]
+    for change in changes:
+        on_air = (on_air - set(change.gone)) | set(change.new)
+        version = _version(scenario.operation_start_us + round(change.start_h * US_PER_H), plan, on_air)
+        ordered = version.carriers[::-1] if change.is_order_reversed else version.carriers
+        versions.append(PlanVersion(version.reported_us, ordered))
+    return tuple(versions)
+
+
+def _version(reported_us: int, plan: CarrierPlan, on_air: set[str]) -> PlanVersion:
+    return PlanVersion(reported_us, tuple(carrier for carrier in plan.carriers if carrier.id in on_air))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.orbit.orbit import EpochArray
+from analyzer_sim.world.orbit import EpochArray
 from analyzer_sim.world.payload.carriers import CarrierPlan
 from analyzer_sim.world.scenario.events import Range
 

@@ -1,4 +1,4 @@
-"""Catalogue, second part: what real links, real operations and real repeaters add to the textbook."""
+"""Catalogue: what real links, operations, repeaters, weather and wrong reports add to the textbook."""
 
 from dataclasses import replace
 
@@ -6,18 +6,34 @@ from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.world.scenario.events import (
     Burn,
     ChainStep,
+    DownlinkRain,
     Eclipse,
+    FalseReport,
+    Fault,
     GroupStep,
     Hold,
     PlanChange,
     Relevel,
+    Showers,
     Step,
     Storm,
     SunOutage,
     SwitchOff,
     UplinkRain,
+    Weather,
+    WeatherSystem,
 )
-from analyzer_sim.world.scenario.story import KeepingErrors, NoiseStatistics, RepeaterSettings, Scenario
+from analyzer_sim.world.scenario.story import (
+    TURNS_H,
+    KeepingErrors,
+    NoiseStatistics,
+    PolarimeterFigures,
+    RateTelemetry,
+    RepeaterSettings,
+    Scenario,
+    StationNoise,
+    WheelTelemetry,
+)
 
 #: levels of 284 real microwave links: with the default sweep's own noise these parts give their Allan deviation and
 #: autocorrelation from a minute to half a day
@@ -139,4 +155,149 @@ HARD: tuple[Scenario, ...] = (
             ChainStep("switch-over", (32.0, 38.0), (-3.0, -1.0), is_announced=True),
         ),
     ),
+)
+
+
+#: ordinary polarimeter, with a shower over the receiving site
+_POLARIZED = Scenario(
+    "polarized",
+    "As nominal; a polarimeter reports each row: leakage, its day and wander, Faraday rotation, a shower.",
+    faults=(DownlinkRain("site shower", (6.0, 40.0), (2.0, 4.0), (0.05, 0.3), (30.0, 90.0)),),
+    polarimeter=PolarimeterFigures(),
+)
+
+MOTION: tuple[Scenario, ...] = (
+    Scenario(
+        "wheels",
+        "As nominal; wheels with 8 N m s along pitch are told to 0.01 N m s each 5 min, unloaded each 12 h.",
+        wheels=WheelTelemetry(),
+    ),
+    Scenario("wheels_hourly", "As wheels, told each hour.", wheels=WheelTelemetry(period_min=60.0)),
+    Scenario(
+        "wheels_unmarked",
+        "As wheels; telemetry does not say when thrusters unload them.",
+        wheels=WheelTelemetry(is_unloading_marked=False),
+    ),
+    Scenario(
+        "wheels_misaligned",
+        "As wheels, their axes wrong by three times as much.",
+        wheels=WheelTelemetry(misalignment_deg=0.15),
+    ),
+    Scenario(
+        "wheels_unstated",
+        "As wheels; the Sun's torque alone gathers in them, and the catalogue states no profile of it.",
+        wheels=WheelTelemetry(torque_n_m=None, is_profile_stated=False),
+    ),
+    Scenario("wheels_zero", "As wheels, without momentum along pitch.", wheels=WheelTelemetry(bias_n_m_s=0.0)),
+    Scenario(
+        "rates",
+        "As nominal; a rate sensor beside the loop, of 0.01 deg/h of bias, tells the rate of the body each minute.",
+        rates=RateTelemetry(),
+    ),
+    Scenario("rates_biased", "As rates, the bias five times as large as stated.", rates=RateTelemetry(bias_factor=5.0)),
+    _POLARIZED,
+    replace(
+        _POLARIZED,
+        name="polarized_storm",
+        summary="As polarized; from hour 12 the electron content is three times the reported one.",
+        polarimeter=PolarimeterFigures(storm_factor=3.0, storm_from_h=12.0),
+    ),
+    replace(
+        _POLARIZED,
+        name="feed_turned",
+        summary="As polarized; the feed turns by 0.5 deg at hour 20.",
+        polarimeter=PolarimeterFigures(feed_turn_deg=0.5, feed_turn_from_h=20.0),
+    ),
+    replace(
+        _POLARIZED,
+        name="leak_drift",
+        summary="As polarized; the leakage drifts by 0.002 deg/h, 5 % of it a day.",
+        polarimeter=PolarimeterFigures(leak_drift_deg_h=0.002),
+    ),
+)
+
+
+#: a station's level is that of a real link; beside it stand the receiving chain and the noise of the sweep
+LINK_NOISE = NoiseStatistics(
+    white_scale=0.0, coloured_db=(0.0, 0.0), thermal_db=0.0, wander_scale=0.0, station=StationNoise()
+)
+#: an operator who knew the truth would give it away: in weather his error is less than that of any filter of powers
+_STEERED = KeepingErrors(is_steered_by_powers=True)
+_FAR = Weather("weather")
+#: hours from the start of operation at which turns and alignment begin
+_ALIGNMENT_H = -1.0
+_TURNS_H = _ALIGNMENT_H - TURNS_H
+
+
+def _weather(name: str, summary: str, *faults: Fault) -> Scenario:
+    return Scenario(name, summary, noise=LINK_NOISE, keeping=_STEERED, faults=faults)
+
+
+WEATHER: tuple[Scenario, ...] = (
+    _weather("weather_far", "Levels and weather of real links; each station has weather systems of its own.", _FAR),
+    _weather(
+        "weather_near",
+        "As weather_far; a weather system takes 85 % of the stations within an hour or two.",
+        replace(_FAR, shared=0.85),
+    ),
+    _weather(
+        "weather_turns",
+        "As weather_far; a further system stands over half of the stations during the calibration turns.",
+        _FAR,
+        WeatherSystem("storm of the turns", (_TURNS_H - 1.0, _TURNS_H), (TURNS_H, TURNS_H + 1.0), 0.5),
+    ),
+    _weather(
+        "weather_alignment",
+        "As weather_far; a shower passes over a quarter of the stations during the alignment.",
+        _FAR,
+        Showers("showers of the alignment", (_ALIGNMENT_H, _ALIGNMENT_H + 0.5), 0.25),
+    ),
+    _weather(
+        "weather_wet_season",
+        "As weather_far with half as many systems again.",
+        replace(_FAR, interval_days=_FAR.interval_days / 1.5),
+    ),
+)
+
+
+_PLAIN_DRIFT_DEG_H = KeepingErrors().drift_deg_h
+_TRIPLE_DRIFT_DEG_H = (3.0 * _PLAIN_DRIFT_DEG_H[0], 3.0 * _PLAIN_DRIFT_DEG_H[1], 3.0 * _PLAIN_DRIFT_DEG_H[2])
+
+
+def _false_reports(name: str, executed_share: float, command: str) -> Scenario:
+    """Return two days with two slews of 0.15 deg an axis of which the spacecraft does only a share."""
+    reports = tuple(FalseReport(f"slew {day}", 9.0 + 21.0 * day, executed_share) for day in range(2))
+    summary = (
+        f"Twice in two days, for two hours, announced corrections of 0.15 deg an axis are {command} by the spacecraft."
+    )
+    return Scenario(name, summary, manoeuvres=reports)
+
+
+WRONG: tuple[Scenario, ...] = (
+    Scenario(
+        "nominal_tau5",
+        "As nominal; the coloured noise of the carriers lasts 5 min instead of 20.",
+        noise=NoiseStatistics(coloured_tau_s=300.0),
+    ),
+    Scenario(
+        "nominal_tau120",
+        "As nominal; the coloured noise of the carriers lasts 120 min instead of 20.",
+        noise=NoiseStatistics(coloured_tau_s=7200.0),
+    ),
+    Scenario(
+        "nominal_drift3",
+        "As nominal; the inertial model drifts three times as fast.",
+        keeping=KeepingErrors(drift_deg_h=_TRIPLE_DRIFT_DEG_H),
+    ),
+    Scenario(
+        "nominal_uncoupled",
+        "As nominal; roll and yaw do not exchange although the catalogue says that they do.",
+        keeping=KeepingErrors(is_coupled=False),
+    ),
+    Scenario("nominal_10s", "As nominal, a row each 10 s.", row_period_s=10.0),
+    Scenario("nominal_300s", "As nominal, a row each 300 s.", row_period_s=300.0),
+    _false_reports("corrections_flipped", -1.0, "carried out with the other sign"),
+    _false_reports("corrections_halved", 0.5, "carried out by half"),
+    _false_reports("corrections_lost", 0.0, "not carried out"),
+    _false_reports("corrections_doubled", 2.0, "carried out twice"),
 )

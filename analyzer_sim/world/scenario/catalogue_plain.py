@@ -1,4 +1,4 @@
-"""Catalogue, first part: the stories by which the method is measured, and the demonstration."""
+"""Catalogue: the stories by which the method is measured, stories of sources, and stories for closed loops alone."""
 
 from dataclasses import replace
 
@@ -10,12 +10,44 @@ from analyzer_sim.world.scenario.events import (
     GroupStep,
     Hold,
     Interference,
+    PatternWave,
+    PlanChange,
+    SourceSwitch,
     Step,
     SwitchOff,
     Tour,
     UplinkRain,
 )
-from analyzer_sim.world.scenario.story import KeepingErrors, NoiseStatistics, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, NoiseStatistics, ResidualTorque, Scenario
+from analyzer_sim.world.sensors import EARTH_SENSOR, RADIO_BEACON
+
+#: size of the angles from which the loop slews to zero, deg
+SLEW_DEG = 0.35
+#: size of the torques that nobody knows, N m
+_RESIDUAL_N_M = (2e-7, 2e-6)
+
+CLOSED: tuple[Scenario, ...] = (
+    Scenario(
+        "slew_fade",
+        "Roll and pitch begin 0.35 deg off; 20 min into the slew to zero all carriers fade by 2 dB for an hour.",
+        keeping=KeepingErrors(alignment_deg=(0.0, SLEW_DEG, SLEW_DEG)),
+        operation_h=12.0,
+        faults=(DownlinkRain("downlink rain", (1.0 / 3.0, 1.0 / 3.0), (2.0, 2.0), (0.3, 0.3), (60.0, 60.0)),),
+    ),
+    Scenario(
+        "unknown_residual_constant",
+        "A constant torque of 2e-7 to 2e-6 N m about each axis is not fed forward, and the catalogue does not know.",
+        keeping=KeepingErrors(residual=ResidualTorque(_RESIDUAL_N_M)),
+        operation_h=24.0,
+    ),
+    Scenario(
+        "unknown_residual_daily",
+        "As unknown_residual_constant; the torque about each axis is a wave of one day.",
+        keeping=KeepingErrors(residual=ResidualTorque(_RESIDUAL_N_M, is_daily=True)),
+        operation_h=24.0,
+    ),
+)
+
 
 #: the carriers of the default plan
 ALL16 = tuple(f"c{number:02d}" for number in range(16))
@@ -177,5 +209,62 @@ PLAIN: tuple[Scenario, ...] = (
             Interference("interference", 4, start_h=(1.0, 90.0)),
             Gap("gap", 2, start_h=(5.0, 90.0)),
         ),
+    ),
+)
+
+
+#: the three that stay when all others leave: one far in the west, one north, one far in the east
+_STAYING = ("c01", "c10", "c14")
+
+SOURCES_OF_REALITY: tuple[Scenario, ...] = (
+    Scenario(
+        "beacons",
+        "Two beacons of the satellite beside sixteen users; rain over the receiving site and a step of the chain.",
+        plan="ku16_beacons",
+        faults=(
+            DownlinkRain("downlink rain", (8.0, 20.0), (2.5, 4.0), (0.05, 0.3), (60.0, 90.0)),
+            ChainStep("recalibration", (30.0, 38.0), (0.4, 0.8)),
+        ),
+    ),
+    Scenario(
+        "sensors",
+        "No star tracker: an Earth sensor tells roll and pitch, a radio beacon yaw, 20 min of each hour.",
+        sensors=(EARTH_SENSOR, RADIO_BEACON),
+    ),
+    Scenario(
+        "prime_backup",
+        "For some hours the backup analyzer measures; its receiving chain has 0.4 dB less gain.",
+        faults=(SourceSwitch("backup", (14.0, 16.0), (6.0, 8.0)),),
+    ),
+    Scenario(
+        "replan",
+        "A new plan in mid-operation: two carriers gone, two new, the order turned round.",
+        plan="ku16_changed",
+        faults=(PlanChange("new plan", 20.0, gone=("c06", "c13"), new=("c16", "c17"), is_order_reversed=True),),
+    ),
+    Scenario(
+        "blackout",
+        "All carriers leave the air for three hours; later nothing is measured for five.",
+        faults=(
+            SwitchOff("all off", ALL16, (8.0, 10.0), (3.0, 3.0)),
+            Gap("no analyzer", 1, (26.0, 30.0), (300.0, 300.0)),
+        ),
+    ),
+    Scenario(
+        "few3",
+        "For six hours only three carriers are on the air.",
+        faults=(
+            SwitchOff("most off", tuple(name for name in ALL16 if name not in _STAYING), (10.0, 12.0), (6.0, 6.0)),
+        ),
+    ),
+    Scenario(
+        "corrections_late",
+        "As nominal; the ground is told of each correction half an hour after its end.",
+        keeping=KeepingErrors(corrections_late_min=30.0),
+    ),
+    Scenario(
+        "antenna_wave",
+        "From the start of operation on the Sun moves the uplink patterns by 0.03 and 0.02 deg once a day.",
+        faults=(PatternWave("bent reflector"),),
     ),
 )

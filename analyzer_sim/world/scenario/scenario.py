@@ -2,13 +2,8 @@
 
 from dataclasses import replace
 
-from analyzer_sim.world.scenario.catalogue_closed import CLOSED
-from analyzer_sim.world.scenario.catalogue_hard import HARD
-from analyzer_sim.world.scenario.catalogue_motion import MOTION
-from analyzer_sim.world.scenario.catalogue_plain import PLAIN, downlink_rain
-from analyzer_sim.world.scenario.catalogue_sources import SOURCES_OF_REALITY
-from analyzer_sim.world.scenario.catalogue_weather import WEATHER
-from analyzer_sim.world.scenario.catalogue_wrong import WRONG
+from analyzer_sim.world.scenario.catalogue_hard import HARD, MOTION, WEATHER, WRONG
+from analyzer_sim.world.scenario.catalogue_plain import CLOSED, PLAIN, SOURCES_OF_REALITY, downlink_rain
 from analyzer_sim.world.scenario.story import (
     DEFAULT_START_US,
     KeepingErrors,

@@ -1,16 +1,53 @@
-"""Stories as data: phases, figures of noise and of attitude keeping, events; no scenario is named here.
-
-Phases follow one another: `quiet` (sensors on, harmonics are learned), `turns` (sensors on, turned by the
-timetable of `turns.py`), perhaps `pause` (nothing is measured), `alignment` (sensors on, an attitude that is held),
-`operation` (sensors off).
-"""
+"""Stories as data: phases, turns, figures of noise and of attitude keeping; no scenario is named here."""
 
 from dataclasses import dataclass, field
 
 from analyzer_sim.epochs import US_PER_H, US_PER_S, epoch_us_from_text
 from analyzer_sim.world.scenario.events import Burn, Fault, Manoeuvre, Range
-from analyzer_sim.world.scenario.turns import TURNS_H
 from analyzer_sim.world.sensors import STAR_TRACKER, Sensor
+
+LEVELS_DEG = (0.125, 0.25, 0.375, 0.5)
+LEVEL_MIN = 15
+REST_MIN = 10
+CORNER_DEG = 0.3
+CORNER_MIN = 10
+SLEW_MIN = 3
+_GRAY_CORNERS = ((1, 1, 1), (1, 1, -1), (1, -1, -1), (1, -1, 1), (-1, -1, 1), (-1, -1, -1), (-1, 1, -1), (-1, 1, 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """One commanded attitude; minutes from the start of the phase, slew included."""
+
+    start_min: int
+    stop_min: int
+    #: yaw, roll, pitch
+    attitude_deg: tuple[float, float, float]
+
+
+def timetable() -> tuple[Turn, ...]:
+    """Return the turns and the rests between them in order of time."""
+    plan: list[tuple[int, tuple[float, float, float]]] = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            for level in LEVELS_DEG:
+                angles = [0.0, 0.0, 0.0]
+                angles[axis] = sign * level
+                plan.append((LEVEL_MIN, (angles[0], angles[1], angles[2])))
+            plan.append((REST_MIN, (0.0, 0.0, 0.0)))
+    plan += [(CORNER_MIN, (CORNER_DEG * y, CORNER_DEG * r, CORNER_DEG * p)) for y, r, p in _GRAY_CORNERS]
+    plan.append((REST_MIN, (0.0, 0.0, 0.0)))
+    turns, start_min = [], 0
+    for minutes, angles3 in plan:
+        turns.append(Turn(start_min, start_min + minutes, angles3))
+        start_min += minutes
+    return tuple(turns)
+
+
+TIMETABLE = timetable()
+#: duration of the phase, hours
+TURNS_H = TIMETABLE[-1].stop_min / 60.0
+
 
 DEFAULT_START_US = epoch_us_from_text("2026-11-01T00:00:00Z")
 

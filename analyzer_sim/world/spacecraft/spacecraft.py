@@ -1,28 +1,84 @@
-"""Attitude of the spacecraft in truth.
-
-    roll' = w0 yaw + d_roll + (1 + s_roll) u_roll      d = drift of the inertial model, u = commanded correction
-    yaw'  = -w0 roll + d_yaw + (1 + s_yaw) u_yaw       s = relative error of the effect of a correction
-    pitch' = d_pitch + (1 + s_pitch) u_pitch
-
-holds in `operation`, where the ground knows `u` and nothing else. Before it the star tracker closes the loop on board:
-the spacecraft follows the timetable within a small limit cycle. Angles in deg, rates in deg/h, order yaw, roll, pitch.
-"""
+"""Attitude of the spacecraft in truth, and the operator who corrects it."""
 
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
-from analyzer_sim.world.orbit.orbit import EpochArray
-from analyzer_sim.world.scenario.manoeuvres import chunk_edges, holds_of, planned_deg, unexecuted_deg
-from analyzer_sim.world.scenario.story import KeepingErrors, Scenario
-from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE, TURNS_H
-from analyzer_sim.world.spacecraft.coupling import ORBITAL_RATE_PER_H, coupling_step
-from analyzer_sim.world.spacecraft.operator import MEAN_H, Operator
+from analyzer_sim.world.orbit import EARTH_RATE_RAD_S, EpochArray
+from analyzer_sim.world.scenario.events import chunk_edges, holds_of, planned_deg, unexecuted_deg
+from analyzer_sim.world.scenario.story import SLEW_MIN, TIMETABLE, TURNS_H, KeepingErrors, Scenario
+
+#: exchange of roll and yaw, 1/h
+ORBITAL_RATE_PER_H = EARTH_RATE_RAD_S * 3600.0
+
+
+def coupling_step(hours: float, *, is_coupled: bool) -> tuple[FloatArray, FloatArray]:
+    """Return (phi, gamma): attitude after `hours` = phi @ attitude + gamma @ constant rate in deg/h."""
+    rate = ORBITAL_RATE_PER_H if is_coupled else 0.0
+    angle = rate * hours
+    cosine, sine = np.cos(angle), np.sin(angle)
+    phi = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    along = hours * np.sinc(angle / np.pi)
+    across = 0.5 * hours * angle * np.sinc(0.5 * angle / np.pi) ** 2
+    gamma = np.array([[along, -across, 0.0], [across, along, 0.0], [0.0, 0.0, hours]])
+    return phi, gamma
+
+
+#: a carrier is believed to deviate by no more, dB
+CUT_DB = 0.5
+#: noise of a carrier in a mean of half an hour: 0.1 dB that last for hours count as white noise of three times the size
+_SLOW_DB = 0.3
+#: knowledge of the angles at the start, deg
+_START_DEG = 0.02
+#: rows of so many hours are averaged into one measurement
+MEAN_H = 0.5
+
+
+def sensed_error_deg(
+    sensitivity_db_per_deg: FloatArray, noise_db: FloatArray, is_aligned: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """Return what noise (T, N) looks like as attitude (T, 3), deg, and its covariance (3, 3) for a slow noise.
+
+    The level of each carrier in the rows `is_aligned` (T,) is its reference.
+    """
+    design = np.column_stack([sensitivity_db_per_deg, np.ones(len(sensitivity_db_per_deg))])
+    solve = np.linalg.pinv(design)[:3]
+    cut_db = np.clip(noise_db - noise_db[is_aligned].mean(axis=0), -CUT_DB, CUT_DB)
+    return np.asarray(cut_db @ solve.T), np.asarray(_SLOW_DB**2 * solve @ solve.T)
+
+
+class Operator:
+    """Kalman filter of angles and drift, deg and deg/h, order yaw, roll, pitch."""
+
+    def __init__(self, start_deg: FloatArray, sensed_deg2: FloatArray, keeping: KeepingErrors) -> None:
+        self._keeping, self._sensed_deg2 = keeping, sensed_deg2
+        self._drift_deg_h = np.array(keeping.drift_deg_h)
+        self._state = np.concatenate([start_deg, np.zeros(3)])
+        self._covariance = np.diag(np.concatenate([np.full(3, _START_DEG**2), self._drift_deg_h**2]))
+
+    def sense(self, sensed_deg: FloatArray) -> FloatArray:
+        """Take in what the powers look like as attitude (3,), and return the estimate (3,)."""
+        gain = np.linalg.solve(self._covariance[:3, :3] + self._sensed_deg2, self._covariance[:3]).T
+        self._state = self._state + gain @ (sensed_deg - self._state[:3])
+        self._covariance = self._covariance - gain @ self._covariance[:3]
+        return np.asarray(self._state[:3].copy())
+
+    def predict(self, hours: float, commanded_deg_h: FloatArray) -> None:
+        """Carry the estimate on under a commanded rate (3,)."""
+        phi, gamma = coupling_step(hours, is_coupled=self._keeping.is_coupling_announced)
+        keep = float(np.exp(-hours * 3600.0 / self._keeping.drift_tau_s))
+        transition = np.block([[phi, gamma], [np.zeros((3, 3)), keep * np.eye(3)]])
+        self._state = transition @ self._state
+        self._state[:3] += gamma @ commanded_deg_h
+        self._covariance = transition @ self._covariance @ transition.T
+        self._covariance[3:, 3:] += np.diag(self._drift_deg_h**2 * (1.0 - keep**2))
+
 
 #: the limit cycle under the star tracker never leaves this, deg
 TRACKER_LIMIT_DEG = 0.095

@@ -12,16 +12,13 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.access.audit_context import BASE_PATH, address_of, audit_event_of
-from service.api.access.auth import refuse_above
-from service.api.access.key_cache import StoredKeys
-from service.api.access.principals import Principal
-from service.api.access.refusal_audit import Refusals
-from service.api.context.dependencies import ApiContext
+from service.api.access.auth import BASE_PATH, Principal, address_of, audit_event_of, refuse_above
+from service.api.access.housekeeping import Refusals, StoredKeys
+from service.api.context import ApiContext
 from service.api.limits.rate_limits import Allowance, RateClass, RateLimits
 from service.api.problems.problems import RequestProblemError, from_soo_error, render
 from service.errors import StorageError
-from service.records.operations.audit import CURRENT_NOTE, AuditContext, AuditEvent, naming_result
+from service.records.operations.access import CURRENT_NOTE, AuditContext, AuditEvent, naming_result
 
 MAX_QUERY_PARAMETERS = 100
 _REFUSED = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})

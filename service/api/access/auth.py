@@ -1,21 +1,254 @@
-"""Authentication and authorisation: keys (Bearer, or by the cookie of a session), permissions, rates.
-
-Keys are compared as digests in constant time and never logged. Without a valid key 401, without the permission 403,
-above the rate 429. Each permitted change is committed together with its audit event.
-"""
+"""Authentication and authorisation: keys (Bearer, or by the cookie of a session), permissions of the roles, rates."""
 
 import logging
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from hashlib import sha256
 from http import HTTPStatus
-from typing import Annotated, Protocol
+from typing import Annotated, NamedTuple, Protocol
+from urllib.parse import urlsplit
 
-from fastapi import Depends, Request
+from fastapi import Depends, Request, Response
+from starlette.datastructures import Headers
+from starlette.middleware.cors import CORSMiddleware
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.api.access.audit_context import SAFE_METHODS, address_of, audit_event_of, note_of
-from service.api.access.principals import Permission, Principal
-from service.api.access.session_cookie import OfferedKey, offered_key, require_same_origin
 from service.api.limits.rate_limits import Allowance, RateLimits, class_of
 from service.api.problems.problems import RequestProblemError, request_id_of
-from service.records.operations.access_key import without_secrets
+from service.records.epoch import US_PER_S
+from service.records.operations.access import DONE, AuditContext, AuditEvent, Role, without_secrets
+
+_METHODS = ("GET", "HEAD")
+#: headers of answers that a page may read besides those that every page may
+_EXPOSED = ("ETag", "RateLimit-Limit", "RateLimit-Remaining", "RateLimit-Reset", "Retry-After", "X-Request-ID")
+#: as browsers send it: lower case, no default port, no path
+_ORIGIN = re.compile(r"(?!http:.*:80$|https:.*:443$)https?://(?:[a-z0-9_.-]+|\[[0-9a-f:]+\])(?::[0-9]{1,5})?", re.ASCII)
+
+
+def origins_of(text: str | None) -> tuple[str, ...]:
+    """Return the origins of a list by commas; ValueError for a part that no browser sends as ``Origin``."""
+    origins = tuple(part.strip() for part in (text or "").split(",") if part.strip())
+    for origin in origins:
+        if not _ORIGIN.fullmatch(origin):
+            message = (
+                f"{origin!r} is not an origin as browsers send it; write scheme, host in lower case and the port "
+                "unless it is the default one, without a path: https://grafana.example or http://localhost:3000"
+            )
+            raise ValueError(message)
+    return origins
+
+
+class CrossOriginReading:
+    """Let pages of listed origins read; the outermost layer, so that 401, 429 and 500 are readable too.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        What lies inside.
+    origins : sequence of str
+        Origins as `origins_of` returns them; none: nothing is admitted.
+    """
+
+    def __init__(self, app: ASGIApp, origins: Sequence[str]) -> None:
+        self._app = app
+        self._origins = frozenset(origins)
+        # a GET may carry any header: what a header may do is decided by its reader
+        self._admitting = CORSMiddleware(
+            app, allow_origins=origins, allow_methods=_METHODS, allow_headers=("*",), expose_headers=_EXPOSED
+        )
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one connection."""
+        is_admitted = scope["type"] == "http" and self._is_admitted(scope["method"], Headers(scope=scope))
+        await (self._admitting if is_admitted else self._app)(scope, receive, send)
+
+    def _is_admitted(self, method: str, headers: Headers) -> bool:
+        """Return whether a request reads, or asks whether it may, from a listed origin."""
+        asked = headers.get("access-control-request-method", "") if method == "OPTIONS" else method
+        return headers.get("origin") in self._origins and asked in _METHODS
+
+
+class Permission(StrEnum):
+    """One thing that a key may do."""
+
+    READ = "read"
+    #: send measurements, references, telemetry
+    SEND = "send"
+    #: catalogue, operations, calibrate, align, prepare torques, acknowledge alarms
+    OPERATE = "operate"
+    #: confirm torques, engage
+    APPROVE = "approve"
+    #: read the audit log
+    INSPECT = "inspect"
+    #: keys
+    ADMINISTER = "administer"
+
+
+_OF_VIEWER = frozenset({Permission.READ})
+_OF_STATION = _OF_VIEWER | {Permission.SEND}
+_OF_OPERATOR = _OF_STATION | {Permission.OPERATE}
+_OF_APPROVER = _OF_OPERATOR | {Permission.APPROVE, Permission.INSPECT}
+
+PERMISSIONS: dict[Role, frozenset[Permission]] = {
+    Role.VIEWER: _OF_VIEWER,
+    Role.STATION: _OF_STATION,
+    Role.OPERATOR: _OF_OPERATOR,
+    Role.APPROVER: _OF_APPROVER,
+    Role.ADMIN: frozenset(Permission),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Principal:
+    """Holder of a key."""
+
+    name: str
+    role: Role
+    #: id of the key, which says more than its name: names may repeat
+    key_id: str = ""
+    #: of the key, microseconds UTC; None = it is valid until it is revoked
+    expires_at_us: int | None = None
+
+    def may(self, permission: Permission) -> bool:
+        """Return whether the role carries a permission."""
+        return permission in PERMISSIONS[self.role]
+
+
+BASE_PATH = "/api/v1"
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+#: longest target kept; ids in paths are shorter
+_TARGET_LENGTH = 200
+
+
+def note_of(scope: Scope) -> AuditContext:
+    """Return the note that the access layer gave a request."""
+    note: AuditContext = scope["state"].setdefault("audit_note", AuditContext())
+    return note
+
+
+def digest_body(scope: Scope, body: bytes) -> None:
+    """Put the digest of a request's body into its note; called before the body is acted upon."""
+    note = note_of(scope)
+    if note.audit_event is not None:
+        note.audit_event = replace(note.audit_event, body_sha256=sha256(body).hexdigest())
+
+
+def note_choice(scope: Scope, choice: str) -> None:
+    """Put a choice that overrides a check into the target of a request's audit entry, as a query."""
+    note = note_of(scope)
+    if note.audit_event is not None:
+        note.audit_event = replace(note.audit_event, target=f"{note.audit_event.target.rstrip('/')}?{choice}")
+
+
+def audit_event_of(scope: Scope, at_us: int, outcome: str = DONE) -> AuditEvent:
+    """Return the audit event of a request, also of a refused one.
+
+    Parameters
+    ----------
+    scope : Scope
+        Of the request; ``state.principal`` tells who asks.
+    at_us : int
+        The present, microseconds UTC.
+    outcome : str
+        ``done``, or the status of the refusal.
+    """
+    state = scope["state"]
+    principal: Principal | None = state.get("principal")
+    return AuditEvent(
+        at_us=at_us,
+        who=principal.name if principal else "anonymous",
+        key_id=principal.key_id if principal else "",
+        role=str(principal.role) if principal else "",
+        address=address_of(scope),
+        action=getattr(scope.get("route"), "name", None) or scope["method"],
+        target=_target(scope),
+        outcome=outcome,
+        request_id=str(state.get("request_id", "")),
+    )
+
+
+def address_of(scope: Scope) -> str:
+    """Return the address that a request came from; that behind a proxy only when the proxy is trusted."""
+    client = scope.get("client")
+    return str(client[0])[:64] if client else ""
+
+
+def _target(scope: Scope) -> str:
+    """Return the path below the base; one that ends with a slash takes the id of what is made."""
+    path = without_secrets(scope["path"]).removeprefix(BASE_PATH).encode("ascii", "backslashreplace").decode("ascii")
+    target = "".join(letter if letter.isprintable() else "?" for letter in path)[:_TARGET_LENGTH].rstrip("/")
+    is_collection = scope["method"] in {"POST", "PUT"} and ":" not in target.rpartition("/")[2]
+    return f"{target}/" if is_collection else target
+
+
+COOKIE = "soo_session"
+LIFE_S = 12 * 3600
+_VALUE = re.compile(r"([0-9]{1,17})\.(\S+)", re.ASCII)
+
+
+class OfferedKey(NamedTuple):
+    """Key that a request offers."""
+
+    text: str
+    #: when the session ends whose cookie carried it, microseconds UTC; None = it came as a Bearer key
+    ends_at_us: int | None = None
+
+
+def offered_key(request: Request) -> OfferedKey | None:
+    """Return the key of the Authorization header, else that of the session's cookie; None where there is neither.
+
+    A header that holds no valid key is not passed over in favour of the cookie: a second person's key at the same desk
+    must not become the first one's.
+    """
+    header = request.headers.get("authorization")
+    if header is not None:
+        scheme, _, key = header.partition(" ")
+        return OfferedKey(key.strip()) if scheme.lower() == "bearer" else None
+    found = _VALUE.fullmatch(request.cookies.get(COOKIE, ""))
+    return None if found is None else OfferedKey(found[2], int(found[1]))
+
+
+def require_same_origin(request: Request) -> None:
+    """Raise problem 403 for a change by cookie that does not come from a page of this service."""
+    if request.method in SAFE_METHODS:
+        return
+    if request.headers.get("origin", "") != _origin_of(request):
+        detail = "a session may change something only from a page of this service, whose address Origin states"
+        raise RequestProblemError(HTTPStatus.FORBIDDEN, "session.origin", detail)
+
+
+def open_session(request: Request, response: Response, principal: Principal, key: str, now_us: int) -> int:
+    """Set the cookie of a session and return when it ends, microseconds UTC: after its life, or with its key."""
+    ends_at_us = min(now_us + LIFE_S * US_PER_S, principal.expires_at_us or now_us + LIFE_S * US_PER_S)
+    _set(request, response, f"{ends_at_us}.{key}", (ends_at_us - now_us) // US_PER_S)
+    return ends_at_us
+
+
+def close_session(request: Request, response: Response) -> None:
+    """Take the cookie of a session away."""
+    _set(request, response, "", 0)
+
+
+def _set(request: Request, response: Response, value: str, max_age_s: int) -> None:
+    """Set the cookie for so long."""
+    response.set_cookie(
+        COOKIE,
+        value,
+        max_age=max_age_s,
+        path="/",
+        secure=request.url.scheme == "https",
+        httponly=True,
+        samesite="strict",
+    )
+
+
+def _origin_of(request: Request) -> str:
+    """Return the origin of the service's own pages, as the request names its host."""
+    address = urlsplit(str(request.base_url))
+    return f"{address.scheme}://{address.netloc}"
+
 
 _LOG = logging.getLogger(__name__)
 #: what is audited one by one; data that stations send is not: its journal and receipts tell of it

@@ -11,13 +11,19 @@ from heapq import merge
 from itertools import islice
 from typing import Any, Literal, NamedTuple, cast
 
-from service.api.context.dependencies import ApiContext
-from service.api.context.method_parameters import check_method, check_version
-from service.api.export.export_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, record_page
-from service.api.export.joined_rows import JoinedSource, joined_rows
-from service.api.export.read_ahead import read_ahead
+from service.api.context import ApiContext, check_method, check_version
+from service.api.export.export_chunks import (
+    PAGE_ROWS,
+    Chunk,
+    JoinedSource,
+    RecordPage,
+    joined_rows,
+    pages_of,
+    read_ahead,
+    record_page,
+)
 from service.errors import InvalidInputError, NotFoundError
-from service.formats.aem import AemWriter, AttitudeMessage
+from service.formats.ccsds import AemWriter, AttitudeMessage
 from service.formats.tabular.joined_table import joined_table
 from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
 from service.formats.tabular.row_text import ready_kernels
@@ -37,9 +43,8 @@ from service.ports import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.journal import KIND_OF, JournalEntry
-from service.records.levels.measurement import Measurement
-from service.records.levels.measurement_block import MeasurementBlock
-from service.records.operations.alarm import Alarm
+from service.records.levels.measurement import Measurement, MeasurementBlock
+from service.records.operations.alarms import Alarm
 
 FileFormat = Literal["csv", "ndjson", "parquet", "aem", "tdm"]
 MEDIA_TYPES: dict[FileFormat, str] = {

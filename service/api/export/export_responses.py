@@ -10,8 +10,8 @@ from fastapi import Request
 from fastapi.responses import Response, StreamingResponse
 
 from service.api.problems.problems import RequestProblemError
-from service.api.protocol.byte_ranges import UnsatisfiableRangeError, wanted_range
 from service.api.protocol.paging import EVERYTHING
+from service.api.protocol.requests import UnsatisfiableRangeError, wanted_range
 from service.records.calibration import Window
 from service.records.epoch import DAY_US, format_epoch
 

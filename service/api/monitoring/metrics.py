@@ -9,8 +9,8 @@ import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from service.api.context.dependencies import ApiContext
-from service.api.limits.connections import Connections
+from service.api.context import ApiContext
+from service.api.limits.http_protocol import Connections
 from service.api.monitoring.metric_families import (
     FAMILIES,
     MAX_CARRIERS,
@@ -21,10 +21,8 @@ from service.api.monitoring.metric_families import (
 )
 from service.api.monitoring.readiness import parts_of
 from service.api.monitoring.request_metrics import DURATION_BOUNDS_S, RequestMetrics
-from service.api.stream.open_streams import OpenStreams
-from service.api.views.links import link_answers
-from service.api.views.newest import newest_attitude
-from service.api.views.present import present_of
+from service.api.stream.event_stream import OpenStreams
+from service.api.views.present import link_answers, newest_attitude, present_of
 from service.api.views.shipped import program_version
 from service.errors import StorageError
 from service.ports import SMOOTHED

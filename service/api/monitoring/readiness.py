@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 from starlette.concurrency import run_in_threadpool
 
-from service.api.context.dependencies import ApiContext
+from service.api.context import ApiContext
 from service.api.problems.problems import RETRY_AFTER_S, RequestProblemError
 from service.errors import FieldError, StorageError
-from service.records.storage.storage_state import StorageState
+from service.records.storage import StorageState
 
 
 class Part(NamedTuple):

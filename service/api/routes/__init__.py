@@ -1,71 +1,33 @@
-"""Routes, one resource a file. ``ROUTERS`` stand under the base path and need a key, ``PUBLIC_ROUTERS`` do neither."""
+"""Routes by subject. ``ROUTERS`` stand under the base path and need a key, ``PUBLIC_ROUTERS`` do neither."""
 
 from fastapi import APIRouter
 
 from service.api.routes import (
-    about,
-    alarm_limits,
-    alarms,
-    alignments,
+    access,
     analyses,
-    attitude,
-    audit,
-    beams,
+    archive,
     calibrations,
-    carrier_results,
-    carrier_selection,
-    carriers,
-    closed_loop,
+    catalogue,
     control,
-    ephemeris,
-    export,
-    handover,
-    harmonics,
-    health,
     inputs,
-    jobs,
-    keys,
-    links,
     measurements,
-    measurements_ingest,
-    notes,
-    operations,
-    replays,
-    samples,
-    session,
-    sources,
-    spacecraft,
-    status,
+    shift,
     stream,
-    timeline,
-    torque_commands,
-    torques,
-    traces,
 )
 
 ROUTERS: tuple[APIRouter, ...] = (
     # the first router is matched first: this one takes nearly all requests
-    measurements_ingest.router,
-    *(each.router for each in (spacecraft, carriers, ephemeris, sources, inputs, operations, calibrations, alignments)),
-    *(
-        each.router
-        for each in (
-            harmonics,
-            carrier_selection,
-            beams,
-            status,
-            measurements,
-            samples,
-            timeline,
-            traces,
-        )
-    ),
+    measurements.measurements_ingest_router,
+    *(catalogue.spacecraft_router, catalogue.carriers_router, catalogue.ephemeris_router, catalogue.sources_router),
+    *(inputs.inputs_router, inputs.operations_router, calibrations.calibrations_router),
+    *(calibrations.alignments_router, calibrations.harmonics_router, calibrations.carrier_selection_router),
+    *(calibrations.beams_router, control.status_router, measurements.measurements_router),
+    *(archive.samples_router, archive.timeline_router, measurements.traces_router),
     # torque_commands behind the names of torques, which its ids must not hide
-    *(each.router for each in (attitude, carrier_results, torques, torque_commands, control, stream, export)),
-    *(each.router for each in (replays, jobs)),
-    links.report_router,
-    links.router,
-    alarms.list_router,
-    *(each.router for each in (alarms, alarm_limits, notes, handover, keys, audit, analyses, closed_loop, about)),
+    *(control.attitude_router, control.carrier_results_router, control.torques_router, control.torque_commands_router),
+    *(control.control_router, stream.router, archive.export_router, analyses.replays_router, analyses.jobs_router),
+    *(shift.report_router, shift.links_router, shift.list_router, shift.alarms_router, shift.alarm_limits_router),
+    *(shift.notes_router, shift.handover_router, access.keys_router, access.audit_router),
+    *(analyses.analyses_router, analyses.closed_loop_router, access.about_router),
 )
-PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router, session.router)
+PUBLIC_ROUTERS: tuple[APIRouter, ...] = (access.health_router, access.session_router)

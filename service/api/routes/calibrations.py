@@ -1,26 +1,128 @@
-"""Calibrations: made by a job, looked at, then made the active one."""
+"""Calibrations, alignments, harmonics, beams, and the carriers that a rule recommends."""
 
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Response
+from fastapi import APIRouter, Path, Query, Response
 
-from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
-from service.api.context.dependencies import ApiContext, Context, SpacecraftId
-from service.api.protocol.bodies import accepts, body_of
+from service.api.access.auth import MAY_OPERATE, CurrentPrincipal, Permission, Principal
+from service.api.context import ApiContext, Context, SpacecraftId
+from service.api.problems.problems import RequestProblemError
+from service.api.protocol.paging import EVERYTHING, StartParameter, StopParameter, window_of
+from service.api.protocol.requests import accepts, body_of
+from service.api.schemas.base import LiveMethod
 from service.api.schemas.calibrations import (
+    AlignmentAnswer,
+    AlignmentDocument,
+    AlignmentList,
+    AlignmentMadeAnswer,
     CalibrationAnswer,
     CalibrationDocument,
     CalibrationList,
     CalibrationStartedAnswer,
+    WindowHarmonicsAnswer,
 )
-from service.records.calibration import Calibration
+from service.api.schemas.carrier_selection import BeamsAnswer, CarrierSelectionAnswer, Turns
+from service.pipeline.carrier_model.beam_report import Group
+from service.pipeline.planning.candidates import WHEEL_PERIOD_S, stated_wheels
+from service.pipeline.planning.planning import Rule
+from service.ports import LIVE, Storage
+from service.records.calibration import Calibration, Window
+from service.records.catalogue import Method
+from service.records.epoch import US_PER_S
+from service.runtime.jobs.archive_maintenance import MIN_COUNT, recommend_carriers, window_harmonics
+from service.runtime.jobs.beam_analysis import analyse_beams
 
-router = APIRouter(prefix="/spacecraft/{spacecraft_id}/calibrations", tags=["calibration"])
+alignments_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alignments", tags=["calibration"])
+
+
+@alignments_router.post(
+    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(AlignmentDocument)
+)
+def align(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[AlignmentDocument, body_of(AlignmentDocument)],
+    context: Context,
+    principal: CurrentPrincipal,
+    response: Response,
+) -> AlignmentMadeAnswer:
+    """Set angles and reference powers of every method; angles by hand need an approver's key.
+
+    Rows that an earlier alignment computed stay, also at the same epoch: `rows_kept`.
+    """
+    if body.is_manual:
+        _require_approver(principal)
+    alignment = context.aligner.align(spacecraft_id, body.to_request(principal.name))
+    recomputed, kept = context.storage.results.rows_after(spacecraft_id, alignment)
+    context.supervisor.notify(spacecraft_id)
+    response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/alignments/{alignment.id}"
+    return AlignmentMadeAnswer.of(alignment, rows_recomputed=recomputed, rows_kept=kept)
+
+
+@alignments_router.get("")
+def list_alignments(spacecraft_id: SpacecraftId, context: Context) -> AlignmentList:
+    """List alignments, newest first; the newest holds."""
+    found = context.storage.results.alignments(spacecraft_id)
+    return AlignmentList(rows=[AlignmentAnswer.of(alignment) for alignment in found])
+
+
+@alignments_router.get("/{alignment_id}")
+def get_alignment(
+    spacecraft_id: SpacecraftId, alignment_id: Annotated[int, Path(ge=1, le=2**31 - 1)], context: Context
+) -> AlignmentAnswer:
+    """Return one alignment."""
+    return AlignmentAnswer.of(context.storage.results.alignment(spacecraft_id, alignment_id))
+
+
+def _require_approver(principal: Principal) -> None:
+    """Refuse angles by hand from a key that may not approve."""
+    if not principal.may(Permission.APPROVE):
+        detail = f"angles by hand need an approver's key, this one has the role {principal.role}"
+        raise RequestProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)
+
+
+beams_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/beams", tags=["calibration"])
+
+#: span that is judged when no start is asked for
+_DEFAULT_SPAN_US = 7 * 86_400 * US_PER_S
+
+
+@beams_router.get("")
+def get_beams(
+    spacecraft_id: SpacecraftId,
+    context: Context,
+    start: StartParameter = None,
+    stop: StopParameter = None,
+    group: Annotated[Group, Query(description="Carriers that share an antenna")] = Group.BAND,
+) -> BeamsAnswer:
+    """Tell the boresight of each antenna by the hour, from powers and the readings of a working sensor.
+
+    Default: the last seven days of attitude rows. Boresights are changes since the active calibration by geometry;
+    the sensors are those that it was made with. Of more than 62 days, every second, third, ... day is read. Nothing is
+    stored.
+    """
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    window = _closed(context.storage, spacecraft_id, start, stop)
+    return BeamsAnswer.of_analysis(analyse_beams(context.storage, spacecraft_id, window, group), group)
+
+
+def _closed(storage: Storage, spacecraft_id: str, start: str | None, stop: str | None) -> Window:
+    """Return the span asked for, an open end at the newest row and seven days before the other."""
+    window = window_of(start, stop, EVERYTHING)
+    if start is not None and stop is not None:
+        return window
+    newest = storage.results.newest_attitude(spacecraft_id, LIVE, Method.ROBUST)
+    newest_us = newest.epoch_us + 1 if newest is not None else window.start_us + 1
+    stop_us = window.stop_us if stop is not None else max(newest_us, window.start_us + 1)
+    start_us = window.start_us if start is not None else max(window.start_us, stop_us - _DEFAULT_SPAN_US)
+    return Window(start_us, stop_us)
+
+
+calibrations_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/calibrations", tags=["calibration"])
 CalibrationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
 
 
-@router.post(
+@calibrations_router.post(
     "",
     status_code=HTTPStatus.ACCEPTED,
     dependencies=[MAY_OPERATE],
@@ -40,26 +142,26 @@ def start_calibration(
     return CalibrationStartedAnswer(id=draft.id, job=job.id)
 
 
-@router.get("")
+@calibrations_router.get("")
 def list_calibrations(spacecraft_id: SpacecraftId, context: Context) -> CalibrationList:
     """List calibrations, newest first."""
     found = context.storage.results.calibrations(spacecraft_id)
     return CalibrationList(rows=[_answer(context, spacecraft_id, calibration) for calibration in found])
 
 
-@router.get("/{calibration_id}")
+@calibrations_router.get("/{calibration_id}")
 def get_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context) -> CalibrationAnswer:
     """Return one calibration."""
     return _answer(context, spacecraft_id, context.storage.results.calibration(spacecraft_id, calibration_id))
 
 
-@router.delete("/{calibration_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
+@calibrations_router.delete("/{calibration_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
 def delete_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context) -> None:
     """Delete a draft or a failed calibration; its number is not given again."""
     context.storage.results.delete_calibration(spacecraft_id, calibration_id)
 
 
-@router.post("/{calibration_id}:activate", dependencies=[MAY_OPERATE])
+@calibrations_router.post("/{calibration_id}:activate", dependencies=[MAY_OPERATE])
 def activate_calibration(
     spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context
 ) -> CalibrationAnswer:
@@ -71,3 +173,54 @@ def activate_calibration(
 
 def _answer(context: ApiContext, spacecraft_id: str, calibration: Calibration) -> CalibrationAnswer:
     return CalibrationAnswer.of(calibration, job=context.calibrator.job_id(spacecraft_id, calibration.id))
+
+
+carrier_selection_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carrier-selection", tags=["calibration"])
+
+
+@carrier_selection_router.get("")
+def get_carrier_selection(
+    spacecraft_id: SpacecraftId,
+    context: Context,
+    count: Annotated[
+        int | None, Query(ge=MIN_COUNT, le=1000, description="Carriers wanted; default 16, or all when there are fewer")
+    ] = None,
+    rule: Annotated[Rule, Query(description="The publication's rule, or the weighted A-optimal choice")] = Rule.PAPER,
+    turns: Annotated[Turns, Query(description="Add the recommended calibration turns")] = Turns.NONE,
+    wheels_n_m_s: Annotated[
+        float | None,
+        Query(ge=-1e4, le=1e4, description="Momentum along pitch; default: onboard.momentum.pitch_bias_n_m_s"),
+    ] = None,
+    wheel_sigma_n_m_s: Annotated[
+        float | None, Query(gt=0, le=10, description="Noise of a record; default: that of onboard.momentum, else 0.01")
+    ] = None,
+    wheel_period_s: Annotated[float, Query(ge=60, le=86_400, description="Time between two records")] = WHEEL_PERIOD_S,
+) -> CarrierSelectionAnswer:
+    """Recommend carriers by the active calibration by geometry, else by the newest with figures; nothing is stored."""
+    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
+    wheels = stated_wheels(spacecraft.onboard.momentum, wheels_n_m_s, wheel_sigma_n_m_s, wheel_period_s)
+    found = recommend_carriers(context.storage, spacecraft_id, count, rule, context.calibration)
+    return CarrierSelectionAnswer.of(found.with_motion(spacecraft, wheels), turns)
+
+
+harmonics_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/harmonics", tags=["calibration"])
+
+
+@harmonics_router.get("")
+def get_harmonics(
+    spacecraft_id: SpacecraftId,
+    context: Context,
+    start: Annotated[str, Query(max_length=64, description="RFC 3339, inclusive")],
+    stop: Annotated[str, Query(max_length=64, description="RFC 3339, exclusive")],
+    carrier: Annotated[str | None, Query(max_length=64, description="Default: all carriers of the newest plan")] = None,
+    method: LiveMethod = Method.PAPER,
+) -> WindowHarmonicsAnswer:
+    """Fit the daily change of a window; nothing is stored.
+
+    `paper`: one harmonic, 3 sigma. `robust`: trimmed start and Tukey's estimate of the dish law where the ephemeris has
+    a track over the window, else of two harmonics.
+    """
+    window = window_of(start, stop, EVERYTHING)
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    harmonics = window_harmonics(context.storage, spacecraft_id, window, carrier, method, context.calibration)
+    return WindowHarmonicsAnswer.of(window, method, harmonics)

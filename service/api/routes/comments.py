@@ -5,12 +5,11 @@ from typing import Annotated, Any
 
 from fastapi import Depends
 
-from service.api.access.auth import CurrentPrincipal
-from service.api.access.principals import Permission, Principal
-from service.api.context.dependencies import ApiContext, Context, SpacecraftId
-from service.api.protocol.bodies import accepts, optional_body
-from service.api.schemas.alarms import RemarkDocument
-from service.records.operations.note import Note
+from service.api.access.auth import CurrentPrincipal, Permission, Principal
+from service.api.context import ApiContext, Context, SpacecraftId
+from service.api.protocol.requests import accepts, optional_body
+from service.api.schemas.shift import RemarkDocument
+from service.records.operations.alarms import Note
 from service.runtime.control.release_service import ReleaseService
 
 TAG = "control"

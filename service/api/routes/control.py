@@ -1,23 +1,137 @@
-"""Control: the interlock's state, and orders of persons to it."""
+"""Attitude, status, and control: the interlock, computed torques, commands that two persons release."""
 
+from functools import partial
+from http import HTTPStatus
+from operator import attrgetter
 from typing import Annotated
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Path, Request, Response
 
 from service.api.access.auth import MAY_APPROVE, MAY_OPERATE
-from service.api.context.dependencies import ApiContext, Context, SpacecraftId
+from service.api.context import (
+    ApiContext,
+    Context,
+    Names,
+    SpacecraftId,
+    StoredMethod,
+    WantedMethod,
+    WantedVersion,
+    check_method,
+)
 from service.api.problems.problems import invalid_request
-from service.api.protocol.bodies import accepts, optional_body
-from service.api.routes.comments import Caller, CurrentCaller
-from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
-from service.api.views.present import present_of
-from service.errors import FieldError, ForbiddenError
+from service.api.protocol.paging import Page, by_epoch
+from service.api.protocol.requests import accepts, body_of, optional_body
+from service.api.routes.comments import Caller, CurrentCaller, Said, accepts_comment
+from service.api.schemas.control import (
+    AttitudeAnswer,
+    AttitudePage,
+    CommandAnswer,
+    CommandPage,
+    ConfirmDocument,
+    ControlAnswer,
+    NewestAttitudeAnswer,
+    NewestTorqueAnswer,
+    OrderDocument,
+    PrepareDocument,
+    ReportDocument,
+    SignCheckDocument,
+    SmoothedPage,
+    TorqueAnswer,
+    TorquePage,
+    UplinkAnswer,
+    VerdictAnswer,
+)
+from service.api.schemas.measurements import CarrierResultAnswer, CarrierResultPage
+from service.api.schemas.shift import StatusAnswer
+from service.api.views.present import newest_attitude, present_of, status_of
+from service.errors import FieldError, ForbiddenError, NotFoundError
 from service.pipeline.control.control_conditions import control_conditions
 from service.pipeline.control.release.control_verdict import ControlView
 from service.pipeline.control.release.events import OrderKind
+from service.ports import LIVE, SMOOTHED
+from service.records.calibration import Window
+from service.records.catalogue import Method
+from service.records.levels.attitude import AttitudeRow
 from service.runtime.control.automatic_release import AutomaticRelease
 
-router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
+attitude_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitude"])
+
+
+@attitude_router.get("")
+def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Context) -> NewestAttitudeAnswer:
+    """Return the newest attitude; status NOT_RECEIVED before the first row, EXPIRED when the newest is too old."""
+    check_method(method, LIVE)
+    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
+    row, _, verdict = present_of(context, spacecraft)
+    if method is not spacecraft.control.method:
+        row = newest_attitude(context, spacecraft_id, method)
+    control = VerdictAnswer.of(verdict)
+    if row is None:
+        return NewestAttitudeAnswer.not_received(method, LIVE, control=control)
+    return NewestAttitudeAnswer.of(row, LIVE, control=control)
+
+
+@attitude_router.get("/history")
+def list_attitude(
+    spacecraft_id: SpacecraftId,
+    method: StoredMethod,
+    version: WantedVersion,
+    page: Page,
+    context: Context,
+) -> AttitudePage:
+    """List attitude rows in order of epoch, exactly one a measurement and method."""
+    read = context.storage.results.attitude_rows
+    found = read(spacecraft_id, version, method, page.window, page.most, page.after, newest_first=page.newest_first)
+    of = partial(AttitudeAnswer.of, version=version)
+    return page.answer(AttitudePage, found, by_epoch, of, method=method, version=version)
+
+
+@attitude_router.get("/smoothed")
+def list_smoothed(spacecraft_id: SpacecraftId, page: Page, context: Context) -> SmoothedPage:
+    """List smoothed rows in order of epoch, one each five minutes, made when the data reach the lag beyond them."""
+    read, method = context.storage.results.attitude_rows, Method.ROBUST_SMOOTHED
+    found = read(spacecraft_id, SMOOTHED, method, page.window, page.most, page.after, newest_first=page.newest_first)
+    of = partial(AttitudeAnswer.of, version=SMOOTHED)
+    return page.answer(SmoothedPage, found, by_epoch, of, method=method, version=SMOOTHED)
+
+
+carrier_results_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carriers/{carrier}/results", tags=["attitude"])
+
+
+@carrier_results_router.get("")
+def list_carrier_results(
+    spacecraft_id: SpacecraftId,
+    carrier: Annotated[str, Path(max_length=64, description="Carrier id")],
+    method: StoredMethod,
+    version: WantedVersion,
+    page: Page,
+    context: Context,
+    names: Names,
+) -> CarrierResultPage:
+    """List what a method made of one carrier at every measurement, in order of epoch."""
+    results = context.storage.results
+    found = results.attitude_rows(
+        spacecraft_id, version, method, page.window, page.most, page.after, newest_first=page.newest_first
+    )
+    ends = sorted((found[0].epoch_us, found[-1].epoch_us)) if found else (0, -1)
+    window = Window(ends[0], ends[1] + 1)
+    stored = results.carrier_results(spacecraft_id, version, method, window)
+
+    plan_ids = {known.plan_id for known in stored.values()}
+    is_known = any(carrier in names.of(spacecraft_id, plan_id) for plan_id in plan_ids)
+    if not is_known and carrier not in context.storage.catalogue.plan(spacecraft_id).carrier_ids:
+        detail = f"Neither the newest carrier plan of {spacecraft_id!r} nor these rows have a carrier {carrier!r}."
+        raise NotFoundError("carrier.unknown", detail)
+
+    def of(row: AttitudeRow) -> CarrierResultAnswer:
+        known = stored.get((row.epoch_us, row.number))
+        ids = () if known is None else names.of(spacecraft_id, known.plan_id)
+        return CarrierResultAnswer.of(row, known, ids.index(carrier) if carrier in ids else None, carrier)
+
+    return page.answer(CarrierResultPage, found, by_epoch, of, carrier=carrier, method=method, version=version)
+
+
+control_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
 Ordered = Annotated[OrderDocument, optional_body(OrderDocument)]
 SignChecked = Annotated[SignCheckDocument, optional_body(SignCheckDocument)]
 _ACCEPTS_ORDER = accepts(OrderDocument, is_required=False)
@@ -26,13 +140,13 @@ _ACCEPTS_SIGN_CHECK = accepts(SignCheckDocument, is_required=False)
 _CHECK_ORDER = ("roll", "pitch", "yaw")
 
 
-@router.get("/control")
+@control_router.get("/control")
 def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
     """Return the state of the interlock, all active reasons, and every condition with its value and limit."""
     return _answer(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
-@router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+@control_router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
 def arm_control(caller: CurrentCaller, body: Ordered, request: Request) -> ControlAnswer:
     """Arm: commands may be prepared and confirmed unless a reason is active; two approvers set release automatic."""
     if body.release is None:
@@ -50,25 +164,25 @@ def arm_control(caller: CurrentCaller, body: Ordered, request: Request) -> Contr
     return _answer(caller.context, spacecraft_id, release.control(spacecraft_id))
 
 
-@router.post("/control:disengage", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+@control_router.post("/control:disengage", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
 def disengage_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
     """Take the standing authorisation back; where there is none, the arming."""
     return _order(caller, OrderKind.DISENGAGE, body)
 
 
-@router.post("/control:reset", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+@control_router.post("/control:reset", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
 def reset_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
     """Reset a trip once what tripped is over; ten good minutes and an arming follow."""
     return _order(caller, OrderKind.RESET, body)
 
 
-@router.post("/control:stop", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+@control_router.post("/control:stop", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
 def stop_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
     """Trip: no torque is sent until a reset; commands already sent cannot be stopped."""
     return _order(caller, OrderKind.STOP, body)
 
 
-@router.post("/control:engage", dependencies=[MAY_APPROVE], openapi_extra=accepts(OrderDocument))
+@control_router.post("/control:engage", dependencies=[MAY_APPROVE], openapi_extra=accepts(OrderDocument))
 def engage_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
     """Request standing authorisation within an envelope, or second the equal request of another person."""
     if body.until is None:
@@ -84,7 +198,7 @@ def engage_control(caller: CurrentCaller, body: Ordered) -> ControlAnswer:
     return _answer(caller.context, spacecraft_id, view)
 
 
-@router.post("/control:sign-check", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_SIGN_CHECK)
+@control_router.post("/control:sign-check", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_SIGN_CHECK)
 def check_sign(caller: CurrentCaller, body: SignChecked) -> ControlAnswer:
     """Begin to prove the sign of an axis: small turns are prepared one by one, each to be confirmed and reported."""
     axis: str | None = body.axis
@@ -108,3 +222,145 @@ def _answer(context: ApiContext, spacecraft_id: str, view: ControlView) -> Contr
     present = present_of(context, context.storage.catalogue.spacecraft(spacecraft_id), view)
     conditions = control_conditions(view, present.row, present.verdict, context.interlock)
     return ControlAnswer.of(view, present.verdict, conditions)
+
+
+status_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/status", tags=["status"])
+
+
+@status_router.get("")
+def get_status(spacecraft_id: SpacecraftId, context: Context) -> StatusAnswer:
+    """Return the state of a spacecraft."""
+    return status_of(context, spacecraft_id)
+
+
+torque_commands_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["release of torques"])
+#: its counter
+CommandId = Annotated[int, Path(ge=1, le=2**53)]
+ReportBody = Annotated[ReportDocument, optional_body(ReportDocument)]
+_ACCEPTS_REPORT = accepts(ReportDocument, is_required=False)
+
+
+@torque_commands_router.post(
+    "/torques:prepare",
+    status_code=HTTPStatus.CREATED,
+    dependencies=[MAY_OPERATE],
+    openapi_extra=accepts(PrepareDocument),
+    responses={HTTPStatus.OK: {"model": CommandAnswer, "description": "Of a dry run: nothing is stored"}},
+)
+def prepare_torques(
+    caller: CurrentCaller, body: Annotated[PrepareDocument, body_of(PrepareDocument)], response: Response
+) -> CommandAnswer:
+    """Compute and check a command that waits for another person; a dry run only shows it."""
+    command = caller.release.prepare(caller.spacecraft_id, caller.name, body.to_request(), dry_run=body.dry_run)
+    if command.is_dry_run:
+        response.status_code = HTTPStatus.OK
+    else:
+        response.headers["Location"] = f"/api/v1/spacecraft/{caller.spacecraft_id}/torques/{command.counter}"
+    return CommandAnswer.of(command)
+
+
+@torque_commands_router.get("/torques/commands")
+def list_commands(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CommandPage:
+    """List commands that were prepared in the range, in order of their preparation."""
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    read = context.release_service.commands
+    found = read(spacecraft_id, page.window, page.most, page.after, newest_first=page.newest_first)
+    return page.answer(CommandPage, found, attrgetter("prepared_us", "counter"), CommandAnswer.of)
+
+
+@torque_commands_router.get("/torques/{command_id}")
+def get_command(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> CommandAnswer:
+    """Return one command as it stands."""
+    return CommandAnswer.of(context.release_service.command(spacecraft_id, command_id))
+
+
+@torque_commands_router.get("/torques/{command_id}/uplink")
+def get_uplink(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> UplinkAnswer:
+    """Return what goes up of a released command."""
+    return UplinkAnswer.of(context.release_service.uplink(spacecraft_id, command_id))
+
+
+@torque_commands_router.get("/attitude/uplink")
+def get_attitude_uplink(spacecraft_id: SpacecraftId, context: Context) -> UplinkAnswer:
+    """Return the newest angles for a spacecraft in mode onboard, with their counter and how long they hold."""
+    return UplinkAnswer.of(context.release_service.attitude_uplink(spacecraft_id))
+
+
+@torque_commands_router.post(
+    "/torques/{command_id}:confirm", dependencies=[MAY_APPROVE], openapi_extra=accepts(ConfirmDocument)
+)
+def confirm_torques(
+    caller: CurrentCaller, command_id: CommandId, body: Annotated[ConfirmDocument, body_of(ConfirmDocument)]
+) -> CommandAnswer:
+    """Confirm a command that another person prepared; it is released at once, or refused with the reason."""
+    command = caller.release.confirm(
+        caller.spacecraft_id, command_id, caller.name, body.digest, is_approver=caller.is_approver, comment=body.comment
+    )
+    return CommandAnswer.of(command)
+
+
+@torque_commands_router.post(
+    "/torques/{command_id}:cancel", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment()
+)
+def cancel_torques(caller: CurrentCaller, command_id: CommandId, body: Said) -> CommandAnswer:
+    """Take a prepared command back; what has been released cannot be called back."""
+    command = caller.release.cancel(caller.spacecraft_id, command_id, caller.name)
+    caller.log(f"cancel command {command_id}", body.comment)
+    return CommandAnswer.of(command)
+
+
+@torque_commands_router.post("/torques/{command_id}:sent", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
+def report_sent(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
+    """Report that a released command was uplinked."""
+    return _reported(caller, command_id, "sent", body)
+
+
+@torque_commands_router.post(
+    "/torques/{command_id}:executed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT
+)
+def report_executed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
+    """Report that a command was executed, whole or between two instants; it becomes known input of the filter."""
+    return _reported(caller, command_id, "executed", body)
+
+
+@torque_commands_router.post("/torques/{command_id}:failed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
+def report_failed(caller: CurrentCaller, command_id: CommandId, body: ReportBody) -> CommandAnswer:
+    """Report that a command was not executed, or only between two instants."""
+    return _reported(caller, command_id, "failed", body)
+
+
+def _reported(caller: Caller, command_id: int, turn: str, body: ReportDocument) -> CommandAnswer:
+    """Return a command after a report."""
+    command = caller.release.report(
+        caller.spacecraft_id,
+        command_id,
+        turn,
+        by=caller.name,
+        at_us=body.at,
+        executed_from_us=body.executed_from,
+        executed_until_us=body.executed_until,
+    )
+    return CommandAnswer.of(command)
+
+
+torques_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/torques", tags=["torques"])
+
+
+@torques_router.get("")
+def get_torques(spacecraft_id: SpacecraftId, context: Context) -> NewestTorqueAnswer:
+    """Return the newest command: zero with its reasons while control is inhibited, null before the first."""
+    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
+    row, command, verdict = present_of(context, spacecraft)
+    if command is None:
+        answer = TorqueAnswer.before_the_first(spacecraft.control.mode, None if row is None else row.epoch_us)
+    else:
+        answer = TorqueAnswer.of(command)
+    return NewestTorqueAnswer(**dict(answer), control=VerdictAnswer.of(verdict))
+
+
+@torques_router.get("/history")
+def list_torques(spacecraft_id: SpacecraftId, version: WantedVersion, page: Page, context: Context) -> TorquePage:
+    """List computed commands in order of epoch."""
+    read = context.storage.results.commands
+    found = read(spacecraft_id, version, page.window, page.most, page.after, newest_first=page.newest_first)
+    return page.answer(TorquePage, found, by_epoch, TorqueAnswer.of, version=version)

@@ -1,18 +1,18 @@
-"""Slow inputs in batches: references, corrections, telemetry, weather, polarisation; and the archive of each."""
+"""Slow inputs in batches and their archive; operations that the control centre declares."""
 
 from collections.abc import Callable, Sequence
+from http import HTTPStatus
 from typing import Annotated, Any, Protocol, TypeVar
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Path, Request, Response
 from fastapi.concurrency import run_in_threadpool
-from pydantic import BaseModel
+from pydantic import BaseModel, TypeAdapter
 
-from service.api.access.auth import MAY_SEND
-from service.api.context.dependencies import ApiContext, Context, SpacecraftId
-from service.api.context.epoch_limits import EpochLimits
-from service.api.protocol.bodies import accepts, body_of
+from service.api.access.auth import MAY_OPERATE, MAY_SEND
+from service.api.context import ApiContext, Context, EpochLimits, SpacecraftId
 from service.api.protocol.paging import Page, PageQuery, Position
-from service.api.routes.measurements_ingest import check_batch_size
+from service.api.protocol.requests import MergePatch, accepts, body_of, patched
+from service.api.routes.measurements import check_batch_size
 from service.api.schemas.base import Answer
 from service.api.schemas.inputs import (
     CorrectionAnswer,
@@ -21,6 +21,9 @@ from service.api.schemas.inputs import (
     Fault,
     InputReceiptAnswer,
     InputRefusalAnswer,
+    OperationAnswer,
+    OperationDocument,
+    OperationPage,
     PolarizationAnswer,
     PolarizationBatchDocument,
     PolarizationDocument,
@@ -38,9 +41,9 @@ from service.api.schemas.inputs import (
 )
 from service.records.epoch import format_epoch
 from service.records.journal import JournalEntry, SlowInput
-from service.records.levels.series import InputReceipt
+from service.records.levels.measurement import InputReceipt
 
-router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["inputs"])
+inputs_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["inputs"])
 _NOTHING_STORED = InputReceipt(0, 0, ())
 
 
@@ -55,7 +58,9 @@ R = TypeVar("R", bound=_Row)
 M = TypeVar("M", bound=BaseModel)
 
 
-@router.post("/attitude-references:batch", dependencies=[MAY_SEND], openapi_extra=accepts(ReferenceBatchDocument))
+@inputs_router.post(
+    "/attitude-references:batch", dependencies=[MAY_SEND], openapi_extra=accepts(ReferenceBatchDocument)
+)
 def send_references(
     spacecraft_id: SpacecraftId,
     body: Annotated[ReferenceBatchDocument, body_of(ReferenceBatchDocument)],
@@ -72,7 +77,7 @@ def send_references(
     return _append(spacecraft_id, context, body.references, lambda row: row.to_record(body.source))
 
 
-@router.post("/corrections:batch", dependencies=[MAY_SEND], openapi_extra=accepts(CorrectionBatchDocument))
+@inputs_router.post("/corrections:batch", dependencies=[MAY_SEND], openapi_extra=accepts(CorrectionBatchDocument))
 def send_corrections(
     spacecraft_id: SpacecraftId,
     body: Annotated[CorrectionBatchDocument, body_of(CorrectionBatchDocument)],
@@ -83,7 +88,7 @@ def send_corrections(
     return _append(spacecraft_id, context, body.corrections, lambda row: row.to_record())
 
 
-@router.post("/telemetry:batch", dependencies=[MAY_SEND], openapi_extra=accepts(TelemetryBatchDocument))
+@inputs_router.post("/telemetry:batch", dependencies=[MAY_SEND], openapi_extra=accepts(TelemetryBatchDocument))
 def send_telemetry(
     spacecraft_id: SpacecraftId,
     body: Annotated[TelemetryBatchDocument, body_of(TelemetryBatchDocument)],
@@ -94,7 +99,7 @@ def send_telemetry(
     return _append(spacecraft_id, context, body.records, lambda row: row.to_record())
 
 
-@router.post("/weather:batch", dependencies=[MAY_SEND], openapi_extra=accepts(WeatherBatchDocument))
+@inputs_router.post("/weather:batch", dependencies=[MAY_SEND], openapi_extra=accepts(WeatherBatchDocument))
 async def send_weather(
     spacecraft_id: SpacecraftId,
     body: Annotated[WeatherBatchDocument, body_of(WeatherBatchDocument)],
@@ -112,7 +117,7 @@ async def send_weather(
     return await run_in_threadpool(_append_weather, spacecraft_id, context, body, latest_us)
 
 
-@router.post("/polarization:batch", dependencies=[MAY_SEND], openapi_extra=accepts(PolarizationBatchDocument))
+@inputs_router.post("/polarization:batch", dependencies=[MAY_SEND], openapi_extra=accepts(PolarizationBatchDocument))
 async def send_polarization(
     spacecraft_id: SpacecraftId,
     body: Annotated[PolarizationBatchDocument, body_of(PolarizationBatchDocument)],
@@ -130,31 +135,31 @@ async def send_polarization(
     return await run_in_threadpool(_append_polarization, spacecraft_id, context, body, latest_us)
 
 
-@router.get("/attitude-references")
+@inputs_router.get("/attitude-references")
 def list_references(spacecraft_id: SpacecraftId, page: Page, context: Context) -> ReferencePage:
     """List attitude references in order of epoch."""
     return input_page(spacecraft_id, "reference", page, context, ReferencePage, ReferenceAnswer)
 
 
-@router.get("/corrections")
+@inputs_router.get("/corrections")
 def list_corrections(spacecraft_id: SpacecraftId, page: Page, context: Context) -> CorrectionPage:
     """List corrections that overlap the range, in order of start."""
     return input_page(spacecraft_id, "correction", page, context, CorrectionPage, CorrectionAnswer)
 
 
-@router.get("/telemetry")
+@inputs_router.get("/telemetry")
 def list_telemetry(spacecraft_id: SpacecraftId, page: Page, context: Context) -> TelemetryPage:
     """List telemetry in order of epoch."""
     return input_page(spacecraft_id, "telemetry", page, context, TelemetryPage, TelemetryAnswer)
 
 
-@router.get("/weather")
+@inputs_router.get("/weather")
 def list_weather(spacecraft_id: SpacecraftId, page: Page, context: Context) -> WeatherPage:
     """List weather reports in order of epoch."""
     return input_page(spacecraft_id, "weather", page, context, WeatherPage, WeatherAnswer)
 
 
-@router.get("/polarization")
+@inputs_router.get("/polarization")
 def list_polarization(spacecraft_id: SpacecraftId, page: Page, context: Context) -> PolarizationPage:
     """List polarisation records in order of epoch."""
     return input_page(spacecraft_id, "polarization", page, context, PolarizationPage, PolarizationAnswer)
@@ -235,3 +240,51 @@ def _position(entry: JournalEntry) -> Position:
     """Return the position of an entry in its list."""
     content: Any = entry.content
     return content.start_us if hasattr(content, "start_us") else content.epoch_us, entry.number
+
+
+operations_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/operations", tags=["inputs"])
+_ADAPTER = TypeAdapter(OperationDocument)
+OperationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
+
+
+@operations_router.post(
+    "", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(OperationDocument)
+)
+def declare_operation(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[OperationDocument, body_of(OperationDocument)],
+    context: Context,
+    response: Response,
+) -> OperationAnswer:
+    """Declare an operation, past, present or future."""
+    stored = context.storage.archive.add_operation(spacecraft_id, body.to_record(0))
+    context.on_accepted(spacecraft_id)
+    response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/operations/{stored.id}"
+    return OperationAnswer.of(stored)
+
+
+@operations_router.get("")
+def list_operations(spacecraft_id: SpacecraftId, page: Page, context: Context) -> OperationPage:
+    """List the newest revision of operations that overlap the range."""
+    return input_page(spacecraft_id, "operation", page, context, OperationPage, OperationAnswer)
+
+
+@operations_router.get("/{operation_id}")
+def get_operation(spacecraft_id: SpacecraftId, operation_id: OperationId, context: Context) -> OperationAnswer:
+    """Return the newest revision of an operation."""
+    return OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
+
+
+@operations_router.patch("/{operation_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(MergePatch))
+def change_operation(
+    spacecraft_id: SpacecraftId,
+    operation_id: OperationId,
+    body: Annotated[MergePatch, body_of(MergePatch)],
+    context: Context,
+) -> OperationAnswer:
+    """Change fields of an operation; the change is a new revision, the former ones stay in the journal."""
+    stored = OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
+    changed = patched(_ADAPTER, stored.model_dump(mode="json", exclude={"id", "revision"}), body)
+    result = context.storage.archive.replace_operation(spacecraft_id, changed.to_record(operation_id))
+    context.on_accepted(spacecraft_id)
+    return OperationAnswer.of(result)

@@ -1,19 +1,61 @@
-"""Measurements on their way out: the newest row carrier by carrier, and the archive."""
+"""Measurements on their way in and out, and evidence traces."""
 
-from typing import Annotated
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Query
+import numpy as np
+from fastapi import APIRouter, Path, Query, Request, Response
+from pydantic import TypeAdapter
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import JSONResponse
 
-from service.api.context.dependencies import ApiContext, Context, Names, SpacecraftId
-from service.api.protocol.paging import Page, by_epoch
-from service.api.schemas.measurement_rows import CarrierStateAnswer, MeasurementAnswer, MeasurementPage
+from service.api.access.auth import MAY_SEND
+from service.api.context import (
+    ApiContext,
+    CommitWaiter,
+    Context,
+    EpochLimits,
+    Names,
+    PlanWidths,
+    SpacecraftId,
+    SpacecraftIdText,
+    checked_spacecraft_id,
+)
+from service.api.monitoring.request_metrics import RequestMetrics
+from service.api.problems.next_steps import NEXT_STEPS
+from service.api.problems.problems import RequestProblemError, invalid_request
+from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs
+from service.api.protocol.paging import Page, by_epoch, path_epoch
+from service.api.protocol.requests import accepts, body_of, read_body
+from service.api.schemas.base import NAME_PATTERN
+from service.api.schemas.measurements import (
+    MAX_SEQ,
+    CarrierStateAnswer,
+    MeasurementAnswer,
+    MeasurementBatchDocument,
+    MeasurementPage,
+    MeasurementReceiptAnswer,
+    TraceAnswer,
+    TraceBatchDocument,
+    TraceDocument,
+    TraceHeadAnswer,
+    TracePage,
+    TraceReceiptAnswer,
+    TraceRefusalAnswer,
+)
+from service.errors import FieldError
+from service.formats.numbers import text_of_float32
+from service.pipeline.ingest_screening import EpochBounds, ReceivedRows, screen
+from service.records.epoch import format_epoch
 from service.records.levels.attitude import CarrierState
-from service.records.levels.measurement import Measurement
+from service.records.levels.measurement import BatchReceipt, Measurement, QualityFlag, RowNotice, RowRefusal, Sender
+from service.records.levels.sweep import KeptTrace, Ring
 
-router = APIRouter(prefix="/spacecraft/{spacecraft_id}/measurements", tags=["measurements"])
+measurements_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/measurements", tags=["measurements"])
 
 
-@router.get("")
+@measurements_router.get("")
 def get_measurements(spacecraft_id: SpacecraftId, context: Context, names: Names) -> list[CarrierStateAnswer]:
     """Return the newest row carrier by carrier; empty before the first."""
     known = context.supervisor.carrier_states(spacecraft_id) or _archived(spacecraft_id, context, names)
@@ -23,7 +65,7 @@ def get_measurements(spacecraft_id: SpacecraftId, context: Context, names: Names
     return [CarrierStateAnswer.of(measurement, k, state) for k, state in enumerate(states)]
 
 
-@router.get("/history")
+@measurements_router.get("/history")
 def list_measurements(
     spacecraft_id: SpacecraftId,
     page: Page,
@@ -58,3 +100,199 @@ def _archived(
         word = "absent" if power_dbm != power_dbm else "uncalibrated"
         states.append(CarrierState(name, power_dbm, nan, nan, nan, nan, flags, word))
     return row, tuple(states)
+
+
+measurements_ingest_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["measurements"])
+_ADAPTER = TypeAdapter(MeasurementBatchDocument)
+_NOTHING_STORED = BatchReceipt(0, 0, 0, ())
+
+
+@measurements_ingest_router.post(
+    "/measurements:batch",
+    dependencies=[MAY_SEND],
+    openapi_extra=accepts(MeasurementBatchDocument),
+    response_model=MeasurementReceiptAnswer,
+)
+async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -> Response:
+    """Store rows of carrier powers; the answer leaves after the commit that made them durable."""
+    context: ApiContext = request.app.state.context
+    widths: PlanWidths = request.app.state.plan_widths
+    checked_spacecraft_id(spacecraft_id)
+    body = await read_body(request, _ADAPTER)
+    check_batch_size(len(body.measurements), context, "/measurements")
+    if body.first_seq is not None and body.first_seq + len(body.measurements) > MAX_SEQ:
+        detail = f"the sequence number of the last row would exceed {MAX_SEQ}; begin again at 0"
+        raise invalid_request([FieldError("/first_seq", "value.range", detail)])
+    epochs = _epochs(body)
+    width = await widths.width(spacecraft_id, body.plan_id)
+    rows = ReceivedRows(
+        spacecraft_id=spacecraft_id,
+        source=body.source,
+        plan_id=body.plan_id,
+        received_at_us=context.clock.system_us(),
+        first_seq=body.first_seq,
+        epochs_us=epochs.epochs_us,
+        power_dbm=[row["power_dbm"] for row in body.measurements],
+        flags=_flags(body, epochs.leap_positions),
+        details=body.details(),
+        sender=Sender(request.state.principal.key_id, context.limits.max_sources_per_key),
+    )
+    epoch_limits: EpochLimits = request.app.state.epoch_limits
+    batch, screened = screen(rows, width, await epoch_limits.known(spacecraft_id))
+    if any(refusal.code == "time.future" for refusal in screened):
+        batch, screened = screen(rows, width, await epoch_limits.present(spacecraft_id))
+    receipt = _NOTHING_STORED
+    if len(batch.index):
+        waiter: CommitWaiter = request.app.state.waiter
+        receipt = await waiter.of(context.storage.archive.append_measurements(batch))
+    statistics: RequestMetrics = request.app.state.request_statistics
+    statistics.add_receipt(spacecraft_id, receipt, screened)
+    if receipt.first_number is not None:
+        context.on_accepted(spacecraft_id, receipt.first_number + receipt.accepted - 1)
+    return JSONResponse(_answer(body, receipt, screened, epochs.leap_positions))
+
+
+def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
+    """Refuse a batch of more rows than the limit."""
+    limit = context.limits.max_rows_per_batch
+    if size > limit:
+        detail = f"the batch has {size} rows, the limit is {limit}"
+        raise RequestProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
+
+
+def _flags(body: MeasurementBatchDocument, leap_positions: Sequence[int]) -> list[Sequence[int] | None]:
+    """Return the bit masks of each row, those of a leap second marked."""
+    flags: list[Sequence[int] | None] = [row.get("flags") for row in body.measurements]
+    for position in leap_positions:
+        masks = flags[position]
+        blank = [0] * len(body.measurements[position]["power_dbm"])
+        flags[position] = [mask | QualityFlag.LEAP_SECOND for mask in (blank if masks is None else masks)]
+    return flags
+
+
+def _epochs(body: MeasurementBatchDocument) -> ParsedEpochs:
+    """Return the epochs of a batch; 422 names the first that is none."""
+    try:
+        return parse_epochs([row["epoch"] for row in body.measurements])
+    except EpochTextError as error:
+        pointer = f"/measurements/{error.index}/epoch"
+        raise invalid_request([FieldError(pointer, "epoch.malformed", error.detail)]) from None
+
+
+def _answer(
+    body: MeasurementBatchDocument,
+    receipt: BatchReceipt,
+    screened: tuple[RowRefusal, ...],
+    leap_positions: Sequence[int],
+) -> dict[str, Any]:
+    """Return the receipt as it is sent."""
+    received = len(body.measurements)
+    refused = (*screened, *receipt.refused)
+    flagged = list(receipt.flagged)
+    if leap_positions:
+        reported = {each.index for each in (*refused, *flagged) if each.code != "seq.jump"}
+        flagged += [_leap_notice(position, body.first_seq) for position in leap_positions if position not in reported]
+    return {
+        "received": received,
+        "accepted": receipt.accepted,
+        "duplicates": receipt.duplicates,
+        "late": receipt.late,
+        "durable": True,
+        "last_seq": body.first_seq + received - 1 if body.first_seq is not None and received else None,
+        "refused": _listed(refused),
+        "flagged": _listed(flagged),
+    }
+
+
+def _leap_notice(position: int, first_seq: int | None) -> RowNotice:
+    """Return what is said of a row within a leap second."""
+    seq = None if first_seq is None else first_seq + position
+    return RowNotice(position, seq, "time.leap_second", "measured within a leap second: stored in the second after it")
+
+
+def _listed(notices: Sequence[RowNotice]) -> list[dict[str, Any]]:
+    """Return remarks in order of place."""
+    ordered = sorted(notices, key=lambda notice: notice.index)
+    return [asdict(notice) | {"next_step": NEXT_STEPS.get(notice.code, "")} for notice in ordered]
+
+
+traces_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/traces", tags=["measurements"])
+_CSV = "text/csv"
+_CSV_ANSWER: dict[int | str, dict[str, Any]] = {200: {"content": {_CSV: {"schema": {"type": "string"}}}}}
+SourceParameter = Annotated[str | None, Query(pattern=NAME_PATTERN, description="Only traces of this source")]
+SweepParameter = Annotated[str | None, Query(pattern=NAME_PATTERN, description="Only traces of this sweep")]
+
+
+@traces_router.post("", dependencies=[MAY_SEND], openapi_extra=accepts(TraceBatchDocument))
+async def send_traces(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[TraceBatchDocument, body_of(TraceBatchDocument)],
+    context: Context,
+    request: Request,
+) -> TraceReceiptAnswer:
+    """Keep traces of one source; the oldest ones of the source make place."""
+    limits: EpochLimits = request.app.state.epoch_limits
+    bounds = await limits.present(spacecraft_id)
+    faults = [_fault(trace, bounds) for trace in body.traces]
+    kept = [trace.to_record() for trace, fault in zip(body.traces, faults, strict=True) if fault is None]
+    refused = [TraceRefusalAnswer.of_fault(index, fault) for index, fault in enumerate(faults) if fault is not None]
+    ring = Ring(context.limits.evidence_traces, context.limits.evidence_bytes)
+    now_us = context.clock.system_us()
+    receipt = await run_in_threadpool(context.storage.traces.append, spacecraft_id, body.source, kept, now_us, ring)
+    return TraceReceiptAnswer.of(receipt, refused)
+
+
+@traces_router.get("")
+def list_traces(
+    spacecraft_id: SpacecraftId,
+    page: Page,
+    context: Context,
+    source: SourceParameter = None,
+    sweep: SweepParameter = None,
+) -> TracePage:
+    """List kept traces, without their points, in order of epoch."""
+    read = context.storage.traces.heads
+    found = read(spacecraft_id, page.window, page.most, page.after, source, sweep, newest_first=page.newest_first)
+    return page.answer(TracePage, found, by_epoch, TraceHeadAnswer.of)
+
+
+@traces_router.get("/{epoch}", response_model=TraceAnswer, responses=_CSV_ANSWER)
+def get_trace(
+    spacecraft_id: SpacecraftId,
+    epoch: Annotated[str, Path(max_length=64, description="RFC 3339, middle of the dwell")],
+    context: Context,
+    request: Request,
+    source: SourceParameter = None,
+    sweep: SweepParameter = None,
+    form: Annotated[
+        Literal["json", "csv"] | None, Query(alias="format", description="Overrides the Accept header")
+    ] = None,
+) -> Any:
+    """Return one trace, as CSV when the client accepts text/csv."""
+    trace = context.storage.traces.trace(spacecraft_id, path_epoch("epoch", epoch), source, sweep)
+    wants_csv = _CSV in request.headers.get("accept", "").lower() if form is None else form == "csv"
+    if not wants_csv:
+        return TraceAnswer.of_trace(trace)
+    name = f"{spacecraft_id}-{trace.head.source}-{trace.head.sweep}-{trace.head.epoch_us}.csv".replace(":", "_")
+    headers = {"Content-Disposition": f'attachment; filename="{name}"', "Vary": "Accept"}
+    return Response(_as_csv(trace), media_type=_CSV, headers=headers)
+
+
+def _fault(trace: TraceDocument, bounds: EpochBounds) -> tuple[str, str] | None:
+    """Return why a trace is refused; one from the future would push all others out of the ring."""
+    if trace.epoch < bounds.earliest_us:
+        return "time.too_old", f"nothing before {format_epoch(bounds.earliest_us)} is kept"
+    if trace.epoch > bounds.latest_us:
+        return "time.future", f"the epoch lies after {format_epoch(bounds.latest_us)}; check the clock of the source"
+    return None
+
+
+def _as_csv(trace: KeptTrace) -> str:
+    """Return a trace as two columns; a point without a number has an empty power."""
+    settings = trace.head.settings
+    frequency_hz = (settings.start_hz + settings.step_hz * np.arange(trace.head.points)).tolist()
+    lines = [
+        f"{frequency!r},{power}"
+        for frequency, power in zip(frequency_hz, text_of_float32(trace.power_dbm), strict=True)
+    ]
+    return "\r\n".join(["frequency_hz,power_dbm", *lines, ""])

@@ -9,10 +9,9 @@ from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Message, Receive, Scope, Send
 
-from service.api.context.dependencies import Context, SpacecraftId
-from service.api.stream.event_ids import EVENT_NAMES, MAX_ID_LENGTH, EventName, cursor_of
-from service.api.stream.event_stream import EventStream, StreamParts
-from service.api.stream.open_streams import OpenStreams
+from service.api.context import Context, SpacecraftId
+from service.api.stream.event_stream import EventStream, OpenStreams, StreamParts
+from service.api.stream.events import EVENT_NAMES, MAX_ID_LENGTH, EventName, cursor_of
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/stream", tags=["stream"])
 _HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}

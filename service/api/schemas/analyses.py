@@ -1,17 +1,46 @@
 """Analyses: parameters of pure computations and what they give. Angles of the flexible spacecraft are in radians."""
 
 import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import OF_ARRAY, Answer, Document
-from service.api.schemas.record_answers import members_of
-from service.core.flexible.capture.capture import StableBand
-from service.core.flexible.capture.capture_analysis import CaptureAnalysis
-from service.core.flexible.closed_forms import SinglePulseForms
-from service.core.flexible.limit_cycle import LimitCycleAnalysis
-from service.core.flexible.schedule.schedule_check import ScheduleCheck, Suggestion
+from service.api.schemas.base import OF_ARRAY, Answer, Document, Figure, members_of
+from service.api.schemas.catalogue import InertiaTensor
+from service.core.dynamics.orbital_frame_analysis import (
+    LONGEST_S,
+    BeyondOrbitalRate,
+    ClosedLoop,
+    SettlingRequest,
+)
+from service.core.dynamics.orbital_frame_flight import Start
+from service.core.dynamics.orbital_frame_model import (
+    AS_PRINTED,
+    DOWN,
+    MAX_GAINS,
+    NEAREST,
+    NOMINAL_INERTIA,
+    ORBITAL_RATE_RAD_S,
+    TILT_FIRST,
+    TO_ZERO,
+    YAW_FIRST,
+    AxisWheels,
+    Computer,
+    Inertia,
+    Law,
+    OrbitalFrameGains,
+    OrbitalFrameSpacecraft,
+    RateSensor,
+    Tones,
+    Triple,
+    VerticalSensor,
+)
+from service.core.flexible.capture import CaptureAnalysis, StableBand
+from service.core.flexible.limit_cycle import LimitCycleAnalysis, SinglePulseForms
+from service.core.flexible.schedule import ScheduleCheck, Suggestion
+from service.records.catalogue import Matrix3
 
 #: keeps every sum and product of the analyses inside a double
 _LARGEST = 1e9
@@ -235,3 +264,305 @@ class ScheduleAnswer(Answer):
     def of(cls, found: ScheduleCheck) -> Self:
         """Return the answer for a check."""
         return super().of(found, phasors=[{"re": phasor.real, "im": phasor.imag} for phasor in found.phasor_rad])
+
+
+_PRODUCTS = {"tilt_first": TILT_FIRST, "as_printed": AS_PRINTED, "yaw_first": YAW_FIRST}
+_ROUNDINGS = {"nearest": NEAREST, "to_zero": TO_ZERO, "down": DOWN}
+#: bounds keep every step inside a double; none of them lies near a real spacecraft
+Gain = Annotated[float, Field(ge=0, le=1e6)]
+Size = Annotated[float, Field(gt=0, le=1e6)]
+NotNegative = Annotated[float, Field(ge=0, le=1e6)]
+Small = Annotated[float, Field(ge=-1, le=1)]
+Frequency = Annotated[float, Field(gt=0, le=4)]
+
+
+class AxesDocument(Document):
+    """One value an axis."""
+
+    roll: Small = 0.0
+    pitch: Small = 0.0
+    yaw: Small = 0.0
+
+    def to_triple(self) -> Triple:
+        """Return roll, pitch, yaw."""
+        return (self.roll, self.pitch, self.yaw)
+
+
+class GainsDocument(Document):
+    """Gains of the law: N m a unit of half-angle, and N m s."""
+
+    roll_stiffness_n_m: Gain = MAX_GAINS.roll_stiffness
+    roll_damping_n_m_s: Gain = MAX_GAINS.roll_damping
+    pitch_stiffness_n_m: Gain = MAX_GAINS.pitch_stiffness
+    pitch_damping_n_m_s: Gain = MAX_GAINS.pitch_damping
+    yaw_stiffness_n_m: Gain = MAX_GAINS.yaw_stiffness
+    yaw_damping_n_m_s: Gain = MAX_GAINS.yaw_damping
+
+    def to_gains(self) -> OrbitalFrameGains:
+        """Return the gains of the law."""
+        return OrbitalFrameGains(*self.model_dump().values())
+
+
+class LawDocument(Document):
+    """The gyro-orbitant law: tilt is measured, yaw comes from the roll rate."""
+
+    gains: GainsDocument = GainsDocument()
+    orbital_rate_rad_s: Annotated[float, Field(ge=1e-5, le=2e-3)] = ORBITAL_RATE_RAD_S
+    slope: Annotated[float, Field(gt=0, le=1)] = 1.0 / math.sqrt(2.0)
+    """Share of roll rate over orbital rate in the yaw quaternion."""
+    product: Literal["tilt_first", "as_printed", "yaw_first"] = "tilt_first"
+    """Which product of tilt and yaw the law takes."""
+    beyond_orbital_rate: Literal["refuse", "second_branch", "as_printed"] = "refuse"
+    """Behaviour where the roll rate exceeds the orbital rate: nothing is clipped."""
+
+    def to_law(self) -> Law:
+        """Return the law."""
+        return Law(self.gains.to_gains(), self.orbital_rate_rad_s, self.slope, _PRODUCTS[self.product])
+
+
+class ComputerDocument(Document):
+    """On-board computer: samples, computes, rounds, holds."""
+
+    is_continuous: bool = False
+    """True: no period and no quantum; sensors and wheels must be ideal."""
+    period_s: Annotated[float, Field(ge=0.01, le=10)] = Computer().period_s
+    torque_limit_n_m: Annotated[float, Field(gt=0, le=100)] = Computer().torque_limit_n_m
+    torque_quantum_n_m: Annotated[float, Field(gt=0, le=100)] = Computer().torque_quantum_n_m
+    rounding: Literal["nearest", "to_zero", "down"] = "nearest"
+    yaw_rate_correction_rad_s: Small = 0.0
+
+    def to_computer(self) -> Computer:
+        """Return the computer."""
+        return Computer(
+            not self.is_continuous,
+            self.period_s,
+            self.torque_limit_n_m,
+            self.torque_quantum_n_m,
+            _ROUNDINGS[self.rounding],
+            self.yaw_rate_correction_rad_s,
+        )
+
+
+class VerticalSensorDocument(Document):
+    """Sensor of the local vertical: roll and pitch."""
+
+    limit_rad: Size = VerticalSensor().limit_rad
+    lag_s: Size = VerticalSensor().lag_s
+    quantum_rad: Size = VerticalSensor().quantum_rad
+    noise_rad: NotNegative = VerticalSensor().noise_rad
+    noise_time_s: Size = VerticalSensor().noise_time_s
+    roll_bias_rad: Small = 0.0
+    pitch_bias_rad: Small = 0.0
+
+
+class RateSensorDocument(Document):
+    """Sensors of the three rates."""
+
+    limit_rad_s: Size = RateSensor().limit_rad_s
+    quantum_rad_s: Size = RateSensor().quantum_rad_s
+    null_rad_s: AxesDocument = AxesDocument(roll=RateSensor().null_rad_s[0])
+    noise_rad_s: NotNegative = RateSensor().noise_rad_s
+    delay_periods: Annotated[int, Field(ge=0, le=1)] = 1
+
+    def to_sensor(self) -> RateSensor:
+        """Return the sensor."""
+        return RateSensor(**{**self.model_dump(), "null_rad_s": self.null_rad_s.to_triple()})
+
+
+class FlownWheelsDocument(Document):
+    """One reaction wheel an axis."""
+
+    slope: Annotated[float, Field(gt=0, le=10)] = AxisWheels().slope
+    """Torque given over torque commanded, at rest."""
+    no_load_rad_s: Size = AxisWheels().no_load_rad_s
+    inertia_kg_m2: Annotated[float, Field(ge=1e-4, le=1e3)] = AxisWheels().inertia_kg_m2
+    momentum_limit_n_m_s: Size = AxisWheels().momentum_limit_n_m_s
+    dry_friction_n_m: NotNegative = AxisWheels().dry_friction_n_m
+    viscous_friction_n_m_s: Annotated[float, Field(ge=0, le=1e-2)] = AxisWheels().viscous_friction_n_m_s
+    cogging_n_m: NotNegative = AxisWheels().cogging_n_m
+    cogging_periods: Annotated[float, Field(ge=0, le=1000)] = AxisWheels().cogging_periods
+
+
+class TonesDocument(Document):
+    """Three flexible tones of roll and three of yaw, which the sensors see."""
+
+    roll_hz: tuple[Frequency, Frequency, Frequency] = Tones().roll_hz
+    yaw_hz: tuple[Frequency, Frequency, Frequency] = Tones().yaw_hz
+    damping_ratio: Annotated[float, Field(gt=0, lt=1)] = Tones().damping_ratio
+    gains: tuple[Gain, Gain, Gain] = Tones().gains
+
+
+class FlightStartDocument(Document):
+    """Attitude and rate at the start."""
+
+    roll_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    pitch_deg: Annotated[float, Field(gt=-90, lt=90)] = 0.0
+    yaw_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    is_literal: bool = True
+    """The orbital rate along the body's own y, as the paper has it; false: turned with the attitude."""
+    rate_rad_s: AxesDocument | None = None
+    """Inertial rate of the body in place of the orbital one."""
+
+    def to_start(self) -> Start:
+        """Return the start."""
+        rate = None if self.rate_rad_s is None else self.rate_rad_s.to_triple()
+        return Start(self.roll_deg, self.pitch_deg, self.yaw_deg, self.is_literal, rate)
+
+
+def _bounded(tensor: Matrix3) -> Matrix3:
+    """Refuse moments of inertia far from those of spacecraft, which would leave the numbers."""
+    if not all(1.0 <= tensor[k][k] <= 1e8 for k in range(3)):
+        raise PydanticCustomError("value.range", "moments of inertia of a flight lie between 1 and 1e8 kg m2")
+    return tensor
+
+
+_J = NOMINAL_INERTIA
+_NOMINAL_TENSOR = ((_J.xx, _J.xy, _J.xz), (_J.xy, _J.yy, _J.yz), (_J.xz, _J.yz, _J.zz))
+
+
+class ClosedLoopDocument(Document):
+    """A spacecraft in a circular orbit, its control, and how it starts."""
+
+    inertia_kg_m2: Annotated[InertiaTensor, AfterValidator(_bounded)] = _NOMINAL_TENSOR
+    """Tensor elements; x roll, y pitch, z yaw of the model."""
+    law: LawDocument = LawDocument()
+    computer: ComputerDocument = ComputerDocument()
+    vertical_sensor: VerticalSensorDocument | None = VerticalSensorDocument()
+    """Null: shows the truth."""
+    rate_sensor: RateSensorDocument | None = RateSensorDocument()
+    """Null: shows the truth."""
+    wheels: FlownWheelsDocument | None = FlownWheelsDocument()
+    """Null: the wheels give the commanded torque."""
+    tones: TonesDocument | None = TonesDocument()
+    """Null: a rigid spacecraft."""
+    has_gravity_torque: bool = True
+    steps: Annotated[int, Field(ge=1, le=16)] = 1
+    """Runge-Kutta steps a period of the computer."""
+    start: FlightStartDocument = FlightStartDocument()
+    duration_s: Annotated[float, Field(gt=0, le=LONGEST_S)] = 15_000.0
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+    """Of the sensors' noise; the same seed gives the same flight."""
+    settled_after_s: Annotated[float, Field(ge=0, le=LONGEST_S)] = 1500.0
+    """From then on figures of the settled loop count."""
+    bound_deg: Annotated[float, Field(gt=0, le=90)] = 0.1
+    """Within it an axis counts as settled."""
+    points: Annotated[int, Field(ge=2, le=5000)] = 1000
+    """Rows of the time series at most; figures are those of every period."""
+
+    def to_request(self) -> SettlingRequest:
+        """Return the settling request."""
+        return SettlingRequest(
+            self._spacecraft(),
+            self.start.to_start(),
+            self.duration_s,
+            self.seed,
+            BeyondOrbitalRate(self.law.beyond_orbital_rate),
+            self.settled_after_s,
+            self.bound_deg,
+        )
+
+    def _spacecraft(self) -> OrbitalFrameSpacecraft:
+        t = self.inertia_kg_m2
+        sensor, rates, wheels, tones = self.vertical_sensor, self.rate_sensor, self.wheels, self.tones
+        return OrbitalFrameSpacecraft(
+            inertia=Inertia(t[0][0], t[1][1], t[2][2], t[0][1], t[0][2], t[1][2]),
+            law=self.law.to_law(),
+            computer=self.computer.to_computer(),
+            vertical_sensor=VerticalSensor(False) if sensor is None else VerticalSensor(**sensor.model_dump()),
+            rate_sensor=RateSensor(False) if rates is None else rates.to_sensor(),
+            wheels=AxisWheels(False) if wheels is None else AxisWheels(**wheels.model_dump()),
+            tones=Tones(False) if tones is None else Tones(**tones.model_dump()),
+            has_gravity_torque=self.has_gravity_torque,
+            steps=self.steps,
+        )
+
+
+def _by_axis(values: Any) -> Any:
+    """Return figures or columns in the order roll, pitch, yaw by name."""
+    named = zip(("roll", "pitch", "yaw"), values.T.tolist() if isinstance(values, np.ndarray) else values, strict=True)
+    return dict(named)
+
+
+class AxisFiguresAnswer(Answer):
+    """One figure an axis; null: the flight is too short for it."""
+
+    roll: Figure
+    pitch: Figure
+    yaw: Figure
+
+
+class AxisSeriesAnswer(Answer):
+    """One column an axis."""
+
+    roll: list[float]
+    pitch: list[float]
+    yaw: list[float]
+
+
+AxisFigures = Annotated[AxisFiguresAnswer, BeforeValidator(_by_axis)]
+AxisSeries = Annotated[AxisSeriesAnswer, BeforeValidator(_by_axis)]
+Column = Annotated[list[float], OF_ARRAY]
+
+
+class MeritAnswer(Answer):
+    """Figures of merit, from every period of the computer."""
+
+    peak_deg: AxisFigures
+    settled_peak_deg: AxisFigures
+    settled_rms_deg: AxisFigures
+    time_within_bound_s: AxisFigures
+    """From when on the angle stays within `bound_deg`; null: not at the end."""
+    mean_yaw_deg: Figure
+    """Over the last two whole orbits, or the last one."""
+    harmonic_deg: AxisFigures
+    """Amplitude at the orbital frequency over the last orbit."""
+    largest_torque_n_m: AxisFigures
+    saturated_share: AxisFigures
+    """Of the flight during which the torque is at its limit."""
+    largest_momentum_n_m_s: AxisFigures
+    largest_rate_ratio: float
+    """Measured roll rate over orbital rate."""
+
+
+class FlightWarningAnswer(Answer):
+    """Something to beware of."""
+
+    code: str
+    detail: str
+
+
+class FlightSeriesAnswer(Answer):
+    """Record of the flight, thinned."""
+
+    time_s: Column
+    roll_deg: Column
+    pitch_deg: Column
+    yaw_deg: Column
+    torque_n_m: AxisSeries
+    """Of the wheels on the body."""
+    momentum_n_m_s: AxisSeries
+    """Of the wheels."""
+    rate_ratio: Column
+
+
+class ClosedLoopAnswer(Answer):
+    """Result of a simulated flight; axes of the model."""
+
+    job: str
+    merit: MeritAnswer
+    warnings: list[FlightWarningAnswer]
+    series: FlightSeriesAnswer
+
+    @classmethod
+    def of(cls, job_id: str, found: ClosedLoop) -> Self:
+        """Return the answer for a flight."""
+        warnings = [{"code": code, "detail": detail} for code, detail in found.warnings]
+        return super().of(found, job=job_id, warnings=warnings, series=found.flight)
+
+
+class ClosedLoopStartedAnswer(Answer):
+    """A flight that was queued."""
+
+    job: str
+    result: str
+    """Path of the result, once the job is done."""

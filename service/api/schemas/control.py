@@ -1,16 +1,42 @@
-"""Documents of control: state of the interlock, and orders of operators."""
+"""Documents of attitude rows, of the interlock, of torques and of released commands."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field
 
-from service.api.schemas.base import Answer, CommentText, Document, Epoch, EpochAnswer
-from service.api.schemas.record_answers import members_of
-from service.core.control.envelope import Envelope
+from service.api.schemas.base import (
+    AnglesAnswer,
+    Answer,
+    CommentText,
+    Document,
+    Epoch,
+    EpochAnswer,
+    Figure,
+    RecordMembers,
+    RowPage,
+    Text,
+    WindowAnswer,
+    members_of,
+)
+from service.core.control.slew_schedule import Envelope
 from service.pipeline.control.control_conditions import ControlCondition
 from service.pipeline.control.release.control_verdict import ControlReason, ControlVerdict, ControlView, GoodMinutes
-from service.records.operations.release import SignCheck
+from service.records.catalogue import ControlMode, Method
+from service.records.levels.attitude import (
+    CARRIER_STATES,
+    NO_ANGLES,
+    STEP_DB,
+    AttitudeRow,
+    CarrierResults,
+    Pulse,
+    ScheduleVerdict,
+    Status,
+    TorqueCommand,
+    row_without_attitude,
+)
+from service.records.operations.release import Command, CommandCheck, CommandRequest, SignCheck, UplinkProduct
 
 ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
 Limit = Annotated[float, Field(gt=0, le=1e3)]
@@ -135,3 +161,272 @@ class ControlAnswer(
             since=view.since_us or None,
             reasons=[reason.code for reason in verdict.reasons],
         )
+
+
+class ExclusionAnswer(Answer):
+    """A carrier left out of the fix, and why."""
+
+    carrier: str
+    reason: str
+    """uplink_fade, step, absent, frozen, interference, group or manual."""
+
+
+_MEMBERS = RecordMembers(
+    AttitudeRow,
+    first=("epoch_us", "received_at_us", "method", "attitude_deg", "rates_deg_s"),
+    without=("number",),
+    flat=("attitude_deg",),
+    types={"epoch_us": EpochAnswer | None, "received_at_us": EpochAnswer | None, "excluded": ExclusionAnswer},
+    descriptions={"epoch": "Instant measured; null before the first row."},
+)
+
+
+class AttitudeAnswer(_MEMBERS.model("AttitudeMembers")):
+    """Attitude estimate of one method at one measurement."""
+
+    version: str
+    """`live`, `smoothed`, or the replay that made the row."""
+
+    @classmethod
+    def of(cls, row: AttitudeRow, version: str, **others: Any) -> Self:
+        """Return the answer for a row; ``others`` are members in place of those of the row."""
+        members = _MEMBERS.values(row)
+        members["version"] = version
+        members.update(others)
+        answer: Self = cls.model_validate(members)
+        return answer
+
+    @classmethod
+    def not_received(cls, method: Method, version: str, **others: Any) -> Self:
+        """Return the answer before the first row."""
+        nothing = row_without_attitude(0, 0, 0, method, ("no_attitude",))
+        return cls.of(nothing, version, epoch=None, received_at=None, status=Status.NOT_RECEIVED, **others)
+
+
+class RowCarriersAnswer(Answer):
+    """Results of the carriers of a plan at one row; lists in the order of `ids`."""
+
+    plan_id: int
+    ids: list[str]
+    state: list[str]
+    """used, absent, excluded, unselected or uncalibrated."""
+    deviation_db: list[Figure]
+    """Measured minus expected, to 0.002 dB; null = absent or not used."""
+    residual_db: list[Figure]
+    """Deviation minus what the attitude explains, to 0.002 dB."""
+
+    @classmethod
+    def of(cls, results: CarrierResults, ids: Sequence[str]) -> Self:
+        """Return the answer for the carriers of a plan."""
+        levels_db = np.rint(np.stack((results.deviation_db, results.residual_db)) / STEP_DB) * STEP_DB
+        deviation_db, residual_db = np.round(levels_db, 3).tolist()
+        state = [CARRIER_STATES[position] for position in results.state]
+        members = {"plan_id": results.plan_id, "ids": list(ids), "state": state}
+        return cls.model_validate({**members, "deviation_db": deviation_db, "residual_db": residual_db})
+
+
+class AttitudeEventAnswer(AttitudeAnswer):
+    """An attitude row as in events `attitude` of the stream: with what its method makes of the carriers."""
+
+    carriers: RowCarriersAnswer | None
+    """Null where nothing was computed of them, as of late rows."""
+
+
+class NewestAttitudeAnswer(AttitudeAnswer):
+    """The newest row of a method, with the verdict on control of the spacecraft."""
+
+    control: VerdictAnswer
+
+
+class AttitudePage(Answer):
+    """Rows in order of epoch, exactly one a measurement and method."""
+
+    range: WindowAnswer
+    method: Method
+    version: str
+    rows: list[AttitudeAnswer]
+    next: str | None
+
+
+class SmoothedPage(AttitudePage):
+    """Smoothed rows in order of epoch, one each five minutes at most; `lag_s` tells what each of them knows."""
+
+
+class PulseAnswer(members_of(Pulse, flat=("torque_n_m",), number=float), Answer):
+    """One element of a schedule."""
+
+
+class PredictedAnswer(Answer):
+    """Predicted effect of the schedule at the end of the command period."""
+
+    angle_change_deg: Annotated[AnglesAnswer, Field(validation_alias="predicted_angle_change_deg")]
+    rate_change_deg_s: Annotated[AnglesAnswer, Field(validation_alias="predicted_rate_change_deg_s")]
+    wheel_momentum_n_m_s: Annotated[list[Figure], Field(validation_alias="predicted_wheel_momentum_n_m_s")]
+    """Change of the stored momentum of each wheel."""
+
+
+_VERDICTS = {"verdict": Literal["accept", "warn", "reject"]}
+
+
+class ScheduleCheckAnswer(members_of(ScheduleVerdict, number=float, types=_VERDICTS), Answer):
+    """Check of a schedule against the flexible modes, the worst of the axes."""
+
+
+_PREDICTED = tuple(name for name in TorqueCommand.__dataclass_fields__ if name.startswith("predicted_"))
+
+
+class TorqueAnswer(
+    members_of(
+        TorqueCommand,
+        without=("number", "schedule_check", *_PREDICTED),
+        flat=("torque_n_m",),
+        types={
+            **dict.fromkeys(("epoch_us", "attitude_epoch_us", "valid_until_us"), EpochAnswer | None),
+            "mode": ControlMode,
+            "schedule": PulseAnswer,
+        },
+        descriptions={"roll_n_m": "Impulse over command period."},
+    ),
+    Answer,
+):
+    """A computed command; null torques before the first."""
+
+    wheels_n_m: list[Figure] | None
+    """Mean command to each wheel."""
+    predicted: PredictedAnswer | None
+    schedule_check: ScheduleCheckAnswer | None = None
+    """Verdict of the flexible modes; null where the catalogue knows none, or nothing is commanded."""
+
+    @classmethod
+    def of(cls, command: TorqueCommand) -> Self:
+        """Return the answer for a command."""
+        return super().of(command, predicted=command)
+
+    @classmethod
+    def before_the_first(cls, mode: ControlMode, attitude_epoch_us: int | None) -> Self:
+        """Return the answer while no command was ever computed."""
+        nothing = {"saturated": False, "schedule": [], "impulse_n_m_s": NO_ANGLES, "control_allowed": False}
+        known = {"mode": mode, "attitude_epoch": attitude_epoch_us, "inhibitions": ["no_attitude"]}
+        return cls.model_validate(dict.fromkeys(cls.model_fields) | nothing | known)
+
+
+class NewestTorqueAnswer(TorqueAnswer):
+    """The newest command, with the verdict on control."""
+
+    control: VerdictAnswer
+
+
+class TorquePage(Answer):
+    """Commands in order of epoch."""
+
+    range: WindowAnswer
+    version: str
+    rows: list[TorqueAnswer]
+    next: str | None
+
+
+#: a reason is asked for, so one must stand there
+Reason = Annotated[CommentText, Field(min_length=1)]
+CommandState = Literal[
+    "PREPARED", "CONFIRMED", "RELEASED", "SENT", "EXECUTED", "FAILED", "EXPIRED", "CANCELLED", "REJECTED"
+]
+
+
+class PrepareDocument(Document):
+    """Request to prepare a command."""
+
+    reason: Reason
+    """Reason of the command, kept with it."""
+    attitude_epoch: Epoch | None = None
+    """Epoch of the estimate to use; null: the newest."""
+    start: Epoch | None = None
+    """Start of the schedule; null: as soon as the uplink allows."""
+    duration_s: Annotated[float, Field(gt=0, le=86_400)] | None = None
+    """From the first pulse to the end of the last; null: the forecast horizon of the spacecraft's control."""
+    max_torque_n_m: Annotated[float, Field(gt=0, le=1e3)] | None = None
+    """No pulse is stronger; null: the limit of the spacecraft and its wheels."""
+    dry_run: bool = False
+    """True: nothing is stored, and checks that fail are told instead of refused."""
+
+    def to_request(self) -> CommandRequest:
+        """Return the request as the release service takes it."""
+        return CommandRequest(self.reason, self.attitude_epoch, self.start, self.duration_s, self.max_torque_n_m)
+
+
+class ConfirmDocument(Document):
+    """Confirmation of a prepared command by a second person."""
+
+    digest: Annotated[Text, Field(min_length=1)]
+    """Of the command as it was prepared."""
+    comment: CommentText = ""
+
+
+class ReportDocument(Document):
+    """Report of the centre on a released command; the same report again changes nothing."""
+
+    at: Epoch | None = None
+    """Instant of the event; null: now."""
+    executed_from: Epoch | None = None
+    """Start of the executed part; null: the beginning."""
+    executed_until: Epoch | None = None
+    """Null: to the end (executed), or nothing at all (failed, with a null `executed_from`)."""
+
+
+class CheckAnswer(members_of(CommandCheck, without=("code",)), Answer):
+    """One check of a command."""
+
+
+_PREDICTED_OF_COMMAND = (
+    "angle_change_deg",
+    "rate_change_deg_s",
+    "peak_angle_deg",
+    "peak_rate_deg_s",
+    "wheel_momentum_n_m_s",
+)
+
+
+class PredictedCommandAnswer(members_of(Command, only=_PREDICTED_OF_COMMAND, number=float), Answer):
+    """Predicted effect of a command at the end of its last pulse, against no command."""
+
+
+class CommandAnswer(
+    members_of(
+        Command,
+        without=(*_PREDICTED_OF_COMMAND, "schedule_verdict", "computed", "told_executed_us"),
+        types={"state": CommandState, "schedule": PulseAnswer, "checks": CheckAnswer, "executed": PulseAnswer},
+        others={
+            "id": ("state", int, "Its counter, which stands in paths and in the uplink product."),
+            "needs_approver": ("attitude_epoch_us", bool, "It waits for a second person, an approver."),
+            "predicted": ("checks", PredictedCommandAnswer, ""),
+            "schedule_check": ("prepared_by", ScheduleCheckAnswer | None, ""),
+        },
+    ),
+    Answer,
+):
+    """A command that was prepared, as it stands."""
+
+    @classmethod
+    def of(cls, command: Command) -> Self:
+        """Return the answer for a command."""
+        return super().of(
+            command,
+            id=command.counter,
+            needs_approver=command.state == "PREPARED",
+            predicted=command,
+            schedule_check=None if command.computed is None else command.computed.schedule_check,
+        )
+
+
+class CommandPage(RowPage):
+    """Commands in order of their preparation."""
+
+    rows: list[CommandAnswer]
+
+
+class UplinkAnswer(members_of(UplinkProduct, types={"digest": str | None, "schedule": PulseAnswer}), Answer):
+    """Uplink product for the centre's own channels; it never changes."""
+
+    @classmethod
+    def of(cls, product: UplinkProduct) -> Self:
+        """Return the answer for an uplink product."""
+        return super().of(product, digest=product.digest or None)

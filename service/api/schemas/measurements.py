@@ -1,15 +1,139 @@
-"""Batches of measurements and what becomes of them; sources."""
+"""Documents of measurements, of what becomes of each carrier, and of evidence traces."""
 
-from typing import Annotated, Any, Literal, Required
+from collections.abc import Collection, Sequence
+from dataclasses import asdict
+from typing import Annotated, Any, Literal, Required, Self
 
+import numpy as np
 from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
-from service.api.schemas.base import MAX_ROWS, Answer, Document, Name, PlanNumber, RowList
-from service.api.schemas.record_answers import members_of
-from service.api.schemas.row_refusals import RefusalAnswer
-from service.records.levels.measurement import DETAIL_NAMES
-from service.records.levels.series import SourceState
+from service.api.schemas.base import (
+    MAX_ROWS,
+    Answer,
+    AnyEpoch,
+    Document,
+    EpochAnswer,
+    Figure,
+    Name,
+    PlanNumber,
+    RefusalAnswer,
+    RowList,
+    RowPage,
+    members_of,
+)
+from service.formats.numbers import shortest_float32
+from service.records.catalogue import Method
+from service.records.levels.attitude import (
+    CARRIER_HYPOTHESES,
+    CARRIER_STATES,
+    AttitudeRow,
+    CarrierResults,
+    CarrierState,
+)
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Measurement, SourceState, flag_names
+from service.records.levels.sweep import KeptTrace, Trace, TraceHead, TraceReceipt, TraceSettings
+
+#: the estimator has a sigma of its own, which keeps the short name
+_REPORTED_AS = {"sigma_db": "measured_sigma_db"}
+
+
+class MeasurementAnswer(Answer):
+    """One row of carrier powers."""
+
+    epoch: EpochAnswer
+    """Middle of the dwell."""
+    received_at: EpochAnswer
+    source: str
+    seq: int | None
+    plan_id: int
+    late: bool
+    """Came late or out of order."""
+    feeds_estimator: bool
+    """True: its source was the prime one."""
+    power_dbm: dict[str, float | None]
+    """By carrier id, dBm; null = absent."""
+    flags: dict[str, int] | None
+    """Quality bit mask by carrier id."""
+    flag_names: dict[str, list[str]] | None
+    """Names of the flags of those carriers that have any."""
+    measured_sigma_db: dict[str, float | None] | None
+    """By carrier id, as the front end stated it; null = it stated none."""
+    c_n0_db_hz: dict[str, float | None] | None
+    occupied_bandwidth_hz: dict[str, float | None] | None
+    centroid_offset_hz: dict[str, float | None] | None
+
+    @classmethod
+    def of(cls, row: Measurement, carrier_ids: Sequence[str], wanted: Collection[str] | None = None) -> Self:
+        """Return the answer for a row, of all its carriers or of those wanted."""
+        positions = [k for k, name in enumerate(carrier_ids) if wanted is None or name in wanted]
+        power_dbm = shortest_float32(row.power_dbm)
+        masks = None if row.flags is None else {carrier_ids[k]: int(row.flags[k]) for k in positions}
+        return cls.model_validate(
+            {
+                "epoch": row.epoch_us,
+                "received_at": row.received_at_us,
+                "source": row.source,
+                "seq": row.seq,
+                "plan_id": row.plan_id,
+                "late": row.is_late,
+                "feeds_estimator": row.feeds_estimator,
+                "power_dbm": {carrier_ids[k]: power_dbm[k] for k in positions},
+                "flags": masks,
+                "flag_names": None
+                if masks is None
+                else {name: flag_names(mask) for name, mask in masks.items() if mask},
+                **_stated(row.details, carrier_ids, positions),
+            }
+        )
+
+
+class MeasurementPage(RowPage):
+    """Rows in order of epoch."""
+
+    rows: list[MeasurementAnswer]
+
+
+class CarrierStateAnswer(members_of(CarrierState), Answer):
+    """State of one carrier after the newest row."""
+
+    epoch: EpochAnswer
+    measured_sigma_db: Figure
+    """Scatter of the power that the front end predicts from bandwidth, time and noise."""
+    c_n0_db_hz: Figure
+    """Carrier over noise density, from the front end."""
+    occupied_bandwidth_hz: Figure
+    """Bandwidth that holds 99 per cent of the power, from the front end."""
+    centroid_offset_hz: Figure
+    """Centre of the power above the nominal frequency, from the front end."""
+    flag_names: list[str]
+
+    @classmethod
+    def of(cls, row: Measurement, position: int, state: CarrierState) -> Self:
+        """Return the answer for the state of the carrier at one place of a row."""
+        measured = {name: None if by is None else by[position] for name, by in _statistics(row.details).items()}
+        power_dbm, names = shortest_float32(np.array([state.power_dbm]))[0], flag_names(state.flags)
+        return super().of(state, epoch=row.epoch_us, power_dbm=power_dbm, flag_names=names, **measured)
+
+
+def _statistics(details: CarrierDetails | None) -> dict[str, list[float | None] | None]:
+    """Return the details beside the powers of a row, under the names of answers, None = no such detail."""
+    stated = {name: None if details is None else getattr(details, name) for name in DETAIL_NAMES}
+    return {
+        _REPORTED_AS.get(name, name): None if by is None or np.isnan(by).all() else shortest_float32(by)
+        for name, by in stated.items()
+    }
+
+
+def _stated(
+    details: CarrierDetails | None, carrier_ids: Sequence[str], positions: Sequence[int]
+) -> dict[str, dict[str, float | None] | None]:
+    """Return the details beside the powers of a row, by carrier."""
+    return {
+        name: None if by is None else {carrier_ids[k]: by[k] for k in positions}
+        for name, by in _statistics(details).items()
+    }
+
 
 #: stored as int32
 Mask = Annotated[int, Field(ge=0, le=2**31 - 1)]
@@ -102,3 +226,130 @@ class SourceListAnswer(RowList):
     """All sources of a spacecraft."""
 
     rows: list[SourceAnswer]
+
+
+MAX_POINTS = 100_001
+MAX_TRACES = 256
+_Frequency = Annotated[float, Field(ge=0, le=1e12)]
+_Width = Annotated[float, Field(gt=0, le=1e12)]
+_Powers = Annotated[
+    list[Annotated[float, Field(ge=-1e6, le=1e6)] | None], Field(min_length=1, max_length=MAX_POINTS, fail_fast=True)
+]
+
+
+class TraceDocument(Document):
+    """One sweep, under the settings under which it was really taken."""
+
+    epoch: AnyEpoch
+    """Middle of the dwell."""
+    sweep: Name
+    """Name of the sweep in the measurement task."""
+    start_hz: _Frequency
+    """Of the first point."""
+    step_hz: _Width
+    rbw_hz: _Width
+    enbw_hz: _Width
+    """Noise bandwidth of the resolution filter."""
+    sweep_time_s: Annotated[float, Field(ge=0, le=86_400)]
+    power_dbm: _Powers
+    """dBm behind the resolution filter, null where the analyzer gave no number."""
+
+    def to_record(self) -> Trace:
+        """Return the record that this document states."""
+        settings = TraceSettings(self.start_hz, self.step_hz, self.rbw_hz, self.enbw_hz, self.sweep_time_s)
+        return Trace(self.epoch, self.sweep, settings, np.array(self.power_dbm, dtype=np.float64))
+
+
+class TraceBatchDocument(Document):
+    """Traces of one source."""
+
+    source: Name
+    traces: Annotated[list[TraceDocument], Field(max_length=MAX_TRACES, fail_fast=True)]
+
+
+class TraceRefusalAnswer(RefusalAnswer):
+    """A refused trace."""
+
+
+class TraceReceiptAnswer(members_of(TraceReceipt), Answer):
+    """Receipt of committed traces; received = accepted + duplicates + len(refused)."""
+
+    received: int
+    refused: list[TraceRefusalAnswer]
+
+    @classmethod
+    def of(cls, receipt: TraceReceipt, refused: list[TraceRefusalAnswer]) -> Self:
+        """Return the answer for a receipt."""
+        received = receipt.accepted + receipt.duplicates + len(refused)
+        return super().of(receipt, received=received, refused=refused)
+
+
+class TraceHeadAnswer(
+    members_of(TraceHead, without=("number", "settings")), members_of(TraceSettings, number=float), Answer
+):
+    """A kept trace without its points."""
+
+    @classmethod
+    def of(cls, head: TraceHead) -> Self:
+        """Return the answer for a head."""
+        return super().of(head, **asdict(head.settings))
+
+
+class TraceAnswer(TraceHeadAnswer):
+    """A kept trace; the frequency of point k is start_hz + k step_hz."""
+
+    power_dbm: list[float | None]
+
+    @classmethod
+    def of_trace(cls, trace: KeptTrace) -> Self:
+        """Return the answer for a trace."""
+        head = TraceHeadAnswer.of(trace.head).model_dump()
+        return cls.model_validate({**head, "power_dbm": shortest_float32(trace.power_dbm)})
+
+
+class TracePage(RowPage):
+    """Kept traces in order of epoch."""
+
+    rows: list[TraceHeadAnswer]
+
+
+class CarrierResultAnswer(Answer):
+    """Results of one carrier at one measurement, by one method."""
+
+    epoch: EpochAnswer
+    state: str | None
+    """used, absent, excluded, unselected or uncalibrated; null where nothing is stored: the carrier is not in the plan
+    of the row, the row was late, or nothing was computed for it."""
+    reason: str | None
+    """Why it is left out, as in `excluded` of the attitude row."""
+    deviation_db: Figure
+    """Measured minus expected, to 0.002 dB; null = absent or not used."""
+    residual_db: Figure
+    """Deviation minus what the attitude explains, to 0.002 dB."""
+    hypothesis: str | None
+    """Likeliest state by the references of the alignment: dry, wet, level_changed or level_learned."""
+    plan_id: int | None
+
+    @classmethod
+    def of(cls, row: AttitudeRow, results: CarrierResults | None, position: int | None, carrier: str) -> Self:
+        """Return the answer for the carrier at one place of a row's plan; None: nothing is known of it."""
+        reason = next((each.reason for each in row.excluded if each.carrier == carrier), None)
+        known: dict[str, Any] = dict.fromkeys(("state", "deviation_db", "residual_db", "hypothesis", "plan_id"))
+        if results is not None and position is not None:
+            known = {
+                "state": CARRIER_STATES[results.state[position]],
+                "deviation_db": round(float(results.deviation_db[position]), 3),
+                "residual_db": round(float(results.residual_db[position]), 3),
+                "hypothesis": CARRIER_HYPOTHESES[results.hypothesis[position]],
+                "plan_id": results.plan_id,
+            }
+        return cls.model_validate({"epoch": row.epoch_us, "reason": reason, **known})
+
+
+class CarrierResultPage(RowPage):
+    """Rows in order of epoch, exactly one a measurement and method."""
+
+    carrier: str
+    method: Method
+    version: str
+    rows: list[CarrierResultAnswer]

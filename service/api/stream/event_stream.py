@@ -1,37 +1,91 @@
-"""Live stream of one spacecraft: server-sent events that resume without loss and without doubling.
-
-Every event has an id that names the place of the client (``service.api.stream.event_ids``). A stream subscribes
-first, then reads from the archive what it missed, then drops queued events at or below what was sent.
-A client too slow for
-its queue is told how many events were dropped and gets them from the archive, so that a stream may lag but has no hole.
-"""
+"""Live stream of one spacecraft: server-sent events that resume without loss and without doubling."""
 
 import asyncio
 import logging
+from collections import Counter
 from collections.abc import AsyncIterator, Collection, Sequence
+from http import HTTPStatus
 from typing import Any
 
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from service.api.context.carrier_names import CarrierNameCache
-from service.api.context.dependencies import ApiContext
-from service.api.schemas.status import StatusAnswer
-from service.api.stream.backlog import ArchiveReader
-from service.api.stream.event_cache import EventTexts
-from service.api.stream.event_ids import (
+from service.api.context import ApiContext, CarrierNameCache
+from service.api.problems.problems import RETRY_AFTER_S, RequestProblemError
+from service.api.schemas.shift import StatusAnswer
+from service.api.stream.events import (
     EVENT_NAMES,
+    READERS,
+    ArchiveReader,
     DroppedAnswer,
+    EventTexts,
+    PresentRecords,
     advanced,
     beyond_the_archive,
     event_id,
     missed_by_slowness,
 )
-from service.api.stream.open_streams import OpenStreams
-from service.api.stream.present_records import READERS, PresentRecords
 from service.errors import StorageError
 from service.records.levels.measurement import Measurement
 from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, Subscription
+
+
+class OpenStreams:
+    """Subscriptions being read; used inside the server's event loop.
+
+    Parameters
+    ----------
+    limit : int
+        Most streams at once.
+    """
+
+    def __init__(self, limit: int = 500) -> None:
+        self._subscriptions: set[Subscription] = set()
+        #: streams that are open or about to be
+        self._positions = 0
+        self._limit = limit
+        self._is_closed = False
+        #: events sent since the start of the process, by kind
+        self.sent: Counter[str] = Counter()
+        #: events that clients were too slow for
+        self.dropped = 0
+
+    @property
+    def is_closed(self) -> bool:
+        """Return whether streams are to end."""
+        return self._is_closed
+
+    @property
+    def count(self) -> int:
+        """How many streams are open."""
+        return self._positions
+
+    def acquire(self) -> None:
+        """Count a stream that is about to open, or raise the 503 that refuses one too many."""
+        if self.count >= self._limit:
+            detail = f"{self.count} streams are open, the service gives {self._limit}"
+            headers = {"Retry-After": str(RETRY_AFTER_S)}
+            raise RequestProblemError(HTTPStatus.SERVICE_UNAVAILABLE, "stream.too_many", detail, headers=headers)
+        self._positions += 1
+
+    def leave(self) -> None:
+        """Give a place back."""
+        self._positions -= 1
+
+    def add(self, subscription: Subscription) -> None:
+        """Remember a subscription, to wake its stream at the end."""
+        self._subscriptions.add(subscription)
+
+    def discard(self, subscription: Subscription) -> None:
+        """Forget a subscription whose stream has ended."""
+        self._subscriptions.discard(subscription)
+
+    def close(self) -> None:
+        """End all streams; each wakes up and sees it."""
+        self._is_closed = True
+        for subscription in tuple(self._subscriptions):
+            subscription.wake()
+
 
 _LOG = logging.getLogger(__name__)
 #: events encoded before other connections get their turn

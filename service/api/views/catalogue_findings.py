@@ -1,7 +1,6 @@
 """Places and frequencies of the catalogue: faults become a problem, warnings go into the answer."""
 
-from service.api.problems.problems import invalid_request
-from service.api.problems.validation_errors import MAX_FAULTS
+from service.api.problems.problems import MAX_FAULTS, invalid_request
 from service.api.schemas.base import CatalogueWarning
 from service.pipeline.inputs.catalogue_checks import CatalogueFindings
 

@@ -4,27 +4,25 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
-from service.api.context.dependencies import ApiContext
+from service.api.context import ApiContext
 from service.api.protocol.paging import EVERYTHING
-from service.api.schemas.alarms import AlarmAnswer
-from service.api.schemas.archive import GapAnswer
-from service.api.schemas.base import WindowAnswer
-from service.api.schemas.inputs import CorrectionAnswer
-from service.api.schemas.notes import NoteAnswer
-from service.api.schemas.operations import OperationAnswer
-from service.api.schemas.timeline import (
+from service.api.schemas.archive import (
     ActivationAnswer,
     Cut,
+    GapAnswer,
     StateRunAnswer,
     TimelineAlignmentAnswer,
     TimelineAnswer,
     TimelineCommandAnswer,
 )
-from service.core.rows.state_runs import History, StateRun, coarsened
+from service.api.schemas.base import WindowAnswer
+from service.api.schemas.inputs import CorrectionAnswer, OperationAnswer
+from service.api.schemas.shift import AlarmAnswer, NoteAnswer
+from service.core.rows import History, StateRun, coarsened
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
-from service.records.operations.alarm import Alarm
+from service.records.operations.alarms import Alarm
 from service.records.operations.release import Command
 
 #: runs of one method in an answer; with more, near ones are joined

@@ -15,7 +15,7 @@ import typer
 from service.cli.command_group import end, new_app
 from service.cli.operation.connection import JsonOption
 from service.errors import StorageError
-from service.records.operations.audit import ChainFinding, findings
+from service.records.operations.access import ChainFinding, findings
 
 app = new_app(help="The audit log: who did what, chained by hashes.", no_args_is_help=True)
 EXIT_BROKEN = 1

@@ -15,8 +15,7 @@ import typer
 from service.cli.administration.doctor import show
 from service.cli.command_group import end, new_app
 from service.cli.operation.connection import JsonOption
-from service.records.storage.backup import BackupError, Manifest
-from service.records.storage.diagnosis import worst
+from service.records.storage import BackupError, Manifest, worst
 
 app = new_app(help="Copies of an archive: made while the service runs, proved, put back.", no_args_is_help=True)
 

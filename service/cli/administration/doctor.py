@@ -14,7 +14,7 @@ import typer
 from service.cli.administration.audit import logged
 from service.cli.command_group import end
 from service.cli.operation.connection import JsonOption
-from service.records.storage.diagnosis import Diagnosis, State, worst
+from service.records.storage import Diagnosis, State, worst
 
 EXIT_OF: dict[State, int] = {"ok": 0, "fault": 1, "warning": 3}
 _LOGGED = re.compile(r"journal head ([a-z0-9-]+) (\d+) ([0-9a-f]{16})")

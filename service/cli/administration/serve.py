@@ -25,7 +25,7 @@ from service.runtime.log_format import write_log
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
-    from service.api.context.dependencies import ApiContext
+    from service.api.context import ApiContext
     from service.api.server_process import StreamingServer
     from service.composition.settings import Settings
     from service.ports import Storage

@@ -14,7 +14,7 @@ from service.cli.command_group import end, new_app
 from service.cli.demonstration.inject import inject
 from service.cli.demonstration.running import RunningDemonstration, published
 from service.cli.extras import require
-from service.cli.studies.exit_code import ended_by_signals
+from service.cli.studies.screen import ended_by_signals
 
 #: operation that the endless demonstration can show, days
 _ENDLESS_DAYS = 30.0

@@ -13,8 +13,9 @@ from service.cli.operation.connection import DEFAULT_KEY_ENVIRONMENT, key_of
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.study.closed_loop.plant_process import PlantFailedError
+from service.study.demonstration.archive_check import METHODS
 from service.study.demonstration.closed_judgement import FlightAlone, fly_alone, judge_control
-from service.study.demonstration.control_centre import ControlCentre
+from service.study.demonstration.control_centre import ControlCentre, SpacecraftLineError, TwoStepCentre
 from service.study.demonstration.demonstration import (
     CentreOf,
     ProcessAddresses,
@@ -25,9 +26,6 @@ from service.study.demonstration.demonstration import (
 )
 from service.study.demonstration.judgement import judge_story, tracked_angles
 from service.study.demonstration.processes import ProcessFailedError
-from service.study.demonstration.replay_check import METHODS
-from service.study.demonstration.spacecraft_line import SpacecraftLineError
-from service.study.demonstration.two_step_centre import TwoStepCentre
 
 #: an answer may take so long on a machine that has much else to do, s
 _PATIENCE_S = 60.0

@@ -135,7 +135,7 @@ def replay(
     else:
         report = _replayed_in_parts(spacecraft, body, workers, scheduler, database)
     if compare:
-        from service.study.demonstration.replay_check import METHODS, compare_with_live
+        from service.study.demonstration.archive_check import METHODS, compare_with_live
 
         methods = (method,) if method else METHODS
         with connected(service, key_env) as client:
@@ -151,7 +151,7 @@ def _replayed_in_parts(
     """Compute a replay beside the service and return its id and version."""
     from pydantic import ValidationError
 
-    from service.api.schemas.replays import ReplayDocument
+    from service.api.schemas.calibrations import ReplayDocument
     from service.cli.operation.parallel_replay import replay_in_parts
     from service.composition.settings import Settings
     from service.records.field_faults import faults_text

@@ -11,11 +11,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from service.cli.command_group import end
-from service.cli.studies.exit_code import ended_by_signals
+from service.cli.studies.screen import ended_by_signals
 from service.composition.bootstrap import build_clock, open_storage, storage_opener
 from service.composition.settings import Settings
 from service.errors import SooError
-from service.records.operations.job import JobState, Replay
+from service.records.operations.work import JobState, Replay
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner
 from service.runtime.jobs.replay_job import Replayer
 from service.runtime.jobs.replay_run import ReplayRun, ReplaySpan, run_span_in_process

@@ -25,7 +25,7 @@ from service.cli.own_data.document_file import decoded, read_bytes, refuse_findi
 from service.cli.shift.reading import carriers
 
 if TYPE_CHECKING:
-    from service.api.schemas.carriers import CarrierPlanDocument
+    from service.api.schemas.catalogue import CarrierPlanDocument
 
 _HELP = "Say which carriers the newest attitude uses and why not the others; store a carrier plan."
 
@@ -78,7 +78,7 @@ def put(
 
 def read_plan(file: Path) -> "CarrierPlanDocument":
     """Return the plan of a file, or end; what begins with neither brace nor bracket is CSV."""
-    from service.api.schemas.carriers import CARRIER_PLAN_ADAPTER
+    from service.api.schemas.catalogue import CARRIER_PLAN_ADAPTER
     from service.errors import InvalidInputError
     from service.formats.carrier_plan_csv import read_carrier_plan
 

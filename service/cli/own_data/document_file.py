@@ -43,7 +43,7 @@ def decoded(path: Path, adapter: "TypeAdapter[M]", raw: bytes) -> M:
     """Return a validated document, or end with every field at fault."""
     # web framework and validation cost a quarter of a second that other commands need not pay
     from service.api.problems.problems import RequestProblemError
-    from service.api.protocol.bodies import decode
+    from service.api.protocol.requests import decode
 
     try:
         return decode(adapter, raw)

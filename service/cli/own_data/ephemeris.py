@@ -68,12 +68,10 @@ def read_orbit(file: Path) -> "tuple[OrbitFile, Ephemeris]":
     """Return a file's orbit, as it came and as the service will have it, or end."""
     from pydantic import TypeAdapter
 
-    from service.api.schemas.ephemeris import EphemerisDocument
+    from service.api.schemas.catalogue import EphemerisDocument
     from service.errors import InvalidInputError
-    from service.formats.ephemeris.oem import read_oem
-    from service.formats.ephemeris.orbit import ephemeris_from_nodes
-    from service.formats.ephemeris.tle import read_tle
-    from service.formats.foreign.fault import ForeignTableError
+    from service.formats.ephemeris import ephemeris_from_nodes, read_oem, read_tle
+    from service.formats.foreign.layout import ForeignTableError
     from service.formats.foreign.orbit_file import read_orbit_file
 
     try:

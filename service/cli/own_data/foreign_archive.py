@@ -7,8 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO, Protocol
 
-from service.formats.foreign.fault import ForeignCellError, ForeignTableError
-from service.formats.foreign.layout import LevelCell, TableLayout, TableRowReader
+from service.formats.foreign.layout import ForeignCellError, ForeignTableError, LevelCell, TableLayout, TableRowReader
 from service.formats.foreign.parquet_table import ParquetTable
 from service.formats.foreign.proposal import Sample
 from service.formats.foreign.text_table import SAMPLE_LINES, TableRow, TextTable

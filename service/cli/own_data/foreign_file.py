@@ -13,8 +13,7 @@ import typer
 
 from service.cli.command_group import end
 from service.cli.own_data.foreign_archive import ForeignArchive, sample_of
-from service.formats.foreign.fault import ForeignTableError
-from service.formats.foreign.layout import StatedLayout, TableLayout, unit_in_name
+from service.formats.foreign.layout import ForeignTableError, StatedLayout, TableLayout, unit_in_name
 from service.formats.foreign.proposal import PLAUSIBLE_DBM, Proposal, Question, Sample, propose
 from service.formats.foreign.text_table import MIXED
 from service.frontend.backfill.columns import ArchiveError

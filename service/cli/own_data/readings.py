@@ -60,9 +60,8 @@ def open_readings(
         Returns the text that says what must be stated.
     """
     from service.cli.own_data.foreign_archive import sample_of, table_rows
-    from service.formats.foreign.attitude_message import read_attitude_message
-    from service.formats.foreign.fault import ForeignCellError, ForeignTableError
-    from service.formats.foreign.sensor import propose_sensor
+    from service.formats.foreign.layout import ForeignCellError, ForeignTableError
+    from service.formats.foreign.sensor import propose_sensor, read_attitude_message
     from service.frontend.backfill.columns import ArchiveError
 
     try:

@@ -31,7 +31,7 @@ from service.cli.own_data.document_file import (
 )
 
 if TYPE_CHECKING:
-    from service.api.schemas.spacecraft import SpacecraftDocument
+    from service.api.schemas.catalogue import SpacecraftDocument
     from service.client.service_client import ServiceClient
 
 app = new_app(help="Spacecraft of the catalogue.", no_args_is_help=True)
@@ -82,7 +82,7 @@ def put(
 
 def read_spacecraft(file: Path) -> "SpacecraftDocument":
     """Return the spacecraft of a file, or end."""
-    from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER
+    from service.api.schemas.catalogue import SPACECRAFT_ADAPTER
     from service.pipeline.inputs.catalogue_checks import Position, check_positions
 
     text = read_text(file)

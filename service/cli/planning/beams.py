@@ -44,7 +44,7 @@ def beams(
         document: dict[str, Any] = dict(client.beams(spacecraft, start, stop, group=group))
     if figure is not None:
         # matplotlib costs half a second that a report without a figure need not pay
-        from service.cli.planning.beams_figure import draw_beams
+        from service.cli.planning.figures import draw_beams
 
         try:
             draw_beams(document, spacecraft, figure)

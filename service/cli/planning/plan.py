@@ -94,7 +94,7 @@ def _draw(planning: "CarrierPlanning", figure: Path | None, report: Path | None)
     # matplotlib costs half a second that a plan without a figure need not pay
     try:
         if figure is not None:
-            from service.cli.planning.figure import draw_planning
+            from service.cli.planning.figures import draw_planning
 
             draw_planning(planning, figure)
         if report is not None:

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from service.cli.planning.figure import draw_planning
-from service.cli.planning.quiet_figure import draw_quiet_days
+from service.cli.planning.figures import draw_planning, draw_quiet_days
 from service.cli.planning.report import planning_parts
 from service.cli.planning.sources import CarrierPlanning
 

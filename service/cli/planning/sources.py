@@ -43,7 +43,7 @@ class PlanRequest:
 
     def wheels(self, spacecraft: Spacecraft) -> "WheelStatistics | None":
         """Return the wheels that the request or the spacecraft states."""
-        from service.pipeline.planning.momentum_gain import WHEEL_PERIOD_S, stated_wheels
+        from service.pipeline.planning.candidates import WHEEL_PERIOD_S, stated_wheels
 
         figures = self.wheels_n_m_s, self.wheel_sigma_n_m_s
         return stated_wheels(spacecraft.onboard.momentum, *figures, self.wheel_period_s or WHEEL_PERIOD_S)
@@ -100,8 +100,8 @@ def planned_by_files(files: PlanFiles, beams: list[str], noise: str, request: Pl
     """
     # web framework and validation cost a quarter of a second that other commands need not pay
     from service.api.problems.problems import RequestProblemError
-    from service.api.protocol.bodies import decode
-    from service.api.schemas.carriers import CARRIER_PLAN_ADAPTER
+    from service.api.protocol.requests import decode
+    from service.api.schemas.catalogue import CARRIER_PLAN_ADAPTER
     from service.cli.own_data.spacecraft import read_spacecraft
     from service.pipeline.planning.assumed_beams import NOISES, assume_payload
     from service.records.catalogue import CarrierPlan
@@ -130,8 +130,8 @@ def _contour_beams(path: Path | None, carriers: Any, longitude_deg: float) -> di
     """Return the beams of a contour file, none without one."""
     if path is None:
         return {}
-    from service.cli.planning.quiet_files import read_contours
-    from service.pipeline.planning.beam_contours import contour_beams
+    from service.cli.planning.quiet_plan import read_contours
+    from service.pipeline.planning.assumed_beams import contour_beams
 
     return dict(contour_beams(read_contours(path), carriers, longitude_deg))
 
@@ -148,9 +148,9 @@ def _require_known(beams: dict[str, Any], carriers: Any) -> None:
 def _assumed_document(payload: Any, request: PlanRequest, spacecraft: Spacecraft) -> dict[str, Any]:
     """Return the document of carriers with assumed beams and noise."""
     from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
+    from service.pipeline.planning.assumed_beams import offered_sites
     from service.pipeline.planning.planning import Rule, recommend
-    from service.pipeline.planning.user_sites import offered_sites
-    from service.runtime.jobs.archive_analysis import CarrierRecommendation, wanted_count
+    from service.runtime.jobs.archive_maintenance import CarrierRecommendation, wanted_count
 
     count = wanted_count(payload.candidates, request.count, "the carrier plan")
     offered = offered_sites(payload, payload.candidates)

@@ -14,8 +14,7 @@ from service.cli.operation.connection import (
     SpacecraftOption,
     connected,
 )
-from service.cli.shift.tables import reasons_table, show
-from service.cli.shift.words import clean, meaning, utc, words
+from service.cli.shift.tables import clean, meaning, reasons_table, show, utc, words
 from service.client.documents import Json
 
 if TYPE_CHECKING:

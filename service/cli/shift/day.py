@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from service.cli.shift.pages import operation_line
-from service.cli.shift.words import AXES, clean, meaning, number, utc, words
+from service.cli.shift.tables import AXES, clean, meaning, number, utc, words
 from service.client.documents import Json
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from service.cli.operation.connection import (
     connected,
 )
 from service.cli.shift.pages import PageFormat, Section, handover_sections, page
-from service.cli.shift.words import utc
+from service.cli.shift.tables import utc
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
 
 Format = Annotated[PageFormat, typer.Option("--format", help="md or html.")]

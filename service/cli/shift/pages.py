@@ -5,8 +5,7 @@ import html
 import re
 from typing import Literal, NamedTuple
 
-from service.cli.shift.tables import alarm_line
-from service.cli.shift.words import clean, meaning, number, utc, words
+from service.cli.shift.tables import alarm_line, clean, meaning, number, utc, words
 from service.client.documents import Json
 
 PageFormat = Literal["md", "html"]

@@ -12,12 +12,11 @@ import typer
 
 from service.cli.station.check_task import PlannedAnalyzer, faults_of, planned_analyzer, show
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition.settings import AcquisitionSettings
+from service.frontend.acquisition.states import AcquisitionSettings
 from service.frontend.link_report import LinkReporter
 from service.frontend.measurement_task import TaskError
 from service.frontend.spool.file import Bounds, Owner
-from service.frontend.spool.row import SpooledTask
-from service.frontend.spool.schema import SpoolError
+from service.frontend.spool.row import SpooledTask, SpoolError
 from service.frontend.spool.spool import Spool, spool_path
 from service.frontend.station import MeasuringStation, StationError, StationSummary, run_stations
 from service.frontend.tasks.station_file import StationEntry, load_station

@@ -1,19 +1,48 @@
-"""Output of studies: options, progress bar, tables, drawn figures."""
+"""Output of studies: options, progress bar, tables, drawn figures, the end by a signal."""
 
+import json
+import signal
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from service.cli.command_group import end
 from service.cli.extras import require
-from service.cli.studies.exit_code import ended_by_signals
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from service.study.published import Row
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """Let the first signal end the study; further ones do not disturb the end of its processes.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        A signal came; its number is the argument.
+    """
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+    def end(received: int, _frame: object) -> NoReturn:
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt(received)
+
+    former = {number: signal.signal(number, end) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
+
 
 EXIT_MISSED = 1
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON only.")]
@@ -104,3 +133,19 @@ def draw(folder: Path | None, study: str, drawn: Callable[[Any, Path], Iterable[
         # matplotlib costs a second that only figures need
         for path in drawn(import_module(f"service.study.{study}.figures"), folder):
             typer.echo(f"drawn: {path}", err=True)
+
+
+#: columns of a table that is written to a file
+_FILE_WIDTH = 160
+
+
+def report(rows: "Sequence[Row]", title: str, *, as_json: bool, as_markdown: bool) -> None:
+    """Print the rows of a study."""
+    from service.study.published import COLUMNS, markdown
+
+    if as_json:
+        typer.echo(json.dumps({"rows": [{**asdict(row), "ratio": row.ratio} for row in rows]}, allow_nan=False))
+    elif as_markdown:
+        typer.echo(markdown(rows), nl=False)
+    else:
+        print_tables(console_of(_FILE_WIDTH), [(title, COLUMNS, [row.cells for row in rows])])

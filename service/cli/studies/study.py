@@ -4,17 +4,17 @@ from service.cli.command_group import CommandSource, late_app
 
 _COMMANDS = {
     "orbital-frame": CommandSource(
-        "studies.orbital_frame", "Fly the orbital-frame model and print its figures beside the published ones."
+        "studies.papers", "Fly the orbital-frame model and print its figures beside the published ones."
     ),
     "limit-cycles": CommandSource(
-        "studies.limit_cycles", "Reproduce limit cycles, capture and torque schedules of a flexible spacecraft."
+        "studies.papers", "Reproduce limit cycles, capture and torque schedules of a flexible spacecraft."
     ),
     "closed-loop": CommandSource(
         "studies.closed_loop",
         "Close the loop with the chain, beside perfect sensing and beside no control, which must fail.",
     ),
     "rf-attitude": CommandSource(
-        "studies.rf_attitude",
+        "studies.papers",
         "Fit the published daily curve and compare sessions with other sensors, beside the published figures.",
     ),
     "estimation": CommandSource(

@@ -13,10 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.control.envelope import Envelope
-from service.core.control.quaternion_law import Gains
-from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
-from service.core.control.tracking import tracking_request
+from service.core.control.quaternion_law import Gains, tracking_request
+from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, Envelope, plan_slew
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

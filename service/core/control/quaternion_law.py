@@ -1,14 +1,4 @@
-"""Attitude control law by quaternion error, for a spacecraft whose roll and yaw exchange at the orbital rate.
-
-The angles of a spacecraft that an inertial loop holds and that follows its orbit move as
-
-    yaw' = -w0 roll + v_yaw      roll' = w0 yaw + v_roll      pitch' = v_pitch      I v' = u + d
-
-w0 orbital rate, rad/s; v rate against inertial space that the ground's torque u (N m) and the disturbance d change.
-The law asks for the acceleration ``a = -w^2 e - 2 z w r``, w = 2 pi / period, z damping, e twice the vector part of
-the quaternion from target to body, r rate of the body against the orbit, and gives ``u = I (a - C r) - d``: coupling
-and disturbance cancelled, each axis is a damped oscillator of its own. Order everywhere: yaw, roll, pitch.
-"""
+"""Attitude control law by quaternion error, and the slew request that follows from it in tracking."""
 
 import math
 from typing import NamedTuple
@@ -216,3 +206,50 @@ def feedback_torque(
     exchanged = gains.orbital_rate_rad_s * np.array([-roll_rate, yaw_rate, 0.0])
     wanted = -gains.stiffness_1_s2 * error_angles_rad(given[0], given[2]) - gains.friction_1_s * rate
     return np.asarray(gains.inertia_kg_m2 @ (wanted - exchanged) - given[3]) + 0.0
+
+
+class SlewRequest(NamedTuple):
+    """Request to `slew_schedule.plan_slew`; (3,) in the order yaw, roll, pitch."""
+
+    angle_change_deg: FloatArray
+    rate_deg_s: FloatArray
+
+
+def tracking_request(gains: Gains, attitude_deg: ArrayLike, rates_deg_s: ArrayLike, horizon_s: float) -> SlewRequest:
+    """Return the slew that takes a share of the error within a command period.
+
+    Parameters
+    ----------
+    gains : Gains
+        Of `quaternion_law.loop_gains`.
+    attitude_deg, rates_deg_s : array_like, shape (3,), deg and deg/s
+        Filtered angles and rates.
+    horizon_s : float, s
+        Command period.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, or the horizon is not positive.
+
+    Examples
+    --------
+    >>> from service.core.control.quaternion_law import loop_gains
+    >>> inertia = np.diag([2600.0, 1400.0, 2600.0])
+    >>> gains = loop_gains(inertia, period_s=7200.0, damping=0.9, torque_limit_n_m=0.05, command_period_s=60.0)
+    >>> tracking_request(gains, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0], 600.0).angle_change_deg.round(4).tolist()
+    [0.0, -0.0252, 0.0]
+    """
+    angles_deg, present_deg_s = np.array([attitude_deg, rates_deg_s], dtype=np.float64)
+    if angles_deg.shape != (3,) or not (np.isfinite(angles_deg).all() and np.isfinite(present_deg_s).all()):
+        raise ValueError("attitude and rates must each be three finite numbers: yaw, roll, pitch")
+    if not (math.isfinite(horizon_s) and horizon_s > 0.0):
+        raise ValueError("the horizon must be finite and positive")
+    error_deg = np.degrees(error_angles_rad(angles_deg, np.zeros(3)))
+    share = 1.0 - math.exp(-gains.stiffness_1_s2 / gains.friction_1_s * horizon_s)
+    change_deg = -share * error_deg + 0.0
+    # of the present rate, that which holds the spacecraft where it stands turns into that which holds it where it will
+    # be
+    yaw_deg, roll_deg, _ = change_deg.tolist()
+    exchanged_deg_s = gains.orbital_rate_rad_s * np.array([-roll_deg, yaw_deg, 0.0])
+    return SlewRequest(change_deg, present_deg_s + exchanged_deg_s)

@@ -1,13 +1,4 @@
-"""Sign check: direction of a commanded turn from the powers alone: as commanded, the other way, or not at all.
-
-    y_i(t) = b_i + d(t) + g_i' (l + s p(t)) + (l + s p)' H_i (l + s p) / 2 + g_i' v t + coloured_i(t) + white_i(t)
-
-y deviation of carrier i, dB; p commanded turn (yaw, roll, pitch; deg) that the filter is not told of, s = +1, 0, -1; l
-attitude before it; b level of each carrier and d level of all, both free; v drift of the inertial model. All that is
-not p is Gaussian, so the likelihood of each s is that of whitened rows, one Cholesky factor for all three. The law of
-this file: levels are free, so only what changes with the turn counts; a ratio e^9 is passed by a wrong hypothesis at
-any time with a probability below e^-9 (Ville's inequality: the ratio is a martingale under the true one).
-"""
+"""Sign check: turns that prove the sign of each axis, and their direction by the powers alone."""
 
 from enum import Enum
 from typing import NamedTuple
@@ -229,3 +220,58 @@ def _require_rows(model: CarrierModel, epochs_s: FloatArray, deviation_db: Float
         raise ValueError(f"{rows} epochs need as many rows of {model.carriers} powers and of three angles")
     if not (np.isfinite(epochs_s).all() and np.isfinite(profile_deg).all() and (np.diff(epochs_s) > 0.0).all()):
         raise ValueError("epochs must increase, epochs and the profile must be finite")
+
+
+#: places of the axes in yaw, roll, pitch
+YAW, ROLL, PITCH = 0, 1, 2
+
+
+class SlewLeg(NamedTuple):
+    """One slew of a profile; it ends without a rate."""
+
+    start_s: float
+    duration_s: float
+    #: change of the angle of the profile's axis
+    change_deg: float
+
+
+class Profile(NamedTuple):
+    """Slews about one axis and the rest after each."""
+
+    #: 0 yaw, 1 roll, 2 pitch
+    axis: int
+    legs: tuple[SlewLeg, ...]
+    stop_s: float
+
+
+def roll_profile(side_deg: float = 0.08) -> Profile:
+    """Return the roll check: 45 minutes, 0.08 deg to either side, each slew 480 s."""
+    return Profile(ROLL, _swing(side_deg, 480.0, 260.0), 2700.0)
+
+
+def pitch_profile(side_deg: float = 0.075) -> Profile:
+    """Return the pitch check: 45 minutes, a swing of 0.15 deg, each slew 300 s."""
+    return Profile(PITCH, _swing(side_deg, 300.0, 500.0), 2700.0)
+
+
+def _swing(side_deg: float, slew_s: float, rest_s: float) -> tuple[SlewLeg, ...]:
+    """Return out, rest, back in two slews and beyond, rest, back: each slew no further than a side."""
+    back_s = slew_s + rest_s
+    return (
+        SlewLeg(0.0, slew_s, side_deg),
+        SlewLeg(back_s, slew_s, -side_deg),
+        SlewLeg(back_s + slew_s, slew_s, -side_deg),
+        SlewLeg(2.0 * back_s + slew_s, slew_s, side_deg),
+    )
+
+
+def yaw_profile(side_deg: float = 0.25, hold_s: float = 3600.0) -> Profile:
+    """Return the yaw check: 4 hours, one side, the other, back; slews in parts of at most 0.1 deg."""
+    parts = int(np.ceil(side_deg / 0.1 - 1e-9))
+    step, slew_s = side_deg / parts, 600.0
+    legs = [SlewLeg(k * slew_s, slew_s, step) for k in range(parts)]
+    begin_s = parts * slew_s + hold_s
+    legs += [SlewLeg(begin_s + k * slew_s, slew_s, -step) for k in range(2 * parts)]
+    begin_s += 2 * parts * slew_s + hold_s
+    legs += [SlewLeg(begin_s + k * slew_s, slew_s, step) for k in range(parts)]
+    return Profile(YAW, tuple(legs), begin_s + parts * slew_s)

@@ -1,18 +1,82 @@
-"""Slews as pairs of pulses, one that gives the rate and one that removes it; effect of a schedule on the spacecraft.
-
-A spacecraft that is stopped in the middle of a slew keeps its rate until somebody takes it; each slew therefore carries
-the pulse that nulls its rate, and both are sent together. A pulse of impulse J (N m s) acts as a step of the rate in
-its middle; two pulses a time T apart turn the spacecraft by ``I^-1 J T``. Order everywhere: yaw, roll, pitch.
-"""
+"""Slews as pairs of pulses, rare pulses for a mean torque, and the envelope of a command."""
 
 import math
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class PulseTrain(NamedTuple):
+    """One pulse an axis and what stays for the next period."""
+
+    #: (3,) N m, 0 = no pulse on this axis
+    torque_n_m: FloatArray
+    #: (3,) s
+    duration_s: FloatArray
+    #: (3,) N m s, torque times duration
+    impulse_n_m_s: FloatArray
+    #: (3,) N m s, wanted but not yet given
+    carry_n_m_s: FloatArray
+    #: (3,) whether the torque limit cut the wanted impulse
+    is_saturated: BoolArray
+
+
+def shape_pulses(
+    torque_n_m: FloatArray,
+    carry_n_m_s: FloatArray,
+    *,
+    period_s: float,
+    limit_n_m: float,
+    quantum_n_m: float,
+    min_pulse_s: float,
+    time_step_s: float,
+) -> PulseTrain:
+    """Return the pulses that give a mean torque over one command period.
+
+    Parameters
+    ----------
+    torque_n_m : ndarray, shape (3,), N m
+        Wanted mean torque on each axis.
+    carry_n_m_s : ndarray, shape (3,), N m s
+        Impulse left over from earlier periods.
+    period_s : float, s
+        Command period; every pulse ends inside it.
+    limit_n_m : float, N m
+        Greatest torque on an axis.
+    quantum_n_m : float, N m
+        Smallest step of the drive; pulse torques are whole multiples of it.
+    min_pulse_s, time_step_s : float, s
+        Shortest pulse and the grid of durations.
+
+    Returns
+    -------
+    PulseTrain
+        The impulse given plus the new carry equals the wanted impulse plus the old carry wherever nothing saturated;
+        where it did, the carry is zero: a saturated wish is not saved up (no wind-up). A limit below the quantum
+        allows no pulse at all.
+    """
+    wanted = torque_n_m * period_s + carry_n_m_s
+    steps_at_limit = np.floor(limit_n_m / quantum_n_m * (1.0 + 1e-12))
+    longest_s = np.floor(period_s / time_step_s * (1.0 + 1e-12)) * time_step_s
+    # a period shorter than the grid of durations has room for no pulse; its wish is carried on
+    steps = np.ceil(np.abs(wanted) / (quantum_n_m * max(longest_s, time_step_s)))
+    is_saturated = steps > steps_at_limit
+    steps = np.clip(steps, 1.0, max(steps_at_limit, 1.0))
+    ideal_s = np.minimum(np.abs(wanted) / (steps * quantum_n_m), longest_s)
+    duration_s = np.floor(ideal_s / time_step_s * (1.0 + 1e-12)) * time_step_s
+    is_given = (duration_s >= min_pulse_s) & (steps <= steps_at_limit)
+    duration_s = np.where(is_given, duration_s, 0.0)
+    torque = np.where(is_given, np.sign(wanted) * steps * quantum_n_m, 0.0)
+    impulse = torque * duration_s
+    carry = np.where(is_saturated, 0.0, wanted - impulse)
+    return PulseTrain(torque, duration_s, impulse, carry, is_saturated)
+
+
 Triple = tuple[float, float, float]
 
 #: share of the horizon that one pulse may take
@@ -251,3 +315,64 @@ def _trajectory(pulses: tuple[AxisPulse, ...], inverse: FloatArray, horizon_s: f
         angles.append(angle)
         rate = after
     return np.array(angles), np.array(rates)
+
+
+class Envelope(NamedTuple):
+    """Limits about each axis."""
+
+    #: greatest change of an angle, on the way or at the end
+    angle_change_deg: float = 0.1
+    rate_change_deg_s: float = 3e-4
+    impulse_n_m_s: Annotated[float, "Sum of the sizes of a command's pulses."] = 0.02
+    impulse_an_hour_n_m_s: Annotated[float, "The same over everything that was sent within an hour."] = 0.1
+
+    def is_within(self, other: "Envelope") -> bool:
+        """Return whether no limit is wider than another envelope's, and each is a positive number."""
+        return all(0.0 < own <= limit for own, limit in zip(self, other, strict=True))
+
+
+class Excess(NamedTuple):
+    """One limit that a command exceeds."""
+
+    #: yaw, roll or pitch
+    axis: str
+    #: name of the limit
+    quantity: str
+    value: float
+    limit: float
+
+    def __str__(self) -> str:
+        """Return the excess in words."""
+        return f"{self.axis} {self.quantity} {self.value:.3g} of {self.limit:g}"
+
+
+def envelope_excesses(effect: Effect, sent_n_m_s: Triple, envelope: Envelope) -> tuple[Excess, ...]:
+    """Return the limits of the envelope that a command exceeds; none: it may be released.
+
+    Parameters
+    ----------
+    effect : Effect
+        Of `slew_schedule.predicted_effect`.
+    sent_n_m_s : tuple of float, N m s
+        Yaw, roll, pitch: sum of the sizes of the impulses sent within the hour before.
+    envelope : Envelope
+        The limits.
+
+    Notes
+    -----
+    Each change is taken at its greatest, on the way as well as at the end: a pair of pulses that nulls itself would
+    otherwise count for nothing. What is not a number is beyond every limit.
+    """
+    measured = {
+        "angle_change_deg": np.maximum(np.abs(effect.peak_angle_deg), np.abs(effect.angle_change_deg)),
+        "rate_change_deg_s": np.maximum(np.abs(effect.peak_rate_deg_s), np.abs(effect.rate_change_deg_s)),
+        "impulse_n_m_s": np.array(effect.gross_impulse_n_m_s),
+        "impulse_an_hour_n_m_s": np.add(sent_n_m_s, effect.gross_impulse_n_m_s),
+    }
+    found = []
+    for (quantity, values), limit in zip(measured.items(), envelope, strict=True):
+        for axis, value in zip(_AXES, values.tolist(), strict=True):
+            # negated, so that a value that is no number is beyond
+            if not value <= limit * (1.0 + _ROUNDING):
+                found.append(Excess(axis, quantity, value, limit))
+    return tuple(found)

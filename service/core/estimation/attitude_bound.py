@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.filtering.model.filter_model import PolarimeterModel
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.calibration.coloured_rows import ColouredNoise, stretch_variance_db2
+from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2
 from service.core.estimation.observability import (
     angle_dilution_deg_per_db,
     common_share,
@@ -23,7 +23,7 @@ from service.core.estimation.observability import (
     leverages,
     normal_inverse,
 )
-from service.core.estimation.snapshot.fault_bounds import FaultBounds, fault_bounds
+from service.core.estimation.snapshot.snapshot import FaultBounds, fault_bounds
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

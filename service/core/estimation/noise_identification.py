@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.noise.components import fitted_variances, pooled_variances
-from service.core.estimation.noise.periodogram import Spectra, grouped_spectra, regular_grid
+from service.core.estimation.noise import Spectra, fitted_variances, grouped_spectra, pooled_variances, regular_grid
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

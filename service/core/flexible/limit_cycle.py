@@ -5,27 +5,215 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.both_lines import (
-    CycleOverBothLines,
-    crossing_speed_rad_s,
-    find_cycles_over_both_lines,
-)
-from service.core.flexible.closed_forms import SinglePulseForms, single_pulse_forms
+from service.core.flexible.motion import steps_of
 from service.core.flexible.phi_functions import FloatArray
-from service.core.flexible.return_kernels import OneSided, one_return
-from service.core.flexible.roots import brent_root
-from service.core.flexible.spacecraft import WheelDrive
-from service.core.flexible.succession import koenigs_lamerey, one_sided_motion, succession
-from service.core.flexible.switching_law import SwitchingLaw
+from service.core.flexible.propagation import BodyState, brent_root
+from service.core.flexible.return_kernels import Follow, OneSided, follow, one_return
+from service.core.flexible.spacecraft import SwitchingLaw, WheelDrive, accelerations, require_law
+
+#: speeds tried; narrower branches between two jumps are not seen
+_SCANNED_SPEEDS = 80
+#: pulses between two arrivals at most
+_MOST_PULSES = 20
+#: a return takes less, s
+_LONGEST_S = 1e6
+#: what a root of f(w) - w may leave, and the step of the slope, in gains of one pulse
+_JUMP, _DIFFERENCE_STEP = 1e-9, 1e-5
+
+
+class Return(NamedTuple):
+    """Motion from one arrival to the next one like it."""
+
+    speed_rad_s: float
+    period_s: float
+    #: on the side of the arrival, on the other side
+    pulses: tuple[int, int]
+    #: greatest distance from zero at an event, and greatest rate
+    outer_rad: float
+    rate_rad_s: float
+
+
+class CycleOverBothLines(NamedTuple):
+    """A return that ends as it began."""
+
+    motion: Return
+    multiplier: float
+    is_stable: bool
+
+
+def crossing_speed_rad_s(drive: WheelDrive, law: SwitchingLaw) -> float:
+    """Return the inward speed at the first line from which the body comes through neutral against friction."""
+    return math.sqrt(4.0 * accelerations(drive).passive_rad_s2 * law.beta_rad)
+
+
+def find_cycles_over_both_lines(drive: WheelDrive, law: SwitchingLaw) -> tuple[CycleOverBothLines, ...]:
+    """Return the cycles that visit both lines once, by speed; rigid body, pulses, no external torque.
+
+    Examples
+    --------
+    >>> drive = WheelDrive(1000.0, 0.2, 3e-4, 1e-4, momentum_n_m_s=10.0)
+    >>> (cycle,) = find_cycles_over_both_lines(drive, SwitchingLaw(0.0175, 0.0349, 2.0))
+    >>> cycle.motion.pulses, round(cycle.motion.period_s, 3), cycle.is_stable
+    ((2, 1), 1142.857, False)
+    """
+    gained = drive.motor_torque_n_m * law.pulse_s / drive.inertia_kg_m2
+    crossing = crossing_speed_rad_s(drive, law)
+    if gained <= crossing:
+        return ()
+
+    def excess(speed: float) -> float:
+        found = return_over_both_lines(speed, drive, law)
+        return math.nan if found is None else found.speed_rad_s - speed
+
+    speeds = np.linspace(0.0, math.hypot(law.pulse_count * gained, crossing), _SCANNED_SPEEDS + 2)[1:-1]
+    values = np.array([excess(float(speed)) for speed in speeds])
+    cycles = []
+    for k in np.flatnonzero(values[:-1] * values[1:] <= 0.0):
+        speed = brent_root(excess, float(speeds[k]), float(speeds[k + 1]))
+        motion = return_over_both_lines(speed, drive, law)
+        if motion is not None and abs(motion.speed_rad_s - speed) <= _JUMP * gained:
+            step = _DIFFERENCE_STEP * gained
+            multiplier = 1.0 + (excess(speed + step) - excess(speed - step)) / (2.0 * step)
+            cycles.append(CycleOverBothLines(motion, multiplier, abs(multiplier) < 1.0))
+    return tuple(cycles)
+
+
+def return_over_both_lines(speed_rad_s: float, drive: WheelDrive, law: SwitchingLaw) -> Return | None:
+    """Return the motion from an arrival at a speed to the next one; None where there is none."""
+    # friction turns the body against the sign of the momentum
+    side = -math.copysign(1.0, drive.momentum_n_m_s)
+    rate = side * speed_rad_s
+    start = BodyState(side * law.beta_rad, rate, momentum_n_m_s=drive.momentum_n_m_s + drive.inertia_kg_m2 * rate)
+    pulses, outer, fastest = [0, 0], law.beta_rad, speed_rad_s
+    for step in steps_of(start, drive, None, law, _LONGEST_S):
+        outer, fastest = max(outer, abs(step.end.angle_rad)), max(fastest, abs(step.end.rate_rad_s))
+        if not step.event.is_firing:
+            continue
+        is_other = step.event.regulator.side != side
+        if not is_other and pulses[1]:
+            return Return(abs(step.end.rate_rad_s), step.end_s, (pulses[0], pulses[1]), outer, fastest)
+        pulses[is_other] += 1
+        if sum(pulses) > _MOST_PULSES:
+            break
+    return None
+
+
+class SinglePulseForms(NamedTuple):
+    """Cycle of one pulse, by formula."""
+
+    #: at firing, c = 0
+    speed_rad_s: float
+    period_s: float
+    #: below and above the line
+    inner_depth_rad: float
+    overshoot_rad: float
+    #: -(1 + 2 eps_c / eps_a), c = 0
+    multiplier_frictionless: float
+    #: with viscous loss to first order
+    multiplier: float
+    #: of the printed (23), which lacks the displacement theta' tau
+    multiplier_truncated: float
+    #: loss at the momentum limit above which the cycle is stable, N m
+    critical_viscous_loss_n_m: float
+
+
+def single_pulse_forms(drive: WheelDrive, pulse_s: float) -> SinglePulseForms:
+    """Return the closed forms of the cycle of one pulse.
+
+    Examples
+    --------
+    >>> forms = single_pulse_forms(WheelDrive(1000.0, 0.2, 1e-3, 1e-4, momentum_n_m_s=10.0), 1.0)
+    >>> [round(value, 6) for value in (forms.multiplier_frictionless, forms.multiplier, forms.multiplier_truncated)]
+    [-1.010555, -1.009917, -0.9895]
+    """
+    passive, pulse, viscous = accelerations(drive)
+    ratio = passive / pulse
+    speed = 0.5 * pulse * pulse_s
+    steepness = -(1.0 + 2.0 * ratio)
+    # the loss that stabilises stands beside dry friction alone
+    dry = drive.dry_friction_n_m
+    dry_ratio = dry / (drive.motor_torque_n_m - dry)
+    return SinglePulseForms(
+        speed_rad_s=speed,
+        period_s=cycle_period_s(drive, pulse_s, 1),
+        inner_depth_rad=0.5 * speed**2 / passive,
+        overshoot_rad=0.5 * speed**2 / pulse,
+        multiplier_frictionless=steepness,
+        multiplier=steepness * (1.0 - 4.0 * viscous * speed / (3.0 * passive)),
+        multiplier_truncated=-(1.0 - ratio) / (1.0 + ratio),
+        critical_viscous_loss_n_m=3.0 * drive.momentum_limit_n_m_s * dry_ratio**2 / pulse_s,
+    )
+
+
+def cycle_period_s(drive: WheelDrive, pulse_s: float, pulses: int) -> float:
+    """Return the period of a cycle, s: N pulses make good what friction takes, equation (25); exact for any loss."""
+    passive, _, _ = accelerations(drive)
+    return pulses * drive.motor_torque_n_m * pulse_s / (passive * drive.inertia_kg_m2)
+
+
+def truncated_succession(speeds_rad_s: FloatArray, motion: OneSided) -> FloatArray:
+    """Return the succession (S,) that follows from (23) as printed, without the displacement theta' tau in a pulse."""
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+    passive_part = motion.passive_rad_s2 * motion.pulse_rad_s2 * motion.pulse_s**2
+    return np.sqrt((speeds_rad_s - gained) ** 2 + passive_part)
+
+
+def one_sided_motion(drive: WheelDrive, law: SwitchingLaw) -> OneSided:
+    """Return the numbers of one-sided motion.
+
+    Raises
+    ------
+    ValueError
+        An external torque, no friction, or a relay: none of them has a one-sided cycle of pulses.
+    """
+    require_law(law)
+    passive, pulse, viscous = accelerations(drive)
+    if drive.external_torque_n_m != 0.0:
+        raise ValueError(
+            f"external_torque_n_m is {drive.external_torque_n_m:g}: momentum drifts to its limit and no cycle closes; "
+            "set it to 0 here and follow the motion itself instead"
+        )
+    if passive == 0.0:
+        raise ValueError(
+            "neither dry nor viscous friction: nothing brings the body back to its line; raise one of them"
+        )
+    if law.is_relay:
+        raise ValueError("pulse_s is infinite: a relay has no cycle of pulses; give the length of a pulse")
+    lines = (law.alpha_rad, law.beta_rad, law.pulse_s, law.pulse_count, law.line_step_rad)
+    return OneSided(passive, pulse, viscous, *lines)
+
+
+def succession(speeds_rad_s: FloatArray, motion: OneSided) -> FloatArray:
+    """Return the speeds (S,) of the next arrivals after arrivals at some speeds (S,); NaN where there is none."""
+    return follow(np.asarray(speeds_rad_s, dtype=np.float64), 1, motion)[:, 1]
+
+
+def koenigs_lamerey(speed_rad_s: float, returns: int, motion: OneSided, follower: Follow = follow) -> FloatArray:
+    """Return the ladder (2 R + 1, 2) of Koenigs and Lamerey from one arrival: corners (w_k, w_k), (w_k, w_k+1).
+
+    Parameters
+    ----------
+    speed_rad_s : float, rad/s
+        First arrival.
+    returns : int
+        R; the ladder is shorter where the motion does not return.
+    motion : OneSided
+        Its numbers.
+    follower : callable
+        `follow` or its compiled form.
+    """
+    speeds = follower(np.array([speed_rad_s]), returns, motion)[0]
+    speeds = speeds[np.isfinite(speeds)]
+    corners = np.repeat(speeds, 2)
+    return np.column_stack([corners[:-1], corners[1:]])[: 2 * len(speeds) - 1]
+
 
 #: speeds tried between 0 and the gain of one pulse; narrower branches between two jumps are not seen
 SCANNED_SPEEDS = 400
 #: pulses of a cycle at most
 MOST_PULSES = 200
-#: what a root of f(w) - w may leave, in gains of one pulse: more is a jump
-_JUMP = 1e-9
 #: step of the central difference, in gains of one pulse
-_DIFFERENCE_STEP = 1e-4
+_SUCCESSION_STEP = 1e-4
 _HALVINGS = 10
 
 
@@ -186,7 +374,7 @@ def _why_none(excess_rad_s: FloatArray, gained_rad_s: float, crossing_rad_s: flo
 
 def cycle_multiplier(speed_rad_s: float, motion: OneSided) -> float:
     """Return the slope of the succession function; NaN where a jump is too near on both sides of every step tried."""
-    step = _DIFFERENCE_STEP * motion.pulse_rad_s2 * motion.pulse_s
+    step = _SUCCESSION_STEP * motion.pulse_rad_s2 * motion.pulse_s
     pulses = one_return(speed_rad_s, motion).pulses
     for _ in range(_HALVINGS):
         low, high = one_return(speed_rad_s - step, motion), one_return(speed_rad_s + step, motion)

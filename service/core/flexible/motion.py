@@ -10,18 +10,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.crossings import Line, crossing_time, momentum_time
 from service.core.flexible.phi_functions import FloatArray
-from service.core.flexible.propagation import BodyState, MotionLeg, start_leg, state_at, states_at
-from service.core.flexible.spacecraft import HubMode, WheelDrive, require_drive, require_mode, require_positive
-from service.core.flexible.switching_law import (
+from service.core.flexible.propagation import (
+    BodyState,
+    Line,
+    MotionLeg,
+    crossing_time,
+    momentum_time,
+    start_leg,
+    state_at,
+    states_at,
+)
+from service.core.flexible.spacecraft import (
     WATCHES,
     Arm,
     CrossingWatch,
+    HubMode,
     SwitchingLaw,
+    WheelDrive,
     arm_after_pulse,
     counter_after,
+    require_drive,
     require_law,
+    require_mode,
+    require_positive,
 )
 
 #: more events than this in one call: the law chatters, or the time asked for is too long

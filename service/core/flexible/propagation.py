@@ -1,19 +1,8 @@
-"""Exact motion between two events on both sheets of the phase bi-plane.
-
-While switch F and friction's sign stand, the wheel's torque decays as h exp(-c t), and with phi1(z) = (1 - e^-z) / z,
-phi2(z) = (z - 1 + e^-z) / z^2
-
-    H = H0 + h t phi1(ct),  thT' = v + (M_B t + h t phi1(ct)) / I,  thT = x + v t + (M_B t^2 / 2 + h t^2 phi2(ct)) / I
-    thU = a0 + a1 e^-ct + e^(-xi w t) (q cos w nu t + b sin w nu t),  nu = sqrt(1 - xi^2)
-
-x, v (rad, rad/s) and h (N m) are values at the start of the leg, t (s) counts from there; a0 = kn M_B / (I w^2),
-a1 = kn h / (I (w^2 - 2 xi w c + c^2)).
-
-Against an integrator of eighth order with relative tolerance 1e-12 every component agrees within 2e-14 after 60 s
-(`tests/regression/flexible/test_limit_cycles.py`).
-"""
+"""Exact motion between two events on both sheets of the phase bi-plane, and the times of the events."""
 
 import math
+from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -140,3 +129,245 @@ def _deflection(leg: MotionLeg, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     swing = envelope * (leg.cosine_rad * cosine + leg.sine_rad * sine)
     swing_rate = envelope * leg.frequency_rad_s * (leg.sine_rad * cosine - leg.cosine_rad * sine)
     return leg.offset_rad + fading + swing, swing_rate - leg.damping_1_s * swing - leg.decay_1_s * fading
+
+
+_MACHINE_EPSILON = 2.220446049250313e-16
+_MAX_STEPS = 200
+
+
+def brent_root(function: Callable[[float], float], low: float, high: float, tolerance: float = 0.0) -> float:
+    """Return a root of a continuous function between two bounds where its signs differ.
+
+    Parameters
+    ----------
+    function : callable
+        Of one float.
+    low, high : float
+        Bounds in any order; the function has opposite signs there, or is zero at one.
+    tolerance : float
+        Absolute error that is allowed beside four units of the last digit.
+
+    Raises
+    ------
+    ValueError
+        The signs are equal.
+
+    References
+    ----------
+    .. [1] R. P. Brent, "Algorithms for Minimization without Derivatives", 1973, chapter 4.
+
+    Examples
+    --------
+    >>> round(brent_root(lambda x: x * x - 2.0, 0.0, 2.0), 12)
+    1.414213562373
+    """
+    a, b = low, high
+    fa, fb = function(a), function(b)
+    if fa * fb > 0.0:
+        raise ValueError(f"no change of sign between {low:g} and {high:g}: the function is {fa:g} and {fb:g}")
+    c, fc = a, fa
+    step = last = b - a
+    for _ in range(_MAX_STEPS):
+        if fb * fc > 0.0:
+            c, fc = a, fa
+            step = last = b - a
+        if abs(fc) < abs(fb):
+            a, b, c = b, c, b
+            fa, fb, fc = fb, fc, fb
+        least = 2.0 * _MACHINE_EPSILON * abs(b) + 0.5 * tolerance
+        half = 0.5 * (c - b)
+        if fb == 0.0 or abs(half) <= least:
+            break
+        step, last = _step(a, b, c, fa, fb, fc, step, last, least)
+        a, fa = b, fb
+        b += step if abs(step) > least else (least if half > 0.0 else -least)
+        fb = function(b)
+    return b
+
+
+def _step(
+    a: float, b: float, c: float, fa: float, fb: float, fc: float, step: float, last: float, least: float
+) -> tuple[float, float]:
+    """Return the next step, interpolated where that is safe, and the one it is compared with next time."""
+    half = 0.5 * (c - b)
+    if abs(last) < least or abs(fa) <= abs(fb):
+        return half, half
+    s = fb / fa
+    if a == c:
+        p, q = 2.0 * half * s, 1.0 - s
+    else:
+        q, r = fa / fc, fb / fc
+        p = s * (2.0 * half * q * (q - r) - (b - a) * (r - 1.0))
+        q = (q - 1.0) * (r - 1.0) * (s - 1.0)
+    p, q = abs(p), -q if p > 0.0 else q
+    if 2.0 * p < min(3.0 * half * q - abs(least * q), abs(last * q)):
+        return p / q, step
+    return half, half
+
+
+def newton_root(function: Callable[[float], tuple[float, float]], low: float, high: float) -> float:
+    """Return the root of a monotone function by Newton's steps that never leave the bounds.
+
+    Parameters
+    ----------
+    function : callable
+        Gives value and derivative.
+    low, high : float
+        Bounds; the function has opposite signs there, or is zero at one.
+
+    Examples
+    --------
+    >>> round(newton_root(lambda x: (x**3 - 2.0, 3.0 * x * x), 0.0, 2.0), 12)
+    1.259921049895
+    """
+    is_rising = function(high)[0] > function(low)[0]
+    x = 0.5 * (low + high)
+    for _ in range(_MAX_STEPS):
+        value, slope = function(x)
+        if (value > 0.0) == is_rising:
+            high = x
+        else:
+            low = x
+        last, x = x, x - value / slope if slope != 0.0 else low
+        if not low <= x <= high:
+            x = 0.5 * (low + high)
+        if abs(x - last) <= 2.0 * _MACHINE_EPSILON * abs(x) or value == 0.0:
+            break
+    return x
+
+
+#: points a period of the flexible mode
+SCAN_POINTS = 48
+#: points of one chunk of a scan; a crossing ends the scan
+_CHUNK = 96
+#: an angle nearer to a line is on it, rad
+_ON_LINE_RAD = 1e-14
+
+
+class Line(NamedTuple):
+    """An angle to be crossed in one direction."""
+
+    angle_rad: float
+    #: +1 upwards, -1 downwards
+    direction: float
+
+
+def crossing_time(leg: MotionLeg, line: Line, horizon_s: float) -> float:
+    """Return when a leg first crosses a line within a time; infinite where it does not."""
+    ahead_rad = line.direction * (_angle(leg, 0.0) - line.angle_rad)
+    rate = line.direction * _rate(leg, 0.0)
+    if ahead_rad > _ON_LINE_RAD or (ahead_rad >= -_ON_LINE_RAD and rate > 0.0):
+        return 0.0
+    if leg.frequency_rad_s == 0.0:
+        return _rigid_crossing(leg, line, horizon_s)
+    return _scanned_crossing(leg, line, horizon_s)
+
+
+def _angle(leg: MotionLeg, t: float) -> float:
+    """Return theta."""
+    return angle_and_rate_at(leg, t)[0]
+
+
+def _rate(leg: MotionLeg, t: float) -> float:
+    """Return the rate of theta."""
+    return angle_and_rate_at(leg, t)[1]
+
+
+def _rigid_crossing(leg: MotionLeg, line: Line, horizon_s: float) -> float:
+    """Return the first crossing of a rigid body: monotone between its turns."""
+
+    def gap(t: float) -> tuple[float, float]:
+        angle, rate = angle_and_rate_at(leg, t)
+        return angle - line.angle_rad, rate
+
+    ends = [0.0, *_turns(leg, horizon_s), horizon_s]
+    for low, high in pairwise(ends):
+        before, after = line.direction * gap(low)[0], line.direction * gap(high)[0]
+        if after >= 0.0 and after > before:
+            return newton_root(gap, low, high)
+    return math.inf
+
+
+def _turns(leg: MotionLeg, horizon_s: float) -> list[float]:
+    """Return when the rate of a rigid body is zero, at most twice."""
+    c, v = leg.decay_1_s, leg.start.rate_rad_s
+    constant, fading = leg.external_torque_n_m / leg.inertia_kg_m2, leg.wheel_torque_n_m / leg.inertia_kg_m2
+    if constant == 0.0 or c == 0.0:
+        turn_s = _single_turn(v, constant + fading, c if constant == 0.0 else 0.0)
+        return [turn_s] if 0.0 < turn_s < horizon_s else []
+    # the rate itself turns once where both torques oppose each other
+    turn = math.log(-fading / constant) / c if fading * constant < 0.0 else -1.0
+    ends = [0.0, turn, horizon_s] if 0.0 < turn < horizon_s else [0.0, horizon_s]
+    return [
+        brent_root(lambda t: _rate(leg, t), low, high)
+        for low, high in pairwise(ends)
+        if _rate(leg, low) * _rate(leg, high) < 0.0
+    ]
+
+
+def _single_turn(rate: float, acceleration: float, c: float) -> float:
+    """Return when the rate of a body under a decaying acceleration is zero; infinite where it never is."""
+    if rate * acceleration >= 0.0:
+        return math.inf
+    left = 1.0 + c * rate / acceleration
+    if left <= 0.0:
+        return math.inf
+    return -math.log(left) / c if c > 0.0 else -rate / acceleration
+
+
+def _scanned_crossing(leg: MotionLeg, line: Line, horizon_s: float) -> float:
+    """Return the first crossing of a flexible body by a scan in chunks."""
+    step_s = 2.0 * math.pi / (leg.frequency_rad_s * SCAN_POINTS)
+    first, count = 0, math.ceil(horizon_s / step_s)
+    while first < count:
+        last = min(first + _CHUNK, count)
+        times = np.minimum(step_s * np.arange(first, last + 1), horizon_s)
+        found = _crossing_in(leg, line, times)
+        if found is not None:
+            return found
+        first = last
+    return math.inf
+
+
+def _crossing_in(leg: MotionLeg, line: Line, times: FloatArray) -> float | None:
+    """Return the first crossing between some times in order."""
+    states = states_at(leg, times)
+    ahead = line.direction * (states[:, 0] + states[:, 2] - line.angle_rad)
+    rate = line.direction * (states[:, 1] + states[:, 3])
+    crosses = ahead[1:] > 0.0
+    hides = (rate[:-1] > 0.0) & (rate[1:] < 0.0)
+    for k in np.flatnonzero(crosses | hides):
+        low, high = float(times[k]), float(times[k + 1])
+        if hides[k] and not crosses[k]:
+            high = _turn(leg, low, high)
+        if line.direction * (_angle(leg, high) - line.angle_rad) > 0.0:
+            return _root_after(leg, line, low, high)
+    return None
+
+
+def _turn(leg: MotionLeg, low: float, high: float) -> float:
+    """Return when the rate turns between two times; the later one where it hardly does, by rounding."""
+    if _rate(leg, low) * _rate(leg, high) >= 0.0:
+        return high
+    return brent_root(lambda t: _rate(leg, t), low, high)
+
+
+def _root_after(leg: MotionLeg, line: Line, low: float, high: float) -> float:
+    """Return the crossing between a time before the line, or on it, and one beyond."""
+    # a leg may begin on the line and turn back to it within the first points: its root comes after the turn
+    if line.direction * (_angle(leg, low) - line.angle_rad) >= 0.0 and line.direction * _rate(leg, low) < 0.0:
+        low = _turn(leg, low, high)
+    if line.direction * (_angle(leg, low) - line.angle_rad) >= 0.0:
+        return low
+    return brent_root(lambda t: _angle(leg, t) - line.angle_rad, low, high)
+
+
+def momentum_time(leg: MotionLeg, momentum_n_m_s: float) -> float:
+    """Return when the momentum of a leg comes to a value; infinite where it does not. A value held is not come to."""
+    gap, c = momentum_n_m_s - leg.start.momentum_n_m_s, leg.decay_1_s
+    if gap * leg.wheel_torque_n_m <= 0.0:
+        return math.inf
+    share = 1.0 - c * gap / leg.wheel_torque_n_m
+    if share <= 0.0:
+        return math.inf
+    return -math.log1p(-c * gap / leg.wheel_torque_n_m) / c if c > 0.0 else gap / leg.wheel_torque_n_m

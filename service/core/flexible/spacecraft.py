@@ -1,19 +1,7 @@
-"""One axis of a spacecraft with a wheel and one flexible mode, and the refusal of numbers that are not physical.
-
-    I thT'' = M_B + M_y,   thU'' + 2 xi w thU' + w^2 thU = kn (M_B + M_y) / I,   theta = thT + thU
-    M_y = M_n F - M_T sgn H - M_v H / H_max,   dH/dt = M_y,   |H| <= H_max
-
-theta (rad) is what the sensor sees, thT the turn of the body as a rigid one, thU what the flexible mode adds to it at
-the hub; H (N m s) the wheel's momentum, counted so that a torque on the body raises it; F in {-1, 0, +1} the switch;
-I in kg m^2, torques in N m, w in rad/s. Equations (1) to (3), (21), (22) of [1]_; the plus before the integral of
-friction in the printed (22) cannot hold for H > 0.
-
-References
-----------
-.. [1] L. V. Severova, S. P. Severov, "On the analysis of the orientation of deformable spacecraft", Bauman MSTU.
-"""
+"""One axis of a spacecraft with a wheel and one flexible mode, and the laws that switch its wheel."""
 
 import math
+from enum import StrEnum
 from typing import NamedTuple
 
 
@@ -126,3 +114,101 @@ def require_finite(name: str, value: float) -> None:
     """Refuse NaN and infinity."""
     if not math.isfinite(value):
         raise ValueError(f"{name} is {value:g}, it must be a finite number")
+
+
+class Arm(StrEnum):
+    """Arming state of the regulator."""
+
+    #: no pulse counted, both sides watched
+    NEUTRAL = "neutral"
+    #: some lines used
+    COUNTING = "counting"
+    #: n_max lines used or more, not yet fallen below the last
+    FULL = "full"
+    #: fallen below the last line after all were used: it is armed again
+    CAPPED = "capped"
+    #: motor on until the timer ends
+    FIRING = "firing"
+    #: relay on until the angle has fallen to alpha
+    RELAY_ON = "relay_on"
+
+
+class SwitchingLaw(NamedTuple):
+    """Lines and pulses of a law."""
+
+    #: control is released here
+    alpha_rad: float
+    #: control begins here, L_1
+    beta_rad: float
+    #: tau; infinite: relay
+    pulse_s: float
+    #: n_max
+    pulse_count: int = 1
+    #: Delta_n
+    line_step_rad: float = 0.0
+
+    @property
+    def is_relay(self) -> bool:
+        """Return whether the motor runs until the angle has fallen to alpha."""
+        return math.isinf(self.pulse_s)
+
+    @property
+    def last_line_rad(self) -> float:
+        """Return L_n_max."""
+        return self.beta_rad + (self.pulse_count - 1) * self.line_step_rad
+
+    def next_line_rad(self, counter: int) -> float:
+        """Return the line that fires next; infinite where there is none."""
+        if counter >= self.pulse_count and self.line_step_rad == 0.0:
+            return math.inf
+        return self.beta_rad + counter * self.line_step_rad
+
+
+class CrossingWatch(NamedTuple):
+    """A line to be watched while the regulator waits, and what follows its crossing."""
+
+    #: "line" fires on an outward arrival; "alpha", "beta", "last" on falling below
+    line: str
+    to: Arm
+
+
+#: what is watched in each state; the first crossing in time counts
+WATCHES: dict[Arm, tuple[CrossingWatch, ...]] = {
+    Arm.NEUTRAL: (CrossingWatch("line", Arm.FIRING),),
+    Arm.COUNTING: (CrossingWatch("line", Arm.FIRING), CrossingWatch("alpha", Arm.NEUTRAL)),
+    Arm.FULL: (CrossingWatch("line", Arm.FIRING), CrossingWatch("last", Arm.CAPPED)),
+    Arm.CAPPED: (CrossingWatch("line", Arm.FIRING), CrossingWatch("beta", Arm.NEUTRAL)),
+    Arm.FIRING: (),
+    Arm.RELAY_ON: (CrossingWatch("alpha", Arm.NEUTRAL),),
+}
+
+
+def counter_after(arm: Arm, counter: int, law: SwitchingLaw) -> int:
+    """Return how many lines count as used on entering a state."""
+    if arm is Arm.NEUTRAL:
+        return 0
+    if arm is Arm.CAPPED:
+        return law.pulse_count - 1
+    return counter + 1 if arm in {Arm.FIRING, Arm.RELAY_ON} else counter
+
+
+def arm_after_pulse(counter: int, law: SwitchingLaw) -> Arm:
+    """Return the state at the end of a pulse."""
+    return Arm.FULL if counter >= law.pulse_count else Arm.COUNTING
+
+
+def require_law(law: SwitchingLaw) -> None:
+    """Refuse a law that cannot switch; ValueError says which number and what to do."""
+    require_positive("alpha_rad", law.alpha_rad)
+    if not (math.isfinite(law.beta_rad) and law.alpha_rad <= law.beta_rad):
+        raise ValueError(
+            f"alpha_rad {law.alpha_rad:g} is not at or below beta_rad {law.beta_rad:g}: control would be released "
+            "before it begins; beta is where it switches on, alpha where it is released"
+        )
+    if not law.pulse_s > 0.0:
+        raise ValueError(f"pulse_s is {law.pulse_s:g}, it must be above 0 (infinite for a relay)")
+    if law.pulse_count < 1:
+        raise ValueError(f"pulse_count is {law.pulse_count}, it must be 1 or more")
+    require_not_negative("line_step_rad", law.line_step_rad)
+    if law.pulse_count > 1:
+        require_positive("line_step_rad", law.line_step_rad)

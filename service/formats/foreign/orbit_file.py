@@ -13,7 +13,7 @@ from xml.etree.ElementTree import ParseError
 from sgp4 import exporter, omm
 from sgp4.api import Satrec
 
-from service.formats.foreign.fault import ForeignTableError
+from service.formats.foreign.layout import ForeignTableError
 
 #: members of an OMM that a provider may leave out, with what SGP4 takes for them
 _OPTIONAL = {

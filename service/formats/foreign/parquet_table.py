@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from service.formats.foreign.fault import ForeignTableError
+from service.formats.foreign.layout import ForeignTableError
 from service.formats.foreign.text_table import TableRow
 
 #: rows in memory at once

@@ -10,18 +10,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.formats.foreign.clock import ISO, EpochReader, formats_of, has_offsets, readable
-from service.formats.foreign.fault import ForeignTableError
 from service.formats.foreign.layout import (
     ABSENT,
+    ISO,
     OFFSET_DB,
     Decimal,
+    EpochReader,
+    ForeignTableError,
     StatedLayout,
     TableLayout,
     Unit,
     check_header,
+    formats_of,
+    has_offsets,
     is_number,
     position_of,
+    readable,
     unit_in_name,
     without_unit,
 )

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import BinaryIO, NamedTuple
 
-from service.formats.foreign.fault import ForeignTableError
+from service.formats.foreign.layout import ForeignTableError
 
 SEPARATORS = (",", ";", "\t", "|")
 #: lines from which separator and layout are found

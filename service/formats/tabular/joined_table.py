@@ -15,9 +15,7 @@ from service.formats.numbers import shortest_float32
 from service.formats.tabular.measurement_file import MeasurementColumns
 from service.formats.tabular.series_tables import JOINED_ATTITUDE, TORQUES
 from service.formats.tabular.table_file import Column, Kind, SeriesTable
-from service.records.levels.attitude import AttitudeRow
-from service.records.levels.carrier_results import CARRIER_STATES, CarrierResults
-from service.records.levels.command import TorqueCommand
+from service.records.levels.attitude import CARRIER_STATES, AttitudeRow, CarrierResults, TorqueCommand
 from service.records.levels.measurement import Measurement
 
 _OF_CARRIER: dict[str, Kind] = {"state": "text", "deviation_db": "figure", "residual_db": "figure"}

@@ -17,8 +17,7 @@ from service.formats.tabular.parquet_stream import GROUP_ROWS, ParquetStream
 from service.formats.tabular.row_text import RowFrame, RowText
 from service.records.csv_guard import guarded
 from service.records.levels.attitude import IntArray
-from service.records.levels.measurement import Float32Array
-from service.records.levels.measurement_block import MeasurementBlock
+from service.records.levels.measurement import Float32Array, MeasurementBlock
 
 Kernels = Literal["numba", "numpy"]
 

@@ -10,8 +10,7 @@ from typing import Any
 from service.formats.tabular.table_file import Column, Kind, SeriesTable
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference, PolarizationRecord, TelemetryRecord
-from service.records.levels.attitude import AttitudeRow, Axes
-from service.records.levels.command import Pulse, ScheduleVerdict, TorqueCommand
+from service.records.levels.attitude import AttitudeRow, Axes, Pulse, ScheduleVerdict, TorqueCommand
 from service.records.record_fields import FieldKind, RecordField, record_fields
 
 

@@ -15,18 +15,22 @@ from dataclasses import replace
 
 from service.client.backoff import Backoff
 from service.frontend.acquisition.epoch_guard import EpochGuard
-from service.frontend.acquisition.evaluation import MeasuredRow, TaskEvaluation
-from service.frontend.acquisition.measuring_cycle import MeasuringCycle, is_good
-from service.frontend.acquisition.orders import AcquisitionOrders
-from service.frontend.acquisition.settings import WATCHDOG_PERIODS, AcquisitionCounters, AcquisitionSettings
-from service.frontend.acquisition.states import TRANSITIONS, AcquisitionEvent, AcquisitionState
-from service.frontend.drivers.base import SweepRefusedError
-from service.frontend.drivers.choice import dialect_of, identify
+from service.frontend.acquisition.evaluation import MeasuredRow, MeasuringCycle, TaskEvaluation, is_good
+from service.frontend.acquisition.states import (
+    TRANSITIONS,
+    WATCHDOG_PERIODS,
+    AcquisitionCounters,
+    AcquisitionEvent,
+    AcquisitionOrders,
+    AcquisitionSettings,
+    AcquisitionState,
+)
+from service.frontend.drivers.dialects import SweepRefusedError, dialect_of, identify
 from service.frontend.drivers.scpi_driver import RESET_S, ScpiDriver
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import MeasurementTask
 from service.frontend.tasks.task_plan import cycle_s
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import QualityFlag
 from service.records.levels.sweep import Sweep
 
 logger = logging.getLogger("service.frontend.acquisition.acquisition")

@@ -8,7 +8,7 @@ that lies before its predecessor carries the flag that says so.
 import logging
 
 from service.records.epoch import US_PER_S
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import QualityFlag
 
 logger = logging.getLogger("service.frontend.acquisition.epoch_guard")
 

@@ -33,7 +33,7 @@ from service.frontend.backfill.columns import (
 from service.frontend.backfill.reader import ArchiveFileReader, FileRow, open_archive, sha256_of
 from service.frontend.backfill.state import Destination, SendState
 from service.frontend.backfill.survey import FaultGroups, Survey
-from service.frontend.upload.answers import BatchAction, BatchReply, judge, read_receipt
+from service.frontend.upload.plan_binding import BatchAction, BatchReply, judge, read_receipt
 from service.records.epoch import format_epoch, is_leap_second
 
 #: code of a row whose cells mean nothing

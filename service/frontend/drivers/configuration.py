@@ -7,7 +7,7 @@ analyzer chooses is used as it is and flagged.
 
 import math
 
-from service.frontend.drivers.base import ASCII, SINGLE, Dialect, SweepRefusedError, TraceFormat, Word
+from service.frontend.drivers.dialects import ASCII, SINGLE, Dialect, SweepRefusedError, TraceFormat, Word
 from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.drivers.scpi import AnswerError, parse_flag, parse_message, parse_number
 from service.frontend.measurement_task import InputPart, SweepPart

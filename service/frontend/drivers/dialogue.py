@@ -6,7 +6,7 @@ answers and no time-out has to be waited for.
 
 from collections.abc import Sequence
 
-from service.frontend.drivers.base import SweepRefusedError, Word
+from service.frontend.drivers.dialects import SweepRefusedError, Word
 from service.frontend.drivers.scpi import AnalyzerMessage, parse_message, split_answers
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 

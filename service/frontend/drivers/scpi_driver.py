@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.radio.decibel import mw_from_dbm
-from service.frontend.drivers.base import Dialect, Features, SweepRefusedError
+from service.core.radio.levels import mw_from_dbm
 from service.frontend.drivers.configuration import Configuration
+from service.frontend.drivers.dialects import Dialect, Features, SweepRefusedError
 from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.drivers.scpi import (
     AnalyzerMessage,

@@ -6,8 +6,8 @@ counts only where the analyzer states none, or belongs to a family that is known
 
 import numpy as np
 
-from service.frontend.drivers.base import Dialect, SweepRefusedError
 from service.frontend.drivers.configuration import Configuration
+from service.frontend.drivers.dialects import Dialect, SweepRefusedError
 from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.drivers.scpi import (
     AnswerError,

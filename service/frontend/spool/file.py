@@ -12,9 +12,20 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from service.frontend.spool.row import ARRAYS, SpooledRow, SpooledTask, decode_row, size_of
-from service.frontend.spool.schema import SpoolDamagedError, SpoolFileError, check, connect, prepare, transaction
-from service.frontend.spool.traces import TraceRing
+from service.frontend.spool.row import (
+    ARRAYS,
+    SpoolDamagedError,
+    SpooledRow,
+    SpooledTask,
+    SpoolFileError,
+    TraceRing,
+    check,
+    connect,
+    decode_row,
+    prepare,
+    size_of,
+    transaction,
+)
 from service.records.epoch import US_PER_S
 
 _ARRAYS = ", ".join(ARRAYS)

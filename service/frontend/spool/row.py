@@ -1,14 +1,16 @@
-"""Rows and traces as the spool's file holds them: arrays as little-endian bytes, absent values as NaN.
+"""Rows and traces of the spool, and the tables of its file."""
 
-Powers keep the float64 they were measured with; the other figures are float32, far finer than what they are worth.
-"""
-
-from collections.abc import Mapping, Sequence
+import contextlib
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from service.core.radio.decibel import dbm_from_mw
+from service.core.radio.levels import dbm_from_mw
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.records.levels.sweep import Sweep
 
@@ -107,3 +109,198 @@ def trace_of(sweep: Sweep) -> tuple[Any, ...]:
         settings.sweep_time_s,
         dbm_from_mw(sweep.power_mw).astype("<f4").tobytes(),
     )
+
+
+#: how long another program may hold the file up, s
+_BUSY_S = 5.0
+#: the log is cut back to this size, bytes
+_LOG_BYTES = 16 << 20
+
+_ROW_ARRAYS = """
+    power_dbm BLOB NOT NULL,
+    flags BLOB NOT NULL,
+    sigma_db BLOB NOT NULL,
+    c_n0_db_hz BLOB NOT NULL,
+    occupied_bandwidth_hz BLOB NOT NULL,
+    centroid_offset_hz BLOB NOT NULL
+"""
+
+#: number of the layout that this program makes and reads; a change of a table raises it
+LAYOUT = 2
+_TABLES = f"""
+CREATE TABLE owner (spacecraft_id TEXT NOT NULL, source TEXT NOT NULL);
+CREATE TABLE task (
+    task_key INTEGER PRIMARY KEY,
+    sha256 TEXT NOT NULL,
+    carrier_ids TEXT NOT NULL,
+    plan_id INTEGER,
+    UNIQUE (sha256, carrier_ids)
+);
+CREATE TABLE measured (
+    seq INTEGER PRIMARY KEY AUTOINCREMENT,
+    epoch_us INTEGER NOT NULL UNIQUE,
+    task_key INTEGER NOT NULL REFERENCES task,
+    kept_at_us INTEGER NOT NULL,
+    size_bytes INTEGER NOT NULL,
+    {_ROW_ARRAYS}
+);
+CREATE TABLE refused (
+    refused_key INTEGER PRIMARY KEY AUTOINCREMENT,
+    seq INTEGER,
+    epoch_us INTEGER NOT NULL,
+    task_key INTEGER NOT NULL REFERENCES task,
+    refused_at_us INTEGER NOT NULL,
+    code TEXT NOT NULL,
+    detail TEXT NOT NULL,
+    {_ROW_ARRAYS}
+);
+CREATE TABLE trace (
+    trace_key INTEGER PRIMARY KEY AUTOINCREMENT,
+    epoch_us INTEGER NOT NULL,
+    sweep TEXT NOT NULL,
+    start_hz REAL NOT NULL,
+    step_hz REAL NOT NULL,
+    rbw_hz REAL NOT NULL,
+    enbw_hz REAL NOT NULL,
+    sweep_time_s REAL NOT NULL,
+    power_dbm BLOB NOT NULL,
+    UNIQUE (epoch_us, sweep)
+);
+CREATE TABLE tally (name TEXT PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
+"""
+
+#: the file is not what it was; nothing of it can be relied on
+_DAMAGED = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
+#: the connection is as good as before, only the disk does not take anything
+_UNHARMED = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED})
+#: the same of errors of input and output; after a failed fsync nobody knows what the disk holds
+_UNHARMED_FURTHER = frozenset({sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_TRUNCATE})
+
+
+class SpoolError(Exception):
+    """A spool cannot be used as asked."""
+
+
+class SpoolFileError(SpoolError):
+    """The file is good, but not for this: of another layout, spacecraft or source."""
+
+
+class SpoolDamagedError(SpoolError):
+    """The file is no database, or its content contradicts itself."""
+
+
+def primary_code(error: sqlite3.Error) -> int:
+    """Return SQLite's primary result code of an error, 0 when it has none."""
+    return (getattr(error, "sqlite_errorcode", 0) or 0) & 0xFF
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Return whether an error means that the file is damaged."""
+    return primary_code(error) in _DAMAGED
+
+
+def leaves_connection_good(error: sqlite3.Error) -> bool:
+    """Return whether the connection can still be used after an error."""
+    return primary_code(error) in _UNHARMED or getattr(error, "sqlite_errorcode", 0) in _UNHARMED_FURTHER
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Return a connection for any thread, one at a time; a commit that returned survives a loss of power."""
+    with contextlib.suppress(OSError):
+        # only its owner may read it; never one that is there: closing it would drop the locks of SQLite
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+    connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
+    try:
+        connection.execute("PRAGMA auto_vacuum=INCREMENTAL")
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.execute(f"PRAGMA journal_size_limit={_LOG_BYTES}")
+        connection.execute("PRAGMA temp_store=MEMORY")
+        # rows that are settled while the disk takes nothing; it lives and dies with the connection
+        connection.execute("CREATE TEMP TABLE gone (epoch_us INTEGER PRIMARY KEY)")
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
+
+
+def check(connection: sqlite3.Connection) -> None:
+    """Raise SpoolDamagedError when the file contradicts itself; a hundred megabytes take a quarter of a second."""
+    said = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if said != "ok":
+        raise SpoolDamagedError(said)
+
+
+def prepare(connection: sqlite3.Connection, path: Path) -> None:
+    """Make the tables in a new file; SpoolFileError for a file of another layout."""
+    layout = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if layout not in (0, LAYOUT):
+        message = (
+            f"spool {path} has layout {layout}, this program uses layout {LAYOUT}: let the version of SOO that made it "
+            "send the rows that wait in it, or name another file"
+        )
+        raise SpoolFileError(message)
+    if layout == 0:
+        with transaction(connection):
+            for statement in _TABLES.split(";"):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA user_version={LAYOUT}")
+
+
+@contextmanager
+def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    """Commit what is done inside, or leave nothing of it."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        connection.execute("COMMIT")
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
+
+
+_COLUMNS = "epoch_us, sweep, start_hz, step_hz, rbw_hz, enbw_hz, sweep_time_s, power_dbm"
+_INSERT = f"INSERT OR IGNORE INTO trace ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)"  # noqa: S608 own names
+_SELECT = f"SELECT trace_key, {_COLUMNS} FROM trace ORDER BY trace_key LIMIT ?"  # noqa: S608 own names
+
+
+class TraceRing:
+    """Traces of one file.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        Of the spool's file.
+    """
+
+    def __init__(self, connection: sqlite3.Connection) -> None:
+        self._connection = connection
+        self.waiting = 0
+        self.size_bytes = 0
+        self.recount()
+
+    def recount(self) -> None:
+        """Ask the file how many there are."""
+        query = "SELECT count(*), coalesce(sum(length(power_dbm)), 0) FROM trace"
+        self.waiting, self.size_bytes = self._connection.execute(query).fetchone()
+
+    def insert(self, trace: tuple[Any, ...], most: int, most_bytes: int) -> int:
+        """Write one trace, as `trace_of` gives it; return how many old ones went for it."""
+        if self._connection.execute(_INSERT, trace).rowcount:
+            self.waiting, self.size_bytes = self.waiting + 1, self.size_bytes + len(trace[-1])
+        before = self.waiting
+        while self.waiting and (self.waiting > most or self.size_bytes > most_bytes):
+            self.delete(each.key for each in self.oldest(1))
+        return before - self.waiting
+
+    def oldest(self, limit: int) -> list[SpooledTrace]:
+        """Return the oldest traces; they stay."""
+        return [SpooledTrace(*columns) for columns in self._connection.execute(_SELECT, (limit,))]
+
+    def delete(self, keys: Iterable[int]) -> None:
+        """Take traces away; those that are gone already do not matter."""
+        query = "DELETE FROM trace WHERE trace_key = ? RETURNING length(power_dbm)"
+        for key in keys:
+            for (size,) in self._connection.execute(query, (key,)).fetchall():
+                self.waiting, self.size_bytes = self.waiting - 1, self.size_bytes - size

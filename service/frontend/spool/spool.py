@@ -15,12 +15,18 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.frontend.spool import warnings as codes
-from service.frontend.spool.disk import DISK_FAULTS, SpoolDisk
+from service.frontend.spool import disk as codes
+from service.frontend.spool.disk import DISK_FAULTS, SpoolDisk, SpoolWarning, WarningBoard
 from service.frontend.spool.file import Bounds, Owner, RefusedRow, SpoolFile, UploadLane, WaitingRow
-from service.frontend.spool.row import SpooledRow, SpooledTask, SpooledTrace, decode_row, encode_row, trace_of
-from service.frontend.spool.schema import SpoolError
-from service.frontend.spool.warnings import SpoolWarning, WarningBoard
+from service.frontend.spool.row import (
+    SpooledRow,
+    SpooledTask,
+    SpooledTrace,
+    SpoolError,
+    decode_row,
+    encode_row,
+    trace_of,
+)
 from service.records.levels.sweep import Sweep
 
 T = TypeVar("T")

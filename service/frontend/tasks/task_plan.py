@@ -28,10 +28,9 @@ from itertools import combinations
 
 import numpy as np
 
-from service.core.radio.band_weights import TraceGrid, swept_dof
-from service.core.radio.decibel import dbm_from_mw, mw_from_dbm, ratio_from_db
-from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO, carrier_sigma_db, line_sigma_db
-from service.frontend.drivers.siglent import SIGLENT
+from service.core.radio.carrier_power import GAUSSIAN_ENBW_RATIO, TraceGrid, carrier_sigma_db, line_sigma_db, swept_dof
+from service.core.radio.levels import dbm_from_mw, mw_from_dbm, ratio_from_db
+from service.frontend.drivers.dialects import SIGLENT
 from service.frontend.measurement_task import CarrierPart, MeasurementTask, SweepPart
 from service.records.levels.sweep import SweepSettings
 

@@ -1,26 +1,103 @@
-"""Task carriers to plan carriers: rows leave in the order of the service's carrier plan.
-
-A plan carrier that the task does not measure is sent as null with the flag NOT_MEASURED; a task carrier that the plan
-does not know cannot be sent and is named in the log. Rows that waited while the plan was replaced by one without any
-of their carriers go under the plan that they were measured for.
-"""
+"""Answers of the service to an upload, the lanes of rows, and the carrier plan that a task is bound to."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from enum import Enum, auto
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
-from service.core.radio.decibel import FloatArray
+from service.core.radio.levels import FloatArray
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.frontend.upload.answers import DETAIL_DECIMALS
+from service.frontend.spool.file import UploadLane
 from service.records.epoch import format_epoch
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import QualityFlag
+
+#: HTTP status of a body that is too long
+TOO_LARGE = 413
+#: figures that a row may carry beside its powers, and the decimals worth sending
+DETAIL_DECIMALS = {"sigma_db": 5, "c_n0_db_hz": 3, "occupied_bandwidth_hz": 1, "centroid_offset_hz": 1}
+
+
+class BatchAction(Enum):
+    """Action after a batch that was refused as a whole."""
+
+    SHORTER = auto()
+    WITHOUT_DETAILS = auto()
+    PARTED = auto()
+    NEW_PLAN = auto()
+    WAIT = auto()
+
+
+class BatchReply(NamedTuple):
+    """Outcome of the rows of a batch."""
+
+    accepted: int
+    duplicates: int
+    late: int
+    #: place in the batch -> code, words
+    refused: dict[int, tuple[str, str]]
+
+
+def read_receipt(reply: Any, rows: int) -> BatchReply | None:
+    """Return the content of a 2xx answer; None when it does not account for every row, once."""
+    try:
+        accepted, duplicates, late = int(reply["accepted"]), int(reply["duplicates"]), int(reply.get("late", 0))
+        refused = {int(each["index"]): (str(each["code"]), str(each["detail"])) for each in reply["refused"]}
+    except (AttributeError, KeyError, TypeError, ValueError):
+        return None
+    is_complete = accepted + duplicates + len(refused) == rows and all(0 <= position < rows for position in refused)
+    return BatchReply(accepted, duplicates, late, refused) if is_complete else None
+
+
+def judge(problem: ProblemError, rows: int) -> tuple[BatchAction, int]:
+    """Return the verdict on a batch of this many rows, and for PARTED the place of the first row at fault."""
+    if problem.status == TOO_LARGE or problem.code == "batch.too_long":
+        return (BatchAction.SHORTER if rows > 1 else BatchAction.WAIT), 0
+    if problem.code == "plan.unknown":
+        return BatchAction.NEW_PLAN, 0
+    faults = [
+        (str(error.get("code")), str(error.get("pointer", "")).removeprefix("#").split("/")) for error in problem.errors
+    ]
+    at_rows = [parts for _, parts in faults if len(parts) > 2 and parts[1] == "measurements" and parts[2].isdigit()]
+    if any(code == "field.unknown" and parts[-1] in DETAIL_DECIMALS for code, parts in faults):
+        return BatchAction.WITHOUT_DETAILS, 0
+    positions = [int(parts[2]) for parts in at_rows if int(parts[2]) < rows]
+    return (BatchAction.PARTED, min(positions)) if positions else (BatchAction.WAIT, 0)
+
+
+_OTHER = {UploadLane.LIVE: UploadLane.BACKFILL, UploadLane.BACKFILL: UploadLane.LIVE}
+
+
+class LaneRotation:
+    """Whose turn it is.
+
+    Examples
+    --------
+    >>> turns = LaneRotation()
+    >>> [lane.name for lane in turns.order()]
+    ['LIVE', 'BACKFILL']
+    >>> turns.served(UploadLane.LIVE)
+    >>> [lane.name for lane in turns.order()]
+    ['BACKFILL', 'LIVE']
+    """
+
+    def __init__(self) -> None:
+        self._next = UploadLane.LIVE
+
+    def order(self) -> tuple[UploadLane, UploadLane]:
+        """Return the lanes in the order in which they are looked into for rows."""
+        return self._next, _OTHER[self._next]
+
+    def served(self, lane: UploadLane) -> None:
+        """Note that a request of a lane has been answered for good."""
+        self._next = _OTHER[lane]
+
 
 #: decimals of a level on the wire, dB: far below the float32 that the archive keeps
 LEVEL_DECIMALS = 5

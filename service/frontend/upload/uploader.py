@@ -4,7 +4,7 @@ Law of this file: a row leaves the spool only when the service accepted it, knew
 refusal is logged, counted and kept. Whatever else happens - no connection, no answer, 5xx, a wrong key, an unknown
 plan - the same rows are sent again after a wait, with the same content: under the plan and with the figures that they
 were sent with before, by this process or the one before it. So the service knows them again. Which rows go next stands
-in `service.frontend.upload.lanes`, what an answer means in `service.frontend.upload.answers`.
+in `service.frontend.upload.plan_binding`, what an answer means in `service.frontend.upload.plan_binding`.
 """
 
 import logging
@@ -20,9 +20,15 @@ from service.client.service_client import ServiceClient
 from service.frontend.spool.file import UploadLane
 from service.frontend.spool.row import SpooledRow, SpooledTask
 from service.frontend.spool.spool import Spool
-from service.frontend.upload.answers import BatchAction, judge, read_receipt
-from service.frontend.upload.lanes import LaneRotation
-from service.frontend.upload.plan_binding import PlanBinding, PlanMismatchError, find_binding
+from service.frontend.upload.plan_binding import (
+    BatchAction,
+    LaneRotation,
+    PlanBinding,
+    PlanMismatchError,
+    find_binding,
+    judge,
+    read_receipt,
+)
 from service.frontend.upload.traces import TraceCounters, TraceSender
 from service.records.epoch import US_PER_S, format_epoch
 

@@ -9,16 +9,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.pipeline.alarms import transitions as steps
-from service.pipeline.alarms.condition import AlarmCondition, Kind
-from service.pipeline.alarms.debounce import ConditionChange, outermost, poll
+from service.pipeline.alarms import states as steps
 from service.pipeline.alarms.limit_sets import AlarmContext, limits_in_force
-from service.pipeline.alarms.states import AlarmEvent, CoverEvent
+from service.pipeline.alarms.states import (
+    AlarmCondition,
+    AlarmEvent,
+    ConditionChange,
+    CoverEvent,
+    Kind,
+    outermost,
+    poll,
+)
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import FloatArray
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process
-from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits
-from service.records.operations.alarm_memory import EngineMemory, ValueMemory, WatchMemory
+from service.records.operations.alarms import (
+    Alarm,
+    AlarmChange,
+    AlarmLimits,
+    ChangeKind,
+    ConditionLimits,
+    Cover,
+    EngineMemory,
+    Handling,
+    Process,
+    ValueMemory,
+    WatchMemory,
+)
 
 Key = tuple[str, str]
 _NO_NOTES: Mapping[str, str] = {}

@@ -3,9 +3,9 @@
 The page docs/reference/alarms.md is made from this table.
 """
 
-from service.pipeline.alarms.condition import AlarmCondition, Kind, Origin
+from service.pipeline.alarms.states import AlarmCondition, Kind, Origin
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.operations.alarm_limits import ConditionLimits
+from service.records.operations.alarms import ConditionLimits
 
 _HOUR_S = 3600.0
 

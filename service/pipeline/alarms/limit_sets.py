@@ -16,10 +16,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from service.errors import FieldError
-from service.pipeline.alarms.condition import AlarmCondition, Kind
+from service.pipeline.alarms.states import AlarmCondition, Kind
 from service.records.catalogue import CarrierPlan
 from service.records.inputs import Operation
-from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits, Statement
+from service.records.operations.alarms import AlarmLimits, ConditionLimits, Statement
 
 NORMAL, RAIN, ECLIPSE, MANOEUVRE = "normal", "rain", "eclipse", "manoeuvre"
 #: later ones prevail

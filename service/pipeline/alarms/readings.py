@@ -10,17 +10,14 @@ import numpy as np
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
 from service.pipeline.alarms.limit_sets import AlarmContext, context
-from service.pipeline.estimation.method import CarrierLevels
+from service.pipeline.estimation.method import CarrierLevels, RowEvidence
 from service.pipeline.estimation.robust.attitude_rows import MOTION_ADVICE
-from service.pipeline.estimation.row_evidence import RowEvidence
 from service.records.catalogue import CarrierPlan
 from service.records.epoch import US_PER_S
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import AttitudeRow, FloatArray, Status
-from service.records.levels.measurement import Measurement
-from service.records.levels.quality_flag import QualityFlag
-from service.records.operations.alarm import AlarmChange
-from service.records.operations.alarm_memory import EngineMemory
+from service.records.levels.measurement import Measurement, QualityFlag
+from service.records.operations.alarms import AlarmChange, EngineMemory
 
 #: rows from whose median distance the period is taken
 _PERIOD_ROWS = 16

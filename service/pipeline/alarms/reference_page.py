@@ -5,12 +5,11 @@
 
 import sys
 
-from service.pipeline.alarms.condition import AlarmCondition
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.limit_sets import DEFAULT_SETS, NORMAL
-from service.pipeline.alarms.states import diagram, tables
+from service.pipeline.alarms.states import AlarmCondition, diagram, tables
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.operations.alarm import ChangeKind, Severity
+from service.records.operations.alarms import ChangeKind, Severity
 
 _HEAD = """# Alarms
 

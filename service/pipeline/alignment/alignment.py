@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.estimation.paper.consistency import Consistency
+from service.core.estimation.paper.downlink_fade import Consistency
 from service.pipeline.alignment.paper_references import reference_powers
 from service.pipeline.alignment.robust_references import robust_references
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.inputs.reference_angles import StatedAngles
+from service.pipeline.inputs.sensor_angles import StatedAngles
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -18,7 +18,7 @@ from service.records.calibration import (
     Window,
 )
 from service.records.catalogue import Ephemeris, Method
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 
 
 @dataclass(frozen=True)

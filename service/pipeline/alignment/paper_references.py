@@ -11,16 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.noise_model import averaged_sigma_db
-from service.core.estimation.paper.consistency import Consistency, compare_with_angles
+from service.core.estimation.paper.downlink_fade import Consistency, compare_with_angles
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.estimation.paper.harmonic_removal import harmonic_db
 from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, answer_db, sensitivity_model
-from service.pipeline.inputs.reference_angles import StatedAngles, angles_over_deg, stated_sigma_deg
+from service.pipeline.inputs.sensor_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.calibration import Calibration, CarrierReference
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import FloatArray
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 
 _HOUR_US = 3600 * US_PER_S
 

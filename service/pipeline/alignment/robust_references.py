@@ -11,21 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.estimation.calibration.quadratic_response import predict_deviation, predict_jacobian
+from service.core.estimation.calibration.geometry_columns import predict_deviation, predict_jacobian
 from service.core.estimation.noise_model import averaged_sigma_db
-from service.core.estimation.paper.consistency import Consistency, compare_with_angles
+from service.core.estimation.paper.downlink_fade import Consistency, compare_with_angles
 from service.pipeline.alignment.paper_references import ReferencePowers
-from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, geometry_model
-from service.pipeline.carrier_model.expected_level import ExpectedLevel
+from service.pipeline.carrier_model.expected_level import ExpectedLevel, GeometryModel, geometry_model
 from service.pipeline.carrier_model.level_control import centred_response, member_groups, without_group_gain
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.inputs.reference_angles import StatedAngles, angles_over_deg, stated_sigma_deg
+from service.pipeline.inputs.sensor_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.calibration import Calibration, CalibrationResult, CarrierReference
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 
 _HOUR_US = 3600 * US_PER_S
 #: samples this far from the median of the window, in robust sigmas, are impulses

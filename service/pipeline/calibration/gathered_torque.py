@@ -11,9 +11,9 @@ import numpy as np
 from service.core.estimation.calibration import gathered_torque as fit
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.torque_prior import TORQUES
-from service.pipeline.calibration.windows import CalibrationInput
+from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.catalogue_torque import learned_units, momentum_model
+from service.pipeline.inputs.known_motion import learned_units, momentum_model
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import AxesCheck, GatheredTorque, MotionVerdict
 from service.records.catalogue import Spacecraft

@@ -11,10 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from service.pipeline.calibration.gathered_torque import gathered_quality, gathered_torque, gathered_warnings
-from service.pipeline.calibration.geometry_fit import JointFit, fit_rows
-from service.pipeline.calibration.geometry_quality import quality_metrics
-from service.pipeline.calibration.geometry_rows import GeometryRows, geometry_rows
-from service.pipeline.calibration.geometry_warnings import calibration_warnings
+from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics
+from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, GeometryRows, geometry_rows
 from service.pipeline.calibration.momentum_check import momentum_check, momentum_quality, momentum_warnings
 from service.pipeline.calibration.paper_calibration import observe, paper_part
 from service.pipeline.calibration.polarimeter_check import (
@@ -24,9 +22,7 @@ from service.pipeline.calibration.polarimeter_check import (
 )
 from service.pipeline.calibration.rate_check import rate_check, rate_quality, rate_warnings
 from service.pipeline.calibration.sensor_signs import report_signs
-from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
-from service.pipeline.carrier_model.calibrated_arrays import geometry_model
-from service.pipeline.carrier_model.expected_level import daily_error_db
+from service.pipeline.carrier_model.expected_level import daily_error_db, geometry_model
 from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import (

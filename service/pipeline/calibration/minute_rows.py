@@ -15,7 +15,7 @@ from service.records.calibration import CalibrationRequest
 from service.records.epoch import US_PER_S
 from service.records.inputs import Operation
 from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 
 #: rows with a smaller median distance are averaged, us
 CLOSE_US = 20 * US_PER_S

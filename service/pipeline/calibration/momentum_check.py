@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.momentum_response import MomentumResponse, momentum_response
-from service.pipeline.calibration.windows import CalibrationInput
+from service.core.estimation.calibration.checks.responses import MomentumResponse, momentum_response
+from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
 from service.pipeline.inputs.sensor_angles import angles_at

@@ -8,16 +8,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.free_response import FreeResponse
+from service.core.estimation.calibration.checks.sensor_axes import FreeResponse
 from service.core.estimation.noise_model import NoiseSplit, split_noise
 from service.core.estimation.observability import condition_number, crlb_deg, dilution_of_precision_deg_per_db
-from service.core.estimation.paper.criteria import CarrierVerdicts, judge_carriers
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
+from service.core.estimation.paper.selection import CarrierVerdicts, judge_carriers
 from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
-from service.core.geometry.node_phase import latest_node_us
-from service.pipeline.calibration.geometry_rows import plan_positions
+from service.core.geometry.line_of_sight import latest_node_us
+from service.pipeline.calibration.geometry_rows import (
+    CalibrationError,
+    CalibrationInput,
+    phase_rad,
+    plan_positions,
+    turn_rows,
+)
 from service.pipeline.calibration.sensor_signs import report_signs
-from service.pipeline.calibration.windows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
 from service.records.calibration import (
     CalibrationResult,

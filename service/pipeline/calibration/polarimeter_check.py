@@ -9,9 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.angle_response import AngleResponse, angle_response
-from service.core.estimation.calibration.checks.feed_turn import feed_leakage, feed_turn
-from service.pipeline.calibration.windows import CalibrationInput
+from service.core.estimation.calibration.checks.responses import AngleResponse, angle_response, feed_leakage, feed_turn
+from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.polarization import (
     every_block,

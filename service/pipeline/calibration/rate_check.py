@@ -7,12 +7,11 @@ import math
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.rate_response import RateResponse, rate_response
-from service.pipeline.calibration.windows import CalibrationInput
+from service.core.estimation.calibration.checks.responses import RateResponse, rate_response
+from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.catalogue_torque import is_rate_in_loop, rate_sensor_model
-from service.pipeline.inputs.sensor_angles import angles_at
-from service.pipeline.inputs.telemetry_rates import inertial_deg_h
+from service.pipeline.inputs.known_motion import is_rate_in_loop, rate_sensor_model
+from service.pipeline.inputs.sensor_angles import angles_at, inertial_deg_h
 from service.records.calibration import AxesCheck, MotionVerdict
 
 #: sigmas from which telemetry is contradicted

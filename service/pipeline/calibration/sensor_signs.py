@@ -8,10 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.checks.free_response import FreeResponse
-from service.core.estimation.calibration.checks.sensor_axes import DECISIVE, MAPPINGS, AxesVerdict, judge_axes
-from service.pipeline.calibration.geometry_rows import PlanPositions
-from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
+from service.core.estimation.calibration.checks.sensor_axes import (
+    DECISIVE,
+    MAPPINGS,
+    AxesVerdict,
+    FreeResponse,
+    judge_axes,
+)
+from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, PlanPositions
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import SensorSigns

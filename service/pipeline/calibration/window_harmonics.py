@@ -14,13 +14,19 @@ import numpy as np
 from service.core.estimation.calibration.daily_fit import DailyFits, fit_daily
 from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
 from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
-from service.core.geometry.line_of_sight import Positions, PredictedTrack, sight_motion_deg, track_position_deg
-from service.core.geometry.node_phase import latest_node_us, node_phase_rad
+from service.core.geometry.line_of_sight import (
+    Positions,
+    PredictedTrack,
+    latest_node_us,
+    node_phase_rad,
+    sight_motion_deg,
+    track_position_deg,
+)
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import Harmonic
 from service.records.catalogue import Carrier, Ephemeris
 from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 
 #: share of the rows that ballistics must cover for the dish law
 _MIN_COVERED = 0.5

@@ -1,27 +1,67 @@
-"""Beams as a by-product: boresight of each antenna against the body, and beams at the stations.
+"""Beams as a by-product: boresight of each antenna against the body, and beams at the stations."""
 
-A calibration by geometry, hourly means of deviations and of the angles of a working sensor in, a report out. Carriers
-without a beam of their own tell nothing here: beacons, and those under level control. Hours in which the body turns are
-left out. What all antennas show alike may be the sensor's error or the body: only what one shows against the others is
-proven to be the antenna.
-"""
-
+import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.beams.boresight import MIN_CARRIERS, BoresightSeries, boresight_series
-from service.core.estimation.beams.boresight_wave import BoresightFit, Wave, fit_boresight
-from service.core.estimation.beams.station_beams import StationBeams, changes_in_sigmas, station_beams
-from service.core.estimation.calibration.quadratic_response import predict_deviation
-from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, geometry_model
-from service.pipeline.carrier_model.hourly_noise import daily_error_db, hourly_sigma_db
-from service.records.calibration import CalibrationResult, Window
+from service.core.estimation.beams import (
+    MIN_CARRIERS,
+    BoresightFit,
+    BoresightSeries,
+    StationBeams,
+    Wave,
+    boresight_series,
+    changes_in_sigmas,
+    fit_boresight,
+    station_beams,
+)
+from service.core.estimation.calibration.geometry_columns import predict_deviation
+from service.pipeline.carrier_model.expected_level import GeometryModel, geometry_model
+from service.records.calibration import CalibrationResult, CarrierCalibration, Window
 from service.records.epoch import US_PER_S
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
+
+_HOUR_S, _YEAR_DAYS = 3600.0, 365.25
+_DAY_RAD_S = 2.0 * math.pi / 86_400.0
+#: dB, least noise of an hour's mean: levels are stored in steps of 0.004 dB
+_LEAST_SIGMA_DB = 0.005
+_DAY_US = 86_400 * US_PER_S
+
+
+def hourly_sigma_db(carrier: CarrierCalibration, rows: IntArray) -> float:
+    """Return the noise of an hour's mean by the noise of the calibration; rows (H,) of each mean."""
+    seen = rows[rows > 0]
+    white_db2 = np.nan_to_num(carrier.sigma_white_db, nan=1.0) ** 2 / (np.median(seen) if len(seen) else 1.0)
+    # mean of a process of the first order over an hour
+    share = [(part.sigma_db, part.correlation_time_s / _HOUR_S) for part in carrier.noise]
+    slow_db2 = sum(size**2 * 2.0 * tau * (1.0 - tau * -math.expm1(-1.0 / tau)) for size, tau in share)
+    return float(np.sqrt(white_db2 + slow_db2 + _LEAST_SIGMA_DB**2))
+
+
+def daily_error_db(result: CalibrationResult, fit: GeometryFit, quiet: Window, start_us: IntArray) -> FloatArray:
+    """Return the error of each carrier's calibrated daily change (N,) at the hours, rms, dB.
+
+    Quiet days tell the sum of what the orbit and the Sun do each day as well as the noise lets them, and the two apart
+    badly: they come apart as the orbit's day, four minutes shorter, moves on.
+    """
+    span_s = (quiet.stop_us - quiet.start_us) / US_PER_S
+    power = [
+        sum(
+            part.sigma_db**2 * part.correlation_time_s / (1.0 + (_DAY_RAD_S * part.correlation_time_s) ** 2)
+            for part in one.noise
+        )
+        for one in result.carriers
+    ]
+    if not len(start_us):
+        return np.sqrt(4.0 * np.array(power) / span_s)
+    days = (float(start_us.mean()) - 0.5 * (quiet.start_us + quiet.stop_us)) / _DAY_US
+    apart = 2.0 * math.sin(math.pi * days / _YEAR_DAYS) * np.array(fit.daily_error_db or (0.0,) * len(power))
+    return np.sqrt(4.0 * np.array(power) / span_s + np.square(apart))
+
 
 HOUR_US = 3600 * US_PER_S
 #: deg, by which the sensor's roll and pitch may range within an hour whose means are compared

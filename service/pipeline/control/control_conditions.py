@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from service.pipeline.config import InterlockConfig
-from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
+from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS
 from service.pipeline.control.release.control_verdict import (
     CONDITIONS,
     OTHER_REASONS,

@@ -1,16 +1,40 @@
-"""Interlock of automatic control, L3 and L4 to a verdict: which reasons forbid a torque on this row.
-
-It stops control, never estimation. Every reason clears by itself when its condition is gone; reasons that concern yaw
-alone withhold the yaw torque and leave roll and pitch to control.
-"""
+"""Inhibitions of control by a row, and the disagreement of both methods."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.pipeline.config import InterlockConfig
-from service.records.levels.attitude import AttitudeFix
+from service.pipeline.config import InterlockConfig, RobustConfig
+from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeFix, AttitudeRow, Status
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """The methods as they were compared last."""
+
+    #: since when they have been apart, None while they are not
+    since_us: int | None = None
+    #: whether they have been apart for long enough
+    is_standing: bool = False
+    #: by how much, 0 unless it stands; NaN: the newest row compares nothing
+    apart_deg: float = math.nan
+
+
+def compare(watch: Disagreement, rows: tuple[AttitudeRow, ...], config: RobustConfig) -> Disagreement:
+    """Return the watch after the rows of one measurement; a row without angles says nothing."""
+    reported = [row for row in rows if row.status is Status.ACQUIRED]
+    if len(reported) < 2:
+        return replace(watch, apart_deg=math.nan)
+    one, other = reported[0].attitude_deg, reported[1].attitude_deg
+    apart_deg = max(abs(one.roll - other.roll), abs(one.pitch - other.pitch))
+    if not apart_deg > config.disagreement_deg:
+        return Disagreement(apart_deg=0.0)
+    since_us = reported[0].epoch_us if watch.since_us is None else watch.since_us
+    is_standing = reported[0].epoch_us - since_us >= config.disagreement_s * US_PER_S
+    return Disagreement(since_us, is_standing, apart_deg if is_standing else 0.0)
+
 
 #: reasons in the order in which they are listed, with what each one says
 INHIBITIONS: dict[str, str] = {

@@ -1,12 +1,4 @@
-"""Planning before any calibration: beams and noise are assumed, stations stand where the carrier plan says.
-
-Gradient and Hessian of a carrier's beam at its station, with the station's displacement by yaw, roll and pitch, give
-its response. The downlink to the receiving site changes all carriers alike and is left to the common level. The law of
-this file: whatever was assumed stands in ``assumptions``, in words that can be printed beside the figures.
-
-One round parabolic beam shows no yaw: turned about nadir only its centre moves, so ``yaw = el0 pitch - az0 roll`` in
-the sensitivities of every station. Plans of one beam say so; shaped beams and several beams are better than this.
-"""
+"""Beams that a plan assumes, by contours and sites of users."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,20 +6,148 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.coloured_rows import ColouredNoise
-from service.core.estimation.calibration.quadratic_response import (
+from service.core.estimation.calibration.geometry_columns import (
     QuadraticResponse,
     displacement_matrix,
     exact_response,
     response_transform,
     symmetric_matrix,
 )
-from service.core.geometry.frames import AntennaDirection, station_direction
+from service.core.estimation.calibration.whitened_fit import ColouredNoise
+from service.core.geometry.frames import AntennaDirection, satellite_elevation_deg, station_direction
 from service.pipeline.carrier_model.level_control import MIN_GROUP, alc_groups
-from service.pipeline.planning.beam_contours import BeamShape, ContourBeam
+from service.pipeline.inputs.catalogue_checks import LOW_DEG, Position, check_positions
 from service.pipeline.planning.candidates import NOT_USABLE, Candidates
 from service.records.catalogue import Carrier, CarrierPlan
 from service.records.levels.attitude import FloatArray, IntArray
+
+#: deg, radii within which points are fitted, the first that suffices; fewest points
+_REACHES_DEG, _MIN_POINTS = (0.75, 1.5, 3.0), 12
+#: error of a point, dB, and largest one of the slope that follows, dB/deg: a single contour has a larger one across it
+_POINT_DB, _SLOPE_DB_DEG = 0.1, 0.15
+
+
+class BeamShape(NamedTuple):
+    """Gain of a beam in N directions of the antenna frame; NaN = not known."""
+
+    #: (N,) dB
+    gain_db: FloatArray
+    #: (N, 2) along azimuth and elevation
+    gradient_db_per_deg: FloatArray
+    #: (N, 3) azimuth twice, mixed, elevation twice
+    hessian_db_per_deg2: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ContourBeam:
+    """Beam by P points of gain."""
+
+    #: (P,) deg in the antenna frame, dB
+    azimuth_deg: FloatArray
+    elevation_deg: FloatArray
+    gain_db: FloatArray
+
+    def shape_at(self, azimuth_deg: FloatArray, elevation_deg: FloatArray) -> BeamShape:
+        """Return gain, gradient and Hessian in some directions (N,), deg."""
+        found = [self._fitted(*one) for one in zip(azimuth_deg.tolist(), elevation_deg.tolist(), strict=True)]
+        values = np.array(found).reshape(-1, 6)
+        return BeamShape(values[:, 0], values[:, 1:3], values[:, 3:])
+
+    def __str__(self) -> str:
+        """Return the number of points and the span of gain."""
+        span = f" from {self.gain_db.min():.1f} to {self.gain_db.max():.1f} dB" if len(self.gain_db) else ""
+        return f"{len(self.gain_db)} points of gain{span}"
+
+    def _fitted(self, azimuth_deg: float, elevation_deg: float) -> FloatArray:
+        """Return gain, gradient (2) and Hessian (3) in one direction, NaN where the points do not determine them."""
+        u, v = self.azimuth_deg - azimuth_deg, self.elevation_deg - elevation_deg
+        distance_deg = np.hypot(u, v)
+        for reach_deg in _REACHES_DEG:
+            near = distance_deg < reach_deg
+            if np.count_nonzero(near) < _MIN_POINTS:
+                continue
+            x, y = u[near] / reach_deg, v[near] / reach_deg
+            # tricube weights: what stands at the edge must not bend the middle
+            weight = (1.0 - (distance_deg[near] / reach_deg) ** 3) ** 1.5
+            design = np.column_stack([np.ones_like(x), x, y, 0.5 * x**2, x * y, 0.5 * y**2])
+            fit, _, rank, _ = np.linalg.lstsq(design * weight[:, np.newaxis], self.gain_db[near] * weight)
+            if rank < design.shape[1]:
+                continue
+            spread = np.sqrt(np.diagonal(np.linalg.inv((design * weight[:, np.newaxis] ** 2).T @ design)))
+            if spread[1:3].max() * _POINT_DB / reach_deg < _SLOPE_DB_DEG:
+                return np.asarray(fit / reach_deg ** np.array([0, 1, 1, 2, 2, 2]))
+        return np.full(6, np.nan)
+
+
+class ContourPoint(NamedTuple):
+    """One line of a contour file."""
+
+    line: int
+    #: ``*`` = every transponder that has no points of its own
+    transponder: str
+    latitude_deg: float
+    longitude_deg: float
+    gain_db: float
+
+
+def contour_beams(
+    points: Sequence[ContourPoint], carriers: tuple[Carrier, ...], longitude_deg: float
+) -> Mapping[str, ContourBeam]:
+    """Return the beam of each transponder by the points of its gain.
+
+    Parameters
+    ----------
+    points : sequence of ContourPoint
+        In any order.
+    carriers : tuple of Carrier
+        The plan; the points of a transponder must reach a station of it.
+    longitude_deg : float, deg
+        East longitude of the satellite.
+
+    Raises
+    ------
+    ValueError
+        Points from which the satellite is not seen, or that reach no station.
+    """
+    positions = [Position(f"line {one.line}", one.latitude_deg, one.longitude_deg) for one in points]
+    faults = check_positions(positions, longitude_deg).faults
+    # a grid may reach beyond the horizon; most of a coverage does not
+    if 2 * len(faults) > len(points):
+        message = f"contours: {len(faults)} of {len(points)} points: {faults[0].pointer}: {faults[0].detail}"
+        raise ValueError(message)
+    beams = {}
+    for name in sorted({one.transponder for one in points}):
+        own = [one for one in points if one.transponder == name]
+        values = np.array([one[2:] for one in own])
+        beams[name] = _beam(values, longitude_deg)
+        stations = [
+            (carrier.station.latitude_deg, carrier.station.longitude_deg)
+            for carrier in carriers
+            if carrier.station is not None and name in (carrier.transponder, "*")
+        ]
+        if stations and not _knows_any(beams[name], stations, longitude_deg):
+            exchanged = _beam(values[:, [1, 0, 2]], longitude_deg) if np.abs(values[:, 1]).max() <= 90.0 else None
+            is_cured = exchanged is not None and _knows_any(exchanged, stations, longitude_deg)
+            hint = "latitude and longitude look exchanged" if is_cured else "check transponder, satellite and columns"
+            message = f"the points of {name} (first: line {own[0].line}) do not reach a station of the plan; {hint}"
+            raise ValueError(message)
+    return beams
+
+
+def _beam(values: FloatArray, longitude_deg: float) -> ContourBeam:
+    """Return the beam of points (P, 3): latitude, longitude, gain."""
+    latitude_deg, east_deg, gain_db = values.T
+    seen = station_direction(east_deg, latitude_deg, np.zeros(len(values)), longitude_deg)
+    is_seen = np.isfinite(seen.azimuth_deg)
+    return ContourBeam(seen.azimuth_deg[is_seen], seen.elevation_deg[is_seen], gain_db[is_seen])
+
+
+def _knows_any(beam: ContourBeam, stations: list[tuple[float, float]], longitude_deg: float) -> bool:
+    """Return whether the points determine the beam at a station at least."""
+    latitude_deg, east_deg = np.array(stations).T
+    seen = station_direction(east_deg, latitude_deg, np.zeros(len(stations)), longitude_deg)
+    return bool(np.isfinite(beam.shape_at(seen.azimuth_deg, seen.elevation_deg).gain_db).any())
+
 
 #: half-power widths of a beam of which nothing is known, deg: curvatures of 1.5 and 2.7 dB/deg^2
 DEFAULT_WIDTHS_DEG = (4.0, 3.0)
@@ -217,3 +337,60 @@ def _refusal(carrier: Carrier, sensitivity: FloatArray, held_together: int | Non
     if carrier.station is not None and not is_seen:
         return ("the satellite is below the horizon of its station",)
     return () if np.isfinite(sensitivity).all() else ("the beam of its transponder is not known at its station",)
+
+
+#: deg between the sites, and dB below the best of them, under which a beam serves nobody
+_STEP_DEG, _SERVED_DB = 5.0, 6.0
+_FARTHEST_DEG = 75.0
+
+
+def offered_sites(payload: AssumedPayload, candidates: Candidates) -> Candidates:
+    """Return a carrier at every site that a beam serves.
+
+    Parameters
+    ----------
+    payload : AssumedPayload
+        Its beams.
+    candidates : Candidates
+        Carriers of the plan; the median noise of the usable ones is that of a new user.
+    """
+    longitude_deg = payload.longitude_deg
+    steps_deg = np.arange(-_FARTHEST_DEG, _FARTHEST_DEG + 1.0, _STEP_DEG)
+    latitude_deg, east_deg = (grid.ravel() for grid in np.meshgrid(steps_deg, longitude_deg + steps_deg))
+    height_m = np.zeros(len(latitude_deg))
+    is_high = satellite_elevation_deg(east_deg, latitude_deg, height_m, longitude_deg) > LOW_DEG
+    latitude_deg, east_deg = latitude_deg[is_high], east_deg[is_high]
+    direction = station_direction(east_deg, latitude_deg, height_m[is_high], longitude_deg)
+    names, transponders, slopes = [], [], [np.zeros((0, 3))]
+    for transponder, beam in payload.beams.items():
+        gain_db = beam.shape_at(direction.azimuth_deg, direction.elevation_deg).gain_db
+        if not np.isfinite(gain_db).any():
+            continue
+        served = np.flatnonzero(gain_db > np.nanmax(gain_db) - _SERVED_DB)
+        names += [_name(*site) for site in zip(latitude_deg[served], east_deg[served], strict=True)]
+        transponders += [transponder] * len(served)
+        slopes.append(
+            beam_response([beam] * len(served), AntennaDirection(*(part[served] for part in direction))).slope
+        )
+    return _usual(names, transponders, np.vstack(slopes), candidates)
+
+
+def _usual(names: list[str], transponders: list[str], slope: FloatArray, candidates: Candidates) -> Candidates:
+    """Return carriers with the median noise of the usable candidates and the level of their transponder."""
+    usable = candidates.is_usable if candidates.is_usable.any() else np.ones(len(candidates.level), dtype=np.bool_)
+    count = len(names)
+    medians = [np.median(part[usable], axis=0) for part in candidates.noise]
+    noise = ColouredNoise(*(np.tile(median, (count,) + (1,) * median.ndim) for median in medians))
+    levels = dict(zip(candidates.transponders, candidates.level.tolist(), strict=True))
+    unknown = np.full(count, np.nan)
+    level = np.array([levels.get(name, -1) for name in transponders], dtype=np.int64)
+    nothing: tuple[tuple[str, ...], ...] = ((),) * count
+    return Candidates(tuple(names), tuple(transponders), slope, noise, unknown, unknown, level, nothing, nothing)
+
+
+def _name(latitude_deg: float, longitude_deg: float) -> str:
+    """Return the name of a site as latitude and longitude."""
+    east_deg = (longitude_deg + 180.0) % 360.0 - 180.0
+    return (
+        f"{abs(latitude_deg):.0f}{'N' if latitude_deg >= 0 else 'S'} {abs(east_deg):.0f}{'E' if east_deg >= 0 else 'W'}"
+    )

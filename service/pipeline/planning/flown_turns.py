@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.pipeline.calibration.windows import unturned_sides
+from service.pipeline.calibration.geometry_rows import unturned_sides
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import Window
 from service.records.epoch import US_PER_S, format_epoch

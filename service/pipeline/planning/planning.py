@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.calibration_turns import recommended_turns
 from service.core.estimation.carrier_sets import SetStatistics, averaged_crlb_deg, judge_set
 from service.core.estimation.design import (

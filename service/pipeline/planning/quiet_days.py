@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.noise.allan import allan_deviation_db
+from service.core.estimation.noise import allan_deviation_db
 from service.core.estimation.paper.harmonic import evaluate_harmonic
-from service.core.geometry.node_phase import node_phase_rad
+from service.core.geometry.line_of_sight import node_phase_rad
 from service.pipeline.calibration.minute_rows import MinuteRows
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, robust_harmonics
 from service.pipeline.inputs.catalogue_checks import SIDEREAL_DAY_S

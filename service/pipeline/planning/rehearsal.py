@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_deviation
+from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_deviation
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
-from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
+from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
-from service.pipeline.inputs.documents import JournalDocuments
-from service.pipeline.inputs.reference_angles import STILL, StatedAngles
+from service.pipeline.inputs.knowledge import JournalDocuments
+from service.pipeline.inputs.sensor_angles import STILL, StatedAngles
 from service.pipeline.planning.planning import TurnStep, turn_timetable
 from service.pipeline.planning.quiet_days import QuietDays, QuietLevels, calmest_window
 from service.records.calibration import (
@@ -35,8 +35,7 @@ from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, PlanChange, SpacecraftChange
 from service.records.levels.attitude import AttitudeRow, Axes, BoolArray, FloatArray, IntArray, named_axes
-from service.records.levels.measurement import Measurement
-from service.records.levels.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.measurement import Measurement, MeasurementSeries, ReferenceSeries
 
 _HOUR_US = 3600 * US_PER_S
 #: sensor that keeps the spacecraft at zero, deg

@@ -1,8 +1,4 @@
-"""Levels L2-L4: deviation, fix and attitude row.
-
-A failed epoch is a value: its angles are NaN, its status is not ACQUIRED, its reasons are listed. Arrays inside
-records are read-only.
-"""
+"""Levels L2 to L5: results of each carrier, attitude row, disturbance torque, torque command."""
 
 import math
 from dataclasses import dataclass
@@ -13,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.records.catalogue import Method
+from service.records.epoch import US_PER_S
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -167,3 +164,153 @@ class CarrierState:
     ] = None
     hypothesis_probability: float = math.nan
     hypothesis_since_us: int | None = None
+
+
+#: dB, in which levels are stored and published; half of it is the error of rounding
+STEP_DB = 0.004
+#: stored as their positions, so a new state or hypothesis stands at the end
+CARRIER_STATES = ("used", "absent", "excluded", "unselected", "uncalibrated")
+CARRIER_HYPOTHESES = (None, "dry", "wet", "level_changed", "level_learned")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CarrierResults:
+    """Results of the N carriers of a plan at one row, in the order of the plan; arrays are (N,)."""
+
+    plan_id: int
+    #: dB, measured minus expected; NaN = absent or not used
+    deviation_db: FloatArray
+    #: dB, deviation minus what the attitude explains; NaN = not known
+    residual_db: FloatArray
+    #: positions in `CARRIER_STATES`
+    state: IntArray
+    #: positions in `CARRIER_HYPOTHESES`
+    hypothesis: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """One element of a schedule; it ends by itself."""
+
+    start_us: int
+    duration_s: float
+    #: N m on the body
+    torque_n_m: Axes
+
+    @property
+    def stop_us(self) -> int:
+        """When it ends."""
+        return self.start_us + round(self.duration_s * US_PER_S)
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduleVerdict:
+    """Verdict of the flexible modes on a schedule, the worst of the axes."""
+
+    #: accept, warn or reject
+    verdict: Annotated[str, "A rejected schedule is not released."]
+    peak_deg: Annotated[float, "Peak angle that the panels add to the hub, over +-15 % of each frequency."]
+    residual_deg: Annotated[float, "Amplitude of the oscillation after the last pulse."]
+    margin: Annotated[float, "Share of the allowed peak that is left; negative: exceeded."]
+    worst_mode: Annotated[int, "Place among the modes of the catalogue, from 0."]
+    suggestion: Annotated[str | None, "Better schedule; null where nothing is wrong or nothing helps."]
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueCommand:
+    """Torque command of the chain for the wheels from ``epoch_us`` on, for one command period."""
+
+    epoch_us: int
+    #: journal number of the measurement it was computed from
+    number: int
+    attitude_epoch_us: Annotated[int, "Epoch of the attitude row that it follows from; advances with every row."]
+    #: ground, onboard or off
+    mode: str
+    #: N m, impulse over command period
+    torque_n_m: Axes
+    #: (W,) N m, mean command to each wheel
+    wheels_n_m: tuple[float, ...]
+    saturated: bool
+    command_period_s: Annotated[float, "Expected time to the next command."]
+    valid_until_us: int
+    schedule: Annotated[
+        tuple[Pulse, ...],
+        "Elements inside [epoch, epoch + command_period_s); after the last the torque is zero.",
+    ]
+    impulse_n_m_s: Axes
+    predicted_angle_change_deg: Axes
+    predicted_rate_change_deg_s: Axes
+    #: (W,) N m s, change of stored momentum of each wheel
+    predicted_wheel_momentum_n_m_s: tuple[float, ...]
+    control_allowed: bool
+    inhibitions: tuple[str, ...]
+    #: None: the catalogue knows no flexible mode, or nothing is commanded
+    schedule_check: ScheduleVerdict | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AppliedCommand:
+    """A command that counts as applied; known input of the filter."""
+
+    command: TorqueCommand
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.command.number)
+
+
+@dataclass(frozen=True, slots=True)
+class ReleasedCommand:
+    """A command that persons released: until it is reported its whole effect is uncertain."""
+
+    #: rises by one with each command of a spacecraft; the uplink product carries it
+    counter: int
+    released_us: int
+    schedule: tuple[Pulse, ...]
+
+    @property
+    def stop_us(self) -> int:
+        """When its last pulse ends."""
+        return max((pulse.stop_us for pulse in self.schedule), default=self.released_us)
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.counter)
+
+
+@dataclass(frozen=True, slots=True)
+class ReportedCommand:
+    """Report of the centre on a released command: known input of the filter from now on."""
+
+    counter: int
+    reported_us: int
+    #: executed pulses; empty = none
+    executed: tuple[Pulse, ...]
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.counter)
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """A constant torque on the body and one that goes round once a period, by yaw, roll and pitch."""
+
+    #: where the phase of the periodic part is zero
+    epoch_us: int
+    period_s: float
+    constant_n_m: Axes
+    cosine_n_m: Axes
+    sine_n_m: Axes
+    #: one standard deviation of the torque at the epoch
+    sigma_n_m: Axes
+
+    def torque_n_m(self, at_us: int) -> Axes:
+        """Return the torque expected at an instant."""
+        phase = 2.0 * math.pi * (at_us - self.epoch_us) / (self.period_s * US_PER_S)
+        cosine, sine = math.cos(phase), math.sin(phase)
+        parts = zip(self.constant_n_m, self.cosine_n_m, self.sine_n_m, strict=True)
+        return Axes(*(constant + cosine * c + sine * s for constant, c, s in parts))

@@ -1,7 +1,9 @@
-"""Level L1: one power per carrier, and what becomes of a batch of them."""
+"""Level L1: powers of the carriers row by row and as columns, their quality flags, series of the archive."""
 
 from dataclasses import dataclass, field, fields
+from enum import IntFlag
 from types import EllipsisType
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,3 +126,156 @@ class BatchReceipt:
     feeds_estimator: bool = field(default=False, compare=False)
     #: of each row accepted, whether it is late; None where all are or none
     is_late: NDArray[np.bool_] | None = field(default=None, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementBlock:
+    """Rows in order of epoch."""
+
+    #: who sent them
+    sources: tuple[str, ...]
+    plan_id: int
+    #: (T,) microseconds UTC
+    epochs_us: IntArray
+    #: (T, N) dBm as stored, in the order of the plan; NaN = absent
+    power_dbm: Float32Array
+    #: (T,) place of each row's source in ``sources``; None = every row is of the first
+    source_positions: IntArray | None = None
+
+    def part(self, first: int, last: int) -> "MeasurementBlock":
+        """Return the rows at the places ``first`` to ``last - 1``."""
+        positions = None if self.source_positions is None else self.source_positions[first:last]
+        return MeasurementBlock(
+            self.sources, self.plan_id, self.epochs_us[first:last], self.power_dbm[first:last], positions
+        )
+
+
+class QualityFlag(IntFlag):
+    """Bit mask that goes with every level."""
+
+    #: the clock behind the epoch is not synchronised
+    CLOCK_UNSYNC = 1
+    #: the row came late or out of order
+    LATE = 2
+    #: the analyzer's input or converter was overdriven
+    OVERRANGE = 4
+    #: the analyzer says the sweep is not calibrated, for example too fast for its bandwidth
+    UNCAL = 8
+    #: no carrier found: the level is absent, never the noise
+    NO_CARRIER = 16
+    #: the carrier's bandwidth or level changed by traffic
+    TRAFFIC_CHANGE = 32
+    #: a foreign signal lies in the band
+    INTERFERENCE = 64
+    #: the level falls as rain makes it fall
+    RAIN_FADE_SUSPECT = 128
+    #: the level is older than its validity
+    EXPIRED = 256
+    #: the level comes from a simulation
+    SIMULATED = 512
+    #: the level was computed again from a kept trace
+    REPROCESSED = 1024
+    #: the analyzer's settings were not those that were asked for
+    SETTING_MISMATCH = 2048
+    #: the analyzer gave the same trace again
+    STALE_TRACE = 4096
+    #: the trace held values that are not numbers
+    NONFINITE_VALUE = 8192
+    #: a neighbour lies within two resolution bandwidths or leaks more than 0.1 dB into the band
+    NEIGHBOUR = 16384
+    #: a noise window held a signal
+    NOISE_WINDOW_DIRTY = 32768
+    #: the noise floor is the analyzer's own
+    DANL_LIMITED = 65536
+    #: carrier over noise in the symbol rate below 3 dB
+    LOW_C_N = 131072
+    #: the carrier's centre is more than a tenth of the symbol rate off
+    FREQUENCY_OFFSET = 262144
+    #: a sweep of the cycle failed; carriers of the other sweeps are good
+    PARTIAL_CYCLE = 524288
+    #: first row after the connection to the analyzer was lost
+    RECONNECTED = 1048576
+    #: the analyzer's reference oscillator is not locked
+    REFERENCE_UNLOCKED = 2097152
+    #: the carrier stands in the plan but not in the measurement task
+    NOT_MEASURED = 4194304
+    #: the row was measured within a leap second, or its epoch gave way by 1 us to a row that was
+    LEAP_SECOND = 8388608
+
+
+def flag_names(mask: int) -> list[str]:
+    """Return the names of the flags of a bit mask, lowest bit first; a bit without a name is told by its number.
+
+    Examples
+    --------
+    >>> flag_names(16 | 4096 | 1 << 30)
+    ['NO_CARRIER', 'STALE_TRACE', 'BIT_30']
+    """
+    bits = (bit for bit in range(mask.bit_length()) if mask >> bit & 1)
+    return [_NAMES.get(1 << bit, f"BIT_{bit}") for bit in bits]
+
+
+_NAMES = {flag.value: flag.name for flag in QualityFlag if flag.name is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementSeries:
+    """Rows of the prime source in order of epoch, columns in the order of the carriers asked for."""
+
+    carrier_ids: tuple[str, ...]
+    #: (T,) microseconds UTC
+    epochs_us: IntArray
+    #: (T, N) dBm, NaN = absent or not in the row's plan
+    power_dbm: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSeries:
+    """Attitude references of one sensor in order of epoch."""
+
+    source: str
+    #: (T,) microseconds UTC
+    epochs_us: IntArray
+    #: (T, 3) deg, yaw, roll, pitch; NaN = angle not seen
+    attitude_deg: FloatArray
+    #: (T, 3) deg; NaN = not stated
+    sigma_deg: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class SourceState:
+    """One front end that sends measurements of a spacecraft."""
+
+    id: str
+    #: prime or backup
+    role: str
+    newest_epoch_us: int | None
+    rows: int
+    rows_missing: Annotated[
+        int | None, "Rows that its sequence numbers count and the archive does not hold; null = it numbers no rows."
+    ] = None
+
+
+@dataclass(frozen=True, slots=True)
+class InputReceipt:
+    """Receipt of a committed batch of slow inputs."""
+
+    accepted: int
+    duplicates: int
+    refused: tuple[RowRefusal, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class HeadState:
+    """Positions of a spacecraft's journal and of its consumer."""
+
+    #: number of the newest entry, 0 before the first
+    newest_number: int
+    #: number of the newest entry whose outcome is stored
+    consumed_number: int
+    #: epoch of the newest accepted measurement
+    newest_epoch_us: int | None
+    #: epoch of the newest measurement that the live chain has consumed
+    consumed_epoch_us: int | None
+    #: counts stored results of the live version
+    result_sequence: int

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, NamedTuple
 
-from service.records.levels.attitude import Axes
-from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
+from service.records.levels.attitude import Axes, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
 
 
 @dataclass(frozen=True, slots=True)

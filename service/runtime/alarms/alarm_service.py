@@ -14,18 +14,16 @@ from contextlib import contextmanager, suppress
 
 from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Key, Readings
-from service.pipeline.alarms.condition import AlarmCondition
-from service.pipeline.estimation.row_evidence import RowEvidence
+from service.pipeline.alarms.states import AlarmCondition
+from service.pipeline.estimation.method import RowEvidence
 from service.ports import ARCHIVE, Clock, Storage, Term
 from service.records.epoch import US_PER_S
-from service.records.operations.alarm import Alarm, AlarmChange, Handling
-from service.records.operations.alarm_limits import AlarmLimits
+from service.records.operations.alarms import Alarm, AlarmChange, AlarmLimits, Handling
 from service.runtime.alarms.clock_checks import ClockChecks
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.alarms.persisted_alarms import PersistedAlarms
 from service.runtime.live.leadership import always, elsewhere
-from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
-from service.runtime.live.row_watchers import Seen
+from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed, Seen
 
 _LOG = logging.getLogger("soo.alarms")
 

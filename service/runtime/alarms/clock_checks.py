@@ -12,12 +12,12 @@ from service.errors import NotFoundError
 from service.pipeline.alarms.alarm_engine import Readings
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.control.release.command_states import UNREPORTED
-from service.pipeline.control.release.state_document import state_of
+from service.pipeline.control.release.events import state_of
 from service.ports import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
-from service.records.levels.series import SourceState
-from service.records.operations.link import LinkState
+from service.records.levels.measurement import SourceState
+from service.records.operations.work import LinkState
 
 _SILENT = "SILENT"
 #: the least age of a warning, so that one of this very instant stands too, s

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from service.client.backoff import Backoff
-from service.pipeline.alarms.condition import AlarmCondition
+from service.pipeline.alarms.states import AlarmCondition
 from service.records.epoch import format_epoch
-from service.records.operations.alarm import AlarmChange, Severity
+from service.records.operations.alarms import AlarmChange, Severity
 
 _LOG = logging.getLogger("soo.notices")
 

@@ -3,13 +3,11 @@
 from collections.abc import Mapping, Sequence
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine
-from service.pipeline.alarms.condition import AlarmCondition
 from service.pipeline.alarms.readings import RowReader
+from service.pipeline.alarms.states import AlarmCondition
 from service.ports import Alarms
 from service.records.epoch import US_PER_S
-from service.records.operations.alarm import AlarmChange
-from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.alarm_memory import EngineMemory
+from service.records.operations.alarms import AlarmChange, AlarmLimits, EngineMemory
 
 #: what is kept of the rows may be so old, us, and their period so far off
 _FAR_US = 600 * US_PER_S

@@ -17,16 +17,18 @@ from service.errors import SooError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import InputsChanged, StoredRow, Tick
 from service.pipeline.control.release.interlock import Instant
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.ports import Clock, Storage, Term
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
-from service.runtime.control.release_context import ReleaseContext
-from service.runtime.control.release_inputs import interlock_inputs, read_facts
-from service.runtime.control.release_publisher import ReleasePublisher
-from service.runtime.control.row_handler import handle_row
-from service.runtime.control.sign_checks import continue_sign_check
-from service.runtime.control.spacecraft_release import SpacecraftRelease
+from service.runtime.control.release_context import (
+    ReleaseContext,
+    ReleasePublisher,
+    SpacecraftRelease,
+    interlock_inputs,
+    read_facts,
+)
+from service.runtime.control.sign_checks import continue_sign_check, handle_row
 from service.runtime.live.leadership import always, elsewhere, is_moving
 
 _LOG = logging.getLogger("soo.release")

@@ -3,31 +3,34 @@
 Every method may be called from any thread and raises nothing but errors of `service.errors`, with the codes of
 docs/reference/errors.md, section Control. An order is an event that is built, handled and answered with a view: what
 is judged and how stands in `service.pipeline.control.release`, how a step is kept in
-`service.runtime.control.spacecraft_release`; nothing here decides anything.
+`service.runtime.control.release_context`; nothing here decides anything.
 """
 
 from dataclasses import replace
 from functools import partial
 
-from service.core.control.envelope import Envelope
+from service.core.control.slew_schedule import Envelope
 from service.errors import ConflictError, GoneError, InvalidInputError, NotFoundError
 from service.pipeline.control.release import events
 from service.pipeline.control.release.advance import settled_at
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.command_transitions import command_of
 from service.pipeline.control.release.control_verdict import ControlView, control_view
-from service.pipeline.control.release.events import OrderKind, Report, digest_of
+from service.pipeline.control.release.events import OrderKind, Report, digest_of, state_of
 from service.pipeline.control.release.interlock import Instant
-from service.pipeline.control.release.state_document import state_of
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, CommandRequest, ProductForm, UplinkProduct
-from service.runtime.control.proposals import requested
-from service.runtime.control.refusal_errors import error_of, release_refusal
 from service.runtime.control.release_context import ReleaseContext
 from service.runtime.control.release_loop import ReleaseLoop
-from service.runtime.control.sign_checks import begin_sign_check, continue_sign_check
+from service.runtime.control.sign_checks import (
+    begin_sign_check,
+    continue_sign_check,
+    error_of,
+    release_refusal,
+    requested,
+)
 
 _REPORTS = {each.name.lower(): each for each in CommandTransition}
 #: a report may be this much older than the release, and this much ahead of the clock: clocks of two centres differ

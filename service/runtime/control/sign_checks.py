@@ -1,22 +1,181 @@
-"""Sign checks: the inputs of their events, which are legs to be prepared and verdicts on the rows."""
+"""Proposals of commands and sign checks, row by row, and the errors by which orders are refused."""
+
+import logging
+import math
+from dataclasses import replace
 
 import numpy as np
 
 from service.core.control.quaternion_law import inertia_about_angles
 from service.core.control.sign_check import SignDecision, SignState
-from service.errors import ConflictError, InvalidInputError
+from service.core.control.slew_schedule import Effect
+from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, SooError
+from service.pipeline.control.command.compute_command import command_for
 from service.pipeline.control.command.control_design import control_design
-from service.pipeline.control.command.schedule_check import schedule_verdict
-from service.pipeline.control.release.events import BeginSignCheck, PrepareLeg, Refusal, SignJudged
-from service.pipeline.control.release.interlock import Instant
-from service.pipeline.control.release.proposals import effect_of_pulses, proposed, schedule_of
+from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
+from service.pipeline.control.release.advance import settled_at
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, State
+from service.pipeline.control.release.events import (
+    AnglesFit,
+    Applied,
+    Automatic,
+    BeginSignCheck,
+    PrepareLeg,
+    Refusal,
+    ResponseJudged,
+    RowSeen,
+    SignJudged,
+    StoredRow,
+)
+from service.pipeline.control.release.interlock import Instant, Interlock
+from service.pipeline.control.release.interlock_conditions import OWN_AFFAIR, ReleaseSettings, microseconds
+from service.pipeline.control.release.release_checks import (
+    effect_of_law,
+    effect_of_pulses,
+    proposal_of,
+    proposed,
+    release_checks,
+    schedule_of,
+)
 from service.pipeline.control.release.sign_checks import RUNNING, is_leg_due, is_running, profile_of
-from service.records.operations.release import Command, Purpose, SignCheck, SignRatios
-from service.runtime.control.proposals import soonest_start_us, swing_left
-from service.runtime.control.refusal_errors import error_of
-from service.runtime.control.release_context import ReleaseContext
-from service.runtime.control.release_inputs import read_telemetry
+from service.ports import Releases
+from service.records.calibration import Window
+from service.records.catalogue import ControlMode, Release, Spacecraft
+from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow, TorqueCommand
+from service.records.operations.release import (
+    Command,
+    CommandRequest,
+    ProductForm,
+    Purpose,
+    SignCheck,
+    SignRatios,
+    UplinkProduct,
+)
+from service.runtime.control.release_context import ReleaseContext, read_telemetry
 from service.runtime.control.sign_check_rows import AXES, SignCheckRows, joint_verdict, wheel_verdict
+
+#: what was sent longer ago has left nothing in the flexible modes
+_SWING_US = 3 * 3600 * US_PER_S
+_COMMANDS_AT_ONCE = 500
+
+
+def requested(context: ReleaseContext, request: CommandRequest, at: Instant) -> Command:
+    """Return what a person requests as a proposal, with every check as it stands.
+
+    ConflictError ``command.no_estimate``, ``command.estimate_stale``; InvalidInputError ``command.wish``.
+    """
+    row, settings, spacecraft = context.row, context.settings, context.spacecraft
+    epoch_us = request.attitude_epoch_us
+    if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= context.stale_us:
+        raise ConflictError("command.estimate_stale", "attitude_epoch is not that of a recent estimate")
+    start_us = request.start_us or soonest_start_us(at.now_us, settings, settings.confirm_s)
+    duration_s = request.duration_s or spacecraft.control.forecast_horizon_s
+    if not 0.0 < duration_s <= settings.latest_stop_s:
+        raise InvalidInputError("command.wish", f"duration_s must lie between 0 and {settings.latest_stop_s:g} s")
+    if not -US_PER_S <= start_us - at.now_us <= microseconds(settings.latest_stop_s):
+        detail = f"start must lie ahead of the spacecraft's clock by at most {settings.latest_stop_s:g} s"
+        raise InvalidInputError("command.wish", detail)
+    computed = computed_command(context, start_us, duration_s, request.max_torque_n_m)
+    try:
+        command = proposal_of(computed, spacecraft, request.reason)
+    except ValueError as error:
+        raise InvalidInputError("command.wish", str(error)) from error
+    settled = settled_at(context.state, at, settings)
+    return replace(command, checks=release_checks(settled, command, at, settings))
+
+
+def computed_command(
+    context: ReleaseContext, start_us: int, duration_s: float, max_torque_n_m: float | None = None
+) -> TorqueCommand:
+    """Return the command of the law from an instant on, without what the interlock withholds."""
+    row, facts = context.row, context.facts
+    rate_age_s = context.torque.rate_stale_periods * context.period_s + context.torque.rate_stale_margin_s
+    return command_for(
+        allowed_row(row, context.state.interlock),
+        context.spacecraft,
+        start_us,
+        duration_s,
+        max_torque_n_m,
+        context.torque,
+        None if context.stored is None else context.stored.outcome.disturbance,
+        facts.momentum_n_m_s(row.epoch_us),
+        swing=swing_left(context.storage.releases, context.spacecraft, start_us),
+        body_rate_deg_s=facts.body_rate_deg_s(row.epoch_us, rate_age_s),
+    )
+
+
+def allowed_row(row: AttitudeRow, interlock: Interlock) -> AttitudeRow:
+    """Return a row with the reasons and axes that hold for the release.
+
+    The interlock judges range and sigma itself, by limits that let an approver bring a spacecraft back from beyond the
+    range of automatic control.
+    """
+    reasons = tuple(reason for reason in row.inhibitions if reason not in OWN_AFFAIR)
+    yaw, roll, pitch = row.control_allowed_axes
+    if not reasons:
+        roll = pitch = True
+    return replace(
+        row,
+        inhibitions=reasons,
+        control_allowed=not reasons,
+        control_allowed_axes=(yaw and not interlock.is_yaw_withheld, roll, pitch),
+    )
+
+
+def swing_left(releases: Releases, spacecraft: Spacecraft, now_us: int) -> PanelSwing | None:
+    """Return what released schedules have left in the flexible modes; unreported ones count as carried out."""
+    if not spacecraft.modes:
+        return None
+    swing = None
+    window = Window(now_us - _SWING_US, now_us + 1)
+    for command in releases.commands(spacecraft.id, window, _COMMANDS_AT_ONCE, None):
+        if command.released_us is not None:
+            schedule = command.schedule if command.reported_us is None else command.executed
+            swing = swing_after(swing, schedule, spacecraft)
+    return swing
+
+
+def soonest_start_us(now_us: int, settings: ReleaseSettings, waiting_s: float = 0.0) -> int:
+    """Return when a schedule may begin at the soonest; persons get so long to confirm it."""
+    return now_us + microseconds(settings.uplink_lead_s + waiting_s)
+
+
+#: every other code is a conflict
+_KINDS: dict[str, type[SooError]] = {
+    "command.unknown": NotFoundError,
+    "command.second_person": ForbiddenError,
+    "interlock.second_person": ForbiddenError,
+    "command.expired": GoneError,
+    "interlock.authorisation": InvalidInputError,
+    "envelope.wider": InvalidInputError,
+    "report.interval": InvalidInputError,
+}
+
+
+def error_of(refusal: Refusal) -> SooError:
+    """Return the error of a refusal.
+
+    Examples
+    --------
+    >>> error_of(Refusal("command.expired", "prepare it again"))
+    GoneError('command.expired: prepare it again')
+    """
+    return _KINDS.get(refusal.code, ConflictError)(refusal.code, refusal.detail)
+
+
+def release_refusal(spacecraft: Spacecraft) -> Refusal | None:
+    """Return why no command of a spacecraft is released one by one, None where they are."""
+    control, onboard = spacecraft.control, spacecraft.onboard
+    if control.mode is not ControlMode.GROUND:
+        return Refusal("control.mode", f"{spacecraft.id} takes no torques: its mode is {control.mode.value}")
+    if not (onboard.fast_loop and onboard.forecast_mode):
+        return Refusal("control.mode", f"{spacecraft.id} states no fast loop or no Forecast mode on board")
+    if control.release is Release.AUTOMATIC:
+        detail = "computed commands of this spacecraft count as applied; nothing is prepared or authorised"
+        return Refusal("release.automatic", detail)
+    return None
+
 
 #: a check of yaw, with hours of rows, is judged once in so many
 _YAW_ROWS = 30
@@ -99,3 +258,78 @@ def _leg(context: ReleaseContext, rows: SignCheckRows, check: SignCheck, at: Ins
         reason=f"sign check of {check.axis}, leg {check.legs_done + 1} of {len(profile_of(check.axis).legs)}",
         purpose=Purpose.SIGN_CHECK,
     )
+
+
+_LOG = logging.getLogger("soo.release")
+
+_UNKNOWN = (math.nan, math.nan, math.nan)
+#: of a schedule that cannot be followed: beyond every envelope
+_BOUNDLESS = Effect(_UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, ())
+_REASON = "standing authorisation"
+
+
+def handle_row(context: ReleaseContext, stored: StoredRow, row: AttitudeRow, at: Instant, *, may_send: bool) -> None:
+    """Handle what follows from a row of the method that drives control."""
+    release, spacecraft = context.release, context.spacecraft
+    release.handle(RowSeen(at, context.row_facts(row)))
+    if stored.outcome.applied is not None:
+        release.handle(Applied(at, _effect(stored.outcome.applied.command, spacecraft)))
+    evidence = stored.evidence
+    if evidence is not None and not evidence.missed_log_ratio <= context.settings.missed_log_ratio:
+        release.handle(ResponseJudged(at, evidence.missed_log_ratio))
+    if evidence is not None and context.sign_rows is not None:
+        context.sign_rows.append(row.epoch_us, evidence.model, evidence.deviation_db)
+    continue_sign_check(context, at)
+    if may_send:
+        _send(context, at)
+        _give_angles(context, row, at)
+
+
+def _send(context: ReleaseContext, at: Instant) -> None:
+    """Offer the law's command to a standing authorisation, once a command period, while nothing else is out."""
+    spacecraft, state = context.spacecraft, context.state
+    is_checking = is_running(state.sign_check)
+    if state.interlock.state is not State.ENGAGED or release_refusal(spacecraft) or is_checking:
+        return
+    period_s = spacecraft.control.command_period_s
+    newest_us = max([context.asked_us, *(each.released_us or 0 for each in state.commands)])
+    is_busy = any(each.state in OPEN or each.state in UNREPORTED for each in state.commands)
+    if is_busy or at.now_us - newest_us < microseconds(period_s):
+        return
+    context.asked_us = at.now_us
+    computed = computed_command(context, soonest_start_us(at.now_us, context.settings), period_s)
+    if not computed.schedule:
+        return
+    step = context.release.handle(Automatic(at, proposal_of(computed, spacecraft, _REASON)))
+    if step.refusal is not None:
+        _LOG.warning("automatic command of %s refused: %s (%s)", spacecraft.id, step.refusal.detail, step.refusal.code)
+
+
+def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None:
+    """Store angles for a spacecraft that computes its torques itself, while nothing stands against them."""
+    spacecraft, interlock = context.spacecraft, context.state.interlock
+    is_fit = row.control_allowed and not interlock.inhibiting and interlock.state is not State.TRIPPED
+    if spacecraft.control.mode is not ControlMode.ONBOARD or not is_fit:
+        return
+    newest = context.storage.releases.newest_product(spacecraft.id, ProductForm.ATTITUDE)
+    counter = 1 if newest is None else newest.counter + 1
+    product = UplinkProduct(
+        form=ProductForm.ATTITUDE,
+        counter=counter,
+        created_us=at.now_us,
+        valid_from_us=row.epoch_us,
+        valid_until_us=row.epoch_us + context.stale_us,
+        attitude_epoch_us=row.epoch_us,
+        is_simulated=spacecraft.simulated,
+        attitude_deg=row.attitude_deg,
+        sigma_deg=row.sigma_deg,
+    )
+    context.release.handle(AnglesFit(at, product))
+
+
+def _effect(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:
+    """Return the effect of a computed command; one that cannot be predicted is beyond every envelope."""
+    try:
+        return effect_of_law(command, spacecraft)
+    except ValueError:
+        return _BOUNDLESS

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.rows.sample_bins import SampleBins
+from service.core.rows import SampleBins
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.carrier_model.beam_report import HOUR_US, BeamReport, Group, HourlyMeans, beam_report
 from service.ports import LIVE, Storage

@@ -5,9 +5,9 @@ from threading import Lock
 
 from service.errors import BusyError, ConflictError, SooError
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
-from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage
 from service.records.calibration import (
@@ -21,7 +21,7 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.journal import SlowInput
 from service.records.levels.measurement import Measurement
-from service.records.operations.job import Job
+from service.records.operations.work import Job
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
 
 #: operations and corrections that a calibration looks at, at most of each

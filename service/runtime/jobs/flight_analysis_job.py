@@ -19,7 +19,7 @@ from service.core.dynamics.orbital_frame_analysis import (
 from service.core.dynamics.orbital_frame_kernel import fly
 from service.errors import BusyError
 from service.pipeline.kernels import flight_kernel
-from service.records.operations.job import Job
+from service.records.operations.work import Job
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
 
 KIND = "closed-loop"

@@ -12,7 +12,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 
 from service.errors import SooError
 from service.ports import Clock, Results
-from service.records.operations.job import Job, JobState
+from service.records.operations.work import Job, JobState
 
 _LOG = logging.getLogger("soo.jobs")
 

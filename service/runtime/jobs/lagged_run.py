@@ -1,23 +1,26 @@
-"""Run that makes smoothed rows at a fixed lag: a span of the journal again, from a state of the live chain before it.
+"""Smoothed rows: made with a lag behind the journal, in a process of their own."""
 
-It begins with the newest checkpoint that is older than the first row wanted, or with an alignment where none is, and
-consumes the journal as the live chain did. It writes nothing: what it made is stored by the process that leads.
-"""
-
+import logging
+import threading
+import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
+from service.errors import UnavailableError
 from service.pipeline.chain import Chain
-from service.pipeline.checkpoints.chain_state import fingerprint
+from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import ChainConfig
-from service.pipeline.estimation.smoothed.lagged_rows import GRID_US, LaggedRows, grid_us
-from service.ports import Storage
+from service.pipeline.estimation.smoothed import GRID_US, LaggedRows, grid_us
+from service.ports import SMOOTHED, Outcome, Storage, Term
 from service.records.catalogue import Method
-from service.records.epoch import US_PER_S
+from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import AttitudeRow
-from service.records.levels.measurement import Measurement
+from service.records.levels.measurement import HeadState, Measurement
+from service.records.setting import CHOSEN, setting
 from service.runtime.live.chain_restart import restored_checkpoint
 from service.runtime.live.journal_consumer import DocumentCache, consume, update_before
+from service.runtime.live.leadership import always, is_moving
 
 _ENTRIES_AT_ONCE = 512
 #: instants that one run passes, us: at a row a second their rows take three minutes
@@ -139,3 +142,144 @@ def lagged_in_process(
         return LaggedRun(storage, config, spacecraft_id, order).run()
     finally:
         storage.close()
+
+
+_LOG = logging.getLogger("soo.lagged")
+#: between two polls, s
+POLL_S = 2.0
+#: rest after a run, as a multiple of its duration: a tenth of a core at most
+_REST = 9.0
+#: instants that lie further back than this are not made: of data, us
+_MOST_BEHIND_US = 7 * 86_400 * US_PER_S
+_LONGEST_LAG_S = 43_200.0
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothingConfig:
+    """Live series of smoothed angles."""
+
+    lag_s: float = setting(
+        7200.0, "a smoothed angle is made when the data reach so far beyond it, s; 0 = no such series", CHOSEN
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse a lag that says nothing, or that takes in more than later rows can say."""
+        if self.lag_s != 0 and not GRID_US / US_PER_S <= self.lag_s <= _LONGEST_LAG_S:
+            raise ValueError("lag_s is 0, or from 300 to 43200 s")
+
+
+class LaggedSeries:
+    """Makes smoothed rows of every spacecraft that this process leads.
+
+    Parameters
+    ----------
+    storage : Storage
+        The archive.
+    config : SmoothingConfig
+        The lag.
+    work : callable
+        Makes a part of the rows of a spacecraft, as `LaggedRun` does, in another process.
+    turn : Term, optional
+        Tells which spacecraft this process leads.
+    """
+
+    def __init__(
+        self,
+        storage: Storage,
+        config: SmoothingConfig,
+        work: Callable[[str, LaggedOrder], LaggedPart],
+        turn: Term = always,
+    ) -> None:
+        self._storage, self._work, self._turn = storage, work, turn
+        self._lag_us = round(config.lag_s * US_PER_S)
+        #: term of leading, and instant of the grid up to which rows are made
+        self._made: dict[str, tuple[int, int]] = {}
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Start the thread, which runs until stopped; without a lag there is none."""
+        if self._lag_us:
+            self._thread = threading.Thread(target=self._run, name="soo-lagged", daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread; called after the end of the worker process, whose part is then lost."""
+        self._stopping.set()
+        if self._thread is not None:
+            self._thread.join()
+
+    def poll_once(self) -> None:
+        """Make the next part of what is due of each spacecraft; one that fails keeps no other one from it."""
+        heads = self._storage.archive.heads()
+        # one that was deleted may come again under its name
+        self._made = {spacecraft_id: made for spacecraft_id, made in self._made.items() if spacecraft_id in heads}
+        for spacecraft_id, head in heads.items():
+            turn = self._turn(spacecraft_id)
+            if self._stopping.is_set() or not turn:
+                continue
+            try:
+                self._extend(spacecraft_id, turn, head)
+            except Exception as error:  # noqa: BLE001 what is due stays due
+                if self._stopping.is_set() or is_moving(error) or isinstance(error, UnavailableError):
+                    _LOG.info("smoothed rows of %s wait: %s", spacecraft_id, error)
+                else:
+                    _LOG.exception("smoothed rows of %s were not made; they are retried", spacecraft_id)
+
+    def _run(self) -> None:
+        wait_s = POLL_S
+        while not self._stopping.wait(wait_s):
+            began_s = time.monotonic()
+            try:
+                self.poll_once()
+            except Exception:  # noqa: BLE001 the thread outlives every error
+                _LOG.exception("smoothed rows were not made; they are retried")
+            wait_s = max(POLL_S, _REST * (time.monotonic() - began_s))
+
+    def _extend(self, spacecraft_id: str, turn: int, head: HeadState) -> None:
+        """Make and store the next part of the rows of a spacecraft, where one is due."""
+        if head.consumed_epoch_us is None:
+            return
+        due_us = grid_us(head.consumed_epoch_us - self._lag_us)
+        after_us = self._after_us(spacecraft_id, turn, due_us)
+        if after_us >= due_us:
+            return
+        made_us = self._store_part(spacecraft_id, after_us, head) if self._is_robust(spacecraft_id) else after_us
+        # without a state to begin with, as before the first alignment, there is nothing to wait for
+        self._made[spacecraft_id] = turn, made_us if made_us > after_us else due_us
+
+    def _store_part(self, spacecraft_id: str, after_us: int, head: HeadState) -> int:
+        """Make and store rows behind an instant, and return the instant up to which they are made."""
+        part = self._work(spacecraft_id, LaggedOrder(after_us, head.consumed_number, self._lag_us))
+        if part.is_skipped:
+            _report_gap(spacecraft_id, after_us, part.made_us, "no state of the chain is kept that is old enough")
+        if part.rows:
+            outcomes = [Outcome((row,), None) for row in part.rows]
+            self._storage.results.save_outcomes(spacecraft_id, SMOOTHED, outcomes, 0, None)
+        return part.made_us
+
+    def _is_robust(self, spacecraft_id: str) -> bool:
+        """Return whether the robust method was ever aligned; without it there is nothing to smooth."""
+        alignments = self._storage.results.alignments(spacecraft_id)
+        return any(Method.ROBUST.value in each.calibration_by_method for each in alignments)
+
+    def _after_us(self, spacecraft_id: str, turn: int, due_us: int) -> int:
+        """Return the instant up to which nothing is to be made."""
+        of_turn, made_us = self._made.get(spacecraft_id, (0, 0))
+        first_us = due_us - _MOST_BEHIND_US
+        if of_turn != turn:
+            newest = self._storage.results.newest_attitude(spacecraft_id, SMOOTHED, Method.ROBUST_SMOOTHED)
+            made_us = first_us if newest is None else grid_us(newest.epoch_us + GRID_US - 1)
+        if made_us < first_us:
+            _report_gap(spacecraft_id, made_us, first_us, "they lie too far back")
+        return max(made_us, first_us)
+
+
+def _report_gap(spacecraft_id: str, start_us: int, stop_us: int, reason: str) -> None:
+    _LOG.info(
+        "no smoothed rows of %s are made from %s to %s: %s. A replay with smooth=true makes them.",
+        spacecraft_id,
+        format_epoch(start_us),
+        format_epoch(stop_us),
+        reason,
+    )

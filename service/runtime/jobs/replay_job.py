@@ -11,7 +11,7 @@ from dataclasses import replace
 from service.errors import ConflictError, InvalidInputError
 from service.ports import Clock, Storage
 from service.records.calibration import Alignment, Window
-from service.records.operations.job import Job, JobState, Replay
+from service.records.operations.work import Job, JobState, Replay
 from service.runtime.jobs.job_runner import JobRunner, Progress
 
 _LOG = logging.getLogger("soo.replay")

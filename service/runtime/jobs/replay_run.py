@@ -12,9 +12,9 @@ from itertools import takewhile
 from typing import NamedTuple
 
 from service.pipeline.chain import METHODS, Chain
-from service.pipeline.checkpoints.chain_state import ChainState, fingerprint
+from service.pipeline.checkpoints import ChainState, fingerprint
 from service.pipeline.config import ChainConfig
-from service.pipeline.estimation.smoothed.smoothed_rows import SmoothedRows
+from service.pipeline.estimation.smoothed import SmoothedRows
 from service.pipeline.first_rows import compile_filter
 from service.ports import Outcome, Storage
 from service.records.calibration import Window
@@ -22,8 +22,8 @@ from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.levels.measurement import Measurement
-from service.records.operations.job import JobState, Replay
-from service.records.storage.checkpoint import Checkpoint
+from service.records.operations.work import JobState, Replay
+from service.records.storage import Checkpoint
 from service.runtime.jobs.job_runner import Progress
 from service.runtime.live.chain_restart import KNOWN_US, checkpoint_of, restored_checkpoint, state_of
 from service.runtime.live.journal_consumer import (

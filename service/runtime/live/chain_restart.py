@@ -14,12 +14,12 @@ from tokenize import TokenError
 from typing import NamedTuple
 
 from service.pipeline.chain import Chain
-from service.pipeline.checkpoints.chain_state import ChainState, fingerprint, pack_state, unpack_state
+from service.pipeline.checkpoints import ChainState, fingerprint, pack_state, unpack_state
 from service.pipeline.config import ChainConfig
 from service.ports import Storage
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet
-from service.records.storage.checkpoint import Checkpoint
+from service.records.storage import Checkpoint
 from service.runtime.live.journal_consumer import DocumentCache, consume, update_before
 
 _LOG = logging.getLogger("soo.restart")

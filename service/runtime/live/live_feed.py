@@ -1,22 +1,24 @@
-"""Live feed: bounded fan-out of what the service accepted and computed.
-
-A subscriber has a queue of its own. One that does not keep up loses the oldest events and is told how many of each
-kind; it never slows the estimator or other subscribers. Events carry a cursor from which a stream resumes: the archive
-holds all that was published, so nothing is lost by a reconnect.
-"""
+"""Live feed: rows and events to those who follow, also from the process that computes them."""
 
 import asyncio
 import threading
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from threading import Lock
+from typing import NamedTuple, Protocol
 
-from service.records.levels.attitude import AttitudeRow
-from service.records.levels.carrier_results import CarrierResults
-from service.records.levels.command import TorqueCommand
-from service.records.levels.measurement import Measurement
-from service.records.operations.alarm import AlarmChange
+import numpy as np
+
+from service.pipeline.control.release.events import StoredRow
+from service.pipeline.estimation.method import RowEvidence
+from service.ports import Storage
+from service.records.inputs import AttitudeReference
+from service.records.journal import JournalEntry
+from service.records.levels.attitude import AttitudeRow, CarrierResults, TorqueCommand
+from service.records.levels.measurement import BatchReceipt, CarrierDetails, HeadState, Measurement, MeasurementBatch
+from service.records.operations.alarms import AlarmChange
 
 #: what an event may tell; None: something is to be looked up
 Content = Measurement | AttitudeRow | TorqueCommand | AlarmChange | None
@@ -157,3 +159,265 @@ def _hand_over(readers: Sequence[Subscription], events: Sequence[FeedEvent]) -> 
     """Give events to subscribers inside their loop."""
     for reader in readers:
         reader.consume(events)
+
+
+#: entries and changes read in one go
+_AT_ONCE = 256
+
+
+class Relay:
+    """Follower of the stored rows of each spacecraft.
+
+    Parameters
+    ----------
+    storage : Storage
+        The archive.
+    feed : LiveFeed
+        Where it is told.
+    """
+
+    def __init__(self, storage: Storage, feed: LiveFeed) -> None:
+        self._storage = storage
+        self._feed = feed
+        self._positions: dict[str, Cursor] = {}
+
+    def forget(self, spacecraft_id: str) -> None:
+        """Begin with the present when it is needed again."""
+        self._positions.pop(spacecraft_id, None)
+
+    def behind(self, heads: Mapping[str, HeadState]) -> set[str]:
+        """Return the spacecraft with subscribers of which something may have been stored since their last poll."""
+        alarm = self._storage.alarms.newest_sequence()
+        present = {name: Cursor(head.newest_number, head.result_sequence, alarm) for name, head in heads.items()}
+        # who subscribes from here on finds in the archive what was stored up to this present
+        quiet = {name for name in present if not self._feed.has_subscribers(name)}
+        self._positions |= {name: present[name] for name in quiet}
+        return {name for name in present.keys() - quiet if self._positions.get(name) != present[name]}
+
+    def poll(self, spacecraft_id: str) -> None:
+        """Publish the entries since the last poll."""
+        present = self._present(spacecraft_id)
+        position = self._positions.setdefault(spacecraft_id, present)
+        # who subscribes from here on finds in the archive what was stored up to this present
+        if not self._feed.has_subscribers(spacecraft_id):
+            self._positions[spacecraft_id] = present
+            return
+        while events := self._events(spacecraft_id, position):
+            position = self._positions[spacecraft_id] = events[-1].cursor
+            self._feed.publish(spacecraft_id, tuple(events))
+
+    def _present(self, spacecraft_id: str) -> Cursor:
+        head = self._storage.archive.head(spacecraft_id)
+        return Cursor(head.newest_number, head.result_sequence, self._storage.alarms.newest_sequence())
+
+    def _events(self, spacecraft_id: str, position: Cursor) -> list[FeedEvent]:
+        """Return the next events; the last one stands where all that was read ends."""
+        entries = self._storage.archive.journal(spacecraft_id, position.number, _AT_ONCE)
+        rows = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
+        events = [FeedEvent("measurement", position._replace(number=row.number), row) for row in rows]
+        changes = self._storage.alarms.changes_after(spacecraft_id, position.alarm, _AT_ONCE)
+        events += [FeedEvent("alarm", position._replace(alarm=change.sequence), change) for change in changes]
+        sequence = self._storage.archive.head(spacecraft_id).result_sequence
+        end = Cursor(
+            entries[-1].number if entries else position.number,
+            sequence,
+            changes[-1].sequence if changes else position.alarm,
+        )
+        return [] if end == position else [*events, FeedEvent("status", end, None)]
+
+
+#: rows of a batch that the writer tells of; more are a backlog, for which the writer has no time
+_ROWS_AT_ONCE = 16
+
+
+class RowPublisher:
+    """Tells listeners of rows; safe from any thread.
+
+    Parameters
+    ----------
+    feed : LiveFeed
+        Listeners.
+    """
+
+    def __init__(self, feed: LiveFeed) -> None:
+        self._feed = feed
+        self._lock = Lock()
+        #: journal number up to which all is told, or was in the archive before anybody could listen
+        self._reported: dict[str, int] = {}
+
+    def begin(self, spacecraft_id: str, number: int) -> None:
+        """Start publishing the rows of a journal after a number."""
+        with self._lock:
+            self._reported[spacecraft_id] = max(number, self._reported.get(spacecraft_id, 0))
+
+    def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> tuple[Measurement, ...] | None:
+        """Publish a batch that was committed just now, if it comes next, and return the rows that were published.
+
+        Called in the order of commits.
+        """
+        if receipt.first_number is None or receipt.accepted > _ROWS_AT_ONCE or not is_whole(batch, receipt):
+            return None
+        with self._lock:
+            if self._reported.get(batch.spacecraft_id) == receipt.first_number - 1:
+                self._reported[batch.spacecraft_id] = receipt.first_number + receipt.accepted - 1
+                # who subscribes from here on finds the rows in the archive
+                if self._feed.has_subscribers(batch.spacecraft_id):
+                    rows = tuple(stored_rows(batch, receipt))
+                    self._publish(batch.spacecraft_id, rows)
+                    return rows
+        return None
+
+    def followed(self, spacecraft_id: str, entries: Sequence[JournalEntry]) -> None:
+        """Publish those rows among the next entries of a journal that were not published yet."""
+        with self._lock:
+            reported = self._reported.get(spacecraft_id, 0)
+            self._reported[spacecraft_id] = max(reported, entries[-1].number)
+            if self._feed.has_subscribers(spacecraft_id):
+                rows = (entry.content for entry in entries if entry.number > reported)
+                self._publish(spacecraft_id, tuple(row for row in rows if isinstance(row, Measurement)))
+
+    def _publish(self, spacecraft_id: str, rows: Sequence[Measurement]) -> None:
+        # a row moves the first part of a listener's place alone
+        events = tuple(FeedEvent("measurement", Cursor(row.number, 0), row) for row in rows)
+        if events:
+            self._feed.publish(spacecraft_id, events)
+
+
+def is_whole(batch: MeasurementBatch, receipt: BatchReceipt) -> bool:
+    """Return whether all rows of a batch were stored as they came, so that what became of each is known."""
+    return receipt.accepted == len(batch.index) and not receipt.flagged
+
+
+def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Measurement]:
+    """Yield the rows of a batch that was stored as a whole, as the archive gives them."""
+    power_dbm = batch.power_dbm.astype(np.float32).astype(np.float64)
+    power_dbm.setflags(write=False)
+    is_late = [receipt.late > 0] * len(batch.index) if receipt.is_late is None else receipt.is_late.tolist()
+    for position in range(len(batch.index)):
+        given = batch.flags[position]
+        flags = None if given is None else np.array(given, dtype=np.int64)
+        if flags is not None:
+            flags.setflags(write=False)
+        yield Measurement(
+            epoch_us=int(batch.epochs_us[position]),
+            received_at_us=batch.received_at_us,
+            number=(receipt.first_number or 0) + position,
+            source=batch.source,
+            plan_id=batch.plan_id,
+            power_dbm=power_dbm[position],
+            flags=flags,
+            is_late=is_late[position],
+            feeds_estimator=receipt.feeds_estimator,
+            seq=None if batch.first_seq is None else batch.first_seq + int(batch.index[position]),
+            details=_details(batch.details, position),
+        )
+
+
+def _details(details: CarrierDetails | None, position: int) -> CarrierDetails | None:
+    """Return the details of a row beside its powers, None where it has none."""
+    if details is None:
+        return None
+    statistics = details.row(position).astype(np.float64)
+    statistics.setflags(write=False)
+    return None if np.isnan(statistics).all() else CarrierDetails(*statistics)
+
+
+#: rows of one spacecraft, 200 bytes each at 32 carriers; fewer would not outlast a stop of a second
+_KEPT_ROWS = 16_384
+
+
+class _Stored(NamedTuple):
+    """A batch that was stored as a whole."""
+
+    first: int
+    last: int
+    batch: MeasurementBatch
+    receipt: BatchReceipt
+    #: built already for a listener
+    rows: tuple[Measurement, ...] | None
+
+
+class _Kept:
+    """The newest batches of one spacecraft."""
+
+    def __init__(self) -> None:
+        self.batches: deque[_Stored] = deque()
+        self.rows = 0
+
+    def add(self, stored: _Stored) -> None:
+        """Add the newest and let go of the oldest."""
+        self.batches.append(stored)
+        self.rows += stored.receipt.accepted
+        while self.rows > _KEPT_ROWS:
+            self.drop_first()
+
+    def pop_next(self, number: int) -> _Stored | None:
+        """Give away the batch with the row behind a number, if it is here; what lies before it is let go of."""
+        while self.batches and self.batches[0].last <= number:
+            self.drop_first()
+        if not self.batches or self.batches[0].first > number + 1:
+            return None
+        return self.drop_first()
+
+    def drop_first(self) -> _Stored:
+        """Let go of the oldest."""
+        stored = self.batches.popleft()
+        self.rows -= stored.receipt.accepted
+        return stored
+
+
+class FreshRows:
+    """Rows by spacecraft; safe from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._kept: dict[str, _Kept] = {}
+
+    def stored(
+        self, batch: MeasurementBatch, receipt: BatchReceipt, rows: tuple[Measurement, ...] | None = None
+    ) -> None:
+        """Keep a batch that was committed just now, if it was stored as a whole; called in the order of commits.
+
+        ``rows`` are its records where somebody has built them already.
+        """
+        if receipt.first_number is not None and is_whole(batch, receipt) and receipt.accepted <= _KEPT_ROWS:
+            last = receipt.first_number + receipt.accepted - 1
+            with self._lock:
+                kept = self._kept.setdefault(batch.spacecraft_id, _Kept())
+                kept.add(_Stored(receipt.first_number, last, batch, receipt, rows))
+
+    def after(self, spacecraft_id: str, number: int, limit: int) -> list[JournalEntry]:
+        """Return some entries that follow a journal number without gap, none where they are not here.
+
+        What is given is no longer kept. A batch more than ``limit`` entries may come, never a part of one.
+        """
+        taken: list[_Stored] = []
+        reached = number
+        with self._lock:
+            kept = self._kept.setdefault(spacecraft_id, _Kept())
+            while reached < number + limit and (stored := kept.pop_next(reached)) is not None:
+                taken.append(stored)
+                reached = stored.last
+        rows = (row for each in taken for row in each.rows or stored_rows(each.batch, each.receipt))
+        return [JournalEntry(row.number, row) for row in rows if row.number > number]
+
+
+#: what alarms look at
+Seen = RowEvidence | AttitudeReference
+
+
+class Watcher(Protocol):
+    """Watcher of stored results; it must not make the chain wait."""
+
+    def on_rows(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
+        """Take over rows that are neither late nor caught up with, and references, in the order of the journal."""
+
+
+class ReleaseWatcher(Protocol):
+    """Watcher of stored rows on which control depends."""
+
+    def on_rows(self, spacecraft_id: str, seen: Sequence[StoredRow], *, has_inputs: bool = False) -> None:
+        """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""
+
+    def steady(self, spacecraft_id: str) -> AbstractContextManager[bool]:
+        """Let nobody trip control meanwhile; tell whether torques are withheld."""

@@ -20,19 +20,13 @@ from service.pipeline.control.release.events import StoredRow
 from service.ports import LIVE, Outcome, Storage, Term
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
-from service.records.levels.attitude import CarrierState
-from service.records.levels.command import AppliedCommand
+from service.records.levels.attitude import AppliedCommand, CarrierState
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
-from service.records.storage.checkpoint import Checkpoint
+from service.records.storage import Checkpoint
 from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
-from service.runtime.live.follower_relay import Relay
-from service.runtime.live.journal_consumer import consume, trips_after
+from service.runtime.live.journal_consumer import StepResults, consume, result_events, seen_of, trips_after
 from service.runtime.live.leadership import always, is_moving
-from service.runtime.live.live_feed import FeedEvent, LiveFeed
-from service.runtime.live.row_cache import FreshRows
-from service.runtime.live.row_publisher import RowPublisher
-from service.runtime.live.row_watchers import ReleaseWatcher, Watcher
-from service.runtime.live.step_results import StepResults, result_events, seen_of
+from service.runtime.live.live_feed import FeedEvent, FreshRows, LiveFeed, Relay, ReleaseWatcher, RowPublisher, Watcher
 
 _LOG = logging.getLogger("soo.supervisor")
 

@@ -20,8 +20,16 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, Axes, FloatArray, Status, row_without_attitude
-from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
+from service.records.levels.attitude import (
+    AppliedCommand,
+    AttitudeRow,
+    Axes,
+    FloatArray,
+    Pulse,
+    Status,
+    TorqueCommand,
+    row_without_attitude,
+)
 from service.records.levels.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
 from service.study.closed_loop.released import Releaser

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.pipeline.inputs.documents import JournalDocuments
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.calibration import Window
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import parse_epoch
 from service.records.inputs import SourceSelection
 from service.records.journal import SlowInput
 from service.records.levels.attitude import BoolArray, IntArray
-from service.records.levels.series import ReferenceSeries
+from service.records.levels.measurement import ReferenceSeries
 from service.study.closed_loop.plant_process import Line, Opening
 from service.study.estimation.flight.catalogue_lines import (
     read_carriers,

@@ -15,8 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from service.records.epoch import format_epoch, parse_epoch
-from service.records.levels.attitude import Axes, FloatArray
-from service.records.levels.command import Pulse
+from service.records.levels.attitude import Axes, FloatArray, Pulse
 
 Line = dict[str, Any]
 _AXES = ("yaw", "roll", "pitch")

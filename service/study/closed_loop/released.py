@@ -16,8 +16,14 @@ from service.pipeline.control.command.compute_command import command_for
 from service.ports import Outcome
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow
-from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
+from service.records.levels.attitude import (
+    AppliedCommand,
+    AttitudeRow,
+    Pulse,
+    ReleasedCommand,
+    ReportedCommand,
+    TorqueCommand,
+)
 from service.records.levels.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport
 

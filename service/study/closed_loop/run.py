@@ -8,7 +8,7 @@ import numpy as np
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.pipeline.inputs.documents import JournalDocuments
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.catalogue import Method, Release, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChange, SpacecraftChange

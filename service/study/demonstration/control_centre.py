@@ -1,18 +1,122 @@
-"""Control centre of the demonstration: takes the service's commands to the spacecraft, over the public interface alone.
+"""Control centres of the demonstration, and the line of the simulator that takes their schedules."""
 
-Release ``automatic``: the command of each row goes up as soon as it is computed, and counts as applied from its epoch.
-"""
-
+import json
+import socket
 import time
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple, Self
 
-from service.client.documents import Json
+from service.client.documents import Control, Json
+from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import US_PER_S, parse_epoch
 from service.study.demonstration.merit import AXES
-from service.study.demonstration.spacecraft_line import SpacecraftLine, SpacecraftReport
+
+_AXES = ("yaw", "roll", "pitch")
+
+
+class SpacecraftLineError(Exception):
+    """The line to the spacecraft broke, or it refused a schedule; the text gives the reason."""
+
+
+class SpacecraftReport(NamedTuple):
+    """Telemetry report of the spacecraft on one command."""
+
+    counter: int
+    #: executed, executing, replaced, repeated, late or refused
+    state: str
+    reported: str
+    #: of the executed elements; None = none
+    executed_from: str | None
+    executed_until: str | None
+    #: N m s, of the executed elements
+    impulse_n_m_s: dict[str, float]
+
+
+class SpacecraftLine:
+    """Client of the uplink port.
+
+    Parameters
+    ----------
+    host, port : str, int
+        Address of the port.
+    timeout_s : float
+        Longest wait for a line.
+    """
+
+    def __init__(self, host: str, port: int, timeout_s: float = 120.0) -> None:
+        self._socket = socket.create_connection((host, port), timeout=timeout_s)
+        self._lines = self._socket.makefile("rb")
+        self._reports: list[SpacecraftReport] = []
+        self._flown = ""
+        try:
+            #: torque that the loop on board feeds forward, as the catalogue states one; None = nothing was said of it
+            self.fed_forward: Json | None = self._consume("start").get("fed_forward_torque")
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the line."""
+        self._lines.close()
+        self._socket.close()
+
+    def send(self, schedule: Sequence[Mapping[str, Any]], counter: int) -> None:
+        """Hand a schedule to the channel.
+
+        Raises
+        ------
+        SpacecraftLineError
+            It was refused.
+        """
+        line = json.dumps({"schedule": list(schedule), "counter": counter})
+        self._socket.sendall(line.encode() + b"\n")
+        self._consume("taken")
+
+    def await_flown(self, epoch: str) -> list[SpacecraftReport]:
+        """Wait until the spacecraft has come to the row of an epoch and return what it has told since the last call."""
+        while self._flown < epoch:
+            self._flown = self._consume("flown")["epoch"]
+        reported, self._reports = self._reports, []
+        return reported
+
+    def _consume(self, wanted: str) -> Json:
+        """Return the next line of a type; reports before it are kept."""
+        while True:
+            text = self._lines.readline()
+            if not text:
+                raise SpacecraftLineError("the spacecraft has closed its line")
+            line: Json = json.loads(text)
+            if line["type"] == "error":
+                raise SpacecraftLineError(f"the spacecraft's line refused: {line['detail']}")
+            if line["type"] == "report":
+                self._reports.append(_report(line))
+            if line["type"] == "flown":
+                self._flown = line["epoch"]
+            if line["type"] == wanted:
+                return line
+
+
+def _report(line: Json) -> SpacecraftReport:
+    nothing = dict.fromkeys(_AXES, 0.0)
+    return SpacecraftReport(
+        line["counter"],
+        line["state"],
+        line["told"],
+        line.get("executed_from"),
+        line.get("executed_until"),
+        line.get("impulse_n_m_s", nothing),
+    )
+
 
 #: bounds hangs: the first row may wait for the compiler on a busy machine
 _COMMAND_TIMEOUT_S = 600.0
@@ -138,3 +242,121 @@ class ControlCentre:
             wait_s = max(_POLL_SHARE * self._usual_s, _LEAST_POLL_S)
         message = f"no command of {epoch} within {_COMMAND_TIMEOUT_S:.0f} s"
         raise TimeoutError(message)
+
+
+#: interval between two requests for the state of control, s
+_POLL_S = 0.25
+#: reasons under which control can be armed: that it is not armed, and those that withhold yaw alone
+_ARMABLE = {"not_armed", "sigma_yaw", "yaw_sign", "yaw_beyond"}
+#: fates of a command of which the spacecraft executed nothing
+_NOTHING_EXECUTED = {"late", "refused", "replaced"}
+
+
+class RowPaces(NamedTuple):
+    """Wall time of a row after control was armed, s."""
+
+    #: nothing waits for a person
+    idle_s: float = 5.0
+    #: a prepared command waits; with 10 rows of waiting it can be read for 2.5 min
+    prepared_s: float = 15.0
+    #: a released command has not been reported
+    under_way_s: float = 0.5
+
+
+@dataclass
+class TwoStepCentre(ControlCentre):
+    """Takes released commands to the spacecraft.
+
+    Parameters
+    ----------
+    client, line : ServiceClient, SpacecraftLine
+        As of `ControlCentre`.
+    operator : ServiceClient
+        With the key of the operator, in whose name control is armed.
+    paces : RowPaces
+        Wall time of a row.
+    """
+
+    release: ClassVar[str] = "two_step"
+    rows_a_scene: ClassVar[int] = 1
+
+    operator: ServiceClient = field(kw_only=True)
+    paces: RowPaces = field(default_factory=RowPaces)
+    is_armed: bool = False
+
+    def steer(self, spacecraft_id: str, epoch: str) -> None:
+        """Report what the spacecraft says until a row, and take up what is released until the row's time is over.
+
+        Raises
+        ------
+        SpacecraftLineError
+            A schedule was refused.
+        TimeoutError
+            The service computed no row of this epoch.
+        """
+        began = time.monotonic()
+        reports = self.line.await_flown(epoch)
+        # reports name instants up to this row, which is the present of the service once it has computed it
+        self._await_command(spacecraft_id, epoch)
+        for report in reports:
+            self._report(spacecraft_id, report)
+        self.log.newest_us = parse_epoch(epoch)
+        self.log.rows += 1
+        control = self._send_released(spacecraft_id)
+        self.log.inhibited_rows += not control["control"]["allowed"]
+        self.log.inhibitions.update(control["reasons"] if not control["control"]["allowed"] else ())
+        self._arm(spacecraft_id, control)
+        while (wait_s := began + self._row_s(control) - time.monotonic()) > 0.0:
+            time.sleep(min(wait_s, _POLL_S))
+            control = self._send_released(spacecraft_id)
+
+    def _arm(self, spacecraft_id: str, control: Control) -> None:
+        """Arm control once, as soon as nothing else withholds roll and pitch; after a trip persons arm again."""
+        if self.is_armed or control["armed"]:
+            self.is_armed = True
+        elif set(control["reasons"]) <= _ARMABLE:
+            with _tolerated("interlock."):
+                self.operator.order_control(spacecraft_id, "arm", "armed by the demonstration")
+                self.is_armed = True
+
+    def _row_s(self, control: Control) -> float:
+        """Return the wall time of the present row."""
+        if not self.is_armed:
+            return 0.0
+        if control["open_commands"]:
+            return self.paces.prepared_s
+        return self.paces.under_way_s if control["unreported_commands"] else self.paces.idle_s
+
+    def _send_released(self, spacecraft_id: str) -> Control:
+        """Send every command that was released, report it sent, and return the state of control before that."""
+        control = self.client.control(spacecraft_id)
+        for counter in control["unreported_commands"]:
+            if counter not in self.log.sent:
+                schedule = self.client.uplink(spacecraft_id, counter)["schedule"]
+                self.log.sent[counter] = SentCommand(schedule)
+                self.line.send(schedule, counter)
+                with _tolerated("command."):
+                    self.client.report_torques(spacecraft_id, counter, "sent")
+        return control
+
+    def _report(self, spacecraft_id: str, report: SpacecraftReport) -> None:
+        """Report to the service what the spacecraft says of a command; only a part executed is stated as one."""
+        self.log.on_input(report)
+        counter = report.counter
+        with _tolerated("command."):
+            if report.state in _NOTHING_EXECUTED:
+                self.client.report_torques(spacecraft_id, counter, "failed")
+            elif report.state == "executed" and report.executed_until is not None:
+                is_whole = parse_epoch(report.executed_until) >= self.log.sent[counter].stop_us
+                until = None if is_whole else report.executed_until
+                self.client.report_torques(spacecraft_id, counter, "executed", executed_until=until)
+
+
+@contextmanager
+def _tolerated(codes: str) -> Iterator[None]:
+    """Pass over a refusal by these codes: a person at the console was faster, and the service keeps what it said."""
+    try:
+        yield
+    except ProblemError as error:
+        if not error.code.startswith(codes):
+            raise

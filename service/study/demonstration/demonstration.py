@@ -21,11 +21,9 @@ from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import format_epoch, parse_epoch
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR
-from service.study.demonstration.control_centre import ControlCentre
-from service.study.demonstration.ground_link import GroundLink
+from service.study.demonstration.control_centre import ControlCentre, SpacecraftLine
 from service.study.demonstration.merit import AXES
-from service.study.demonstration.processes import ChildProcess, FrontEnd
-from service.study.demonstration.spacecraft_line import SpacecraftLine
+from service.study.demonstration.processes import ChildProcess, FrontEnd, GroundLink
 
 #: wait for rows that are on their way, s
 _ARRIVAL_TIMEOUT_S = 600.0

@@ -9,11 +9,10 @@ from service.client.documents import Json
 from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
-from service.study.demonstration.archive_check import check_archive, check_replay, missed_promises
+from service.study.demonstration.archive_check import METHODS, check_archive, check_replay, missed_promises
 from service.study.demonstration.closed_judgement import missed_control
 from service.study.demonstration.demonstration import Story
 from service.study.demonstration.merit import AXES, AxisMerit, judge_axis, missed_bounds
-from service.study.demonstration.replay_check import METHODS
 
 #: the trailing mean and the first slope of the paper method must have filled, us of virtual time
 _SETTLING_US = 3_600_000_000

@@ -1,7 +1,4 @@
-"""Child processes of a demonstration: started with one line of JSON as sign of life, ended by their own id.
-
-The front end is one of them; it is replaced when the ground has another task or another analyzer for it.
-"""
+"""Child processes of a demonstration, and the port by which the ground's knowledge comes."""
 
 import json
 import signal
@@ -9,9 +6,45 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
+
+
+class GroundLink:
+    """Client of the ground port.
+
+    Parameters
+    ----------
+    host, port : str, int
+        Address of the port.
+    timeout_s : float
+        Longest wait for a line.
+    """
+
+    def __init__(self, host: str, port: int, timeout_s: float = 120.0) -> None:
+        self._socket = socket.create_connection((host, port), timeout=timeout_s)
+        self._lines = self._socket.makefile("rb")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._lines.close()
+        self._socket.close()
+
+    def messages(self) -> Iterator[dict[str, Any]]:
+        """Yield the messages until the story ends or the simulator leaves."""
+        for line in self._lines:
+            message: dict[str, Any] = json.loads(line)
+            yield message
+            if message["kind"] == "end":
+                return
+
+    def proceed(self) -> None:
+        """Confirm that all before the last hold was forwarded: the rows up to it may be swept."""
+        self._socket.sendall(b'{"kind":"proceed"}\n')
+
 
 _READY_TIMEOUT_S = 60.0
 _STOP_TIMEOUT_S = 15.0

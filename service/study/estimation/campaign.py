@@ -8,9 +8,17 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import NamedTuple
 
-from service.study.estimation.accuracy import AXES, Statistics, accuracy_statistics
 from service.study.estimation.bound_table import BOUNDS
-from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
+from service.study.estimation.bounds import (
+    AXES,
+    Bound,
+    Judged,
+    Mark,
+    Statistics,
+    accuracy_statistics,
+    idle_baselines,
+    judge,
+)
 from service.study.estimation.flight.baselines import BASELINES, UNINFORMED
 from service.study.estimation.flight.drive import UndrivenError
 from service.study.estimation.flight.oracle.filter import ORACLE

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.records.levels.attitude import BoolArray, FloatArray
-from service.study.estimation.accuracy import AXES, Accuracy, Statistics, accuracy_statistics, measure_accuracy
+from service.study.estimation.bounds import AXES, Accuracy, Statistics, accuracy_statistics, measure_accuracy
 from service.study.estimation.flight.drive import Driven, MethodSeries
 from service.study.estimation.flight.episodes import (
     FOUND_WITHIN_MIN,

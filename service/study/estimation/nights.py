@@ -11,7 +11,7 @@ import numpy as np
 
 from service.records.levels.attitude import FloatArray
 from service.records.levels.measurement import Float32Array
-from service.study.estimation.accuracy import AXES, Statistics
+from service.study.estimation.bounds import AXES, Statistics
 from service.study.estimation.flight.episodes import stretches
 from service.study.estimation.unit import Course
 

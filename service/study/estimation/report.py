@@ -10,8 +10,7 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import NamedTuple
 
-from service.study.estimation.accuracy import AXES, Statistics
-from service.study.estimation.bounds import Judged, Mark
+from service.study.estimation.bounds import AXES, Judged, Mark, Statistics
 from service.study.estimation.campaign import METHODS, Campaign, versions
 from service.study.estimation.flight.baselines import BASELINES
 from service.study.estimation.flight.oracle.filter import ORACLE

@@ -14,7 +14,7 @@ import numpy as np
 from service.records.catalogue import Method
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import Float32Array
-from service.study.estimation.accuracy import Accuracy, measure_accuracy
+from service.study.estimation.bounds import Accuracy, measure_accuracy
 from service.study.estimation.flight.baselines import baseline_answers
 from service.study.estimation.flight.drive import Driven, UndrivenError, drive
 from service.study.estimation.flight.oracle.filter import ORACLE, oracle_series

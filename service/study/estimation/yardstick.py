@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
-from service.study.estimation.accuracy import AXES, Statistics
+from service.study.estimation.bounds import AXES, Statistics
 from service.study.estimation.flight.drive import Driven, MethodSeries
 from service.study.estimation.flight.world import Truth, World
 

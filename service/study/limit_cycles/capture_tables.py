@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.capture.capture import (
+from service.core.flexible.capture import (
     SwitchOn,
     critical_amplitude_rad,
     least_capturing_amplitude_rad,
@@ -13,11 +13,10 @@ from service.core.flexible.capture.capture import (
     rigid_frequency_rad_s,
     stable_band,
 )
-from service.core.flexible.closed_forms import cycle_period_s
+from service.core.flexible.limit_cycle import cycle_period_s
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState
-from service.core.flexible.spacecraft import HubMode, WheelDrive
-from service.core.flexible.switching_law import SwitchingLaw
+from service.core.flexible.spacecraft import HubMode, SwitchingLaw, WheelDrive
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.comparison import Compared, ComparedTable, holds
 from service.study.limit_cycles.reference import CaptureCase, PerpetualCase

@@ -4,13 +4,20 @@ from functools import cache
 
 import numpy as np
 
-from service.core.flexible.both_lines import find_cycles_over_both_lines
-from service.core.flexible.closed_forms import cycle_period_s, single_pulse_forms, truncated_succession
-from service.core.flexible.limit_cycle import LimitCycle, critical_viscous_loss_n_m, find_limit_cycles
+from service.core.flexible.limit_cycle import (
+    LimitCycle,
+    critical_viscous_loss_n_m,
+    cycle_period_s,
+    find_cycles_over_both_lines,
+    find_limit_cycles,
+    one_sided_motion,
+    single_pulse_forms,
+    succession,
+    truncated_succession,
+)
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState
 from service.core.flexible.return_kernels import Follow, OneSided, compiled_follow, follow
-from service.core.flexible.succession import one_sided_motion, succession
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.comparison import Compared, ComparedTable, holds
 

@@ -9,14 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from service.core.flexible.capture.capture import least_capturing_amplitude_rad, rigid_frequency_rad_s, stable_band
-from service.core.flexible.closed_forms import cycle_period_s
+from service.core.flexible.capture import least_capturing_amplitude_rad, rigid_frequency_rad_s, stable_band
+from service.core.flexible.limit_cycle import cycle_period_s, koenigs_lamerey, succession
 from service.core.flexible.motion import FlexibleMotion, follow_motion
 from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.propagation import BodyState
-from service.core.flexible.spacecraft import HubMode, WheelDrive
-from service.core.flexible.succession import koenigs_lamerey, succession
-from service.core.flexible.switching_law import SwitchingLaw
+from service.core.flexible.spacecraft import HubMode, SwitchingLaw, WheelDrive
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.capture_tables import cycle_switch, mode_of, switch_of
 from service.study.limit_cycles.cycle_tables import cycle_of, motion_of

@@ -7,8 +7,7 @@ Its figures are lost to us and it prints no table; the numbers here come from an
 import math
 from typing import NamedTuple
 
-from service.core.flexible.spacecraft import WheelDrive
-from service.core.flexible.switching_law import SwitchingLaw
+from service.core.flexible.spacecraft import SwitchingLaw, WheelDrive
 
 ALPHA_RAD, BETA_RAD = 0.0175, 0.0349
 #: of the base drive, rad/s^2

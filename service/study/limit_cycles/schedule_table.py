@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from service.core.flexible.schedule.schedule_metrics import FREQUENCY_COUNT, FREQUENCY_REACH
-from service.core.flexible.schedule.schedule_response import TorquePulse, schedule_response
+from service.core.flexible.schedule import FREQUENCY_COUNT, FREQUENCY_REACH, TorquePulse, schedule_response
 from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.comparison import Compared, ComparedTable

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.paper.harmonic import HarmonicFit, evaluate_harmonic, fit_harmonic
-from service.core.geometry.node_phase import node_phase_rad
+from service.core.geometry.line_of_sight import node_phase_rad
 from service.records.levels.attitude import FloatArray, IntArray
 from service.study.estimation.flight.drive import Driven, drive
 from service.study.estimation.flight.world import AXES, World, export_world, read_world

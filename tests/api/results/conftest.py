@@ -16,7 +16,7 @@ from shared_routes import with_shared_routes
 
 from db.storage import SqlStorage
 from service.api.app import create_app
-from service.api.context.dependencies import ApiContext, Limits
+from service.api.context import ApiContext, Limits
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import (
     AlarmConfig,
@@ -26,7 +26,7 @@ from service.pipeline.config import (
     RobustConfig,
     TorqueConfig,
 )
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.ports import LIVE, Outcome
 from service.records.calibration import (
     Alignment,
@@ -52,13 +52,12 @@ from service.records.catalogue import (
     Spacecraft,
     Station,
 )
-from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Status
-from service.records.levels.command import Pulse, TorqueCommand
+from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Pulse, Status, TorqueCommand
 from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
-from service.records.operations.job import JobState, Replay
+from service.records.operations.work import JobState, Replay
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
-from service.runtime.control.release_publisher import ReleasePublisher
+from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator, fitted

@@ -12,8 +12,7 @@ from served_stream import Reader, Served, serving
 from service.ports import LIVE, SMOOTHED, Outcome
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
-from service.records.levels.attitude import NO_ANGLES, Axes, Exclusion, Status
-from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.attitude import NO_ANGLES, Axes, CarrierResults, Exclusion, Status
 from service.records.levels.measurement import CarrierDetails
 
 pytestmark = pytest.mark.anyio

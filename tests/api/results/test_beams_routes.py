@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 from geometry_flight import FlightPayload
 
-from service.core.estimation.calibration.quadratic_response import predict_deviation
-from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.core.estimation.calibration.geometry_columns import predict_deviation
+from service.pipeline.carrier_model.expected_level import geometry_model
 from service.ports import Outcome
 from service.records.calibration import CalibrationMethod, CalibrationRequest, Window
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference
-from service.records.levels.attitude import Axes
-from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.attitude import Axes, CarrierResults
 
 pytestmark = pytest.mark.anyio
 SEED = 5

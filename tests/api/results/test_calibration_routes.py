@@ -8,8 +8,8 @@ from role_keys import RoleKeys
 from service.ports import Outcome
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
-from service.records.operations.access_key import Role
-from service.records.operations.job import JobState
+from service.records.operations.access import Role
+from service.records.operations.work import JobState
 
 pytestmark = pytest.mark.anyio
 

@@ -19,10 +19,9 @@ from service.formats.tdm import read_tdm
 from service.ports import Outcome
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference, Correction, Operation, PolarizationRecord, TelemetryRecord
-from service.records.levels.attitude import NO_ANGLES, Axes
-from service.records.levels.command import ScheduleVerdict
+from service.records.levels.attitude import NO_ANGLES, Axes, ScheduleVerdict
 from service.records.levels.measurement import CarrierDetails
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 
 pytestmark = pytest.mark.anyio
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from service.api.export import export_chunks, joined_rows
+from service.api.export import export_chunks
 from service.api.export import export_chunks as archive_chunks
+from service.api.export import export_chunks as joined_rows
 from service.api.export import export_files as archive_files
 from service.ports import Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch
-from service.records.levels.attitude import NO_ANGLES, Axes
-from service.records.levels.carrier_results import CARRIER_STATES, CarrierResults
+from service.records.levels.attitude import CARRIER_STATES, NO_ANGLES, Axes, CarrierResults
 
 pytestmark = pytest.mark.anyio
 

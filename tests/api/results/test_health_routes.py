@@ -12,7 +12,7 @@ from service.api.monitoring.metric_families import FAMILIES
 from service.errors import StorageError
 from service.ports import Outcome
 from service.records.levels.attitude import Axes, CarrierState
-from service.records.operations.link import LinkReport
+from service.records.operations.work import LinkReport
 from service.runtime.live.chain_restart import ChainRestarts, Restarting
 from service.runtime.log_format import JsonLogFormatter
 

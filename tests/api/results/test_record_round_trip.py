@@ -17,8 +17,7 @@ from service.client.async_service_client import AsyncServiceClient
 from service.client.documents import Attitude
 from service.ports import LIVE, Outcome
 from service.records.epoch import format_epoch
-from service.records.levels.attitude import Axes, Exclusion
-from service.records.levels.command import Pulse, ScheduleVerdict
+from service.records.levels.attitude import Axes, Exclusion, Pulse, ScheduleVerdict
 from service.records.record_fields import FieldKind, RecordField, record_fields
 
 pytestmark = pytest.mark.anyio

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from service.core.rows.row_gaps import STRETCH_ROWS
+from service.core.rows import STRETCH_ROWS
 from service.ports import Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch, parse_epoch
-from service.records.levels.attitude import NO_ANGLES, Axes
-from service.records.levels.carrier_results import CarrierResults
+from service.records.levels.attitude import NO_ANGLES, Axes, CarrierResults
 from service.records.levels.measurement import CarrierDetails
 
 pytestmark = pytest.mark.anyio
@@ -234,8 +233,8 @@ async def test_quantities_of_nothing(bench):
 
 async def test_expected_levels_of_too_many_rows(bench, make, monkeypatch):
     """The bound is on rows, the answer names what to ask for in their place."""
-    monkeypatch.setattr("service.api.routes.samples._EXPECTED_ROWS", 5)
-    monkeypatch.setattr("service.api.routes.samples._PAGE_ROWS", 2)
+    monkeypatch.setattr("service.api.routes.archive._EXPECTED_ROWS", 5)
+    monkeypatch.setattr("service.api.routes.archive._PAGE_ROWS", 2)
     bench.append([make.now_us + k for k in range(5)], -50.0)
     within = await bench.get("/samples", quantity="expected_dbm", count=1)
     assert (within["epochs"], within["series"]) == ([], [])

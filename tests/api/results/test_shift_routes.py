@@ -7,20 +7,19 @@ import numpy as np
 import pytest
 
 from db.results import state_summaries
-from service.api.context.carrier_names import CarrierNameCache
-from service.api.stream.backlog import ArchiveReader
-from service.api.stream.event_cache import EventTexts
+from service.api.context import CarrierNameCache
+from service.api.stream.events import ArchiveReader, EventTexts
 from service.api.views import timeline
-from service.pipeline.estimation.row_evidence import RowEvidence
+from service.pipeline.estimation.method import RowEvidence
 from service.ports import Outcome
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.epoch import format_epoch
 from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import Axes, Exclusion
 from service.records.levels.measurement import Measurement
-from service.records.operations.access_key import AccessKey, Role, StoredKey
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
-from service.records.operations.link import LinkReport
+from service.records.operations.access import AccessKey, Role, StoredKey
+from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.operations.work import LinkReport
 
 pytestmark = pytest.mark.anyio
 

@@ -15,11 +15,9 @@ from served_stream import Event, Reader, Served, Source, serving, wait_until
 from service.ports import LIVE, Outcome
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
-from service.records.levels.carrier_results import CarrierResults
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
-from service.records.operations.job import Job, JobState
-from service.records.operations.link import LinkReport
-from service.records.operations.note import Note
+from service.records.levels.attitude import CarrierResults
+from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Note, Process, Severity
+from service.records.operations.work import Job, JobState, LinkReport
 from service.runtime.live.live_feed import Cursor, FeedEvent
 
 pytestmark = pytest.mark.anyio

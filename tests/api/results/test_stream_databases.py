@@ -8,7 +8,7 @@ import pytest
 from served_stream import Event, Reader, Served, Source, serving
 
 from db.storage import SqlStorage
-from service.api.stream.event_ids import cursor_of
+from service.api.stream.events import cursor_of
 
 pytestmark = pytest.mark.anyio
 DAY_US = 86_400_000_000

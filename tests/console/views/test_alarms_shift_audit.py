@@ -13,9 +13,8 @@ from release_ground import OPERATION_US, PAYLOAD, ReleaseGround, record, seed_ar
 from service_process import ServiceProcess, serving_on
 
 from db.storage import SqlStorage
-from service.records.operations.access_key import Role
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
-from service.records.operations.note import Note
+from service.records.operations.access import Role
+from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Note, Process, Severity
 
 SC = "yamal-202"
 HOSTILE = '<img src=x onerror="window.broken = 1">\u202e' + "x" * 950

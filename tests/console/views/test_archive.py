@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 from release_ground import record, until
 
 from service.api.export.export_files import OFFERED
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 SC, EMPTY = "yamal-202", "yamal-empty"
 CRAFTS = (record(SC), record(EMPTY))

@@ -10,7 +10,7 @@ from playwright.sync_api import expect
 from release_ground import NOISE_DB, PAYLOAD, ReleaseGround, record
 
 from service.records.epoch import format_epoch
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 CRAFTS = (record("yamal-202"), record("yamal-empty"))
 HOSTILE = "<img src=x onerror=alert(1)>\u202e" + "x" * 900

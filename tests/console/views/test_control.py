@@ -7,7 +7,7 @@ from playwright.sync_api import expect
 from release_ground import ReleaseGround, record, until
 
 from service.records.epoch import parse_epoch
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 CRAFTS = (record("yamal-202"), record("yamal-empty"), record("yamal-signs"))
 HOSTILE = "<img src=x onerror=alert(1)> \u202egnorw " + "long " * 150

@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import expect
 from release_ground import record
 
-from service.records.operations.access_key import Role
+from service.records.operations.access import Role
 
 HOSTILE = "<img src=x onerror=alert(1)>\u202e" + "long " * 40
 CRAFTS = (record("yamal-202"), record("zeta", name=HOSTILE[:100]))

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.geometry.quaternion import attitude_of_quaternion
-from service.formats.aem import _VERSION
-from service.formats.ccsds import Segment, epoch_of, malformed, read_segments
+from service.core.geometry.frames import attitude_of_quaternion
+from service.formats.ccsds import _VERSION, Segment, epoch_of, malformed, read_segments
 from service.records.levels.attitude import FloatArray, IntArray
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from db.storage import SqlStorage
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.pipeline.estimation.row_evidence import RowEvidence
+from service.pipeline.estimation.method import RowEvidence
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.levels.measurement import Measurement, MeasurementBatch
-from service.records.operations.link import LinkReport
+from service.records.operations.work import LinkReport
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.live.live_feed import LiveFeed

@@ -1,6 +1,6 @@
 """Rows of a block one by one."""
 
-from service.records.levels.measurement_block import MeasurementBlock
+from service.records.levels.measurement import MeasurementBlock
 
 
 def row_sources(block: MeasurementBlock) -> list[str]:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 
-from db.encoding.carrier_codec import pack_carriers
-from db.results import checkpoints
+from db.encoding.measurement_runs import pack_carriers
+from db.results import jobs
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, ChainConfig
 from service.ports import LIVE
@@ -18,7 +18,7 @@ from service.records.catalogue import Method, Release
 from service.records.inputs import AttitudeReference, Correction, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementBatch
-from service.records.operations.job import JobState, Replay
+from service.records.operations.work import JobState, Replay
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
@@ -204,7 +204,7 @@ def live_morning_of_states(directory):
         patch.setattr(supervisor, "PERIOD_US", MINUTE)
         patch.setattr(supervisor, "_STEP_S", 0.0)
         patch.setattr(supervisor, "_ENTRIES_AT_ONCE", 3)
-        patch.setattr(checkpoints, "LATEST", 1000)
+        patch.setattr(jobs, "LATEST", 1000)
         with station.supervised() as settle:
             for _ in morning(station):
                 settle()

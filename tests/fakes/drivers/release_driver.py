@@ -6,9 +6,8 @@ from functools import lru_cache
 import numpy as np
 from release_storage import CRAFT
 
-from service.core.control.envelope import Envelope
 from service.core.control.sign_check import SignState
-from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect
+from service.core.control.slew_schedule import Drive, Envelope, plan_slew, predicted_effect
 from service.pipeline.control.release.advance import advance, restored
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.events import (
@@ -31,9 +30,8 @@ from service.pipeline.control.release.events import (
     UplinkEffect,
 )
 from service.pipeline.control.release.interlock import Instant
-from service.pipeline.control.release.interlock_conditions import InterlockInputs, InterlockRow
-from service.pipeline.control.release.proposals import proposed
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.interlock_conditions import InterlockInputs, InterlockRow, ReleaseSettings
+from service.pipeline.control.release.release_checks import proposed
 from service.records.levels.attitude import Axes
 
 US = 1_000_000

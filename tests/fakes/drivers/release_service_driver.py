@@ -10,13 +10,13 @@ from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
 from service.pipeline.control.release.events import OrderKind, SignJudged, StoredRow
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import AttitudeRow, Axes, Status
 from service.records.operations.release import Command, CommandRequest
-from service.runtime.control.release_publisher import ReleasePublisher
+from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.live.live_feed import LiveFeed
 

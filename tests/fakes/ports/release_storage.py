@@ -8,7 +8,7 @@ from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Onboard, Site, Spacecraft
 from service.records.inputs import EphemerisChange, Operation, TelemetryRecord
 from service.records.journal import JournalEntry
-from service.records.levels.command import ReleasedCommand
+from service.records.levels.attitude import ReleasedCommand
 from service.records.operations.release import ReleaseChange, StoredRelease
 
 SC = "craft"

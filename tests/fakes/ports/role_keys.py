@@ -1,7 +1,7 @@
 """A key ring without keys: a role is the key to itself."""
 
-from service.api.access.principals import Principal
-from service.records.operations.access_key import Role
+from service.api.access.auth import Principal
+from service.records.operations.access import Role
 
 
 class RoleKeys:

@@ -12,7 +12,7 @@ from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
-from analyzer_sim.lines.session import Session, command_tree
+from analyzer_sim.lines.dispatcher import Session, command_tree
 from analyzer_sim.scpi.framing import MessageFramer
 from analyzer_sim.scpi.tree import CommandTree
 

@@ -3,11 +3,10 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from service.core.control.envelope import Envelope
+from service.core.control.slew_schedule import Envelope
 from service.errors import SooError
 from service.pipeline.control.release.control_verdict import ControlView, GoodMinutes, reason_of
-from service.records.levels.attitude import Axes
-from service.records.levels.command import Pulse
+from service.records.levels.attitude import Axes, Pulse
 from service.records.operations.release import (
     Command,
     CommandCheck,

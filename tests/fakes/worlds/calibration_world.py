@@ -16,19 +16,18 @@ from simulated_gain import attitude_gain_db
 from analyzer_sim.export import export_arrays
 from analyzer_sim.streams import stream
 from analyzer_sim.world.noise import daily_wave
-from analyzer_sim.world.payload.payload import dishes_loss_db, nominal_gain_db
+from analyzer_sim.world.payload.level_terms import dishes_loss_db, nominal_gain_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
-from service.core.estimation.calibration.quadratic_response import predict_deviation
+from service.core.estimation.calibration.geometry_columns import predict_deviation
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
-from service.pipeline.calibration.windows import CalibrationInput
-from service.pipeline.carrier_model.calibrated_arrays import geometry_model
-from service.pipeline.carrier_model.expected_level import ExpectedLevel
+from service.pipeline.calibration.geometry_rows import CalibrationInput
+from service.pipeline.carrier_model.expected_level import ExpectedLevel, geometry_model
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track
 from service.records.epoch import parse_epoch
-from service.records.levels.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.measurement import MeasurementSeries, ReferenceSeries
 
 DAY_US = 86_400_000_000
 _DIFFERENCE_DEG = 0.02

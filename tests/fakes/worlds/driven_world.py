@@ -17,14 +17,14 @@ from kept_results import kept
 from simulated_gain import attitude_gain_db
 
 from analyzer_sim.export import export_npz
-from analyzer_sim.world.payload.payload import dishes_loss_db
+from analyzer_sim.world.payload.level_terms import dishes_loss_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, ChainConfig
-from service.pipeline.inputs.documents import JournalDocuments
-from service.pipeline.inputs.reference_angles import smooth_angles
+from service.pipeline.inputs.knowledge import JournalDocuments
+from service.pipeline.inputs.sensor_angles import smooth_angles
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
 from service.records.inputs import (

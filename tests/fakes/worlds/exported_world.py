@@ -14,11 +14,11 @@ from kept_results import kept
 from analyzer_sim.export import export_npz
 from analyzer_sim.world.world import World
 from service.pipeline.alignment.paper_references import reference_powers
+from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.calibration.paper_calibration import calibrate_paper
-from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
-from service.pipeline.inputs.reference_angles import smooth_angles
+from service.pipeline.inputs.sensor_angles import smooth_angles
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -41,8 +41,7 @@ from service.records.catalogue import (
     Station,
 )
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, PlanChange, SpacecraftChange
-from service.records.levels.measurement import Measurement
-from service.records.levels.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.measurement import Measurement, MeasurementSeries, ReferenceSeries
 
 STAR_TRACKER = ("star_tracker",) * 3
 

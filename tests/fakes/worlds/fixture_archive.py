@@ -20,7 +20,7 @@ from fastapi import FastAPI
 from service.composition.bootstrap import build_app
 from service.composition.settings import Settings
 from service.records.levels.attitude import AttitudeRow
-from service.records.operations.audit import AuditEvent
+from service.records.operations.access import AuditEvent
 
 FOLDER = Path(__file__).resolve().parents[2] / "unit" / "db" / "archive"
 ARCHIVE, EXPECTED = FOLDER / "archive.db.xz", FOLDER / "expected.json"

@@ -58,8 +58,7 @@ from service.records.catalogue import (
 )
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import Axes, FloatArray, IntArray
-from service.records.levels.measurement import Measurement
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import Measurement, MeasurementSeries
 from service.records.noise import NoiseComponent
 
 

@@ -30,8 +30,7 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
 )
-from service.records.levels.attitude import AttitudeRow, Axes, FloatArray
-from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
+from service.records.levels.attitude import AppliedCommand, AttitudeRow, Axes, FloatArray, Pulse, TorqueCommand
 from service.records.levels.measurement import Measurement
 
 __all__ = [

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import beam_columns, daily_columns
-from service.pipeline.calibration.geometry_rows import orbit_motion, plan_positions
-from service.pipeline.calibration.windows import CalibrationInput
+from service.pipeline.calibration.geometry_rows import CalibrationInput, orbit_motion, plan_positions
 from service.records.calibration import CalibrationMethod, CalibrationRequest, Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track
-from service.records.levels.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.measurement import MeasurementSeries, ReferenceSeries
 
 S = 1_000_000
 MINUTE, HOUR, DAY = 60 * S, 3600 * S, 86_400 * S

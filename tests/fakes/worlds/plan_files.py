@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from analyzer_sim.world.orbit.geometry import antenna_frame_deg, orbital_from_earth, station_position_km
+from analyzer_sim.world.orbit import antenna_frame_deg, orbital_from_earth, station_position_km
 from analyzer_sim.world.payload.carriers import PLANS
 from service.formats.carrier_plan_csv import write_carrier_plan
 from service.records.catalogue import Carrier, Ephemeris
 from service.records.epoch import format_epoch
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 from service.study.estimation.flight.world import World
 
 RADIUS_KM = 42_164.172

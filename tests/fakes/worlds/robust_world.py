@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from simulated_gain import attitude_gain_db
 
 from analyzer_sim.export import measured_dbm
-from analyzer_sim.world.payload.payload import dishes_loss_db, nominal_gain_db
+from analyzer_sim.world.payload.level_terms import dishes_loss_db, nominal_gain_db
 from analyzer_sim.world.world import World
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.model.declared import Declared, nothing_declared

@@ -3,9 +3,9 @@
 import numpy as np
 
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
+from analyzer_sim.world.orbit import EpochArray, Orbit
 from analyzer_sim.world.payload.carriers import CarrierPlan
-from analyzer_sim.world.payload.payload import flown_gain_db, nominal_gain_db
+from analyzer_sim.world.payload.level_terms import flown_gain_db, nominal_gain_db
 
 
 def attitude_gain_db(

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from service.core.estimation.paper.octants import predict_deviation_db
-from service.core.geometry.node_phase import node_phase_rad
-from service.pipeline.calibration.windows import CalibrationInput
+from service.core.geometry.line_of_sight import node_phase_rad
+from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -48,8 +48,7 @@ from service.records.inputs import (
     SpacecraftChange,
 )
 from service.records.levels.attitude import Axes, FloatArray, IntArray
-from service.records.levels.measurement import Measurement
-from service.records.levels.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.measurement import Measurement, MeasurementSeries, ReferenceSeries
 
 S = 1_000_000
 MINUTE = 60 * S

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analyzer_sim.world.scenario.story import Scenario, WheelTelemetry
-from analyzer_sim.world.spacecraft.stored_momentum import reported_momentum
+from analyzer_sim.world.spacecraft.telemetry import reported_momentum
 from service.core.estimation.calibration_turns import recommended_turns
 
 MINUTE_US = 60_000_000

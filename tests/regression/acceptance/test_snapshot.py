@@ -8,12 +8,11 @@ from driven_world import HOUR_US, DrivenWorld, shared_world
 
 from analyzer_sim.world.scenario.scenario import NoiseStatistics, scenario_named
 from analyzer_sim.world.sensors import Sensor
-from service.pipeline.carrier_model.calibrated_arrays import geometry_model
-from service.pipeline.carrier_model.expected_level import ExpectedLevel
+from service.pipeline.carrier_model.expected_level import ExpectedLevel, geometry_model
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import Status
-from service.records.levels.series import ReferenceSeries
+from service.records.levels.measurement import ReferenceSeries
 from service.study.estimation.flight.drive import UndrivenError, calibrate, drive
 
 SEED = 5

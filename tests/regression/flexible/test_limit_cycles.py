@@ -8,7 +8,7 @@ import pytest
 from flexible_oracles import bi_plane_invariant, frictionless_succession, staggered_forms
 from scipy.integrate import solve_ivp
 
-from service.core.flexible.capture.capture import (
+from service.core.flexible.capture import (
     SwitchOn,
     critical_amplitude_rad,
     least_capturing_amplitude_rad,
@@ -17,15 +17,27 @@ from service.core.flexible.capture.capture import (
     rigid_frequency_rad_s,
     stable_band,
 )
-from service.core.flexible.closed_forms import cycle_period_s, single_pulse_forms, truncated_succession
-from service.core.flexible.limit_cycle import critical_viscous_loss_n_m, cycle_multiplier, find_limit_cycles
+from service.core.flexible.limit_cycle import (
+    critical_viscous_loss_n_m,
+    cycle_multiplier,
+    cycle_period_s,
+    find_limit_cycles,
+    one_sided_motion,
+    single_pulse_forms,
+    succession,
+    truncated_succession,
+)
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState, start_leg, state_at, states_at
 from service.core.flexible.return_kernels import compiled_follow, follow, one_return
-from service.core.flexible.schedule.schedule_metrics import FREQUENCY_COUNT, FREQUENCY_REACH
-from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, schedule_response
+from service.core.flexible.schedule import (
+    FREQUENCY_COUNT,
+    FREQUENCY_REACH,
+    TorquePulse,
+    carry_phasor,
+    schedule_response,
+)
 from service.core.flexible.spacecraft import HubMode
-from service.core.flexible.succession import one_sided_motion, succession
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.capture_tables import (
     agrees_with_published,

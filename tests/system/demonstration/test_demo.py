@@ -25,9 +25,9 @@ from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
 from service.study.closed_loop.plant_process import PlantProcess
+from service.study.demonstration.control_centre import RowPaces, TwoStepCentre
 from service.study.demonstration.demonstration import Scene, run_story
 from service.study.demonstration.merit import AXES
-from service.study.demonstration.two_step_centre import RowPaces, TwoStepCentre
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

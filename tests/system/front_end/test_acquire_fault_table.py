@@ -26,8 +26,8 @@ from analyzer_sim.lines.line_faults import LineFault
 from service.client.backoff import Backoff
 from service.frontend.acquisition.acquisition import Acquisition
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.frontend.acquisition.settings import AcquisitionSettings
-from service.records.levels.quality_flag import QualityFlag, flag_names
+from service.frontend.acquisition.states import AcquisitionSettings
+from service.records.levels.measurement import QualityFlag, flag_names
 
 # the VISA library leaves the socket of a session that it could not open to the collector
 pytestmark = [pytest.mark.system, pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")]

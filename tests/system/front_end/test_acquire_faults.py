@@ -33,14 +33,14 @@ from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition.settings import AcquisitionSettings
+from service.frontend.acquisition.states import AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask, parse_task
 from service.frontend.spool.file import Owner
 from service.frontend.spool.row import SpooledTask
 from service.frontend.spool.spool import Spool
 from service.frontend.station import MeasuringStation, StationSummary
 from service.frontend.upload.uploader import UploadSettings
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import QualityFlag
 
 pytestmark = pytest.mark.system
 

@@ -25,9 +25,7 @@ from service.api.protocol.paging import EVERYTHING
 from service.cli.station.send import send
 from service.ports import LIVE, Outcome
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
-from service.records.levels.attitude import Axes, row_without_attitude
-from service.records.levels.carrier_results import CarrierResults
-from service.records.levels.command import TorqueCommand
+from service.records.levels.attitude import Axes, CarrierResults, TorqueCommand, row_without_attitude
 from service.records.levels.measurement import Measurement, MeasurementBatch
 
 pytestmark = pytest.mark.system

@@ -21,7 +21,7 @@ from sqlalchemy.engine import make_url
 from storage_trial import IMPATIENT
 
 from bench.bench_operation import fill
-from db.connection.sqlite_files import reading_engine
+from db.connection.engines import reading_engine
 from db.encoding.power_codec import unpack_powers
 from db.maintenance.backup import verify_backup
 from db.maintenance.doctor import diagnose
@@ -29,8 +29,7 @@ from db.maintenance.integrity_check import examine
 from db.maintenance.restore import restore_backup
 from db.schema.tables import checkpoint
 from db.storage import SqlStorage
-from service.records.storage.backup import BackupError
-from service.records.storage.diagnosis import worst
+from service.records.storage import BackupError, worst
 from service.runtime.clock import system_now_us
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]

@@ -10,7 +10,7 @@ from busy_station import MINUTE, SC, Station, at, text
 from db.maintenance.doctor import diagnose
 from db.storage import SqlStorage
 from service.pipeline.config import ChainConfig
-from service.pipeline.estimation.smoothed.lagged_rows import GRID_US, grid_us
+from service.pipeline.estimation.smoothed import GRID_US, grid_us
 from service.ports import SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method

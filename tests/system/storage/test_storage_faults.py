@@ -28,8 +28,8 @@ from service.errors import StorageError
 from service.ports import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
-from service.records.operations.job import Job, JobState, Replay
-from service.records.storage.checkpoint import Checkpoint
+from service.records.operations.work import Job, JobState, Replay
+from service.records.storage import Checkpoint
 from service.runtime.clock import system_now_us
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]

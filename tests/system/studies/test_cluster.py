@@ -22,7 +22,7 @@ from service.cli.operation import parallel_replay
 from service.composition.bootstrap import storage_opener
 from service.composition.settings import Settings
 from service.pipeline.config import ChainConfig
-from service.records.operations.job import JobState, Replay
+from service.records.operations.work import JobState, Replay
 from service.study.executors import ClusterError, WorkerChoice, executor_of
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.nightly]

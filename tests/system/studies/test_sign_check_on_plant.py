@@ -8,12 +8,11 @@ import pytest
 from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
-from service.pipeline.control.release.proposals import schedule_of
+from service.pipeline.control.release.release_checks import schedule_of
 from service.pipeline.control.release.sign_checks import RUNNING, is_leg_due
-from service.pipeline.inputs.documents import JournalDocuments
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import Axes
-from service.records.levels.command import Pulse
+from service.records.levels.attitude import Axes, Pulse
 from service.records.operations.release import SignCheck
 from service.runtime.control.sign_check_rows import SignCheckRows
 from service.study.closed_loop.controllers import LEAD_S, Sensing

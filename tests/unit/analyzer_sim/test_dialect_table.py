@@ -9,7 +9,7 @@ import pytest
 
 from analyzer_sim.dialects.dialect_page import MARKDOWN_COMMAND, markdown_page
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.lines.session import command_tree
+from analyzer_sim.lines.dispatcher import command_tree
 
 ALL = ("rs", "keysight", "siglent", "anritsu")
 ATTENUATION = {"rs": ":INP:ATT", "keysight": ":POW:ATT", "siglent": ":POW:ATT", "anritsu": ":POW:RF:ATT"}

@@ -11,17 +11,17 @@ import pytest
 
 from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.plant.change_port import serve_changes
-from analyzer_sim.plant.flown_world import SCHEDULES_A_ROW, FlownWorld
-from analyzer_sim.plant.plant import Plant, PlantOptions
-from analyzer_sim.plant.schedule_lines import ScheduleError, parse_schedule
-from analyzer_sim.plant.world_changes import (
+from analyzer_sim.plant.flown_world import (
     MAX_LINE_BYTES,
+    SCHEDULES_A_ROW,
     ChangeError,
+    FlownWorld,
     changed_emission,
     parse_change,
     response_factor,
 )
+from analyzer_sim.plant.plant import Plant, PlantOptions, ScheduleError, parse_schedule
+from analyzer_sim.plant.uplink_port import serve_changes
 from analyzer_sim.world.scenario.events import Gap
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.scenario.story import Scenario

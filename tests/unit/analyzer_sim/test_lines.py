@@ -17,35 +17,33 @@ from standing_source import StandingSource
 from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
-from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.instrument_settings import FSW_26
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress
-from analyzer_sim.lines.dispatcher import Dispatcher
-from analyzer_sim.lines.hislip_messages import (
+from analyzer_sim.lines.dispatcher import Dispatcher, Session
+from analyzer_sim.lines.hislip_session import (
     HEADER,
     MAX_PAYLOAD_BYTES,
+    SYNCHRONOUS,
+    TRANSITIONS,
     Decoder,
     ErrorCode,
     FatalCode,
     FatalProtocolError,
+    HislipSession,
+    LockAnswer,
+    LockTable,
     Message,
     MessageType,
+    Phase,
+    RefusedMessageError,
     answer_parts,
     decode_size,
     encode,
     encode_size,
-)
-from analyzer_sim.lines.hislip_session import (
-    SYNCHRONOUS,
-    TRANSITIONS,
-    HislipSession,
-    Phase,
-    RefusedMessageError,
     programs_of,
 )
 from analyzer_sim.lines.line_faults import LineFault, LineFaults
-from analyzer_sim.lines.lock_table import LockAnswer, LockTable
-from analyzer_sim.lines.session import Session
 from analyzer_sim.scpi.framing import MESSAGE_LIMIT_BYTES, ProgramMessage
 
 pytestmark = pytest.mark.anyio

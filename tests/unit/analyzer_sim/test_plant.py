@@ -12,14 +12,12 @@ import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
 from analyzer_sim.export import export_arrays
-from analyzer_sim.plant.plant import Plant, PlantOptions
+from analyzer_sim.plant.plant import Plant, PlantOptions, Schedule, ScheduleError, parse_schedule
 from analyzer_sim.plant.plant_lines import run_plant, telemetry_of
-from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
 from analyzer_sim.world.scenario.events import Gap, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
 from analyzer_sim.world.scenario.story import KeepingErrors, RepeaterSettings
-from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
-from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
+from analyzer_sim.world.spacecraft.body import INERTIA_KG_M2, TorqueElement
 from analyzer_sim.world.world import World
 
 SHORT = Scenario(

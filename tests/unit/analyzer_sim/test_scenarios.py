@@ -19,10 +19,15 @@ from analyzer_sim.export import export_arrays, export_npz, measured_dbm, run_exp
 from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.lines.line_faults import LineFault, LineFaults
 from analyzer_sim.serving import FAULT_NAMES, arm
-from analyzer_sim.world.orbit.orbit import Orbit
+from analyzer_sim.world.orbit import Orbit
 from analyzer_sim.world.payload.carriers import PLANS
-from analyzer_sim.world.payload.payload import dishes_loss_db, sensitivity_db_per_deg
-from analyzer_sim.world.payload.user_noise import sweep_sigma_db, users_noise_db, world_white_db
+from analyzer_sim.world.payload.level_terms import (
+    dishes_loss_db,
+    sensitivity_db_per_deg,
+    sweep_sigma_db,
+    users_noise_db,
+    world_white_db,
+)
 from analyzer_sim.world.scenario.events import SwitchOff
 from analyzer_sim.world.scenario.scenario import SCENARIOS, Scenario, scenario_named
 from analyzer_sim.world.scenario_table import markdown_page, reported

@@ -7,8 +7,17 @@ import pytest
 
 from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.instrument.imperfections import IDEAL, Imperfections, LevelErrors
-from analyzer_sim.instrument.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.models import FSW_26, MS2090A, N9020B, SSA3032X, AnalyzerModel, FilterSteps, decade_steps
+from analyzer_sim.instrument.instrument_settings import (
+    FSW_26,
+    MS2090A,
+    N9020B,
+    SSA3032X,
+    AnalyzerModel,
+    FilterSteps,
+    Settings,
+    decade_steps,
+    reset_state,
+)
 from analyzer_sim.instrument.quantities import QUANTITIES, load, shown_limits, store
 
 MODELS = {name: dialect.model for name, dialect in DIALECTS.items()}

@@ -13,11 +13,10 @@ from analyzer_sim.export import export_arrays
 from analyzer_sim.world.ground.ground import chunks_of
 from analyzer_sim.world.ground.ground_bodies import carrier_body, task
 from analyzer_sim.world.payload.effects import FaultFlag
-from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
-from analyzer_sim.world.payload.user_noise import users_noise_db
+from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg, users_noise_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
-from service.api.schemas.carriers import CarrierPlanDocument
+from service.api.schemas.catalogue import CarrierPlanDocument
 from service.api.schemas.inputs import CorrectionBatchDocument, ReferenceBatchDocument, TelemetryBatchDocument
 from service.frontend.measurement_task import MeasurementTask
 

@@ -16,7 +16,7 @@ from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress, SweepState
 from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.instrument.truth_log import Reading, TruthLog
-from analyzer_sim.lines.session import Session, command_tree
+from analyzer_sim.lines.dispatcher import Session, command_tree
 from analyzer_sim.scpi.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_TRIGGER
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World

@@ -11,14 +11,13 @@ from analyzer_sim.instrument.detectors import (
     FAST_DRAWS,
     Dwell,
     correlation_kernel,
+    draw_envelope,
     draw_rms,
     dwell_variance,
     video_variance,
 )
-from analyzer_sim.instrument.envelope import draw_envelope
 from analyzer_sim.instrument.imperfections import IDEAL
-from analyzer_sim.instrument.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.instrument_settings import FSW_26, Settings, reset_state
 from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.instrument.quantities import store
 from analyzer_sim.instrument.spectrum import ENBW_PER_RBW, MeanTrace, SweepGrid

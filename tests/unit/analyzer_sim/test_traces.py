@@ -10,9 +10,8 @@ from analyzer_sim.emission import Emission, NoiseHump, Signal
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
 from analyzer_sim.instrument.channel_power import Band, band_power_mw, bin_shares, decibels
 from analyzer_sim.instrument.imperfections import IDEAL
-from analyzer_sim.instrument.instrument_settings import reset_state
+from analyzer_sim.instrument.instrument_settings import FSW_26, reset_state
 from analyzer_sim.instrument.levels import ENCODERS, UNITS, ascii_list, definite_block, real32_block
-from analyzer_sim.instrument.models import FSW_26
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.quantities import store
 from analyzer_sim.instrument.spectrum import (
@@ -25,7 +24,7 @@ from analyzer_sim.instrument.spectrum import (
 )
 from analyzer_sim.streams import stream
 from analyzer_sim.world.ground.ground_bodies import task
-from analyzer_sim.world.payload.user_noise import sweep_sigma_db
+from analyzer_sim.world.payload.level_terms import sweep_sigma_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 

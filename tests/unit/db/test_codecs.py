@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from hypothesis.extra.numpy import arrays
 
-from db.encoding.carrier_codec import pack_carriers, unpack_carriers
 from db.encoding.column_codec import PackedColumns, pack_columns
-from db.encoding.json_documents import decode, decode_all, decode_input, encode, encode_all, kind_of
-from db.encoding.measurement_details import details_of, prepare_details
+from db.encoding.measurement_runs import details_of, pack_carriers, prepare_details, unpack_carriers
 from db.encoding.power_codec import (
     NO_FLAGS,
     _many_rows,
@@ -29,15 +27,15 @@ from db.encoding.power_codec import (
     unpack_parts,
     unpack_powers,
 )
+from db.encoding.record_codec import decode, decode_all, decode_input, encode, encode_all, kind_of
 from db.encoding.segment_codec import CODEC, Blobs, Extras, SealedRows, pack, unpack_columns, unpack_extras
 from db.encoding.segments import SegmentCache, SegmentChunk, SegmentHead, crc32_of
 from db.encoding.summary_codec import pack_day, unpack_level, unpack_rows
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
-from service.core.rows.summaries import Summaries
+from service.core.rows import Summaries
 from service.records.inputs import AttitudeReference, Operation, PlanChange
 from service.records.journal import KINDS
-from service.records.levels.attitude import Axes
-from service.records.levels.carrier_results import CARRIER_HYPOTHESES, CARRIER_STATES, STEP_DB, CarrierResults
+from service.records.levels.attitude import CARRIER_HYPOTHESES, CARRIER_STATES, STEP_DB, Axes, CarrierResults
 from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails
 
 

@@ -12,16 +12,13 @@ from sqlalchemy.dialects.postgresql import psycopg
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.schema import CreateTable
 
-from db.connection.engines import open_engines, translated_faults
-from db.connection.file_identity import FileWatch
-from db.connection.prepared_statements import PreparedStatement
-from db.connection.row_insertion import insert_new
-from db.connection.writer import GROUP_LIMIT, Writer
+from db.connection.engines import FileWatch, open_engines, translated_faults
+from db.connection.writer import GROUP_LIMIT, PreparedStatement, Writer, insert_new
 from db.encoding.row_mapping import attitude_values
 from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE
 from db.measurements.ingest_grouped import _READ_STATES
+from db.schema.columns import checksum_of
 from db.schema.layout import create_tables
-from db.schema.row_checksum import checksum_of
 from db.schema.tables import attitude, head, measurement
 from service.errors import StorageError
 from service.records.catalogue import Method
@@ -130,7 +127,7 @@ def test_a_commit_that_the_file_system_disowns_is_not_acknowledged(identity_engi
 
     insert(identity_engines, 1)
     with monkeypatch.context() as changed:
-        changed.setattr("db.connection.file_identity.os.removexattr", refuse)
+        changed.setattr("db.connection.engines.os.removexattr", refuse)
         with pytest.raises(StorageError, match="cannot be written: Read-only file system") as caught:
             insert(identity_engines, 2)
         # a repetition finds the row, writes nothing, and is not acknowledged either

@@ -21,7 +21,7 @@ from db.schema.tables import metadata
 from db.storage import SqlStorage
 from service.cli.app import app
 from service.errors import StorageError
-from service.records.storage.backup import BackupError
+from service.records.storage import BackupError
 
 OTHERS = [0, LAYOUT + 1]
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
-from db.encoding.measurement_details import insert_details
+from db.encoding.measurement_runs import insert_details
 from db.encoding.power_codec import StoredRows
 from db.measurements.row_insert import RowRun, insert_run
 from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of

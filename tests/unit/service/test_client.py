@@ -19,8 +19,7 @@ from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.series_table import SeriesArrays, table_of_rows, table_of_samples
 from service.client.service_client import JobFailedError, ServiceClient, epoch_text
 from service.client.transport import Transport
-from service.core.geometry.frames import body_from_nadir
-from service.core.geometry.quaternion import quaternion_of_attitude
+from service.core.geometry.frames import body_from_nadir, quaternion_of_attitude
 
 
 def client(handle: Callable[[httpx.Request], httpx.Response]) -> ServiceClient:

@@ -13,32 +13,30 @@ import pytest
 from fastapi import FastAPI
 
 from service.api.export.export_files import OFFERED
-from service.api.schemas.alarms import SetName
-from service.api.schemas.calibrations import Sensor
+from service.api.schemas.calibrations import ReplayDocument, Sensor
 from service.api.schemas.carrier_selection import CarrierSetsAnswer, Turns
-from service.api.schemas.operations import OperationKind
-from service.api.schemas.replays import ReplayDocument
+from service.api.schemas.inputs import OperationKind
+from service.api.schemas.shift import SetName
 from service.console import pages
 from service.core.control.sign_check import SignState
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
+from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS
 from service.pipeline.control.release import release_checks
+from service.pipeline.control.release.command_states import TRANSITIONS, State
 from service.pipeline.control.release.control_verdict import CODES
 from service.pipeline.control.release.interlock_conditions import MEASURES
-from service.pipeline.control.release.interlock_states import TRANSITIONS, State
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.pipeline.planning.planning import Rule
 from service.records.calibration import CalibrationMethod, CalibrationState
 from service.records.catalogue import ControlMode, Method, Release
-from service.records.levels.attitude import Status
-from service.records.levels.carrier_results import CARRIER_HYPOTHESES, CARRIER_STATES
-from service.records.levels.quality_flag import QualityFlag
-from service.records.operations.access_key import Role
-from service.records.operations.alarm import ChangeKind, Cover, Process, Severity
-from service.records.operations.job import JobState
+from service.records.levels.attitude import CARRIER_HYPOTHESES, CARRIER_STATES, Status
+from service.records.levels.measurement import QualityFlag
+from service.records.operations.access import Role
+from service.records.operations.alarms import ChangeKind, Cover, Process, Severity
 from service.records.operations.release import CommandState, Purpose
+from service.records.operations.work import JobState
 
 pytestmark = pytest.mark.anyio
 

@@ -29,12 +29,11 @@ from service.records.inputs import (
     WeatherReport,
 )
 from service.records.journal import KIND_OF, KINDS
-from service.records.levels.attitude import Axes, Status, row_without_attitude
-from service.records.levels.command import AppliedCommand, TorqueCommand
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.attitude import AppliedCommand, Axes, Status, TorqueCommand, row_without_attitude
+from service.records.levels.measurement import QualityFlag
 from service.records.levels.sweep import Sweep, SweepSettings
-from service.records.operations.access_key import is_plain_name, plain_name
-from service.records.operations.job import Replay
+from service.records.operations.access import is_plain_name, plain_name
+from service.records.operations.work import Replay
 
 ZERO = Axes(0.0, 0.0, 0.0)
 

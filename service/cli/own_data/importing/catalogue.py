@@ -13,8 +13,7 @@ from service.cli.own_data.importing.manifest import FolderManifest
 from service.cli.own_data.spacecraft import differences_of, flat, known_spacecraft, read_spacecraft
 
 if TYPE_CHECKING:
-    from service.api.schemas.carriers import CarrierPlanDocument
-    from service.api.schemas.spacecraft import SpacecraftDocument
+    from service.api.schemas.catalogue import CarrierPlanDocument, SpacecraftDocument
     from service.client.service_client import ServiceClient
     from service.formats.foreign.orbit_file import OrbitFile
     from service.records.catalogue import Ephemeris
@@ -129,7 +128,7 @@ def _plan_differences(here: list[dict[str, Any]], there: list[dict[str, Any]]) -
 
 def _orbit_differences(ephemeris: "Ephemeris", there: dict[str, Any]) -> Differences:
     """Return the figures of an orbit that differ, with both values."""
-    from service.api.schemas.ephemeris import EphemerisReceiptAnswer
+    from service.api.schemas.catalogue import EphemerisReceiptAnswer
 
     here = json.loads(EphemerisReceiptAnswer.of(ephemeris).model_dump_json())
     names = ("valid", "nodal_period_s", "ascending_nodes")

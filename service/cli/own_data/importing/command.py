@@ -94,7 +94,7 @@ def _propose(folder: Path, statements: dict[str, dict[str, Any]], *, as_json: bo
     """Write the manifest of a folder and show what it leaves open."""
     from service.cli.own_data.importing.manifest import guesses_in, read_stated, write_manifest
     from service.cli.own_data.importing.proposal import propose_folder
-    from service.formats.foreign.fault import ForeignTableError
+    from service.formats.foreign.layout import ForeignTableError
     from service.frontend.backfill.columns import ArchiveError
 
     try:

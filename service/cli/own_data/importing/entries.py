@@ -12,8 +12,7 @@ from service.cli.own_data.foreign_file import is_own
 from service.cli.own_data.importing.manifest import FolderManifest, Guess, PowersSection, ReferencesSection, validated
 from service.cli.own_data.importing.roles import carrier_columns, thin_sample
 from service.cli.own_data.tdm_archive import open_any_archive
-from service.formats.foreign.fault import ForeignTableError
-from service.formats.foreign.layout import OFFSET_DB, StatedLayout, TableLayout
+from service.formats.foreign.layout import OFFSET_DB, ForeignTableError, StatedLayout, TableLayout
 from service.formats.foreign.proposal import Question, Sample, propose, with_time
 from service.formats.foreign.sensor import AXES, StatedSensor, propose_sensor
 from service.frontend.backfill.columns import ArchiveError

@@ -225,7 +225,7 @@ def validated(path: Path, kind: type[S], document: Any) -> S:
         return kind.model_validate(_without_empty(document))
     except ValidationError as error:
         # the web framework is loaded only where its words for faults are needed
-        from service.api.problems.validation_errors import faults_of
+        from service.api.problems.problems import faults_of
 
         faults = [f"  {fault.pointer}: {fault.detail}" for fault in faults_of(error.errors())]
         end("\n".join((f"{path} is refused:", *faults)), cause=error)

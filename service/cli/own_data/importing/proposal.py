@@ -16,7 +16,7 @@ from service.cli.own_data.spacecraft import read_spacecraft
 from service.pipeline.inputs.catalogue_checks import contradiction_of
 
 if TYPE_CHECKING:
-    from service.api.schemas.spacecraft import SpacecraftDocument
+    from service.api.schemas.catalogue import SpacecraftDocument
 
 
 #: roles whose files have fields of their own

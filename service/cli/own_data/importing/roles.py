@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 from service.cli.own_data.foreign_archive import sample_of
 from service.cli.own_data.foreign_file import is_own
 from service.cli.own_data.importing.manifest import NAME
-from service.formats.foreign.fault import ForeignTableError
-from service.formats.foreign.layout import StatedLayout
+from service.formats.foreign.layout import ForeignTableError, StatedLayout
 from service.formats.foreign.proposal import Question, Sample, propose, with_time
 from service.formats.foreign.sensor import StatedSensor, propose_sensor
 from service.frontend.backfill.columns import ArchiveError

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.calibration.joint_tukey import TUKEY_SIGMAS
-from service.core.estimation.calibration.trimmed_start import trimmed_fit
+from service.core.estimation.calibration.joint_tukey import TUKEY_SIGMAS, trimmed_fit
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

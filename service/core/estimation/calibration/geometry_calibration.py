@@ -14,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.calibration.calibration_bins import Means, Stretches, still_stretches, stretch_means
-from service.core.estimation.calibration.checks.free_response import FreeResponse, fit_free_response
-from service.core.estimation.calibration.checks.station_check import StationOffsets, station_offsets
-from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.calibration.checks.sensor_axes import (
+    FreeResponse,
+    StationOffsets,
+    fit_free_response,
+    station_offsets,
+)
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     SOLAR_SIZE,
@@ -26,12 +29,11 @@ from service.core.estimation.calibration.geometry_columns import (
     daily_columns,
     is_known_orbit,
     own_prior,
+    response_monomials,
     solar_columns,
 )
-from service.core.estimation.calibration.joint_tukey import JointProblem, fit_jointly
-from service.core.estimation.calibration.quadratic_response import response_monomials
-from service.core.estimation.calibration.separable_fit import SeparableFit
-from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
+from service.core.estimation.calibration.joint_tukey import JointProblem, SeparableFit, fit_jointly
+from service.core.estimation.calibration.whitened_fit import ColouredNoise, coloured_noise, whitened_fit
 from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
 
 FloatArray = NDArray[np.float64]

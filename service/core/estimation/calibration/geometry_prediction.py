@@ -15,11 +15,9 @@ from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     CarrierGeometry,
     OrbitMotion,
+    QuadraticResponse,
     beam_columns,
     daily_columns,
-)
-from service.core.estimation.calibration.quadratic_response import (
-    QuadraticResponse,
     response_transform,
     symmetric_matrix,
 )

@@ -1,24 +1,77 @@
-"""The paper's rule for rain on the downlink: all carriers change with one sign and by nearly the same amount.
-
-A row of power deviations dP_i (dB) is a fade when ``share`` of the carriers lie below ``-depth`` and the spread
-``1.48 median |dP_i - median dP|`` is below ``spread_ratio |median|``. The watch stops control when the condition has
-stood for five minutes and lets it return when the median has been above ``-depth`` for ten.
-
-The law of this file: the paper's rule looks at raw deviations and is blind to attitude; a roll to which all carriers
-answer alike looks to it like rain. Where the stations stand on all sides of the beams it never mistakes turns of
-0.3 deg for rain, but where an attitude can imitate more than about half of a common change
-(``observability.common_share``) it does. Given the residuals of the attitude fix, the rule therefore asks one question
-more: a row that an attitude explains better than a common change is no fade. A fall of the receiving chain that stays
-is a fade to this rule in any case and keeps control stopped until a new alignment.
-"""
+"""Means of the last minutes, their consistency with stated angles, and the rule for rain on the downlink."""
 
 import math
+from math import erfc, exp, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+
+#: mean square of the residuals, in sigmas, above which levels have moved on their own
+_MOVED_SCATTER = 4.0
+
+
+class Consistency(NamedTuple):
+    """Test of stated angles against levels."""
+
+    #: drop of the cost by three free angles
+    chi_square: float
+    #: probability of a drop at least as large while the angles hold; 1 when fewer than six carriers were tested
+    probability: float
+    #: (3,) deg, angles by which the levels differ from the stated ones
+    offset_deg: FloatArray
+    carriers_tested: int
+
+
+def compare_with_angles(change_db: FloatArray, sensitivity_db_per_deg: FloatArray, sigma_db: FloatArray) -> Consistency:
+    """Test level changes for a missing attitude.
+
+    Parameters
+    ----------
+    change_db : ndarray, shape (N,), dB
+        Level of the window minus level of the calibration minus f(stated angles); NaN = not tested.
+    sensitivity_db_per_deg : ndarray, shape (N, 3), dB/deg
+        Slopes at the stated angles.
+    sigma_db : ndarray, shape (N,), dB
+        One standard deviation of each change.
+
+    Returns
+    -------
+    Consistency
+        Six carriers are the fewest with which four unknowns leave something to test.
+    """
+    present = np.isfinite(change_db) & np.isfinite(sigma_db) & (sigma_db > 0.0)
+    present &= np.isfinite(sensitivity_db_per_deg).all(axis=1)
+    count = int(np.count_nonzero(present))
+    if count < 6:
+        return Consistency(0.0, 1.0, np.full(3, np.nan), count)
+    weight = 1.0 / sigma_db[present]
+    ones = weight[:, None]
+    full = np.hstack([sensitivity_db_per_deg[present] * ones, ones])
+    wanted = change_db[present] * weight
+    solution = np.linalg.lstsq(full, wanted, rcond=None)[0]
+    common = float(ones[:, 0] @ wanted / (ones[:, 0] @ ones[:, 0]))
+    cost_common = float(np.sum((wanted - ones[:, 0] * common) ** 2))
+    cost_full = float(np.sum((wanted - full @ solution) ** 2))
+    scatter = cost_full / (count - 4)
+    chi_square = max(0.0, cost_common - cost_full) / (scatter if scatter > _MOVED_SCATTER else 1.0)
+    return Consistency(chi_square, chi_square_tail_3(chi_square), np.asarray(solution[:3], dtype=np.float64), count)
+
+
+def chi_square_tail_3(chi_square: float) -> float:
+    """Return the probability that a chi-square variable with three degrees of freedom exceeds a value.
+
+    Closed form: ``erfc(sqrt(x/2)) + sqrt(2 x / pi) exp(-x/2)``.
+
+    Examples
+    --------
+    >>> round(chi_square_tail_3(7.814727903), 6)
+    0.05
+    """
+    return erfc(sqrt(chi_square / 2.0)) + sqrt(2.0 * chi_square / pi) * exp(-chi_square / 2.0)
+
 
 #: Fewer carriers than this cannot show a common change.
 MIN_CARRIERS = 4
@@ -187,3 +240,102 @@ def step_fade_watch(
     dry_s = dry_before_s + elapsed_s if test.median_db > -depth_db else 0.0
     is_stopped = dry_s < return_after_s if state.is_stopped else wet_s >= stop_after_s
     return FadeWatch(is_stopped, wet_s, dry_s)
+
+
+IntArray = NDArray[np.int64]
+
+
+class TrailingMean(NamedTuple):
+    """Rows kept for the mean; arrays are read-only.
+
+    Parameters
+    ----------
+    epoch_us : ndarray, shape (R,), microseconds UTC
+        Strictly increasing.
+    rows : ndarray, shape (R, N)
+        Values of the carriers, NaN = absent.
+    horizon_us : int, microseconds
+        Rows this much older than the newest are forgotten; no window may be longer.
+    """
+
+    epoch_us: IntArray
+    rows: FloatArray
+    horizon_us: int
+
+
+def empty_window(carriers: int, horizon_s: float = 3600.0) -> TrailingMean:
+    """Return a window that holds no row yet.
+
+    Examples
+    --------
+    >>> state = push(empty_window(2), 60_000_000, np.array([1.0, np.nan]))
+    >>> mean(push(state, 120_000_000, np.array([3.0, 5.0])), window_s=900.0, min_rows=1)
+    array([2., 5.])
+    """
+    return _frozen(np.empty(0, dtype=np.int64), np.empty((0, carriers)), round(horizon_s * 1e6))
+
+
+def push(window_state: TrailingMean, epoch_us: int, row: FloatArray) -> TrailingMean:
+    """Return the window with one row more.
+
+    Parameters
+    ----------
+    window_state : TrailingMean
+        Window before the row; it is not changed.
+    epoch_us : int, microseconds UTC
+        Epoch of the row. A row that is not newer than the newest (late, or a duplicate) leaves the window as it is.
+    row : ndarray, shape (N,)
+        Values, NaN = absent.
+
+    Returns
+    -------
+    TrailingMean
+        Window after the row, without rows older than the horizon.
+    """
+    if window_state.epoch_us.size and epoch_us <= window_state.epoch_us[-1]:
+        return window_state
+    first = rows_until(window_state.epoch_us, epoch_us - window_state.horizon_us)
+    return _frozen(
+        np.concatenate([window_state.epoch_us[first:], [epoch_us]]),
+        np.concatenate([window_state.rows[first:], row[np.newaxis]]),
+        window_state.horizon_us,
+    )
+
+
+def mean(state: TrailingMean, window_s: float = 900.0, min_rows: int = 8) -> FloatArray:
+    """Return the mean of each carrier over the window that ends with the newest row.
+
+    Parameters
+    ----------
+    state : TrailingMean
+        Rows.
+    window_s : float, s
+        Length of the window, open at its old end: 15 rows at 60 s in 900 s. Not above the horizon.
+    min_rows : int
+        Carriers with fewer present values give NaN, at least 1.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Means, NaN = absent.
+    """
+    newest_us = state.epoch_us[-1] if state.epoch_us.size else 0
+    rows = state.rows[rows_until(state.epoch_us, newest_us - round(window_s * 1e6)) :]
+    is_present = np.isfinite(rows)
+    if len(rows) >= max(min_rows, 1) and is_present.all():
+        return np.asarray(rows.sum(axis=0) / len(rows))
+    count = is_present.sum(axis=0)
+    total = np.where(is_present, rows, 0.0).sum(axis=0)
+    return np.where(count >= max(min_rows, 1), total / np.maximum(count, 1), np.nan)
+
+
+def rows_until(epochs_us: IntArray, instant_us: int) -> int:
+    """Return how many of the epochs, which increase, are not after an instant."""
+    return int(epochs_us.searchsorted(instant_us, side="right"))
+
+
+def _frozen(epoch_us: IntArray, rows: FloatArray, horizon_us: int) -> TrailingMean:
+    """Return a window of arrays that nobody can write."""
+    epoch_us.setflags(write=False)
+    rows.setflags(write=False)
+    return TrailingMean(epoch_us, rows, horizon_us)

@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from service.core.estimation.paper.harmonic import ROUNDING_DB
 from service.core.estimation.paper.octants import OctantFix, predict_deviation_db, solve_octants, solve_octants_rows
-from service.core.estimation.paper.sigma_clip import ROUNDING_DB
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -1,13 +1,4 @@
-"""The paper's choice of carriers: for each axis those that answer mostly to it.
-
-``s_ij = |a_ij| u_j``: a the symmetric sensitivity in dB/deg, u = (yaw_scale, 1, 1), because every carrier answers to
-yaw about eight times less than to roll. The margin of carrier i for axis j, in dB/deg, is ``s_ij - max over the
-others``: by how much it answers more to this axis than to any other. The axes take turns (roll, pitch, yaw, in the
-order in which the paper names them), each taking the carrier of largest margin that is still free. A ranking by the
-ratio instead of the margin also likes carriers that answer to nothing: of 40 stations it costs 69 per cent in the bound
-of yaw at 8 carriers, 22 per cent at 16. The law of this file: the choice depends on the carriers, not on their order;
-of equal margins the first carrier wins.
-"""
+"""The paper's requirements on a carrier, and its choice of carriers for each axis."""
 
 import math
 from enum import IntEnum
@@ -17,6 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.observability import condition_number
+from service.core.estimation.paper.sensitivity import (
+    TurnLevels,
+    one_sided_curvature,
+    reduce_to_levels,
+    symmetric_sensitivity,
+)
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -151,3 +148,122 @@ def select_by_axis(symmetric: FloatArray, eligible: BoolArray, count: int, *, ya
         reason=reason.astype(np.int64),
         condition=condition_number(symmetric[chosen]),
     )
+
+
+#: Standard errors by which a departure must exceed the limit.
+DOUBT_SIGMA = 3.0
+
+
+class CarrierVerdicts(NamedTuple):
+    """Verdicts on N carriers.
+
+    Parameters
+    ----------
+    stable, linear, dominant : ndarray of bool, shape (N,)
+        The three requirements; False where a figure is NaN.
+    axis : ndarray of int, shape (N,)
+        0 yaw, 1 roll, 2 pitch, -1 when no axis dominates.
+    axis_ratio : ndarray, shape (N,)
+        Largest scaled sensitivity over the second largest.
+    residual_rms_db : ndarray, shape (N,), dB
+        As given.
+    deviation_at_0p5_deg_db : ndarray, shape (N,), dB
+        Departure from the straight line at 0.5 deg, signed, of the side where it is larger.
+    nonlinearity_deg : ndarray, shape (N,), deg
+        Size of the departure at the end of the linear range over the slope, larger side.
+    nonlinearity_sigma_deg : ndarray, shape (N,), deg
+        Its standard error.
+    range_deg : ndarray, shape (N,), deg
+        Largest range for which the carrier still counts as linear, at most the excursion made on both sides.
+    """
+
+    stable: BoolArray
+    linear: BoolArray
+    dominant: BoolArray
+    axis: IntArray
+    axis_ratio: FloatArray
+    residual_rms_db: FloatArray
+    deviation_at_0p5_deg_db: FloatArray
+    nonlinearity_deg: FloatArray
+    nonlinearity_sigma_deg: FloatArray
+    range_deg: FloatArray
+
+
+def judge_carriers(
+    residual_rms_db: FloatArray,
+    angle_deg: FloatArray,
+    deviation_db: FloatArray,
+    plus: FloatArray,
+    minus: FloatArray,
+    *,
+    max_residual_rms_db: float = 0.25,
+    max_nonlinearity_deg: float = 0.1,
+    linear_range_deg: float = 0.5,
+    dominance_ratio: float = 2.0,
+    yaw_scale: float = 8.0,
+) -> CarrierVerdicts:
+    """Return which carriers meet the paper's requirements.
+
+    Parameters
+    ----------
+    residual_rms_db : ndarray, shape (N,), dB
+        Root mean square of the quiet window's residuals after the harmonic.
+    angle_deg : ndarray, shape (K, 3), deg
+        Yaw, roll, pitch of the rows of the turns, in order of time.
+    deviation_db : ndarray, shape (K, N), dB
+        Powers of the turns with harmonic and level removed. NaN marks an absent sample.
+    plus, minus : ndarray, shape (N, 3), dB/deg
+        Sensitivities of both signs (``sensitivity.fit_turn_sensitivity``), NaN = not measured.
+    max_residual_rms_db : float, dB
+        Limit of stability.
+    max_nonlinearity_deg, linear_range_deg : float, deg
+        Limit of the departure from a straight line, and the range on which it is judged.
+    dominance_ratio : float
+        Limit of dominance.
+    yaw_scale : float
+        How much less carriers answer to yaw.
+
+    Returns
+    -------
+    CarrierVerdicts
+        Figures and verdicts.
+
+    References
+    ----------
+    .. [1] Sevast'yanov, N. N., "Yamal-200 spacecrafts attitude control by the signals of onboard repeater complex",
+       2013, the three requirements on the signals.
+    """
+    symmetric = symmetric_sensitivity(plus, minus)
+    dominance = axis_dominance(symmetric, yaw_scale=yaw_scale)
+    is_measured: BoolArray = np.asarray(np.isfinite(dominance).any(axis=1))
+    ratio = np.where(is_measured, np.where(np.isnan(dominance), -1.0, dominance).max(axis=1), math.nan)
+    main = np.where(is_measured, np.where(np.isnan(dominance), -1.0, dominance).argmax(axis=1), -1)
+    levels = reduce_to_levels(angle_deg, deviation_db)
+    q, q_sigma, excursion_deg = _curvatures(levels, main, linear_range_deg)
+    slope = np.abs(symmetric[np.arange(len(main)), main])
+    departure = linear_range_deg**2 / 4.0 / np.where(slope > 0.0, slope, math.nan)
+    sure_q = np.maximum(np.abs(q) - DOUBT_SIGMA * q_sigma, 0.0).max(axis=1)
+    rows = np.arange(len(main))
+    side = np.abs(q).argmax(axis=1)
+    q_worst = q[rows, side]
+    unlimited_deg = np.sqrt(4.0 * max_nonlinearity_deg * slope / np.where(sure_q > 0.0, sure_q, math.nan))
+    return CarrierVerdicts(
+        stable=residual_rms_db <= max_residual_rms_db,
+        linear=sure_q * departure <= max_nonlinearity_deg,
+        dominant=ratio >= dominance_ratio,
+        axis=np.where(ratio >= dominance_ratio, main, -1).astype(np.int64),
+        axis_ratio=ratio,
+        residual_rms_db=residual_rms_db,
+        deviation_at_0p5_deg_db=q_worst * 0.5**2 / 4.0,
+        nonlinearity_deg=np.abs(q_worst) * departure,
+        nonlinearity_sigma_deg=q_sigma[rows, side] * departure,
+        range_deg=np.where(np.isnan(sure_q), math.nan, np.fmin(unlimited_deg, excursion_deg)),
+    )
+
+
+def _curvatures(levels: TurnLevels, axis: IntArray, range_deg: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return q and its standard error, (N, 2) for both sides, and the excursion (N,) of each carrier's main axis."""
+    fits = [one_sided_curvature(levels, carrier, int(axis[carrier]), range_deg) for carrier in range(len(axis))]
+    q = np.array([fit.q_db_per_deg2 for fit in fits]).reshape(-1, 2)
+    q_sigma = np.array([fit.sigma_db_per_deg2 for fit in fits]).reshape(-1, 2)
+    return q, q_sigma, np.array([fit.excursion_deg for fit in fits])

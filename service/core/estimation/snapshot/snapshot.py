@@ -1,16 +1,4 @@
-"""Attitude of one epoch alone, from deviations of which some are wrong: the MM estimate with a common level.
-
-``y_i = f_i(l) + c + e_i``: y deviations in dB, f the quadratic response of ``quadratic_response`` to l = (yaw, roll,
-pitch) in deg, c one level in dB that all carriers have in common (downlink rain, receiving chain), e noise of
-``sigma_i^2 + model_error^2 + (calibration error at l)^2``. A trimmed start (``snapshot_start``) tells which carriers to
-believe, Tukey's M-estimate by Gauss-Newton uses what they know. Sigmas are known here, so the scale is one; only a
-trimmed spread of more than twice what the sigmas say widens it.
-
-A transponder may move all its carriers together. When at least two carriers are excluded, each group of the labels
-given is tried with a level of its own beside c: if Tukey's cost falls by more than ``GROUP_PENALTY`` the group is taken
-as moved, its carriers stay in the fix with what they know *relative to each other*, and the fix survives a step of
-half of all carriers. The law of this file: what is not determined is NaN, never a number with a large sigma.
-"""
+"""Robust fix of one row by all carriers, with groups that may be wrong as a whole."""
 
 import math
 from enum import IntEnum
@@ -19,19 +7,165 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.calibration.quadratic_response import QuadraticResponse, response_errors
-from service.core.estimation.snapshot.snapshot_groups import group_memberships, moved_groups
-from service.core.estimation.snapshot.snapshot_start import trimmed_start
+from service.core.estimation.calibration.geometry_columns import QuadraticResponse, response_errors
 from service.core.estimation.snapshot.snapshot_steps import (
+    PRIOR_WEIGHT,
+    TUKEY_SIGMAS,
     Measured,
     efficient_weight,
     linearised,
+    newton_step,
     normal_matrix,
     robust_fit,
+    trimmed_start,
+    tukey_cost,
 )
 
 FloatArray = NDArray[np.float64]
+
+#: Sigmas beyond which a carrier has less than five per cent of Tukey's weight.
+GATE_SIGMAS = 4.685 * math.sqrt(1.0 - math.sqrt(0.05))
+#: Quantile of the normal distribution for nine in ten.
+_NINE_IN_TEN = 1.2815515655446004
+_MIN_REDUNDANCY = 1e-6
+
+
+class FaultBounds(NamedTuple):
+    """Bounds of T fixes: detectable_db (T, N) in dB, shift_deg (T, N, 3) in deg."""
+
+    detectable_db: FloatArray
+    shift_deg: FloatArray
+
+
+def fault_bounds(design: FloatArray, gain: FloatArray, sigma_db: FloatArray) -> FaultBounds:
+    """Return the bounds of every carrier.
+
+    Parameters
+    ----------
+    design : ndarray, shape (T, N, U)
+        Derivative of the model by the unknowns, the attitude first.
+    gain : ndarray, shape (T, U, N)
+        Change of the unknowns with the deviations.
+    sigma_db : ndarray, shape (T, N), dB
+        NaN for absent carriers.
+
+    Returns
+    -------
+    FaultBounds
+        NaN for absent carriers; the shift of a carrier that nothing checks is infinite in the angles it moves.
+
+    Examples
+    --------
+    >>> design = np.concatenate([np.eye(3), np.eye(3)])[np.newaxis]
+    >>> bounds = fault_bounds(design, 0.5 * np.swapaxes(design, 1, 2), np.full((1, 6), 0.1))
+    >>> bounds.detectable_db[0, 0].round(3), bounds.shift_deg[0, 0].round(3)
+    (np.float64(1.007), array([0.503, 0.   , 0.   ]))
+    """
+    redundancy = 1.0 - np.einsum("tnu,tun->tn", design, gain)
+    is_checked = redundancy > _MIN_REDUNDANCY
+    safe = np.where(is_checked, redundancy, 1.0)
+    seen_db = sigma_db * (GATE_SIGMAS + _NINE_IN_TEN * np.sqrt(np.minimum(safe, 1.0))) / safe
+    detectable = np.where(is_checked | np.isnan(sigma_db), seen_db, math.inf)
+    moves = np.swapaxes(gain, 1, 2)[..., :3]
+    size = np.where(moves == 0.0, 0.0, detectable[..., np.newaxis])
+    return FaultBounds(detectable, size * moves)
+
+
 IntArray = NDArray[np.int64]
+
+#: Cost that a group's own level must save; chance saves this much once in 2000 rows.
+GROUP_PENALTY = 6.0
+#: A group of fewer carriers is two single faults.
+MIN_MEMBERS = 2
+#: Excluded carriers from which on groups are tried.
+_MIN_EXCLUDED = 2
+
+
+def group_memberships(group: IntArray) -> tuple[FloatArray, IntArray]:
+    """Return memberships (G + 1, N) of 0 and 1 and labels (G + 1,) of the groups with enough members.
+
+    The last row stands for no group: empty, of label -1, so that index -1 means what it says.
+
+    Examples
+    --------
+    >>> group_memberships(np.array([3, 3, 5, -1]))
+    (array([[1., 1., 0., 0.],
+           [0., 0., 0., 0.]]), array([ 3, -1]))
+    """
+    labels = np.unique(group[group >= 0])
+    members = (group == labels[:, np.newaxis]).astype(np.float64)
+    is_large = members.sum(axis=1) >= MIN_MEMBERS
+    none = np.zeros((1, len(group)))
+    return np.concatenate([members[is_large], none]), np.append(labels[is_large], -1).astype(np.int64)
+
+
+def moved_groups(
+    model: QuadraticResponse, measured: Measured, theta: FloatArray, inverse_sigma: FloatArray, members: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Return the group that moved in each row, and the unknowns with its level.
+
+    Parameters
+    ----------
+    model : QuadraticResponse
+        N carriers.
+    measured : Measured
+        Values (T, N) with the common level's column.
+    theta : ndarray, shape (T, 4)
+        Fix without groups.
+    inverse_sigma : ndarray, shape (T, N), 1/dB
+        Zero where absent.
+    members : ndarray, shape (G, N)
+        1 for members.
+
+    Returns
+    -------
+    moved : ndarray of int, shape (T,)
+        Row of ``members``, -1 = none.
+    theta : ndarray, shape (T, 5)
+        Unknowns; the last one, the group's level in dB, is 0 where none moved.
+    """
+    moved = np.full(len(theta), -1, dtype=np.int64)
+    out = np.concatenate([theta, np.zeros((len(theta), 1))], axis=1)
+    standardised = linearised(model, measured, theta).residual_db * inverse_sigma
+    suspect = np.flatnonzero((np.abs(standardised) > 0.85 * TUKEY_SIGMAS).sum(axis=1) >= _MIN_EXCLUDED)
+    if not suspect.size or not len(members):
+        return moved, out
+    cost, fitted = _hypotheses(model, measured.value_db[suspect], inverse_sigma[suspect], members)
+    best = np.argmin(cost, axis=1)
+    plain = tukey_cost(standardised[suspect]).sum(axis=1)
+    is_moved = cost[np.arange(len(best)), best] + GROUP_PENALTY < plain
+    rows = suspect[is_moved]
+    moved[rows] = best[is_moved]
+    out[rows] = fitted[np.flatnonzero(is_moved), best[is_moved]]
+    return moved, out
+
+
+def _hypotheses(
+    model: QuadraticResponse, value_db: FloatArray, inverse_sigma: FloatArray, members: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return cost (T, G) and unknowns (T, G, 5) of each group's hypothesis."""
+    value, inverse = value_db[:, np.newaxis], inverse_sigma[:, np.newaxis]
+    ones = np.ones((1, *members.shape, 1))
+    measured = Measured(value, np.concatenate([ones, members[np.newaxis, ..., np.newaxis]], axis=-1))
+    theta = np.zeros((len(value_db), len(members), 5))
+    prior = np.append(PRIOR_WEIGHT, PRIOR_WEIGHT[3])
+    outside = inverse**2 * (1.0 - members)
+    for _ in range(2):
+        theta = newton_step(linearised(model, measured, theta), theta, outside, (prior, np.diag(prior)))
+    theta[..., 4] = _middle(linearised(model, measured, theta).residual_db, members * (inverse > 0.0))
+    theta = robust_fit(model, measured, theta, inverse)
+    cost = tukey_cost(linearised(model, measured, theta).residual_db * inverse).sum(axis=-1)
+    return cost, theta
+
+
+def _middle(residual_db: FloatArray, is_member: FloatArray) -> FloatArray:
+    """Return the (lower) median (T, G) over the members present, 0 where there is none."""
+    ordered = np.sort(np.where(is_member > 0.0, residual_db, np.inf), axis=-1)
+    count = (is_member > 0.0).sum(axis=-1)
+    middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., np.newaxis] // 2, axis=-1)[..., 0]
+    return np.where(count > 0, middle, 0.0)
+
+
 BoolArray = NDArray[np.bool_]
 
 #: One carrier more than unknowns.
@@ -145,8 +279,8 @@ def solve_snapshots(
 
     Examples
     --------
-    >>> from service.core.estimation.calibration.quadratic_response import exact_response
-    >>> from service.core.estimation.snapshot.snapshot_start import subset_orders
+    >>> from service.core.estimation.calibration.geometry_columns import exact_response
+    >>> from service.core.estimation.snapshot.snapshot_steps import subset_orders
     >>> rng = np.random.default_rng(1)
     >>> model = exact_response(rng.normal(0.0, [0.2, 1.4, 1.2], (12, 3)), np.tile(-2.0 * np.eye(3), (12, 1, 1)))
     >>> deviation_db = model.slope @ [0.3, -0.1, 0.2] - 0.14 + 0.5 - 3.0 * (np.arange(12) == 4)

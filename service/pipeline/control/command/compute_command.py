@@ -13,20 +13,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from service.core.control.command_plan import Forecast, Situation, plan_command
-from service.core.control.envelope import Envelope
-from service.core.control.slew_schedule import AxisPulse
+from service.core.control.slew_schedule import AxisPulse, Envelope
 from service.core.control.wheel_allocation import Allocation, Wheels, allocate
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.command_record import Span, command_of, impulse_of, predicted, zero_command
-from service.pipeline.control.command.control_design import ControlDesign, control_design
-from service.pipeline.control.command.control_inhibitions import control_inhibitions
-from service.pipeline.control.command.mean_torque import is_gyro_orbitant, mean_pulses
+from service.pipeline.control.command.control_design import (
+    ControlDesign,
+    Span,
+    command_of,
+    control_design,
+    control_inhibitions,
+    impulse_of,
+    is_gyro_orbitant,
+    mean_pulses,
+    predicted,
+    zero_command,
+)
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict
 from service.records.catalogue import Release, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, Axes, FloatArray
-from service.records.levels.command import TorqueCommand
-from service.records.levels.disturbance import Disturbance
+from service.records.levels.attitude import AttitudeRow, Axes, Disturbance, FloatArray, TorqueCommand
 
 NO_CARRY = np.zeros(3)
 _ENVELOPE = Envelope()

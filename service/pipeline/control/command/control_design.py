@@ -1,20 +1,124 @@
-"""Control design from the catalogue: gains, drives and wheels, computed once for a spacecraft."""
+"""Design of the control of a spacecraft, its mean torque, inhibitions, and the record of a command."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from service.core.control.gyro_orbitant_design import gyro_orbitant_law
-from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, Gains, loop_gains
-from service.core.control.slew_schedule import Drive
-from service.core.control.wheel_allocation import Wheels, wheel_set
-from service.core.control.wheels import body_torque_limit_n_m
+from service.core.control.gyro_orbitant import does_rate_show_yaw, gyro_orbitant_law, gyro_orbitant_torque
+from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, Gains, feedback_torque, loop_gains
+from service.core.control.slew_schedule import AxisPulse, Drive, Envelope, shape_pulses
+from service.core.control.wheel_allocation import Allocation, Wheels, body_torque_limit_n_m, wheel_set
 from service.core.dynamics.orbital_frame_model import Law, OrbitalFrameGains
 from service.pipeline.config import TorqueConfig
-from service.records.catalogue import Release, Spacecraft
-from service.records.levels.attitude import FloatArray
+from service.records.catalogue import ControlLaw, ControlMode, Release, Spacecraft
+from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow, Axes, Disturbance, FloatArray, Pulse, TorqueCommand, named_axes
+
+_ZERO = Axes(0.0, 0.0, 0.0)
+
+
+class Span(NamedTuple):
+    """For when a command is meant."""
+
+    epoch_us: int
+    period_s: float
+
+    @property
+    def stop_us(self) -> int:
+        """Return its end."""
+        return self.epoch_us + round(self.period_s * US_PER_S)
+
+
+class Prediction(NamedTuple):
+    """Change of angle and rate at the end of the pulses; (3,) yaw, roll, pitch."""
+
+    angle_change_rad: FloatArray
+    rate_change_rad_s: FloatArray
+
+
+def command_of(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    span: Span,
+    pulses: Sequence[AxisPulse],
+    prediction: Prediction,
+    shares: Allocation,
+    *,
+    is_saturated: bool,
+) -> TorqueCommand:
+    """Return the command of some pulses; ``shares`` are the wheels' shares of their mean torque."""
+    impulse = impulse_of(pulses)
+    return TorqueCommand(
+        epoch_us=span.epoch_us,
+        number=row.number,
+        attitude_epoch_us=row.epoch_us,
+        mode=spacecraft.control.mode.value,
+        torque_n_m=named_axes(impulse / span.period_s),
+        wheels_n_m=tuple((shares.wheels_n_m + 0.0).tolist()),
+        saturated=is_saturated,
+        command_period_s=span.period_s,
+        valid_until_us=span.stop_us,
+        schedule=tuple(_pulse(span.epoch_us, pulse) for pulse in pulses),
+        impulse_n_m_s=named_axes(impulse),
+        predicted_angle_change_deg=named_axes(np.rad2deg(prediction.angle_change_rad)),
+        predicted_rate_change_deg_s=named_axes(np.rad2deg(prediction.rate_change_rad_s)),
+        predicted_wheel_momentum_n_m_s=tuple((shares.wheels_n_m * span.period_s + 0.0).tolist()),
+        control_allowed=True,
+        inhibitions=(),
+    )
+
+
+def zero_command(row: AttitudeRow, spacecraft: Spacecraft, span: Span, inhibitions: tuple[str, ...]) -> TorqueCommand:
+    """Return the command that does nothing and says why."""
+    return TorqueCommand(
+        epoch_us=span.epoch_us,
+        number=row.number,
+        attitude_epoch_us=row.epoch_us,
+        mode=spacecraft.control.mode.value,
+        command_period_s=span.period_s,
+        valid_until_us=span.stop_us,
+        **_nothing(len(spacecraft.wheels.axes), inhibitions),
+    )
+
+
+def withheld_command(command: TorqueCommand) -> TorqueCommand:
+    """Return a command as one that does nothing because control had tripped before its row."""
+    return replace(command, **_nothing(len(command.wheels_n_m), ("tripped",)))
+
+
+def _nothing(wheels: int, inhibitions: tuple[str, ...]) -> dict[str, Any]:
+    """Return the fields of a command that does nothing."""
+    names = ("torque_n_m", "impulse_n_m_s", "predicted_angle_change_deg", "predicted_rate_change_deg_s")
+    still = dict.fromkeys(("wheels_n_m", "predicted_wheel_momentum_n_m_s"), (0.0,) * wheels)
+    said = {"control_allowed": False, "inhibitions": inhibitions}
+    return {**dict.fromkeys(names, _ZERO), **still, **said, "saturated": False, "schedule": (), "schedule_check": None}
+
+
+def impulse_of(pulses: Sequence[AxisPulse]) -> FloatArray:
+    """Return the impulse (3,) of some pulses, N m s."""
+    impulse = np.zeros(3)
+    for pulse in pulses:
+        impulse[pulse.axis] += pulse.impulse_n_m_s
+    return impulse
+
+
+def predicted(pulses: Sequence[AxisPulse], inverse_1_kg_m2: FloatArray, period_s: float) -> Prediction:
+    """Return the exact effect of pulses at the end of their span: each one's rate turns the body from its middle on."""
+    turned = np.zeros(3)
+    for pulse in pulses:
+        turned[pulse.axis] += pulse.impulse_n_m_s * (period_s - pulse.start_s - 0.5 * pulse.duration_s)
+    return Prediction(inverse_1_kg_m2 @ turned, inverse_1_kg_m2 @ impulse_of(pulses))
+
+
+def _pulse(epoch_us: int, pulse: AxisPulse) -> Pulse:
+    torque = [0.0, 0.0, 0.0]
+    torque[pulse.axis] = pulse.torque_n_m
+    return Pulse(epoch_us + round(pulse.start_s * US_PER_S), pulse.duration_s, Axes._make(torque))
+
 
 #: a drive without steps is given these shares of its limit as steps: finer than any torque that is asked for
 _FINE_SHARE = 1e-6
@@ -103,3 +207,141 @@ def _gyro_design(spacecraft: Spacecraft, period_s: int) -> Law:
     limit_n_m = min(spacecraft.torque_limit_n_m, body_torque_limit_n_m(axes, spacecraft.wheels.torque_limit_n_m))
     tensor = np.array(spacecraft.inertia_kg_m2)
     return gyro_orbitant_law(tensor, gains, torque_limit_n_m=limit_n_m, command_period_s=float(period_s))
+
+
+_ENVELOPE = Envelope()
+
+
+class MeanPulses(NamedTuple):
+    """Pulses whose mean is the torque, what they leave for later, and whether the law wanted more."""
+
+    pulses: tuple[AxisPulse, ...]
+    #: (3,) N m s
+    carry_n_m_s: FloatArray
+    is_cut: bool
+
+
+def is_gyro_orbitant(spacecraft: Spacecraft) -> bool:
+    """Return whether the catalogue chose the gyro-orbitant law."""
+    return spacecraft.control.law is ControlLaw.GYRO_ORBITANT
+
+
+def rate_inhibition(body_rate_deg_s: Axes | None) -> str | None:
+    """Return why the gyro-orbitant law has no torque at these rates; None where it has one."""
+    if body_rate_deg_s is None or not np.isfinite(body_rate_deg_s).all():
+        return "no_body_rate"
+    return None if does_rate_show_yaw(np.array(body_rate_deg_s), GEOSTATIONARY_RATE_RAD_S) else "law_beyond"
+
+
+def mean_pulses(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    span: Span,
+    carry_n_m_s: FloatArray,
+    config: TorqueConfig,
+    design: ControlDesign,
+    disturbance: Disturbance | None,
+    body_rate_deg_s: Axes | None,
+) -> MeanPulses:
+    """Return the pulses whose mean over a command's span is the law's torque.
+
+    Parameters
+    ----------
+    row : AttitudeRow
+        That allows control.
+    span : Span
+        Epoch and period of the command.
+    carry_n_m_s : ndarray, shape (3,), N m s
+        Left over from earlier commands.
+    body_rate_deg_s : Axes or None
+        Of the gyro-orbitant law: finite, and within it.
+
+    Raises
+    ------
+    ValueError
+        The catalogue makes no law for this period.
+    """
+    wanted, share = _wanted(row, spacecraft, span, config, design, disturbance, body_rate_deg_s), 1.0
+    is_allowed = np.array(row.control_allowed_axes)
+    wanted = np.where(is_allowed, wanted, 0.0)
+    if is_gyro_orbitant(spacecraft) and spacecraft.control.release is Release.TWO_STEP:
+        share = _share_within_envelope(wanted, design, span.period_s, config.envelope_share)
+    train = shape_pulses(
+        share * wanted,
+        np.where(is_allowed, carry_n_m_s, 0.0),
+        period_s=span.period_s,
+        limit_n_m=design.drive.limit_n_m,
+        quantum_n_m=design.drive.quantum_n_m,
+        min_pulse_s=config.min_pulse_s,
+        time_step_s=config.time_step_s,
+    )
+    reported = enumerate(zip(train.duration_s.tolist(), train.torque_n_m.tolist(), strict=True))
+    pulses = tuple(AxisPulse(axis, 0.0, duration_s, torque) for axis, (duration_s, torque) in reported if duration_s)
+    return MeanPulses(pulses, train.carry_n_m_s, share < 1.0 or bool(train.is_saturated.any()))
+
+
+def _wanted(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    span: Span,
+    config: TorqueConfig,
+    design: ControlDesign,
+    disturbance: Disturbance | None,
+    body_rate_deg_s: Axes | None,
+) -> FloatArray:
+    """Return the torque (3,), N m, of the law that the catalogue chose, the known torque taken away."""
+    middle_us = (span.epoch_us + span.stop_us) // 2
+    pushed = np.zeros(3) if disturbance is None else np.array(disturbance.torque_n_m(middle_us))
+    if is_gyro_orbitant(spacecraft):
+        law = gyro_design(spacecraft, config, span.period_s)
+        rate = np.array(body_rate_deg_s, dtype=np.float64)
+        return gyro_orbitant_torque(row.attitude_deg.roll, row.attitude_deg.pitch, rate, law, math.inf) - pushed
+    rates = np.zeros(3) if row.rates_deg_s is None else np.array(row.rates_deg_s)
+    return feedback_torque(design.gains, row.attitude_deg, rates, disturbance_n_m=pushed)
+
+
+def _share_within_envelope(torque_n_m: FloatArray, design: ControlDesign, period_s: float, of_envelope: float) -> float:
+    """Return the share of a mean torque that one command may give, whenever within its period it acts."""
+    impulse = np.abs(torque_n_m) * period_s
+    rate_deg_s = np.degrees(np.abs(design.inverse_1_kg_m2) @ impulse)
+    asked = (rate_deg_s * period_s, rate_deg_s, impulse)
+    limits = (_ENVELOPE.angle_change_deg, _ENVELOPE.rate_change_deg_s, _ENVELOPE.impulse_n_m_s)
+    greatest = max(float(value.max()) / limit for value, limit in zip(asked, limits, strict=True))
+    return min(1.0, of_envelope / greatest) if greatest > 0.0 else 1.0
+
+
+#: reasons beside those of the interlock for which a command stays zero, with what each one says
+CONTROL_INHIBITIONS: dict[str, str] = {
+    "mode_onboard": "torques are computed on board",
+    "mode_off": "attitude control is switched off",
+    "no_fast_loop": "the catalogue states no fast loop or no Forecast mode on board",
+    "no_rate": "too few fixes yet for an angular rate",
+    "no_law": "inertia, wheels, period and damping of the catalogue give no control law; see the service log",
+    "no_body_rate": "the law gyro_orbitant needs body rates about all axes in telemetry that is not too old",
+    "law_beyond": "the roll rate exceeds the orbital rate, or the spacecraft turns against its orbit: no yaw follows",
+    "tripped": "control has tripped; torques are withheld until ten good minutes after the reset",
+}
+
+
+def control_inhibitions(
+    row: AttitudeRow, spacecraft: Spacecraft, *, is_withheld: bool = False, body_rate_deg_s: Axes | None = None
+) -> tuple[str, ...]:
+    """Return why this row may not lead to a torque: the row's reasons and those of the spacecraft's settings."""
+    reasons = list(row.inhibitions)
+    if spacecraft.control.mode is not ControlMode.GROUND:
+        reasons.append(f"mode_{spacecraft.control.mode.value}")
+    elif not (spacecraft.onboard.fast_loop and spacecraft.onboard.forecast_mode):
+        reasons.append("no_fast_loop")
+    lacking = _rate_inhibition(row, spacecraft, body_rate_deg_s)
+    if not row.inhibitions and lacking is not None:
+        reasons.append(lacking)
+    if is_withheld:
+        reasons.append("tripped")
+    return tuple(reasons)
+
+
+def _rate_inhibition(row: AttitudeRow, spacecraft: Spacecraft, body_rate_deg_s: Axes | None) -> str | None:
+    """Return why the law of the spacecraft has no rates that it can use."""
+    if is_gyro_orbitant(spacecraft):
+        return rate_inhibition(body_rate_deg_s)
+    return "no_rate" if row.rates_deg_s is None else None

@@ -10,11 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.flexible.schedule.schedule_check import ScheduleCheck, Suggestion, check_schedule
-from service.core.flexible.schedule.schedule_metrics import ScheduleLimits
-from service.core.flexible.schedule.schedule_response import (
+from service.core.flexible.schedule import (
+    ScheduleCheck,
+    ScheduleLimits,
+    Suggestion,
     TorquePulse,
     carry_phasor,
+    check_schedule,
     ordered_schedule,
     schedule_response,
 )
@@ -23,7 +25,7 @@ from service.pipeline.config import TorqueConfig
 from service.records import catalogue
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.command import Pulse, ScheduleVerdict
+from service.records.levels.attitude import Pulse, ScheduleVerdict
 
 #: places of the axes in the order yaw, roll, pitch, and of each among the body axes
 _POSITIONS = {"yaw": 0, "roll": 1, "pitch": 2}

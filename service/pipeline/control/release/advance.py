@@ -10,7 +10,15 @@ from dataclasses import replace
 from typing import Any
 
 from service.pipeline.control.release import command_transitions, events, sign_checks
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition
+from service.pipeline.control.release.command_states import (
+    OPEN,
+    REFUSALS,
+    UNREPORTED,
+    CommandTransition,
+    State,
+    Trigger,
+    rows_of,
+)
 from service.pipeline.control.release.command_transitions import command_effects, moved, refused
 from service.pipeline.control.release.events import (
     AuditEffect,
@@ -24,9 +32,7 @@ from service.pipeline.control.release.events import (
     UplinkEffect,
 )
 from service.pipeline.control.release.interlock import Instant, Interlock, Request, Terms, fire, settle, tripped
-from service.pipeline.control.release.interlock_conditions import ALARMED, Condition
-from service.pipeline.control.release.interlock_states import REFUSALS, State, Trigger, rows_of
-from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.interlock_conditions import ALARMED, Condition, ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, InterlockHold
 

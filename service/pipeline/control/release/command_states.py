@@ -1,9 +1,7 @@
-"""States of a command and what moves it: one table.
-
-Law of this file: only changes in `COMMAND_TRANSITIONS` happen; a released command is ended by its report alone.
-"""
+"""States of a command and of the interlock, as tables."""
 
 from enum import Enum
+from typing import NamedTuple
 
 from service.records.operations.release import CommandState
 
@@ -66,3 +64,103 @@ def next_state(state: CommandState, transition: CommandTransition) -> CommandSta
     True
     """
     return COMMAND_TRANSITIONS[state].get(transition)
+
+
+class State(Enum):
+    """State of the interlock."""
+
+    #: a reason stands, control is not armed, or the good minutes are not over
+    INHIBITED = "no torque may go"
+    ARMED = "each command needs to be prepared and confirmed"
+    ENGAGED = "commands within the authorised envelope go by themselves, until the authorisation ends"
+    RECOVERY = "roll or pitch beyond 0.4 deg: single commands, each confirmed by an approver"
+    TRIPPED = "no torque may go until a person resets"
+
+
+class Trigger(Enum):
+    """Trigger of a transition of the interlock."""
+
+    TRIP = "a condition that trips"
+    INHIBIT = "a condition that inhibits"
+    CLEAR = "no such condition for 10 min"
+    BEYOND = "roll or pitch passes 0.4 deg"
+    WITHIN = "both are back"
+    EXPIRE = "the authorisation has ended"
+    ARM = "an operator arms control"
+    ENGAGE = "a person asks for standing authorisation, or joins who asked"
+    DISENGAGE = "an operator takes authorisation or arming back"
+    RESET = "a person resets the trip"
+
+
+class Guard(Enum):
+    """Guard of a transition."""
+
+    ALWAYS = ""
+    BEYOND_AND_ARMED = "armed, beyond 0.4 deg"
+    AUTHORISED = "the authorisation still holds"
+    ARMED = "control was armed"
+    AFTER_RESET = "a trip was reset: torques are no longer withheld"
+    MAY_ARM_BEYOND = "10 good minutes, beyond 0.4 deg"
+    MAY_ARM = "10 good minutes"
+    SECOND_PERSON = "another person asked for the same within 10 min"
+    FIRST_PERSON = "nobody has asked yet"
+    NO_TRIP_STANDS = "no condition that trips stands any more"
+
+
+#: code with which a trigger is refused where no guard of its rows holds
+REFUSALS: dict[Trigger, str] = {
+    Trigger.ARM: "interlock.inhibited",
+    Trigger.ENGAGE: "interlock.second_person",
+    Trigger.DISENGAGE: "interlock.not_armed",
+    Trigger.RESET: "interlock.trip_stands",
+}
+
+
+class Transition(NamedTuple):
+    """One row of the table."""
+
+    source: State
+    trigger: Trigger
+    guard: Guard
+    target: State
+
+
+TRANSITIONS: tuple[Transition, ...] = (
+    Transition(State.INHIBITED, Trigger.TRIP, Guard.ALWAYS, State.TRIPPED),
+    Transition(State.INHIBITED, Trigger.CLEAR, Guard.BEYOND_AND_ARMED, State.RECOVERY),
+    Transition(State.INHIBITED, Trigger.CLEAR, Guard.AUTHORISED, State.ENGAGED),
+    Transition(State.INHIBITED, Trigger.CLEAR, Guard.ARMED, State.ARMED),
+    Transition(State.INHIBITED, Trigger.CLEAR, Guard.AFTER_RESET, State.INHIBITED),
+    Transition(State.INHIBITED, Trigger.ARM, Guard.MAY_ARM_BEYOND, State.RECOVERY),
+    Transition(State.INHIBITED, Trigger.ARM, Guard.MAY_ARM, State.ARMED),
+    Transition(State.INHIBITED, Trigger.BEYOND, Guard.AUTHORISED, State.INHIBITED),
+    Transition(State.INHIBITED, Trigger.EXPIRE, Guard.ALWAYS, State.INHIBITED),
+    Transition(State.INHIBITED, Trigger.DISENGAGE, Guard.ARMED, State.INHIBITED),
+    Transition(State.ARMED, Trigger.TRIP, Guard.ALWAYS, State.TRIPPED),
+    Transition(State.ARMED, Trigger.INHIBIT, Guard.ALWAYS, State.INHIBITED),
+    Transition(State.ARMED, Trigger.BEYOND, Guard.ALWAYS, State.RECOVERY),
+    Transition(State.ARMED, Trigger.ENGAGE, Guard.SECOND_PERSON, State.ENGAGED),
+    Transition(State.ARMED, Trigger.ENGAGE, Guard.FIRST_PERSON, State.ARMED),
+    Transition(State.ARMED, Trigger.DISENGAGE, Guard.ALWAYS, State.INHIBITED),
+    Transition(State.ENGAGED, Trigger.TRIP, Guard.ALWAYS, State.TRIPPED),
+    Transition(State.ENGAGED, Trigger.INHIBIT, Guard.ALWAYS, State.INHIBITED),
+    Transition(State.ENGAGED, Trigger.BEYOND, Guard.ALWAYS, State.RECOVERY),
+    Transition(State.ENGAGED, Trigger.EXPIRE, Guard.ALWAYS, State.ARMED),
+    Transition(State.ENGAGED, Trigger.DISENGAGE, Guard.ALWAYS, State.ARMED),
+    Transition(State.RECOVERY, Trigger.TRIP, Guard.ALWAYS, State.TRIPPED),
+    Transition(State.RECOVERY, Trigger.INHIBIT, Guard.ALWAYS, State.INHIBITED),
+    Transition(State.RECOVERY, Trigger.WITHIN, Guard.ALWAYS, State.ARMED),
+    Transition(State.RECOVERY, Trigger.DISENGAGE, Guard.ALWAYS, State.INHIBITED),
+    Transition(State.TRIPPED, Trigger.RESET, Guard.NO_TRIP_STANDS, State.INHIBITED),
+)
+
+
+def rows_of(state: State, trigger: Trigger) -> tuple[Transition, ...]:
+    """Return the rows of a state and a trigger, in order; none: the trigger means nothing there.
+
+    Examples
+    --------
+    >>> [row.target.name for row in rows_of(State.ENGAGED, Trigger.BEYOND)]
+    ['RECOVERY']
+    """
+    return tuple(row for row in TRANSITIONS if row.source is state and row.trigger is trigger)

@@ -7,18 +7,15 @@ effects of a release and of a report follow from the change of the record alone.
 from collections.abc import Iterator
 from dataclasses import replace
 
-from service.core.control.envelope import envelope_excesses
-from service.core.control.slew_schedule import Triple
+from service.core.control.slew_schedule import Triple, envelope_excesses
 from service.pipeline.control.release import events
-from service.pipeline.control.release.command_states import OPEN, REPORTS, CommandTransition, next_state
+from service.pipeline.control.release.command_states import OPEN, REPORTS, CommandTransition, State, next_state
 from service.pipeline.control.release.events import Refusal, ReleaseState, Step, digest_of
 from service.pipeline.control.release.interlock import Instant, tripped
-from service.pipeline.control.release.interlock_conditions import Condition
-from service.pipeline.control.release.interlock_states import State
+from service.pipeline.control.release.interlock_conditions import Condition, ReleaseSettings, microseconds
 from service.pipeline.control.release.release_checks import first_failure, release_checks, sent_within_an_hour
-from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
-from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import Pulse, ReleasedCommand, ReportedCommand
 from service.records.operations.release import Command, CommandState, ProductForm, UplinkProduct
 
 #: who stands behind a command that nobody confirmed by hand

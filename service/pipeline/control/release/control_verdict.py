@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from service.core.control.envelope import Envelope
-from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED
+from service.core.control.slew_schedule import Envelope
+from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, State
 from service.pipeline.control.release.events import ReleaseState
 from service.pipeline.control.release.interlock import unreported_since_us
 from service.pipeline.control.release.interlock_conditions import (
@@ -18,18 +18,17 @@ from service.pipeline.control.release.interlock_conditions import (
     Condition,
     Consequence,
     Measure,
+    ReleaseSettings,
     condition_limits,
     input_values,
+    microseconds,
     row_values,
 )
-from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.release_checks import sent_within_an_hour
-from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, Axes
-from service.records.levels.command import TorqueCommand
+from service.records.levels.attitude import AttitudeRow, Axes, TorqueCommand
 from service.records.operations.release import SignCheck
 
 #: states in which torques go, by hand or by themselves

@@ -6,18 +6,18 @@ Law of this file: only `fire` changes the state, by a row of the table; what a s
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-from service.core.control.envelope import Envelope
-from service.pipeline.control.release.command_states import UNREPORTED
+from service.core.control.slew_schedule import Envelope
+from service.pipeline.control.release.command_states import UNREPORTED, Guard, State, Transition, Trigger, rows_of
 from service.pipeline.control.release.interlock_conditions import (
     Condition,
     Consequence,
     InterlockInputs,
     InterlockRow,
+    ReleaseSettings,
     input_conditions,
+    microseconds,
     row_conditions,
 )
-from service.pipeline.control.release.interlock_states import Guard, State, Transition, Trigger, rows_of
-from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.operations.release import Command
 
 

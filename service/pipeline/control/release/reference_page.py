@@ -2,11 +2,17 @@
 
 from collections.abc import Sequence
 
-from service.pipeline.control.release.command_states import COMMAND_TRANSITIONS, MEANINGS, CommandTransition
+from service.pipeline.control.release.command_states import (
+    COMMAND_TRANSITIONS,
+    MEANINGS,
+    TRANSITIONS,
+    CommandTransition,
+    Guard,
+    State,
+    Trigger,
+)
 from service.pipeline.control.release.control_verdict import OTHER_REASONS
-from service.pipeline.control.release.interlock_conditions import MEASURES, Condition, Consequence
-from service.pipeline.control.release.interlock_states import TRANSITIONS, Guard, State, Trigger
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.interlock_conditions import MEASURES, Condition, Consequence, ReleaseSettings
 
 
 def interlock_diagram() -> str:

@@ -6,9 +6,8 @@ is reported executed; one that was lost on its way is prepared again.
 
 from dataclasses import replace
 
-from service.core.control.sign_check import SignState
-from service.core.control.sign_profiles import Profile, pitch_profile, roll_profile, yaw_profile
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition
+from service.core.control.sign_check import Profile, SignState, pitch_profile, roll_profile, yaw_profile
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, State
 from service.pipeline.control.release.command_transitions import command_of, moved, prepare, refused, with_command
 from service.pipeline.control.release.events import (
     BeginSignCheck,
@@ -20,9 +19,7 @@ from service.pipeline.control.release.events import (
     Step,
 )
 from service.pipeline.control.release.interlock import Interlock, tripped
-from service.pipeline.control.release.interlock_conditions import Condition
-from service.pipeline.control.release.interlock_states import State
-from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.interlock_conditions import Condition, ReleaseSettings, microseconds
 from service.records.operations.release import Command, CommandState, SignCheck
 
 RUNNING, INTERRUPTED = "running", "interrupted"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.paper.harmonic import evaluate_harmonic
-from service.core.geometry.node_phase import node_phase_at_rad, node_phase_rad
+from service.core.geometry.line_of_sight import node_phase_at_rad, node_phase_rad
 from service.pipeline.estimation.paper.snapshot_fix import answer_db, sensitivity_model
 from service.records.calibration import Alignment, Calibration, CarrierReference
 from service.records.catalogue import Ephemeris, Method

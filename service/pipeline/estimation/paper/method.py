@@ -12,10 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.paper import trailing_mean
-from service.core.estimation.paper.downlink_fade import FadeTest, FadeWatch, fade_sign_test, step_fade_watch
+from service.core.estimation.paper import downlink_fade
+from service.core.estimation.paper.downlink_fade import (
+    FadeTest,
+    FadeWatch,
+    TrailingMean,
+    fade_sign_test,
+    step_fade_watch,
+)
 from service.core.estimation.paper.rejection import reject_faded_carriers
-from service.core.estimation.paper.trailing_mean import TrailingMean
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
 from service.pipeline.estimation.paper.rate_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
@@ -83,7 +88,7 @@ def initial_state(carriers: int, config: ChainConfig) -> PaperState:
 def _empty_window(carriers: int, config: ChainConfig) -> TrailingMean:
     """Return a window that reaches back as far as the longest mean taken of it."""
     longest_s = max(config.estimation.averaging_window_s, config.fade.averaging_window_s)
-    return trailing_mean.empty_window(carriers, longest_s)
+    return downlink_fade.empty_window(carriers, longest_s)
 
 
 def step_paper(
@@ -126,7 +131,7 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
     gap_us = 0 if state.newest_us is None else deviation.epoch_us - state.newest_us
     is_fresh = gap_us > config.estimation.max_gap_s * US_PER_S
     window = _empty_window(len(deviation.deviation_db), config) if is_fresh else state.window
-    window = trailing_mean.push(window, deviation.epoch_us, deviation.deviation_db)
+    window = downlink_fade.push(window, deviation.epoch_us, deviation.deviation_db)
     test = _test_fade(_fade_deviation_db(window, model, config), model, config)
     watch = step_fade_watch(
         state.fade_watch,
@@ -167,7 +172,7 @@ def _test_fade(deviation_db: FloatArray, model: PaperModel, config: ChainConfig)
 def _averaged_fix(state: PaperState, model: PaperModel, epoch_us: int, config: ChainConfig) -> AttitudeFix:
     """Solve the trailing mean."""
     estimation = config.estimation
-    mean_db = trailing_mean.mean(state.window, window_s=estimation.averaging_window_s, min_rows=estimation.min_rows)
+    mean_db = downlink_fade.mean(state.window, window_s=estimation.averaging_window_s, min_rows=estimation.min_rows)
     rows = _rows_in_window(state, config)
     epochs_us = state.window.epoch_us
     span_s = float(epochs_us[-1] - epochs_us[-rows]) / US_PER_S
@@ -186,12 +191,12 @@ def _rows_in_window(state: PaperState, config: ChainConfig) -> int:
     """Return how many rows the trailing mean of a window with rows rests on."""
     epochs_us = state.window.epoch_us
     oldest_us = epochs_us[-1] - int(config.estimation.averaging_window_s * US_PER_S)
-    return len(epochs_us) - trailing_mean.rows_until(epochs_us, oldest_us)
+    return len(epochs_us) - downlink_fade.rows_until(epochs_us, oldest_us)
 
 
 def _fade_deviation_db(window: TrailingMean, model: PaperModel, config: ChainConfig) -> FloatArray:
     """Return the short mean of the selected carriers that the fade rule looks at."""
-    short_db = trailing_mean.mean(window, window_s=config.fade.averaging_window_s, min_rows=1)
+    short_db = downlink_fade.mean(window, window_s=config.fade.averaging_window_s, min_rows=1)
     return np.where(model.sensitivity.is_selected, short_db, np.nan)
 
 

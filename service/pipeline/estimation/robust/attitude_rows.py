@@ -1,4 +1,4 @@
-"""Rows of the robust method: what the filter or a snapshot says, in the words of the archive."""
+"""Attitude rows of the robust method, and what they say of readings, torque and telemetry."""
 
 import math
 from typing import NamedTuple
@@ -7,13 +7,32 @@ import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import MIN_CARRIERS, FilterStep
 from service.core.estimation.filtering.causes.carrier_faults import QUIET_ROWS, QUIET_STD_DB
+from service.core.estimation.filtering.filter_records import FilterState
+from service.core.estimation.filtering.hidden_shares import sensors_of
 from service.core.estimation.filtering.model.declared import Declared
+from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, common_states
+from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
+from service.core.estimation.filtering.model.torque_prior import is_pushed, wave_period_us
+from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, momentum_advice
+from service.core.estimation.filtering.watches.rate_watch import RateWatch
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
+from service.pipeline.inputs.knowledge import Knowledge
+from service.pipeline.inputs.known_motion import DEG_H2_N_M
 from service.records.catalogue import Method
-from service.records.levels.attitude import AttitudeRow, BoolArray, Exclusion, FloatArray, Status, named_axes
+from service.records.epoch import US_PER_S
+from service.records.levels.attitude import (
+    AttitudeRow,
+    BoolArray,
+    Disturbance,
+    Exclusion,
+    FloatArray,
+    IntArray,
+    Status,
+    named_axes,
+)
 from service.records.levels.measurement import Measurement
 
 #: what the operator should do while control goes on, with what each code says
@@ -218,3 +237,96 @@ def _rms(values: FloatArray) -> float:
     """Return the root mean square of the figures that are there, NaN when there are none."""
     present = values[np.isfinite(values)]
     return math.sqrt(float(present @ present) / len(present)) if len(present) else math.nan
+
+
+#: rows of one reading, and how long they last, from which it is frozen
+_ROWS = 20
+_LASTING_US = 20 * 60 * US_PER_S
+#: least change of a reading, dB, from which it is coarse, how fast small changes of before are forgotten, and the one
+#: before the first, so that six readings far apart make a carrier coarse: two are a fade or a step
+_COARSE_DB, _FORGETTING, _BEFORE_DB = 0.4, 1.05, 0.3
+
+
+class LastReadings(NamedTuple):
+    """Last reading of N carriers, how many rows it has lasted, and since when."""
+
+    #: (N,) dBm, NaN = never read
+    power_dbm: FloatArray
+    #: (N,)
+    rows: IntArray
+    #: (N,) microseconds UTC
+    since_us: IntArray
+    #: (N,) dB, least change of the last hundred or so
+    least_change_db: FloatArray
+
+
+def no_readings(carriers: int) -> LastReadings:
+    """Return the readings before the first row."""
+    zeros = np.zeros(carriers, dtype=np.int64)
+    return LastReadings(np.full(carriers, np.nan), zeros, zeros, np.full(carriers, _BEFORE_DB))
+
+
+def push_readings(readings: LastReadings, power_dbm: FloatArray, epoch_us: int) -> LastReadings:
+    """Return the readings after a row (N,); a carrier that is absent keeps its last one."""
+    is_there = np.isfinite(power_dbm)
+    is_new = is_there & (power_dbm != readings.power_dbm)
+    change_db = np.where(is_new, np.abs(power_dbm - readings.power_dbm), np.nan)
+    least_db = np.where(is_new, _FORGETTING * readings.least_change_db, readings.least_change_db)
+    return LastReadings(
+        np.where(is_there, power_dbm, readings.power_dbm),
+        np.where(is_new, 1, readings.rows + is_there),
+        np.where(is_new, epoch_us, readings.since_us),
+        np.fmin(least_db, change_db),
+    )
+
+
+def frozen(readings: LastReadings, epoch_us: int) -> BoolArray:
+    """Return which carriers (N,) have shown one reading for too long, or move in steps that are too large."""
+    is_lasting = (readings.rows >= _ROWS) & (epoch_us - readings.since_us >= _LASTING_US)
+    return np.asarray(is_lasting | (readings.least_change_db >= _COARSE_DB))
+
+
+def is_torque_shown(state: FilterState, model: RobustModel, shares: int) -> bool:
+    """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
+    gaussian = state.gaussian
+    positions = torque_states(model.filter, gaussian, shares, sensor_states(model.settings))
+    return any(state.motion.is_followed) or (positions is not None and is_torque_seen(gaussian, positions))
+
+
+def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Disturbance | None:
+    """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
+    gaussian, epoch_us = state.gaussian, state.epoch_us
+    positions = torque_states(model.filter, gaussian, shares, sensor_states(model.settings))
+    if positions is None or model.inertia_kg_m2 is None or not is_pushed(model.settings):
+        return None
+    period_us = wave_period_us(model.settings)
+    phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
+    cos, sin = math.cos(phase), math.sin(phase)
+    # what was a cosine since phase zero is a cosine and a sine since the row
+    turn = np.kron(np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]), np.eye(3))
+    unit = np.array(model.inertia_kg_m2) * DEG_H2_N_M
+    constant, cosine, sine = (turn @ gaussian.mean[positions]).reshape(3, 3) * unit
+    covariance = turn @ gaussian.covariance[positions, positions] @ turn.T
+    now = np.kron(np.array([1.0, 1.0, 0.0]), np.eye(3))
+    # the covariance of a profile has no full rank: rounding may leave less than nothing of a variance
+    sigma = np.sqrt(np.maximum(0.0, np.diag(now @ covariance @ now.T))) * unit
+    return Disturbance(
+        epoch_us, period_us / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
+    )
+
+
+def torque_of(settings: FilterSettings) -> tuple[object, ...]:
+    """Return what the states of torque and sensors begin with."""
+    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, *sensors_of(settings)
+
+
+def telemetry_advice(
+    model: RobustModel, knowledge: Knowledge, momentum: MomentumWatch, rates: RateWatch, since_us: int, epoch_us: int
+) -> dict[str, bool]:
+    """Return which advice is given at an epoch of a filter that began at another."""
+    return {
+        **dict.fromkeys(sorted(model.contradicted), True),
+        **momentum_advice(momentum, since_us, epoch_us, is_used=model.settings.momentum is not None),
+        "rates_refused": rates.is_refused,
+        "rates_in_loop": model.is_rate_in_loop and knowledge.has_rate(epoch_us),
+    }

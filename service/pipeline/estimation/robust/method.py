@@ -27,16 +27,25 @@ from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CarrierLevels
-from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row, rates_deg_s
-from service.pipeline.estimation.robust.frozen_readings import LastReadings, frozen, no_readings, push_readings
+from service.pipeline.estimation.robust.attitude_rows import (
+    Fixed,
+    LastReadings,
+    filtered_row,
+    frozen,
+    is_torque_shown,
+    late_row,
+    no_readings,
+    push_readings,
+    rates_deg_s,
+    telemetry_advice,
+    torque_of,
+)
 from service.pipeline.estimation.robust.model import RobustModel, signals
-from service.pipeline.estimation.robust.residual_torque import is_torque_shown, torque_of
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.estimation.robust.telemetry_advice import telemetry_advice
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import CommandedMotion, consume
-from service.pipeline.inputs.reference_angles import usual_sigma_deg
+from service.pipeline.inputs.sensor_angles import usual_sigma_deg
 from service.pipeline.kernels import kernels_named
 from service.records.calibration import Alignment
 from service.records.epoch import US_PER_S

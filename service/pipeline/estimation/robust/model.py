@@ -6,16 +6,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_deviation
+from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_deviation
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, RateSensorModel
 from service.core.estimation.filtering.model.torque_prior import is_pushed
 from service.core.estimation.filtering.watches.integrity import IntegrityLimits
-from service.core.estimation.snapshot.snapshot_start import subset_orders
-from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, carrier_model, geometry_model
-from service.pipeline.carrier_model.expected_level import ExpectedLevel, daily_error_db
+from service.core.estimation.snapshot.snapshot_steps import subset_orders
+from service.pipeline.carrier_model.expected_level import (
+    ExpectedLevel,
+    GeometryModel,
+    carrier_model,
+    daily_error_db,
+    geometry_model,
+)
 from service.pipeline.carrier_model.level_control import centred_model, centred_response, member_groups
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
-from service.pipeline.inputs.catalogue_torque import (
+from service.pipeline.inputs.declared_operations import CarrierIndices
+from service.pipeline.inputs.knowledge import Knowledge
+from service.pipeline.inputs.known_motion import (
+    angle_inertia_kg_m2,
     constant_share,
     fed_forward,
     is_rate_in_loop,
@@ -24,9 +32,6 @@ from service.pipeline.inputs.catalogue_torque import (
     rate_sensor_model,
     residual_deg_h2,
 )
-from service.pipeline.inputs.declared_operations import CarrierIndices
-from service.pipeline.inputs.knowledge import Knowledge
-from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
 from service.pipeline.inputs.polarization import polarimeter_models, used_polarimeters
 from service.records.calibration import Alignment, Calibration, CalibrationResult
 from service.records.catalogue import Ephemeris, Method, Polarimeter, Spacecraft

@@ -11,6 +11,7 @@ from service.core.estimation.filtering.model.hidden_motion import SHARE_SIGMA
 from service.core.estimation.filtering.watches.command_watch import missed_log_ratio, share_log_ratio
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
+from service.pipeline.estimation.robust.attitude_rows import known_disturbance
 from service.pipeline.estimation.robust.method import (
     RobustState,
     RobustStep,
@@ -19,8 +20,7 @@ from service.pipeline.estimation.robust.method import (
     initial_state,
 )
 from service.pipeline.estimation.robust.model import RobustModel, robust_model
-from service.pipeline.estimation.robust.momentum_records import step_with_record
-from service.pipeline.estimation.robust.residual_torque import known_disturbance
+from service.pipeline.estimation.robust.motion_records import step_with_record
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.saved_state import SavedRobust, newest_row, saved_robust
 from service.pipeline.estimation.robust.unreported_commands import (
@@ -42,11 +42,15 @@ from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
 from service.records.journal import SlowInput
-from service.records.levels.attitude import AttitudeRow, CarrierState
-from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
-from service.records.levels.disturbance import Disturbance
-from service.records.levels.measurement import Measurement
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.attitude import (
+    AppliedCommand,
+    AttitudeRow,
+    CarrierState,
+    Disturbance,
+    ReleasedCommand,
+    ReportedCommand,
+)
+from service.records.levels.measurement import Measurement, QualityFlag
 
 #: a level with one of these is not used
 _UNFIT = int(

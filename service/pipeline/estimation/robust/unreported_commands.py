@@ -17,7 +17,7 @@ from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.inputs.known_motion import heard, motions_of_released, without_replaced
 from service.records.catalogue import Spacecraft
 from service.records.inputs import Correction
-from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
 
 #: rows that are kept to be taken again, an hour of rows a second; behind them the powers have told what happened
 MAX_ROWS = 3600

@@ -7,7 +7,7 @@ come from a program of this repository and are taken at their word.
 
 from typing import Any
 
-from service.formats.ephemeris.orbit import ephemeris_from_nodes
+from service.formats.ephemeris import ephemeris_from_nodes
 from service.records.catalogue import (
     AxisTorques,
     BodyRateSensor,

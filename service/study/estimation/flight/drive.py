@@ -10,12 +10,12 @@ import numpy as np
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
-from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
-from service.pipeline.inputs.documents import JournalDocuments
-from service.pipeline.inputs.reference_angles import smooth_angles
+from service.pipeline.inputs.knowledge import JournalDocuments
+from service.pipeline.inputs.sensor_angles import smooth_angles
 from service.records.calibration import (
     Alignment,
     Calibration,

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from service.pipeline.chain import Chain
-from service.pipeline.inputs.documents import JournalDocuments
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.catalogue import CarrierPlan, Ephemeris
 from service.records.inputs import PlanChange, SourceSelection
 from service.records.journal import SlowInput

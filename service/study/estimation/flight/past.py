@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.estimation.smoothed.smoother import MOST_ROWS, SmoothedRow, SpanSmoother, lagged_angles
+from service.pipeline.estimation.smoothed import MOST_ROWS, SmoothedRow, SpanSmoother, lagged_angles
 from service.records.levels.attitude import FloatArray, IntArray
 
 #: fixed lag, and how far the rows lie apart at which it is asked, h

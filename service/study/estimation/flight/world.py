@@ -26,7 +26,7 @@ from service.records.inputs import (
     WeatherReport,
 )
 from service.records.levels.attitude import Axes, BoolArray, FloatArray, IntArray
-from service.records.levels.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.measurement import MeasurementSeries, ReferenceSeries
 from service.study.estimation.flight.catalogue_lines import (
     read_carriers,
     read_ephemeris,

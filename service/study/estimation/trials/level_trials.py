@@ -7,9 +7,8 @@ off.
 
 import numpy as np
 
-from service.core.estimation.calibration.quadratic_response import predict_deviation
-from service.pipeline.carrier_model.calibrated_arrays import GeometryModel
-from service.pipeline.carrier_model.expected_level import expected_levels
+from service.core.estimation.calibration.geometry_columns import predict_deviation
+from service.pipeline.carrier_model.expected_level import GeometryModel, expected_levels
 from service.records.catalogue import Ephemeris
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import FloatArray

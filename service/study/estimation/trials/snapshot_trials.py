@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.quadratic_response import (
+from service.core.estimation.calibration.geometry_columns import (
     QuadraticResponse,
     exact_response,
     predict_deviation,
@@ -27,11 +27,11 @@ from service.core.estimation.calibration.quadratic_response import (
 )
 from service.core.estimation.observability import crlb_deg
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots, solve_snapshots
-from service.core.estimation.snapshot.snapshot_start import subset_orders
-from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.core.estimation.snapshot.snapshot_steps import subset_orders
+from service.pipeline.carrier_model.expected_level import geometry_model
 from service.records.catalogue import CarrierPlan
 from service.records.levels.attitude import BoolArray, FloatArray
-from service.study.estimation.accuracy import AXES, Statistics
+from service.study.estimation.bounds import AXES, Statistics
 from service.study.estimation.flight.drive import UndrivenError, calibrate
 from service.study.estimation.flight.world import World, export_world, read_world
 from service.study.estimation.trials.level_trials import DAYS, level_error_db2

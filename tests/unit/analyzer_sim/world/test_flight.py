@@ -12,19 +12,38 @@ from scipy.integrate import solve_ivp
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.plant.plant_lines import fed_forward_line
 from analyzer_sim.world.ground.ground_bodies import spacecraft_body
-from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
+from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
+from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg
 from analyzer_sim.world.scenario.scenario import KeepingErrors, scenario_named
 from analyzer_sim.world.scenario.story import RateTelemetry, Scenario
-from analyzer_sim.world.spacecraft.angles_loop import Angles, AnglesLoop
-from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2, Motion, Torques, orbit_normal_in_body, stepped
-from analyzer_sim.world.spacecraft.body_rates import reported_rates, true_rates
-from analyzer_sim.world.spacecraft.disturbance import FED_FORWARD_SHARE, disturbance, fed_forward, gathered_profile
-from analyzer_sim.world.spacecraft.flown_spacecraft import OrbitalFrameSpacecraft, spacecraft_at_rest
+from analyzer_sim.world.spacecraft.body import (
+    INERTIA_KG_M2,
+    MOMENTUM_LIMIT_N_M_S,
+    QUANTUM_N_M,
+    BodyState,
+    Motion,
+    OrbitalFrameSpacecraft,
+    RigidBody,
+    TorqueElement,
+    Torques,
+    Wheel,
+    friction_n_m,
+    orbit_normal_in_body,
+    spacecraft_at_rest,
+    stepped,
+    wheel_set,
+)
 from analyzer_sim.world.spacecraft.hub_tones import HubTone, parse_tone
-from analyzer_sim.world.spacecraft.operator import CUT_DB, Operator, sensed_error_deg
-from analyzer_sim.world.spacecraft.rigid_body import BodyState, RigidBody, TorqueElement
-from analyzer_sim.world.spacecraft.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N_M, Wheel, friction_n_m, wheel_set
+from analyzer_sim.world.spacecraft.spacecraft import CUT_DB, Operator, sensed_error_deg
+from analyzer_sim.world.spacecraft.telemetry import (
+    FED_FORWARD_SHARE,
+    disturbance,
+    fed_forward,
+    gathered_profile,
+    reported_rates,
+    true_rates,
+)
+from analyzer_sim.world.spacecraft.uplink import Angles, AnglesLoop
 from analyzer_sim.world.world import World
 
 INERTIA = (2600.0, 2600.0, 1400.0)

@@ -13,17 +13,15 @@ from simulated_gain import attitude_gain_db
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import measured_dbm
-from analyzer_sim.world.faults.spells import cooling
-from analyzer_sim.world.faults.weather import wet_antenna_db
+from analyzer_sim.world.faults import cooling, wet_antenna_db
 from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, turn_operations
 from analyzer_sim.world.ground.ground_bodies import spacecraft_body
 from analyzer_sim.world.payload.carriers import PLANS
 from analyzer_sim.world.payload.effects import FaultFlag
-from analyzer_sim.world.payload.payload import dishes_loss_db
-from analyzer_sim.world.payload.user_noise import sweep_sigma_db
+from analyzer_sim.world.payload.level_terms import dishes_loss_db, sweep_sigma_db
 from analyzer_sim.world.scenario.events import ChainStep, Eclipse, GroupStep, Relevel, Storm, SunOutage, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
-from analyzer_sim.world.scenario.turns import TIMETABLE
+from analyzer_sim.world.scenario.story import TIMETABLE
 from analyzer_sim.world.world import World
 
 

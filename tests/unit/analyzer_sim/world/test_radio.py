@@ -11,22 +11,29 @@ from simulated_gain import attitude_gain_db
 from analyzer_sim.epochs import US_PER_DAY
 from analyzer_sim.streams import stream
 from analyzer_sim.world.noise import daily_wave, first_order
-from analyzer_sim.world.orbit.geometry import (
+from analyzer_sim.world.orbit import (
+    EARTH_RATE_RAD_S,
     GEO_RADIUS_KM,
+    Orbit,
     antenna_angles_deg,
     antenna_frame_deg,
     body_from_orbital,
     dish_motion_deg,
     orbital_from_earth,
+    predicted_track,
     station_position_km,
 )
-from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, Orbit, predicted_track
-from analyzer_sim.world.payload.beams import Beam, Ripple
-from analyzer_sim.world.payload.carriers import PLANS
-from analyzer_sim.world.payload.dish import dish_loss_db, mispointing_deg
+from analyzer_sim.world.payload.carriers import PLANS, Beam, Ripple
 from analyzer_sim.world.payload.effects import FaultFlag
-from analyzer_sim.world.payload.payload import dishes_loss_db, nominal_gain_db, sensitivity_db_per_deg
-from analyzer_sim.world.payload.repeater import level_control_db, power_control_db
+from analyzer_sim.world.payload.level_terms import (
+    dish_loss_db,
+    dishes_loss_db,
+    level_control_db,
+    mispointing_deg,
+    nominal_gain_db,
+    power_control_db,
+    sensitivity_db_per_deg,
+)
 from analyzer_sim.world.polarimeter import body_turn_deg
 from analyzer_sim.world.scenario.events import DownlinkRain, Step, SwitchOff, UplinkRain
 from analyzer_sim.world.scenario.scenario import RepeaterSettings, Scenario, scenario_named

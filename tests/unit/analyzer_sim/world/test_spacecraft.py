@@ -8,25 +8,25 @@ import numpy as np
 import pytest
 
 from analyzer_sim.world.motion_statistics import motion_statistics
-from analyzer_sim.world.scenario.events import Hold
-from analyzer_sim.world.scenario.manoeuvres import chunk_edges, holds_of, planned_deg
+from analyzer_sim.world.scenario.events import Hold, chunk_edges, holds_of, planned_deg
 from analyzer_sim.world.scenario.scenario import KeepingErrors, Scenario, scenario_named
-from analyzer_sim.world.scenario.story import WheelTelemetry
-from analyzer_sim.world.scenario.turns import TIMETABLE, TURNS_H
-from analyzer_sim.world.spacecraft.body_dynamics import INERTIA_KG_M2
-from analyzer_sim.world.spacecraft.coupling import ORBITAL_RATE_PER_H, coupling_step
-from analyzer_sim.world.spacecraft.disturbance import gathered_profile
-from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
-from analyzer_sim.world.spacecraft.spacecraft import AttitudeHistory, attitude_history
-from analyzer_sim.world.spacecraft.stored_momentum import (
+from analyzer_sim.world.scenario.story import TIMETABLE, TURNS_H, WheelTelemetry
+from analyzer_sim.world.spacecraft.body import INERTIA_KG_M2, MOMENTUM_LIMIT_N_M_S, TorqueElement
+from analyzer_sim.world.spacecraft.spacecraft import (
+    ORBITAL_RATE_PER_H,
+    AttitudeHistory,
+    attitude_history,
+    coupling_step,
+)
+from analyzer_sim.world.spacecraft.telemetry import (
     QUANTUM_N_M_S,
     UNLOADED_SHARE,
+    gathered_profile,
     reported_momentum,
     unloaded,
     unloadings_us,
 )
 from analyzer_sim.world.spacecraft.uplink import UPLINKS, Arrival, Command, CommandStore, Fate, Uplink
-from analyzer_sim.world.spacecraft.wheels import MOMENTUM_LIMIT_N_M_S
 from analyzer_sim.world.world import World
 
 QUIET = Scenario("short", "for tests", quiet_h=2.0, alignment_h=0.75, operation_h=12.0)

@@ -14,7 +14,7 @@ from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import export_arrays
 from analyzer_sim.world.ground.ground import events
 from analyzer_sim.world.payload.effects import FaultFlag, apply_fault
-from analyzer_sim.world.payload.user_noise import sweep_sigma_db, world_white_db
+from analyzer_sim.world.payload.level_terms import sweep_sigma_db, world_white_db
 from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,

@@ -7,17 +7,23 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.api.access import access_housekeeping as access_keeping
-from service.api.access import key_cache as stored_keys
-from service.api.access.access_housekeeping import AccessHousekeeping
+from service.api.access import housekeeping as access_keeping
+from service.api.access import housekeeping as stored_keys
 from service.api.access.access_middleware import AccessLayer
-from service.api.access.key_cache import StoredKeys
-from service.api.access.principals import Principal
-from service.api.access.refusal_audit import MAX_GROUPS, Refusals
+from service.api.access.auth import Principal
+from service.api.access.housekeeping import MAX_GROUPS, AccessHousekeeping, Refusals, StoredKeys
 from service.errors import StorageError
 from service.records.journal import JournalHead
-from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
-from service.records.operations.audit import AuditEvent, AuditHead, next_entry
+from service.records.operations.access import (
+    AccessKey,
+    AuditEvent,
+    AuditHead,
+    Role,
+    StoredKey,
+    digest_of,
+    new_key,
+    next_entry,
+)
 
 pytestmark = pytest.mark.anyio
 

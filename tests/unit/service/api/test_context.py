@@ -8,14 +8,11 @@ from concurrent.futures import Future
 import numpy as np
 import pytest
 
-from service.api.context.commit_waiter import CommitWaiter
-from service.api.context.dependencies import Limits
-from service.api.context.epoch_limits import EpochLimits
-from service.api.context.plan_widths import PlanWidths
-from service.api.export.read_ahead import AHEAD_BYTES, read_ahead
+from service.api.context import CommitWaiter, EpochLimits, Limits, PlanWidths
+from service.api.export.export_chunks import AHEAD_BYTES, read_ahead
 from service.errors import NotFoundError
 from service.records.catalogue import Carrier, CarrierPlan
-from service.records.levels.measurement_block import MeasurementBlock
+from service.records.levels.measurement import MeasurementBlock
 
 pytestmark = pytest.mark.anyio
 

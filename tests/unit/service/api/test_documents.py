@@ -7,8 +7,7 @@ from importlib.metadata import PackageNotFoundError
 import pytest
 
 from service.api.app import render_openapi
-from service.api.protocol.field_meanings import MEANINGS, describe_properties, states_unit
-from service.api.protocol.reference_page import render_page
+from service.api.protocol.openapi import MEANINGS, describe_properties, render_page, states_unit
 from service.api.views import shipped
 from service.records.units import unit_of
 

@@ -11,7 +11,7 @@ import pytest
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from service.api.limits.body_limit import BodyLimit
-from service.api.limits.connections import Connections
+from service.api.limits.http_protocol import Connections
 from service.api.limits.rate_limits import MAX_ADDRESSES, RateClass, RateLimitConfig, RateLimits, class_of, network_of
 from service.api.problems.problems import RequestProblemError
 

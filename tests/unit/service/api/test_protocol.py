@@ -11,14 +11,11 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, TypeAdapter
 
-from service.api.problems.problems import RequestProblemError
-from service.api.problems.validation_errors import MAX_FAULTS, faults_of, pointer_of
-from service.api.protocol import bodies
-from service.api.protocol.bodies import MOST_VALUES, decode, read_body
-from service.api.protocol.byte_ranges import UnsatisfiableRangeError, wanted_range
+from service.api.problems.problems import MAX_FAULTS, RequestProblemError, faults_of, pointer_of
+from service.api.protocol import requests
 from service.api.protocol.epochs import EpochTextError, parse_epochs
-from service.api.protocol.merge_patch import merge
 from service.api.protocol.paging import EVERYTHING, decode_cursor, encode_cursor, window_of
+from service.api.protocol.requests import MOST_VALUES, UnsatisfiableRangeError, decode, merge, read_body, wanted_range
 from service.api.schemas.inputs import ReferenceBatchDocument
 from service.api.schemas.measurements import MeasurementBatchDocument
 from service.records.calibration import Window
@@ -82,7 +79,7 @@ async def test_large_bodies_are_decoded_one_at_a_time_and_beside_the_loop(monkey
         running -= 1
         return len(raw)
 
-    monkeypatch.setattr(bodies, "decode", slow_decode)
+    monkeypatch.setattr(requests, "decode", slow_decode)
     app = SimpleNamespace(state=SimpleNamespace(large_body=asyncio.Lock()))
 
     def request_of(raw):

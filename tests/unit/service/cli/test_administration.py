@@ -26,7 +26,7 @@ from service.cli.station.acquire import JsonLines, acquire
 from service.cli.station.state_folder import state_folder
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.levels.measurement import MeasurementBatch
-from service.records.operations.audit import AuditEvent
+from service.records.operations.access import AuditEvent
 
 
 @pytest.fixture(autouse=True)

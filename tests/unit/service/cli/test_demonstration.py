@@ -20,9 +20,8 @@ from typer.testing import CliRunner
 from service.cli.app import app
 from service.cli.demonstration import archive_offer
 from service.cli.demonstration.archive_offer import offer_archive
-from service.cli.demonstration.demo_screen import Presenter
+from service.cli.demonstration.demo_screen import Presenter, operation_screen
 from service.cli.demonstration.invitation import commands_to_try, program
-from service.cli.demonstration.operation_screen import operation_screen
 from service.cli.demonstration.persons import Person, two_persons, write_key
 from service.cli.demonstration.running import RunningDemonstration, published, running_demonstration
 from service.records.epoch import parse_epoch

@@ -16,9 +16,12 @@ from hypothesis import strategies as st
 from typer import Exit
 from typer.testing import CliRunner, Result
 
-from service.api.schemas.carriers import CarrierPlanDocument
-from service.api.schemas.ephemeris import EphemerisDocument, EphemerisReceiptAnswer
-from service.api.schemas.spacecraft import SpacecraftDocument
+from service.api.schemas.catalogue import (
+    CarrierPlanDocument,
+    EphemerisDocument,
+    EphemerisReceiptAnswer,
+    SpacecraftDocument,
+)
 from service.cli.own_data.importing import command
 from service.cli.own_data.importing.manifest import (
     NAME,

@@ -21,11 +21,11 @@ from service.cli.own_data.importing.manifest import write_manifest
 from service.cli.planning import beams as beams_module
 from service.cli.planning import plan as plan_module
 from service.cli.planning.plan import plan
-from service.cli.planning.quiet_files import read_powers
+from service.cli.planning.quiet_plan import read_powers
 from service.core.geometry.frames import station_direction
 from service.formats.carrier_plan_csv import COLUMNS
 from service.records.catalogue import CarrierPlan
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 from service.study.estimation.flight.world import World, export_world, read_world
 
 HOURS = 48

@@ -9,9 +9,17 @@ from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.core.rows.row_gaps import STRETCH_ROWS, Gap, GapSearch
-from service.core.rows.sample_bins import SampleBins
-from service.core.rows.state_runs import RowState, StateRun, StretchSearch, coarsened, joined_stretches
+from service.core.rows import (
+    STRETCH_ROWS,
+    Gap,
+    GapSearch,
+    RowState,
+    SampleBins,
+    StateRun,
+    StretchSearch,
+    coarsened,
+    joined_stretches,
+)
 
 
 @settings(max_examples=examples(60), deadline=None)

@@ -10,12 +10,9 @@ from foreign_orbits import attitude_message, quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.formats.foreign.attitude_message import read_attitude_message
-from service.formats.foreign.clock import formats_of
-from service.formats.foreign.fault import ForeignCellError, ForeignTableError
-from service.formats.foreign.layout import StatedLayout
+from service.formats.foreign.layout import ForeignCellError, ForeignTableError, StatedLayout, formats_of
 from service.formats.foreign.proposal import Sample, propose
-from service.formats.foreign.sensor import StatedSensor, propose_sensor
+from service.formats.foreign.sensor import StatedSensor, propose_sensor, read_attitude_message
 
 CARRIERS = ("c00", "c01")
 AS_USUAL, NOTHING = Writing(), StatedLayout()

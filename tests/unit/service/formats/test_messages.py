@@ -11,15 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import InvalidInputError
-from service.formats.aem import AemWriter, AttitudeMessage, split_rows
 from service.formats.carrier_plan_csv import COLUMNS, read_carrier_plan, write_carrier_plan
+from service.formats.ccsds import AemWriter, AttitudeMessage, split_rows
 from service.formats.numbers import shortest_float32, text_of_float, text_of_float32
 from service.formats.tdm import SEGMENT_ROWS, TdmWriter, TrackingMessage, read_tdm
 from service.records.catalogue import Carrier, Method, Station
 from service.records.epoch import US_PER_S, parse_epoch
 from service.records.levels.attitude import AttitudeRow, Axes, Status, row_without_attitude
-from service.records.levels.measurement import Measurement
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import Measurement, QualityFlag
 
 START_US = parse_epoch("2026-11-21T00:00:00Z")
 MESSAGE = AttitudeMessage("YAMAL-202", "2003-053B", "m-1", START_US, "robust 1")

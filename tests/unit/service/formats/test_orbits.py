@@ -11,11 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.errors import InvalidInputError
-from service.formats.ephemeris.earth_fixed import earth_fixed_km, leap_seconds_at, times_of, timescale
-from service.formats.ephemeris.oem import read_oem
-from service.formats.ephemeris.orbit import ephemeris_from_nodes, ephemeris_from_positions, find_nodes
-from service.formats.ephemeris.tle import read_tle
-from service.formats.foreign.fault import ForeignTableError
+from service.formats.ephemeris import (
+    earth_fixed_km,
+    ephemeris_from_nodes,
+    ephemeris_from_positions,
+    find_nodes,
+    leap_seconds_at,
+    read_oem,
+    read_tle,
+    times_of,
+    timescale,
+)
+from service.formats.foreign.layout import ForeignTableError
 from service.formats.foreign.orbit_file import read_orbit_file
 from service.records.catalogue import Track
 from service.records.epoch import format_epoch

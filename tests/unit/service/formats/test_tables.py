@@ -38,11 +38,8 @@ from service.records.catalogue import Method, Site, Spacecraft
 from service.records.csv_guard import unguarded
 from service.records.epoch import format_epoch, parse_epoch
 from service.records.inputs import AttitudeReference, Operation
-from service.records.levels.attitude import NO_ANGLES, Axes, row_without_attitude
-from service.records.levels.carrier_results import CARRIER_STATES, CarrierResults
-from service.records.levels.command import Pulse
-from service.records.levels.measurement import Measurement
-from service.records.levels.measurement_block import MeasurementBlock
+from service.records.levels.attitude import CARRIER_STATES, NO_ANGLES, Axes, CarrierResults, Pulse, row_without_attitude
+from service.records.levels.measurement import Measurement, MeasurementBlock
 
 PLANS = {1: ("c00", "c01"), 2: ("c09", "c00")}
 TABLE = joined_table(MeasurementColumns(list(PLANS.values()), PLANS.__getitem__))

@@ -14,13 +14,18 @@ from service.frontend.acquisition import acquisition as module
 from service.frontend.acquisition.acquisition import Acquisition
 from service.frontend.acquisition.epoch_guard import SETTLE_S, EpochGuard
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.frontend.acquisition.settings import AcquisitionSettings
-from service.frontend.acquisition.states import ACTIONS, TRANSITIONS, AcquisitionEvent, AcquisitionState
-from service.frontend.drivers.base import Features, SweepRefusedError
+from service.frontend.acquisition.states import (
+    ACTIONS,
+    TRANSITIONS,
+    AcquisitionEvent,
+    AcquisitionSettings,
+    AcquisitionState,
+)
+from service.frontend.drivers.dialects import Features, SweepRefusedError
 from service.frontend.drivers.scpi import AnalyzerMessage, Identity
 from service.frontend.drivers.visa_session import AnalyzerIOError
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import QualityFlag
 from service.records.levels.sweep import Sweep, SweepSettings
 
 

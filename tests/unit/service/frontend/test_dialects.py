@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scripted_analyzer import FAMILIES, ScriptedSession
 
-from service.frontend.drivers.base import SweepRefusedError
-from service.frontend.drivers.choice import DIALECTS, dialect_of, identify
+from service.frontend.drivers.dialects import DIALECTS, SweepRefusedError, dialect_of, identify
 from service.frontend.drivers.scpi import Identity, parse_identity
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.measurement_task import AnalyzerPart, InputPart, SweepPart

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scripted_analyzer import ScriptedSession
 
-from service.frontend.drivers.base import Dialect, SweepRefusedError
-from service.frontend.drivers.rs import RS
+from service.frontend.drivers.dialects import RS, SIGLENT, Dialect, SweepRefusedError
 from service.frontend.drivers.scpi import (
     AnalyzerMessage,
     AnswerError,
@@ -24,7 +23,6 @@ from service.frontend.drivers.scpi import (
     split_block,
 )
 from service.frontend.drivers.scpi_driver import ScpiDriver
-from service.frontend.drivers.siglent import SIGLENT
 from service.frontend.drivers.visa_session import AnalyzerIOError
 from service.frontend.measurement_task import InputPart, SweepPart
 

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO
+from service.core.radio.carrier_power import GAUSSIAN_ENBW_RATIO
 from service.frontend.acquisition.evaluation import TaskEvaluation, level_offset_db
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
 from service.frontend.upload.plan_binding import PlanMismatchError, bind_plan
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.measurement import QualityFlag
 from service.records.levels.sweep import Sweep, SweepSettings
 
 ENBW_HZ = 30e3 * GAUSSIAN_ENBW_RATIO

@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 from spooled_rows import NOW_US, OWNER, TASK, Hands, fill_disk, heal_disk, protect_disk, row, spool, sweep, waiting
 
+from service.frontend.spool.disk import MARK_STEP, SpoolInUseError
 from service.frontend.spool.file import Bounds, Owner, UploadLane
-from service.frontend.spool.lock import MARK_STEP, SpoolInUseError
-from service.frontend.spool.row import ARRAYS, ROW_OVERHEAD, SpooledTask, encode_row
-from service.frontend.spool.schema import LAYOUT, SpoolFileError
+from service.frontend.spool.row import ARRAYS, LAYOUT, ROW_OVERHEAD, SpooledTask, SpoolFileError, encode_row
 from service.frontend.spool.spool import Spool, spool_path
 
 ROW_BYTES = ROW_OVERHEAD + sum(map(len, encode_row(row(0))))

@@ -14,8 +14,7 @@ from steady_world import steady_task
 
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition.settings import AcquisitionSettings
-from service.frontend.acquisition.states import AcquisitionEvent, AcquisitionState
+from service.frontend.acquisition.states import AcquisitionEvent, AcquisitionSettings, AcquisitionState
 from service.frontend.link_report import LinkReporter
 from service.frontend.measurement_task import MeasurementTask, parse_task
 from service.frontend.station import MeasuringStation, StationError

@@ -23,8 +23,7 @@ from service.records.inputs import (
     SpacecraftChange,
     TelemetryRecord,
 )
-from service.records.levels.attitude import Axes
-from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand
+from service.records.levels.attitude import AppliedCommand, Axes, Pulse, ReleasedCommand
 from service.records.operations.release import InterlockHold
 
 TRUTH = (0.1, -0.15, 0.2)

@@ -9,7 +9,7 @@ from geometry_payload import GeometryPayload
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
-from service.pipeline.calibration.windows import CalibrationError
+from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.chain import Chain
 from service.pipeline.config import CalibrationConfig, ChainConfig
 from service.pipeline.estimation.paper.runner import PaperRunner

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from geometry_flight import Flight, FlightPayload
 
-from service.core.control.envelope import Envelope, envelope_excesses
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
+from service.core.control.slew_schedule import Envelope, envelope_excesses
 from service.core.geometry.frames import body_from_nadir
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
-from service.pipeline.control.release.proposals import effect_of_law
+from service.pipeline.control.release.release_checks import effect_of_law
 from service.records.catalogue import ControlLaw, FlexibleMode, GyroOrbitantGains, Method, Release
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import Axes, row_without_attitude

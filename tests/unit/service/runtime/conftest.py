@@ -27,7 +27,7 @@ from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Operation
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
-from service.records.operations.job import JobState, Replay
+from service.records.operations.work import JobState, Replay
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.job_runner import JobRunner

@@ -11,13 +11,13 @@ from release_service_driver import ReleaseServiceDriver
 
 from service.errors import ConflictError, InvalidInputError, NotFoundError, StorageError
 from service.pipeline.control.release.events import OrderKind
-from service.pipeline.estimation.row_evidence import RowEvidence
+from service.pipeline.estimation.method import RowEvidence
 from service.records.catalogue import Ephemeris, Method
 from service.records.levels.measurement import Measurement
-from service.records.operations.access_key import AccessKey, Role, StoredKey
-from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.link import LinkWarning
+from service.records.operations.access import AccessKey, Role, StoredKey
+from service.records.operations.alarms import AlarmLimits
 from service.records.operations.release import ReleaseChange
+from service.records.operations.work import LinkWarning
 
 
 @contextmanager

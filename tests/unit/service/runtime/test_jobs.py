@@ -12,7 +12,7 @@ import pytest
 from synthetic_payload import HOUR, START_US, SyntheticPayload
 
 import service.runtime.jobs.calibration_job as calibrating
-from service.api.schemas.alignments import AlignmentAnswer
+from service.api.schemas.calibrations import AlignmentAnswer
 from service.core.dynamics.orbital_frame_analysis import SettlingRequest
 from service.core.dynamics.orbital_frame_flight import Start
 from service.core.dynamics.orbital_frame_model import rigid_spacecraft
@@ -21,8 +21,8 @@ from service.records.calibration import CalibrationMethod, CalibrationState, Win
 from service.records.catalogue import Method, Onboard
 from service.records.inputs import PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import Axes, row_without_attitude
-from service.records.operations.job import JobState
-from service.records.storage.archive_maintenance import (
+from service.records.operations.work import JobState
+from service.records.storage import (
     SERIES,
     RetentionConfig,
     RetiredRows,
@@ -31,8 +31,7 @@ from service.records.storage.archive_maintenance import (
     SealingConfig,
 )
 from service.runtime.jobs.alignment_service import AlignmentRequest
-from service.runtime.jobs.archive_analysis import newest_advice, runnable_methods
-from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
+from service.runtime.jobs.archive_maintenance import ArchiveMaintenance, newest_advice, runnable_methods
 from service.runtime.jobs.flight_analysis_job import MOST_WAITING, FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner
 

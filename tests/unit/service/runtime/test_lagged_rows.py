@@ -8,13 +8,13 @@ from busy_station import MINUTE, SC, at, text
 
 from service.errors import StorageError, UnavailableError
 from service.pipeline.config import ChainConfig, RobustConfig
-from service.pipeline.estimation.smoothed.lagged_rows import GRID_US, grid_us
+from service.pipeline.estimation.smoothed import GRID_US, grid_us
 from service.ports import SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.runtime.jobs import lagged_run, lagged_series
-from service.runtime.jobs.lagged_run import LaggedOrder, LaggedPart, LaggedRun
-from service.runtime.jobs.lagged_series import LaggedSeries, SmoothingConfig
+from service.runtime.jobs import lagged_run
+from service.runtime.jobs import lagged_run as lagged_series
+from service.runtime.jobs.lagged_run import LaggedOrder, LaggedPart, LaggedRun, LaggedSeries, SmoothingConfig
 
 LAG_US = 20 * MINUTE
 

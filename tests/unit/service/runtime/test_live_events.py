@@ -15,9 +15,8 @@ from service.records.inputs import AlignmentSet, SpacecraftChange
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
-from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, LiveFeed
-from service.runtime.live.row_publisher import RowPublisher, stored_rows
-from service.runtime.live.step_results import result_events
+from service.runtime.live.journal_consumer import result_events
+from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, LiveFeed, RowPublisher, stored_rows
 
 pytestmark = pytest.mark.anyio
 

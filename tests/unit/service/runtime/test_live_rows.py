@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import synthetic_payload as synthetic
 
-import service.runtime.live.row_cache as module
+import service.runtime.live.live_feed as module
 import service.runtime.live.supervisor as supervisor_module
 from service.errors import StorageError
 from service.pipeline.chain import Chain
-from service.pipeline.checkpoints.chain_state import fingerprint
+from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import ChainConfig
 from service.records.inputs import (
     AlignmentSet,
@@ -28,9 +28,7 @@ from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, update_before
-from service.runtime.live.live_feed import LiveFeed
-from service.runtime.live.row_cache import FreshRows
-from service.runtime.live.row_publisher import RowPublisher
+from service.runtime.live.live_feed import FreshRows, LiveFeed, RowPublisher
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ import pytest
 from service.client.backoff import Backoff
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.runtime.alarms.mail import Mail, MailRoute
 from service.runtime.alarms.notifications import ATTEMPTS, DeliveryError, NoticeChannel, notice_of
 from service.runtime.alarms.webhook import Webhook

@@ -7,17 +7,16 @@ import pytest
 from release_service_driver import GOOD, MINUTE_US, START_US, US, ReleaseServiceDriver
 from release_storage import CRAFT, SC
 
-from service.core.control.envelope import Envelope
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
+from service.core.control.slew_schedule import Envelope
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.estimation.method import CommandEvidence
 from service.records.catalogue import ControlLaw, ControlMode, GyroOrbitantGains, Onboard, Release
 from service.records.inputs import Operation, TelemetryRecord
-from service.records.levels.attitude import Axes
-from service.records.levels.command import ReportedCommand
+from service.records.levels.attitude import Axes, ReportedCommand
 from service.records.operations.release import CommandRequest, InterlockHold, ProductForm
-from service.runtime.control.release_inputs import interlock_inputs, read_facts
+from service.runtime.control.release_context import interlock_inputs, read_facts
 
 
 @pytest.fixture

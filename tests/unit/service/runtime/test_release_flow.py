@@ -13,13 +13,12 @@ from sign_world import payload
 from service.errors import ConflictError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import OrderKind
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
 from service.records.catalogue import Method
-from service.records.levels.attitude import Axes
-from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import AppliedCommand, Axes, ReleasedCommand, ReportedCommand
 from service.records.operations.release import InterlockHold
-from service.runtime.control.release_publisher import ReleasePublisher
+from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor

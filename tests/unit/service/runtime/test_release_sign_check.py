@@ -10,7 +10,7 @@ from service.core.estimation.filtering.model.filter_model import pattern_change
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.control.release.command_states import CommandState
 from service.pipeline.control.release.events import OrderKind
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
 from service.records.inputs import TelemetryRecord
 from service.records.operations.release import Purpose

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from busy_station import SC, at, everything
 
-from db.results import checkpoints
+from db.results import jobs
 from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError, UnavailableError
 from service.pipeline.config import ChainConfig
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method
-from service.records.operations.job import JobState, Replay
+from service.records.operations.work import JobState, Replay
 from service.runtime.jobs import replay_run
 from service.runtime.jobs.job_runner import JobInterruptedError
 from service.runtime.jobs.replay_run import ReplayRun, ReplaySpan
@@ -249,7 +249,7 @@ def test_states_that_went_meanwhile_are_made_up_for(station, monkeypatch):
     whole = in_one_go(station, monkeypatch)
     version, run = run_of(station, monkeypatch)
     spans = run().spans(5)
-    table = checkpoints.checkpoint_table
+    table = jobs.checkpoint_table
     station.storage._database.write(lambda connection: connection.execute(table.delete()))
     for span in spans:
         station.storage.results.save_outcomes(SC, version, run().run_span(span), 0, None)

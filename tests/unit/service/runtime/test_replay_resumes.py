@@ -11,10 +11,10 @@ import pytest
 from busy_station import SC, at
 
 from db.storage import SqlStorage
-from service.pipeline.checkpoints.chain_state import fingerprint, pack_state
+from service.pipeline.checkpoints import fingerprint, pack_state
 from service.pipeline.config import ChainConfig
 from service.records.catalogue import Method
-from service.records.operations.job import JobState, Replay
+from service.records.operations.work import JobState, Replay
 from service.runtime.jobs import replay_run
 from service.runtime.jobs.replay_run import ReplayRun, replay_in_process
 from service.runtime.jobs.workers import WorkerConfig, Workers

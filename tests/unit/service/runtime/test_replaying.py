@@ -19,10 +19,9 @@ from service.records.calibration import CalibrationMethod
 from service.records.catalogue import BodyRateSensor, ControlLaw, GyroOrbitantGains, Method, Polarimeter, WheelMomentum
 from service.records.inputs import PlanChange, PolarizationRecord, TelemetryRecord
 from service.records.journal import JournalEntry
-from service.records.levels.attitude import Axes
-from service.records.levels.command import AppliedCommand
-from service.records.operations.job import Replay
-from service.records.storage.diagnosis import worst
+from service.records.levels.attitude import AppliedCommand, Axes
+from service.records.operations.work import Replay
+from service.records.storage import worst
 from service.runtime.jobs import replay_run
 from service.runtime.jobs.replay_run import ReplayRun
 from service.runtime.live.journal_consumer import update_before

@@ -7,13 +7,13 @@ import pytest
 from busy_station import BOTH, SC, at, morning, text, wait_for
 from sqlalchemy import update
 
-from db.results import checkpoints
-from db.results.checkpoints import LATEST
+from db.results import jobs
+from db.results.jobs import LATEST
 from db.schema.tables import checkpoint as table
-from service.pipeline.checkpoints.chain_state import fingerprint
+from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import ChainConfig, RobustConfig
 from service.ports import LIVE
-from service.records.storage.checkpoint import Checkpoint
+from service.records.storage import Checkpoint
 from service.runtime.jobs import replay_run
 from service.runtime.live import chain_restart, supervisor
 
@@ -174,7 +174,7 @@ def test_a_restart_says_how_far_it_is_and_ends_when_the_service_stops(busy, monk
 
 
 def test_a_replay_goes_on_from_the_newest_state_before_its_span(opened_archive, new_station, often, monkeypatch):
-    monkeypatch.setattr(checkpoints, "LATEST", 1000)
+    monkeypatch.setattr(jobs, "LATEST", 1000)
     monkeypatch.setattr(supervisor, "_STEP_S", 0.0)
     monkeypatch.setattr(supervisor, "_ENTRIES_AT_ONCE", 5)
     station, begun = new_station(opened_archive), []

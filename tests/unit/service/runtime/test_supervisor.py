@@ -17,8 +17,7 @@ from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.records.catalogue import Release
 from service.records.inputs import Operation
-from service.records.levels.attitude import Status
-from service.records.levels.command import AppliedCommand
+from service.records.levels.attitude import AppliedCommand, Status
 from service.runtime.live import supervisor as live
 from service.runtime.live.chain_restart import ChainRestarts
 from service.runtime.live.live_feed import LiveFeed

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from service.records.levels.series import ReferenceSeries
+from service.records.levels.measurement import ReferenceSeries
 from service.study.limit_cycles import figures
 from service.study.limit_cycles.capture_tables import band_table, capture_table
 from service.study.limit_cycles.comparison import Compared, ComparedTable, holds

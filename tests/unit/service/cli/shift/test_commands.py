@@ -8,7 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from service.cli.app import app
-from service.cli.shift import control, handover, orders, reading, torque, watch
+from service.cli.shift import control, handover, reading, torque, watch
+from service.cli.shift import reading as orders
 from service.client.problem import ProblemError, ServiceUnavailableError
 
 HOSTILE = "\x1b[2J\u009b31m\u202e"

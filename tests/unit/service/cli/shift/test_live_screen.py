@@ -5,8 +5,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from service.cli.shift.live_screen import render
-from service.cli.shift.watch import LiveReader
+from service.cli.shift.watch import LiveReader, render
 from service.client.problem import ServiceUnavailableError
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.cli.shift.words import MISSING, axes, clean, meaning, number, sentence, utc, words
+from service.cli.shift.tables import MISSING, axes, clean, meaning, number, sentence, utc, words
 
 ROW = {"status": "ACQUIRED", "sigma_deg": {"yaw": 0.1, "roll": 0.01, "pitch": 0.02}, "downlink_fade_db": 2.5}
 

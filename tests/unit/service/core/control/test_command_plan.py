@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 
 from service.core.control.command_plan import Forecast, PlannedPulses, Situation, plan_command
-from service.core.control.envelope import Envelope, envelope_excesses
-from service.core.control.pulses import shape_pulses
-from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, inertia_about_angles, loop_gains
-from service.core.control.slew_schedule import AxisPulse, Drive, plan_slew, predicted_effect
-from service.core.control.tracking import tracking_request
-from service.core.control.wheel_allocation import allocate, wheel_set
-from service.core.control.wheels import allocate_to_wheels, body_torque_limit_n_m
+from service.core.control.quaternion_law import (
+    GEOSTATIONARY_RATE_RAD_S,
+    inertia_about_angles,
+    loop_gains,
+    tracking_request,
+)
+from service.core.control.slew_schedule import (
+    AxisPulse,
+    Drive,
+    Envelope,
+    envelope_excesses,
+    plan_slew,
+    predicted_effect,
+    shape_pulses,
+)
+from service.core.control.wheel_allocation import allocate, allocate_to_wheels, body_torque_limit_n_m, wheel_set
 
 PYRAMID = np.array([[1.0, 0, 1], [-1, 0, 1], [0, 1, 1], [0, -1, 1]])
 SKEWED = np.array([[1.0, 0, 0], [1, 1, 0], [0, 1, 2]])

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from service.core.control.gyro_orbitant import does_rate_show_yaw, gyro_orbitant_torque
-from service.core.control.gyro_orbitant_design import gyro_orbitant_law, sampled_growth
+from service.core.control.gyro_orbitant import (
+    does_rate_show_yaw,
+    gyro_orbitant_law,
+    gyro_orbitant_torque,
+    sampled_growth,
+)
 from service.core.control.quaternion_law import (
     GEOSTATIONARY_RATE_RAD_S,
     body_rate_rad_s,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
-from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.carrier_sets import averaged_crlb_deg, judge_set
 from service.core.estimation.design import AXIS_WEIGHTS, choose_carriers
 from service.core.estimation.filtering.model.filter_model import LearnedFeed, PolarimeterModel
@@ -19,7 +19,7 @@ from service.core.estimation.observability import (
     leverages,
     normal_inverse,
 )
-from service.core.estimation.snapshot.fault_bounds import GATE_SIGMAS
+from service.core.estimation.snapshot.snapshot import GATE_SIGMAS
 
 RNG = np.random.default_rng(19)
 SENSITIVITY = RNG.normal(0.0, [0.16, 1.4, 1.2], (16, 3))

@@ -9,10 +9,16 @@ from scipy.optimize import brentq
 
 from service.core.flexible.motion import Regulator, follow_motion
 from service.core.flexible.phi_functions import SERIES_BELOW, SHORT_SERIES_BELOW, phi1, phi2, phi2_scalar
-from service.core.flexible.propagation import BodyState, angle_and_rate_at, start_leg, state_at
-from service.core.flexible.roots import brent_root, newton_root
-from service.core.flexible.spacecraft import HubMode, WheelDrive, accelerations, require_drive, require_mode
-from service.core.flexible.switching_law import Arm, SwitchingLaw
+from service.core.flexible.propagation import BodyState, angle_and_rate_at, brent_root, newton_root, start_leg, state_at
+from service.core.flexible.spacecraft import (
+    Arm,
+    HubMode,
+    SwitchingLaw,
+    WheelDrive,
+    accelerations,
+    require_drive,
+    require_mode,
+)
 
 getcontext().prec = 50
 SEAMS = [one * (1.0 + nudge) for one in (SHORT_SERIES_BELOW, SERIES_BELOW) for nudge in (-1e-12, 0.0, 1e-12)]

@@ -4,9 +4,8 @@ import math
 
 import pytest
 
-from service.core.flexible.capture.capture_analysis import analyse_capture, perpetual_level
-from service.core.flexible.schedule.schedule_check import analyse_schedule
-from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, ordered_schedule
+from service.core.flexible.capture import analyse_capture, perpetual_level
+from service.core.flexible.schedule import TorquePulse, analyse_schedule, carry_phasor, ordered_schedule
 from service.core.flexible.spacecraft import HubMode
 
 OMEGA, XI, KN = 0.6, 0.003, 0.4

@@ -6,14 +6,36 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from service.core.flexible.both_lines import crossing_speed_rad_s, find_cycles_over_both_lines, return_over_both_lines
-from service.core.flexible.crossings import Line, crossing_time, momentum_time
-from service.core.flexible.limit_cycle import analyse_limit_cycle, find_limit_cycles
-from service.core.flexible.propagation import BodyState, angle_and_rate_at, start_leg, state_at, states_at
+from service.core.flexible.limit_cycle import (
+    analyse_limit_cycle,
+    crossing_speed_rad_s,
+    find_cycles_over_both_lines,
+    find_limit_cycles,
+    koenigs_lamerey,
+    one_sided_motion,
+    return_over_both_lines,
+    succession,
+)
+from service.core.flexible.propagation import (
+    BodyState,
+    Line,
+    angle_and_rate_at,
+    crossing_time,
+    momentum_time,
+    start_leg,
+    state_at,
+    states_at,
+)
 from service.core.flexible.return_kernels import advance, arrival_time, follow, one_return, turning_time
-from service.core.flexible.spacecraft import HubMode, WheelDrive
-from service.core.flexible.succession import koenigs_lamerey, one_sided_motion, succession
-from service.core.flexible.switching_law import WATCHES, Arm, SwitchingLaw, arm_after_pulse, require_law
+from service.core.flexible.spacecraft import (
+    WATCHES,
+    Arm,
+    HubMode,
+    SwitchingLaw,
+    WheelDrive,
+    arm_after_pulse,
+    require_law,
+)
 
 DRIVE = WheelDrive(1000.0, 0.2, 1e-3, 1e-4, momentum_n_m_s=10.0)
 LAW = SwitchingLaw(0.0175, 0.0349, 1.0, 3, 3e-3)

@@ -8,32 +8,31 @@ from flight_geometry import turned_direction
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analyzer_sim.world.orbit.geometry import antenna_frame_deg
-from analyzer_sim.world.orbit.orbit import Orbit
+from analyzer_sim.world.orbit import Orbit, antenna_frame_deg
 from analyzer_sim.world.payload.carriers import PLANS
-from analyzer_sim.world.payload.payload import plan_positions_km
+from analyzer_sim.world.payload.level_terms import plan_positions_km
 from service.core.geometry.frames import (
     EARTH_EQUATORIAL_RADIUS_M,
     GEOSTATIONARY_RADIUS_M,
     AntennaDirection,
+    attitude_of_quaternion,
     body_from_nadir,
+    matrix_of_quaternion,
+    quaternion_of_attitude,
+    quaternion_of_matrix,
     station_direction,
+    with_continuous_sign,
 )
 from service.core.geometry.line_of_sight import (
     Positions,
     PredictedTrack,
     antenna_motion_deg,
     frame_turn_deg,
+    latest_node_us,
+    node_phase_at_rad,
+    node_phase_rad,
     sight_motion_deg,
     track_position_deg,
-)
-from service.core.geometry.node_phase import latest_node_us, node_phase_at_rad, node_phase_rad
-from service.core.geometry.quaternion import (
-    attitude_of_quaternion,
-    matrix_of_quaternion,
-    quaternion_of_attitude,
-    quaternion_of_matrix,
-    with_continuous_sign,
 )
 
 STATION = AntennaDirection(np.array([-4.0, 0.0, 4.5]), np.array([7.5, 6.3, 8.4]))

@@ -5,12 +5,31 @@ import math
 import numpy as np
 import pytest
 
-from service.core.radio.band_weights import CarrierBands, TraceGrid, band_fractions, span_hz, swept_dof, weigh_bands
-from service.core.radio.carrier_power import hide_absent, measure_carriers
-from service.core.radio.decibel import DB_PER_NEPER, dbm_from_mw, mw_from_dbm
-from service.core.radio.leakage import leakage, leaked_ratio
-from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO, carrier_sigma_db, degrees_of_freedom, line_sigma_db
-from service.core.radio.presence import HYSTERESIS_DB, initial_presence, presence_threshold_db, step_presence
+from service.core.radio.carrier_power import (
+    GAUSSIAN_ENBW_RATIO,
+    CarrierBands,
+    TraceGrid,
+    band_fractions,
+    carrier_sigma_db,
+    degrees_of_freedom,
+    hide_absent,
+    leakage,
+    leaked_ratio,
+    line_sigma_db,
+    measure_carriers,
+    span_hz,
+    swept_dof,
+    weigh_bands,
+)
+from service.core.radio.levels import (
+    DB_PER_NEPER,
+    HYSTERESIS_DB,
+    dbm_from_mw,
+    initial_presence,
+    mw_from_dbm,
+    presence_threshold_db,
+    step_presence,
+)
 
 
 def test_nothing_has_no_level():

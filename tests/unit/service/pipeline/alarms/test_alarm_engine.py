@@ -7,18 +7,40 @@ import numpy as np
 import pytest
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
-from service.pipeline.alarms.condition import AlarmCondition, Kind, Origin
 from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.debounce import ConditionChange, limit_of, outermost, poll, severity_level
 from service.pipeline.alarms.limit_sets import DEFAULT_SETS, SETS, AlarmContext, context, faults_of, limits_in_force
-from service.pipeline.alarms.states import COVERS, PROCESS, AlarmEvent, CoverEvent, diagram, next_cover, next_process
-from service.pipeline.alarms.transitions import described
+from service.pipeline.alarms.states import (
+    COVERS,
+    PROCESS,
+    AlarmCondition,
+    AlarmEvent,
+    ConditionChange,
+    CoverEvent,
+    Kind,
+    Origin,
+    described,
+    diagram,
+    limit_of,
+    next_cover,
+    next_process,
+    outermost,
+    poll,
+    severity_level,
+)
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.catalogue import Carrier, CarrierPlan
 from service.records.inputs import Operation
-from service.records.operations.alarm import ChangeKind, Cover, Handling, Process, Severity
-from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits
-from service.records.operations.alarm_memory import EngineMemory, ValueMemory
+from service.records.operations.alarms import (
+    AlarmLimits,
+    ChangeKind,
+    ConditionLimits,
+    Cover,
+    EngineMemory,
+    Handling,
+    Process,
+    Severity,
+    ValueMemory,
+)
 
 S = 1_000_000
 CONDITION = AlarmCondition(

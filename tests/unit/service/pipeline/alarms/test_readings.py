@@ -10,15 +10,12 @@ from service.pipeline.alarms.alarm_engine import AlarmEngine
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.pipeline.estimation.method import CarrierLevels
-from service.pipeline.estimation.row_evidence import RowEvidence
+from service.pipeline.estimation.method import CarrierLevels, RowEvidence
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.attitude import NO_ANGLES, Axes, Status, row_without_attitude
-from service.records.levels.measurement import CarrierDetails, Measurement
-from service.records.levels.quality_flag import QualityFlag
-from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.alarm_memory import EngineMemory
+from service.records.levels.measurement import CarrierDetails, Measurement, QualityFlag
+from service.records.operations.alarms import AlarmLimits, EngineMemory
 
 S = 1_000_000
 NAN = math.nan

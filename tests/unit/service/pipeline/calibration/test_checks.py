@@ -14,18 +14,18 @@ from service.core.estimation.calibration.checks.sensor_axes import MAPPINGS
 from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
 from service.pipeline.calibration.gathered_torque import gathered_quality, gathered_torque, gathered_warnings
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
 from service.pipeline.calibration.momentum_check import momentum_check, momentum_quality, momentum_warnings
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.calibration.polarimeter_check import polarimeter_checks, polarimeter_quality, polarimeter_warnings
 from service.pipeline.calibration.rate_check import IN_LOOP, rate_check, rate_quality, rate_warnings
-from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.polarization import line_of_sight
 from service.records.calibration import AxesCheck, CalibrationMethod, CalibrationRequest, MotionVerdict, Window
 from service.records.catalogue import AxisTorques, BodyRateSensor, FedForwardTorque, Polarimeter, WheelMomentum
 from service.records.inputs import Correction, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import Axes
-from service.records.levels.series import ReferenceSeries
+from service.records.levels.measurement import ReferenceSeries
 
 CONFIG = CalibrationConfig()
 STATED = WheelMomentum(pitch_bias_n_m_s=-8.0)

@@ -8,16 +8,16 @@ from geometry_payload import DAY, HOUR, MINUTE, NAN, START_US, GeometryPayload, 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from db.encoding.json_documents import decode, encode
+from db.encoding.record_codec import decode, encode
 from service.core.estimation.noise_identification import LADDER_S
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
-from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
 from service.records.catalogue import Site, Station, Track
 from service.records.inputs import Operation
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 
 CONFIG = CalibrationConfig()
 

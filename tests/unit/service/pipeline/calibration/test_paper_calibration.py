@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import synthetic_payload as synthetic
 
-from service.core.estimation.paper.criteria import CarrierVerdicts
+from service.core.estimation.paper.selection import CarrierVerdicts
+from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.calibration.paper_calibration import calibrate_paper, observe, select_carriers
-from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
 from service.records.calibration import Window
 

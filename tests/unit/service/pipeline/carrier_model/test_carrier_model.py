@@ -8,12 +8,18 @@ import pytest
 from geometry_flight import HOUR, MINUTE, SITE, START_US, FlightPayload, S
 from geometry_payload import GeometryPayload
 
-from service.core.estimation.calibration.quadratic_response import exact_response, predict_deviation
-from service.pipeline.carrier_model.beam_report import HOUR_US, Group, HourlyMeans, WaveCause, beam_report
-from service.pipeline.carrier_model.calibrated_arrays import carrier_model, geometry_model
-from service.pipeline.carrier_model.expected_level import ExpectedLevel, expected_levels
+from service.core.estimation.calibration.geometry_columns import exact_response, predict_deviation
+from service.pipeline.carrier_model.beam_report import (
+    HOUR_US,
+    Group,
+    HourlyMeans,
+    WaveCause,
+    beam_report,
+    daily_error_db,
+    hourly_sigma_db,
+)
+from service.pipeline.carrier_model.expected_level import ExpectedLevel, carrier_model, expected_levels, geometry_model
 from service.pipeline.carrier_model.expected_level import daily_error_db as model_error_db
-from service.pipeline.carrier_model.hourly_noise import daily_error_db, hourly_sigma_db
 from service.pipeline.carrier_model.level_control import (
     alc_groups,
     centred_model,

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as some
 
-from service.pipeline.checkpoints.chain_state import ChainState
-from service.pipeline.checkpoints.state_codec import Layout
+from service.pipeline.checkpoints import ChainState, Layout
 
 
 class Colour(StrEnum):

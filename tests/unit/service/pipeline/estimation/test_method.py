@@ -9,11 +9,16 @@ from geometry_flight import START_US, Flight, FlightPayload
 
 from service.pipeline.config import InterlockConfig, RobustConfig
 from service.pipeline.estimation.method import CalibratedColumns
-from service.pipeline.estimation.method_disagreement import Disagreement, compare
-from service.pipeline.estimation.row_inhibitions import INHIBITIONS, RowContext, judge
+from service.pipeline.estimation.row_inhibitions import INHIBITIONS, Disagreement, RowContext, compare, judge
 from service.records.catalogue import LIVE_METHODS, CarrierPlan, Method, Station
-from service.records.levels.attitude import AttitudeFix, Axes, Status, row_without_attitude
-from service.records.levels.carrier_results import CARRIER_HYPOTHESES, CARRIER_STATES
+from service.records.levels.attitude import (
+    CARRIER_HYPOTHESES,
+    CARRIER_STATES,
+    AttitudeFix,
+    Axes,
+    Status,
+    row_without_attitude,
+)
 from service.records.levels.measurement import Measurement
 
 PAYLOAD = FlightPayload.make(5)

@@ -10,7 +10,7 @@ import synthetic_payload as synthetic
 from service.core.estimation.filtering.model.polarimeter import faraday_deg, ratio_db, slope_db_deg
 from service.core.geometry.frames import body_from_nadir
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.knowledge import Knowledge, update
+from service.pipeline.inputs.knowledge import Knowledge, reported_wet, update, with_report
 from service.pipeline.inputs.polarization import (
     due_block,
     every_block,
@@ -19,9 +19,7 @@ from service.pipeline.inputs.polarization import (
     used_polarimeters,
     with_polarization_record,
 )
-from service.pipeline.inputs.reference_angles import StatedAngles, smooth_angles, stated_sigma_deg
-from service.pipeline.inputs.sensor_angles import angles_at
-from service.pipeline.inputs.weather_reports import reported_wet, with_report
+from service.pipeline.inputs.sensor_angles import StatedAngles, angles_at, smooth_angles, stated_sigma_deg
 from service.records.calibration import (
     Calibration,
     CalibrationMethod,
@@ -43,7 +41,7 @@ from service.records.inputs import (
     WeatherReport,
 )
 from service.records.levels.attitude import Axes
-from service.records.levels.series import ReferenceSeries
+from service.records.levels.measurement import ReferenceSeries
 
 
 @pytest.fixture

@@ -8,15 +8,20 @@ import pytest
 from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, FlightPayload, S, applied_command
 
 from service.pipeline.config import OperationConfig
-from service.pipeline.inputs.catalogue_torque import momentum_model
 from service.pipeline.inputs.declared_operations import CarrierIndices, declared_between, with_chain_step
-from service.pipeline.inputs.known_motion import DEG_H2_N_M, CommandedMotion, angle_inertia_kg_m2, consume, heard
-from service.pipeline.inputs.telemetry_rates import inertial_deg_h
+from service.pipeline.inputs.known_motion import (
+    DEG_H2_N_M,
+    CommandedMotion,
+    angle_inertia_kg_m2,
+    consume,
+    heard,
+    momentum_model,
+)
+from service.pipeline.inputs.sensor_angles import inertial_deg_h
 from service.records.calibration import AxesCheck, GatheredTorque, MotionVerdict
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft, WheelMomentum
 from service.records.inputs import Correction, Operation
-from service.records.levels.attitude import Axes
-from service.records.levels.command import Pulse, ReportedCommand
+from service.records.levels.attitude import Axes, Pulse, ReportedCommand
 
 CRAFT = Spacecraft("yamal-test", "Test", LONGITUDE_DEG, SITE, INERTIA, 0.05)
 NAN = float("nan")

@@ -11,8 +11,8 @@ from foreign_station import flown
 from hypothesis import given
 from hypothesis import strategies as st
 
+from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.calibration.minute_rows import minute_rows
-from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning.assumed_beams import NOISES, AssumedBeam, assume_payload
 from service.pipeline.planning.flown_turns import flown_windows

@@ -12,13 +12,27 @@ from geometry_flight import FlightPayload
 from synthetic_payload import START_US, SyntheticPayload
 
 from service.core.estimation.attitude_bound import WheelStatistics
-from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.geometry.frames import station_direction
 from service.pipeline.calibration.minute_rows import minute_rows
-from service.pipeline.planning.assumed_beams import DEFAULT_WIDTHS_DEG, NOISES, AssumedBeam, assume_payload
-from service.pipeline.planning.beam_contours import ContourBeam, ContourPoint, contour_beams
-from service.pipeline.planning.candidates import GONE, NOT_MEASURED, NOT_USABLE, candidates_of
-from service.pipeline.planning.momentum_gain import motion_gain, stated_wheels
+from service.pipeline.planning.assumed_beams import (
+    DEFAULT_WIDTHS_DEG,
+    NOISES,
+    AssumedBeam,
+    ContourBeam,
+    ContourPoint,
+    assume_payload,
+    contour_beams,
+    offered_sites,
+)
+from service.pipeline.planning.candidates import (
+    GONE,
+    NOT_MEASURED,
+    NOT_USABLE,
+    candidates_of,
+    motion_gain,
+    stated_wheels,
+)
 from service.pipeline.planning.planning import MOST_FURTHER, Rule, recommend, turn_timetable
 from service.pipeline.planning.quiet_days import (
     ALLAN_SPANS_S,
@@ -28,7 +42,6 @@ from service.pipeline.planning.quiet_days import (
     sidereal_orbit,
     suspected_turns,
 )
-from service.pipeline.planning.user_sites import offered_sites
 from service.records.calibration import NoiseComponent
 from service.records.catalogue import (
     AxisTorques,
@@ -43,7 +56,7 @@ from service.records.catalogue import (
     WheelMomentum,
 )
 from service.records.levels.attitude import NO_ANGLES
-from service.records.levels.series import MeasurementSeries
+from service.records.levels.measurement import MeasurementSeries
 
 PAYLOAD = SyntheticPayload.make(20)
 

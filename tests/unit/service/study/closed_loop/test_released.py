@@ -10,9 +10,16 @@ import pytest
 
 from service.pipeline.config import TorqueConfig
 from service.records.catalogue import AxisTorques, ControlSettings, Method, Onboard, Release, Site, Spacecraft
-from service.records.levels.attitude import Axes, row_without_attitude
-from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
-from service.records.levels.disturbance import Disturbance
+from service.records.levels.attitude import (
+    AppliedCommand,
+    Axes,
+    Disturbance,
+    Pulse,
+    ReleasedCommand,
+    ReportedCommand,
+    TorqueCommand,
+    row_without_attitude,
+)
 from service.records.levels.measurement import Measurement
 from service.study.closed_loop.campaign import LoopCampaign, LoopPlan
 from service.study.closed_loop.controllers import LEAD_S, ByAngles, ByChain, ByTruth, Idle, Sensing, postponed

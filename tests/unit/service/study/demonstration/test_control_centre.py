@@ -8,10 +8,15 @@ import pytest
 
 from service.client.problem import ProblemError
 from service.study.demonstration import control_centre
-from service.study.demonstration.control_centre import ControlCentre
-from service.study.demonstration.ground_link import GroundLink
-from service.study.demonstration.spacecraft_line import SpacecraftLine, SpacecraftLineError, SpacecraftReport
-from service.study.demonstration.two_step_centre import RowPaces, TwoStepCentre
+from service.study.demonstration.control_centre import (
+    ControlCentre,
+    RowPaces,
+    SpacecraftLine,
+    SpacecraftLineError,
+    SpacecraftReport,
+    TwoStepCentre,
+)
+from service.study.demonstration.processes import GroundLink
 
 
 def epoch(minute, second=0):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from service.api.schemas.spacecraft import SpacecraftDocument
+from service.api.schemas.catalogue import SpacecraftDocument
 from service.records.epoch import format_epoch
 from service.study.demonstration import demonstration
 from service.study.demonstration.closed_judgement import (

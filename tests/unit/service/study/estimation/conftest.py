@@ -5,7 +5,7 @@ import pytest
 
 from service.records.calibration import Window
 from service.records.catalogue import Ephemeris, Onboard, Site, Spacecraft
-from service.study.estimation.accuracy import measure_accuracy
+from service.study.estimation.bounds import measure_accuracy
 from service.study.estimation.flight.baselines import BASELINES
 from service.study.estimation.flight.drive import Driven, MethodSeries
 from service.study.estimation.flight.world import Ground, Truth, World

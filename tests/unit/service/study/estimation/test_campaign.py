@@ -9,9 +9,8 @@ import pytest
 
 from service.study import executors
 from service.study.estimation import unit as unit_module
-from service.study.estimation.accuracy import AXES
 from service.study.estimation.bound_table import BOUNDS
-from service.study.estimation.bounds import Bound, Mark, at_least, at_most
+from service.study.estimation.bounds import AXES, Bound, Mark, at_least, at_most
 from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics, versions
 from service.study.estimation.figures import draw_campaign
 from service.study.estimation.flight.baselines import BASELINES, UNINFORMED

@@ -9,9 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.study.estimation.accuracy import AXES, accuracy_statistics, measure_accuracy
 from service.study.estimation.bound_table import BOUNDS
-from service.study.estimation.bounds import Bound, Limit, Mark, at_least, at_most, idle_baselines, judge, within
+from service.study.estimation.bounds import (
+    AXES,
+    Bound,
+    Limit,
+    Mark,
+    accuracy_statistics,
+    at_least,
+    at_most,
+    idle_baselines,
+    judge,
+    measure_accuracy,
+    within,
+)
 from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics
 from service.study.estimation.flight.past import PastSeries
 from service.study.estimation.measures import measure_method, statistics_of

@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 from geometry_flight import FlightPayload
 
-from service.core.estimation.beams.boresight import boresight_series
-from service.core.estimation.beams.boresight_wave import UNKNOWN_FIT, fit_boresight
-from service.core.estimation.beams.station_beams import (
+from service.core.estimation.beams import (
+    UNKNOWN_FIT,
     StationBeams,
     beam_surface,
+    boresight_series,
     changes_in_sigmas,
+    fit_boresight,
     station_beams,
     surface_db,
 )
-from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.pipeline.carrier_model.expected_level import geometry_model
 
 SEED = 4
 #: a beam with its peak at (1, -0.5): 0.2 dB/deg^3 of skew on a bend of -2 dB/deg^2

@@ -9,12 +9,21 @@ from geometry_payload import GeometryPayload
 from turned_wheels import ALIKE, INERTIA_KG_M2, WRONG, Turned, turned_deg, turned_wheels
 
 from analyzer_sim.world.scenario.story import WheelTelemetry
-from service.core.estimation.calibration.checks.angle_response import AngleResponse, angle_response
-from service.core.estimation.calibration.checks.feed_turn import feed_leakage, feed_turn
-from service.core.estimation.calibration.checks.free_response import FreeResponse
-from service.core.estimation.calibration.checks.momentum_response import momentum_response
-from service.core.estimation.calibration.checks.rate_response import rate_response
-from service.core.estimation.calibration.checks.sensor_axes import DECISIVE, MAPPINGS, MIN_CARRIERS, judge_axes
+from service.core.estimation.calibration.checks.responses import (
+    AngleResponse,
+    angle_response,
+    feed_leakage,
+    feed_turn,
+    momentum_response,
+    rate_response,
+)
+from service.core.estimation.calibration.checks.sensor_axes import (
+    DECISIVE,
+    MAPPINGS,
+    MIN_CARRIERS,
+    FreeResponse,
+    judge_axes,
+)
 from service.core.estimation.calibration.geometry_calibration import fit_geometry
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry
 from service.core.estimation.filtering.model.filter_model import PolarimeterModel

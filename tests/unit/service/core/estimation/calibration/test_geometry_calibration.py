@@ -10,25 +10,23 @@ from service.core.estimation.calibration.geometry_calibration import Calibration
 from service.core.estimation.calibration.geometry_columns import (
     CarrierGeometry,
     OrbitMotion,
+    QuadraticResponse,
     beam_columns,
     daily_columns,
-    is_known_orbit,
-    solar_columns,
-)
-from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
-from service.core.estimation.calibration.level_drift import level_drift, without_common
-from service.core.estimation.calibration.quadratic_response import (
-    QuadraticResponse,
     displacement_matrix,
     exact_response,
+    is_known_orbit,
     predict_deviation,
     predict_jacobian,
     response_errors,
     response_monomials,
     response_transform,
+    solar_columns,
     symmetric_matrix,
 )
-from service.core.estimation.calibration.trimmed_start import trimmed_fit
+from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
+from service.core.estimation.calibration.joint_tukey import trimmed_fit
+from service.core.estimation.calibration.level_drift import level_drift, without_common
 from service.core.estimation.noise_identification import LADDER_S, IdentifiedNoise
 from service.core.geometry.frames import AntennaDirection
 

@@ -5,11 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from service.core.estimation.paper.downlink_fade import FadeTest, FadeWatch, fade_sign_test, step_fade_watch
+from service.core.estimation.paper.downlink_fade import (
+    FadeTest,
+    FadeWatch,
+    empty_window,
+    fade_sign_test,
+    mean,
+    push,
+    step_fade_watch,
+)
 from service.core.estimation.paper.harmonic import evaluate_harmonic, fit_harmonic, fit_harmonics
 from service.core.estimation.paper.octants import solve_octants_rows
-from service.core.estimation.paper.trailing_mean import empty_window, mean, push
-from service.core.estimation.paper.turn_levels import TurnLevels, one_sided_curvature, reduce_to_levels
+from service.core.estimation.paper.sensitivity import TurnLevels, one_sided_curvature, reduce_to_levels
 
 PHASE_RAD = np.linspace(0.0, 2.0 * np.pi, 288, endpoint=False)
 

@@ -7,14 +7,19 @@ import pytest
 from scipy import stats
 
 from service.core.estimation.observability import condition_number, crlb_deg
-from service.core.estimation.paper import rejection, sigma_clip
-from service.core.estimation.paper.consistency import chi_square_tail_3, compare_with_angles
-from service.core.estimation.paper.criteria import judge_carriers
+from service.core.estimation.paper import harmonic, rejection
+from service.core.estimation.paper.downlink_fade import chi_square_tail_3, compare_with_angles
+from service.core.estimation.paper.harmonic import fit_clipped
 from service.core.estimation.paper.octants import predict_deviation_db, solve_octants
 from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
-from service.core.estimation.paper.selection import SelectionReason, axis_dominance, axis_margin, select_by_axis
+from service.core.estimation.paper.selection import (
+    SelectionReason,
+    axis_dominance,
+    axis_margin,
+    judge_carriers,
+    select_by_axis,
+)
 from service.core.estimation.paper.sensitivity import fit_turn_sensitivity
-from service.core.estimation.paper.sigma_clip import fit_clipped
 
 
 def constant(samples, **settings):
@@ -118,7 +123,7 @@ def test_a_cycle_ends_at_its_smallest_set(monkeypatch):
     wide[:1], narrow[:3] = False, False
     following = {full.tobytes(): wide, wide.tobytes(): narrow, narrow.tobytes(): wide}
     monkeypatch.setattr(
-        sigma_clip, "_retest", lambda _basis, _samples, _present, used, _gate: following[used[0].tobytes()][np.newaxis]
+        harmonic, "_retest", lambda _basis, _samples, _present, used, _gate: following[used[0].tobytes()][np.newaxis]
     )
     fit = constant(np.arange(12.0))
     assert np.array_equal(fit.is_used[:, 0], narrow)

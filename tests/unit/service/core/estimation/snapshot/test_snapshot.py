@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.calibration.quadratic_response import (
+from service.core.estimation.calibration.geometry_columns import (
     QuadraticResponse,
     exact_response,
     predict_deviation,
@@ -11,10 +11,14 @@ from service.core.estimation.calibration.quadratic_response import (
 )
 from service.core.estimation.carrier_sets import judge_set
 from service.core.estimation.observability import crlb_deg
-from service.core.estimation.snapshot.fault_bounds import GATE_SIGMAS, fault_bounds
-from service.core.estimation.snapshot.snapshot import CarrierUse, solve_snapshots
-from service.core.estimation.snapshot.snapshot_groups import group_memberships
-from service.core.estimation.snapshot.snapshot_start import subset_orders
+from service.core.estimation.snapshot.snapshot import (
+    GATE_SIGMAS,
+    CarrierUse,
+    fault_bounds,
+    group_memberships,
+    solve_snapshots,
+)
+from service.core.estimation.snapshot.snapshot_steps import subset_orders
 
 SEED = 31
 ATTITUDE = np.array([0.2, -0.15, 0.1])

@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.core.flexible.schedule.schedule_check import analyse_schedule
+from service.core.flexible.schedule import analyse_schedule
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
-from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS, control_inhibitions
+from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS, control_inhibitions
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
 from service.records.catalogue import ControlMode, FlexibleMode, Method, Onboard, Release, WheelSet
-from service.records.levels.attitude import Axes, row_without_attitude
-from service.records.levels.command import Pulse
-from service.records.levels.disturbance import Disturbance
+from service.records.levels.attitude import Axes, Disturbance, Pulse, row_without_attitude
 
 S = 1_000_000
 EPOCH = 1_800_000_000 * S

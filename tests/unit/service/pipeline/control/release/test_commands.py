@@ -36,14 +36,13 @@ from service.pipeline.control.release.events import (
 from service.pipeline.control.release.interlock_conditions import (
     Condition,
     InterlockInputs,
+    ReleaseSettings,
     input_values,
     interlock_row,
 )
 from service.pipeline.control.release.release_checks import release_checks, sent_within_an_hour
-from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.catalogue import Release
-from service.records.levels.attitude import Axes, Status
-from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import Axes, Pulse, ReleasedCommand, ReportedCommand, Status
 
 
 @pytest.fixture

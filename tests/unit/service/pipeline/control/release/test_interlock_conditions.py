@@ -26,10 +26,11 @@ from service.pipeline.control.release.events import (
     ResponseJudged,
     SignJudged,
     UplinkEffect,
+    document_of,
+    state_of,
 )
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence, interlock_row
 from service.pipeline.control.release.sign_checks import is_leg_due, profile_of
-from service.pipeline.control.release.state_document import document_of, state_of
 from service.records.catalogue import Method
 from service.records.levels.attitude import Axes, row_without_attitude
 from service.records.operations.release import CommandState, Purpose, SignCheck, SignRatios

@@ -15,13 +15,10 @@ from service.core.estimation.filtering.model.filter_model import FilterSettings,
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, RATE, core_size
 from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS
-from service.pipeline.estimation.robust.frozen_readings import frozen, no_readings, push_readings
+from service.pipeline.estimation.robust.attitude_rows import frozen, no_readings, push_readings, telemetry_advice
 from service.pipeline.estimation.robust.method import carried_state
-from service.pipeline.estimation.robust.momentum_records import with_momenta
-from service.pipeline.estimation.robust.polarization_records import with_polarization
-from service.pipeline.estimation.robust.rate_records import with_rates
+from service.pipeline.estimation.robust.motion_records import with_momenta, with_polarization, with_rates
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.estimation.robust.telemetry_advice import telemetry_advice
 from service.records.calibration import GatheredTorque
 from service.records.catalogue import BodyRateSensor, Polarimeter, WheelMomentum
 from service.records.inputs import PolarizationRecord, TelemetryRecord

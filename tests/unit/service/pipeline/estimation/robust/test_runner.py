@@ -18,9 +18,8 @@ from service.records.inputs import (
     EphemerisChange,
     SpacecraftChange,
 )
-from service.records.levels.attitude import Axes
-from service.records.levels.command import Pulse
-from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.attitude import Axes, Pulse
+from service.records.levels.measurement import QualityFlag
 
 PAYLOAD = FlightPayload.make()
 NAN = float("nan")

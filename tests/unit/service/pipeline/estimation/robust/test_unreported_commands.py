@@ -10,8 +10,7 @@ from geometry_flight import HOUR, INERTIA, Flight, FlightPayload, applied_comman
 from service.pipeline.estimation.robust import runner as robust_runner
 from service.records.catalogue import AxisTorques, FedForwardTorque, Method, Onboard
 from service.records.inputs import AlignmentSet, Correction, SpacecraftChange
-from service.records.levels.attitude import Axes
-from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import AppliedCommand, Axes, Pulse, ReleasedCommand, ReportedCommand
 
 PAYLOAD = FlightPayload.make()
 ZERO = Axes(0.0, 0.0, 0.0)

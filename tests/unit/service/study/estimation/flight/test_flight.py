@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.pipeline.inputs.documents import JournalDocuments
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.catalogue import Carrier, ControlMode, Method, Release, WheelMomentum
 from service.records.epoch import parse_epoch
 from service.records.inputs import Correction, PlanChange, SourceSelection

@@ -1,1 +1,0 @@
-"""Faults and weather: what the events of a scenario do to levels."""

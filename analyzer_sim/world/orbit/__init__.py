@@ -1,1 +1,0 @@
-"""Orbit of the satellite and directions seen from it."""

@@ -1,1 +1,0 @@
-"""Context of a request: dependencies and what routes look up in common."""

@@ -1,0 +1,220 @@
+"""Figures of plans: beams, carriers, quiet days."""
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+from service.cli.planning.sources import CarrierPlanning
+from service.core.estimation.beams import StationBeams, beam_surface, surface_db
+from service.pipeline.planning.rehearsal import ExpectedAccuracy, Rehearsal
+
+_COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#17becf", "#8c564b", "#e377c2")
+#: deg of the map for one dB/deg; deg that contours reach beyond the stations
+_BEAM_ARROW_DEG, _MARGIN_DEG = 0.15, 0.4
+_CONTOURS_DB = np.arange(-12.0, 0.5, 1.0)
+_MIN_STATIONS = 3
+
+
+def draw_beams(document: dict[str, Any], spacecraft: str, path: Path) -> None:
+    """Draw a report into a PNG or SVG file."""
+    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "date.converter": "concise"}):
+        figure = Figure(figsize=(9.0, 9.5), layout="constrained")
+        panels = figure.subplots(3, 1, height_ratios=(1.0, 1.0, 2.4))
+        for axes, axis in zip(panels[:2], ("east", "north"), strict=True):
+            _draw_series(axes, document, axis)
+        panels[1].set_xlabel("UTC")
+        _draw_map(panels[2], document["stations"])
+        figure.suptitle(f"{spacecraft}: boresight since calibration {document['calibration_id']}, and beams")
+        figure.savefig(path, dpi=120)
+
+
+def _draw_series(axes: Any, document: dict[str, Any], axis: str) -> None:
+    """Draw one axis of all antennas with two sigma."""
+    at = np.array([each.removesuffix("Z") for each in document["epochs"]], dtype="datetime64[us]")
+    for number, antenna in enumerate(document["antennas"]):
+        value, sigma = (np.array(antenna[f"{axis}{part}_deg"], dtype=np.float64) for part in ("", "_sigma"))
+        colour = _COLOURS[number % len(_COLOURS)]
+        axes.fill_between(at, value - 2.0 * sigma, value + 2.0 * sigma, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(at, value, color=colour, linewidth=1.0, label=antenna["antenna"])
+    axes.set_ylabel(f"{axis}, deg")
+    if document["antennas"]:
+        axes.legend(loc="upper right", ncols=4, frameon=False)
+
+
+def _draw_map(axes: Any, stations: list[dict[str, Any]]) -> None:
+    """Draw stations with their gradients, and contours of each beam that has enough of them, dB below its peak."""
+    names = sorted({each["transponder"] for each in stations})
+    for number, name in enumerate(names):
+        own = [each for each in stations if each["transponder"] == name]
+        position = np.array([[each["azimuth_deg"], each["elevation_deg"]] for each in own])
+        beams = _beams(own)
+        colour = _COLOURS[number % len(_COLOURS)]
+        axes.scatter(*position.T, s=20.0, color=colour, label=name, zorder=3)
+        for each, at, slope in zip(own, position, beams.gradient_db_deg, strict=True):
+            axes.annotate("", at + _BEAM_ARROW_DEG * slope, at, arrowprops={"arrowstyle": "->", "color": colour})
+            axes.annotate(each["carrier"], at, xytext=(4, 4), textcoords="offset points", fontsize=7)
+        if len(own) >= _MIN_STATIONS:
+            _draw_contours(axes, position, beams, colour)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(f"azimuth, deg East; arrows: where the level rises, {_BEAM_ARROW_DEG:g} deg for 1 dB/deg")
+    axes.set_ylabel("elevation, deg North")
+    if names:
+        axes.legend(loc="upper right", ncols=4, frameon=False)
+
+
+def _draw_contours(axes: Any, position: np.ndarray, beams: StationBeams, colour: str) -> None:
+    """Draw the surface of degree three between the stations, each dB below its greatest value there."""
+    low, high = position.min(axis=0) - _MARGIN_DEG, position.max(axis=0) + _MARGIN_DEG
+    east, north = np.meshgrid(np.linspace(low[0], high[0], 80), np.linspace(low[1], high[1], 80))
+    gain_db = surface_db(np.stack([east, north], axis=-1), beam_surface(position, beams))
+    drawn = axes.contour(
+        east, north, gain_db - gain_db.max(), levels=_CONTOURS_DB, colors=colour, linewidths=0.6, alpha=0.7
+    )
+    axes.clabel(drawn, fmt="%g", fontsize=6)
+
+
+def _beams(stations: list[dict[str, Any]]) -> StationBeams:
+    """Return the beams of an answer as arrays."""
+
+    def table(name: str) -> np.ndarray:
+        rows = [[np.nan if value is None else value for value in each[name].values()] for each in stations]
+        return np.array(rows, dtype=np.float64)
+
+    sigma = table("gradient_sigma_db_per_deg")
+    covariance = sigma[:, :, None] * np.eye(2) * sigma[:, None]
+    curvature = table("curvature_db_per_deg2"), table("curvature_sigma_db_per_deg2")
+    return StationBeams(table("gradient_db_per_deg"), sigma, covariance, *curvature)
+
+
+#: deg of the map for one dB/deg
+_ARROW_DEG = 0.25
+_UNCHOSEN = "#999999"
+#: inches; the height follows the stations between these, title, labels and legend included
+_WIDTH_IN, _HEIGHTS_IN, _MARGINS_IN = 9.0, (3.6, 8.0), 1.8
+
+
+def draw_planning(planning: CarrierPlanning, path: Path) -> None:
+    """Draw the map into a PNG or SVG file."""
+    document = planning.document
+    leverage = {row["carrier"]: row["leverage"] for row in document["sets"][document["rule"]]["carriers"]}
+    names = sorted({row["transponder"] for row in document["carriers"]})
+    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
+        figure = Figure(figsize=(_WIDTH_IN, _height_in(planning)), layout="constrained")
+        axes = figure.subplots()
+        for number, name in enumerate(names):
+            # an empty plot gives the legend its entry whether or not a carrier of the transponder was chosen
+            axes.scatter([], [], s=60.0, color=_COLOURS[number % len(_COLOURS)], label=name)
+        axes.scatter([], [], s=24.0, facecolors="none", edgecolors=_UNCHOSEN, label="left out")
+        for k, row in enumerate(document["carriers"]):
+            position = float(planning.direction.azimuth_deg[k]), float(planning.direction.elevation_deg[k])
+            if np.isfinite(position).all():
+                colour = _COLOURS[names.index(row["transponder"]) % len(_COLOURS)]
+                _draw_station(axes, row, position, leverage.get(row["carrier"]), colour)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.margins(0.12)
+        axes.set_xlabel("azimuth in the antenna frame, deg (East positive)")
+        axes.set_ylabel("elevation, deg (North positive)")
+        axes.set_title(
+            f"{planning.name}: arrows show where the level rises, {_ARROW_DEG:g} deg for 1 dB/deg; size: leverage"
+        )
+        figure.legend(loc="outside lower center", ncols=min(len(names) + 1, 9), frameon=False)
+        figure.savefig(path, dpi=120)
+
+
+def _height_in(planning: CarrierPlanning) -> float:
+    """Return the height at which the map of the stations fills the figure."""
+    spans = [np.ptp(part[np.isfinite(part)]) if np.isfinite(part).any() else 1.0 for part in planning.direction]
+    # a margin of a degree about the stations is where their arrows end
+    ratio = (spans[1] + 1.0) / (spans[0] + 1.0)
+    return float(np.clip(_WIDTH_IN * ratio + _MARGINS_IN, *_HEIGHTS_IN))
+
+
+def _draw_station(
+    axes: Any, row: dict[str, Any], position: tuple[float, float], leverage: float | None, colour: str
+) -> None:
+    """Draw one station: filled where its carrier was chosen."""
+    if row["selected"]:
+        axes.scatter(*position, s=20.0 + 400.0 * (leverage or 0.0), color=colour, alpha=0.75, zorder=3)
+    else:
+        axes.scatter(*position, s=24.0, facecolors="none", edgecolors=_UNCHOSEN, zorder=3)
+    slope = row["sensitivity_db_per_deg"]
+    if slope["roll"] is not None and slope["pitch"] is not None:
+        # positive roll moves a station South, positive pitch moves it West
+        rise = (-_ARROW_DEG * slope["pitch"], -_ARROW_DEG * slope["roll"])
+        head = {"arrowstyle": "-|>", "color": colour if row["selected"] else _UNCHOSEN, "linewidth": 1.0}
+        axes.annotate("", (position[0] + rise[0], position[1] + rise[1]), position, arrowprops=head, zorder=2)
+        # an annotation does not widen the limits of the axes by itself
+        axes.update_datalim([(position[0] + rise[0], position[1] + rise[1])])
+    axes.annotate(row["carrier"], position, xytext=(5, 5), textcoords="offset points", fontsize=7)
+
+
+_AXES = ("yaw", "roll", "pitch")
+_USABLE, _UNUSABLE, _ESTIMATE = "#1f77b4", "#999999", "#d62728"
+
+
+def draw_quiet_days(planning: CarrierPlanning, rehearsal: Rehearsal, path: Path) -> None:
+    """Draw the figure into a PNG or SVG file."""
+    quiet = planning.document["quiet"]
+    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
+        figure = Figure(figsize=(11.0, 6.5), layout="constrained")
+        panels = figure.subplot_mosaic(
+            [
+                ["allan", "yaw"],
+                ["allan", "yaw"],
+                ["allan", "roll"],
+                ["daily", "roll"],
+                ["daily", "pitch"],
+                ["daily", "pitch"],
+            ]
+        )
+        _draw_allan(panels["allan"], quiet["carriers"])
+        _draw_daily(panels["daily"], quiet["carriers"])
+        for axis, name in enumerate(_AXES):
+            _draw_angle(panels[name], rehearsal.prediction, axis)
+        panels["pitch"].set_xlabel("hours of the rehearsal")
+        panels["yaw"].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
+        figure.suptitle(f"{planning.name}: {quiet['days']:.1f} quiet days from {quiet['start'][:16]}Z")
+        figure.savefig(path, dpi=110)
+
+
+def _draw_allan(panel: Any, carriers: list[dict[str, Any]]) -> None:
+    """Draw the Allan deviation of every carrier, and the usual one."""
+    spans_s = [one["span_s"] for one in carriers[0]["allan_db"]]
+    values = np.array([[one["deviation_db"] for one in row["allan_db"]] for row in carriers], dtype=np.float64)
+    for row, one in zip(carriers, values, strict=True):
+        panel.loglog(spans_s, one, color=_USABLE if row["usable"] else _UNUSABLE, alpha=0.4, linewidth=0.9)
+    known = np.isfinite(values).any(axis=0)
+    panel.loglog(np.array(spans_s)[known], np.nanmedian(values[:, known], axis=0), "k-o", markersize=3, label="median")
+    panel.set_xlabel("averaging time, s")
+    panel.set_ylabel("Allan deviation, dB")
+    panel.set_title("carriers, grey: not usable")
+    panel.legend()
+
+
+def _draw_daily(panel: Any, carriers: list[dict[str, Any]]) -> None:
+    """Draw the amplitude of the daily change, and the rms that its fit leaves."""
+    at = np.arange(len(carriers))
+    for shift, field, label, colour in (
+        (-0.2, "amplitude_db", "daily amplitude", _USABLE),
+        (0.2, "rms_db", "rms after the fit", "#ff7f0e"),
+    ):
+        heights = [row["daily_change"][field] or 0.0 for row in carriers]
+        panel.bar(at + shift, heights, 0.4, color=colour, label=label)
+    panel.set_xticks(at, [row["carrier"] for row in carriers], rotation=90, fontsize=7)
+    panel.set_ylabel("dB")
+    panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
+
+
+def _draw_angle(panel: Any, prediction: ExpectedAccuracy, axis: int) -> None:
+    """Draw one angle of the rehearsal within two sigma and its protection level."""
+    hours = (prediction.epochs_us - prediction.epochs_us[0]) / 3.6e9
+    angle_deg, sigma_deg = prediction.attitude_deg[:, axis], prediction.sigma_deg[:, axis]
+    panel.fill_between(hours, angle_deg - 2.0 * sigma_deg, angle_deg + 2.0 * sigma_deg, alpha=0.3, label="two sigma")
+    panel.plot(hours, angle_deg, color=_ESTIMATE, linewidth=0.8, label="estimate")
+    for sign in (-1.0, 1.0):
+        label = "protection level" if sign > 0.0 else None
+        panel.plot(hours, sign * prediction.protection_deg[:, axis], "k--", linewidth=0.7, label=label)
+    panel.set_ylabel(f"{_AXES[axis]}, deg")

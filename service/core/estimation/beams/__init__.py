@@ -1,1 +1,0 @@
-"""Antennas of the satellite as the powers show them: boresight against the body, daily change, beams of stations."""

@@ -1,1 +1,0 @@
-"""Noise of the carriers' levels, identified from quiet days."""

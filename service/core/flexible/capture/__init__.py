@@ -1,1 +1,0 @@
-"""Capture: from which rates one axis comes to rest."""

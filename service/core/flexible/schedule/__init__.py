@@ -1,1 +1,0 @@
-"""Check of a torque schedule against the flexible modes of one axis."""

@@ -1,1 +1,0 @@
-"""Orbit of the satellite from two-line elements or an OEM."""

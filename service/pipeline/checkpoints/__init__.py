@@ -1,1 +1,0 @@
-"""Checkpoints: the state of a chain as bytes, from which another chain goes on bit for bit."""

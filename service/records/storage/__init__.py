@@ -1,1 +1,0 @@
-"""Records about the archive itself: maintenance, backups, diagnoses."""
