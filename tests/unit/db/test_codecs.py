@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from hypothesis.extra.numpy import arrays
 
+from db.encoding import segment_codec
 from db.encoding.column_codec import PackedColumns, pack_columns
 from db.encoding.measurement_runs import details_of, pack_carriers, prepare_details, unpack_carriers
 from db.encoding.power_codec import (
@@ -350,7 +351,7 @@ def test_every_bit_of_a_segment_comes_back(rows):
     columns = unpack_columns(blobs.columns, len(rows.epochs_us))
     for name, column in columns._asdict().items():
         np.testing.assert_array_equal(column, getattr(rows, name), name)
-    powers = unpack_powers(blobs.powers, len(rows.epochs_us))
+    powers = segment_codec.unpack_powers(blobs.powers, len(rows.epochs_us))
     assert powers.tobytes() == rows.power_dbm.tobytes()
     if blobs.extras is None:
         assert not rows.has_flags.any()
