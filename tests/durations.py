@@ -18,7 +18,8 @@ LANDINGS = Path(__file__).parents[1] / "docs/evidence/landings.md"
 _PAGE = """# Nightly tests
 
 Made by `make nightly` after landing {landing}, with Python {python}: what continuous integration does not repeat with
-every [landing](landings.md). A run that is ten landings old fails `tests/docs/test_house_rules.py`.
+every [landing](landings.md). What is missing from the table did not run. A run that is ten landings old fails
+`tests/docs/test_house_rules.py`.
 
 {table}
 """
