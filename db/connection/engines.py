@@ -31,7 +31,7 @@ from service.errors import StorageError
 _GRACE_S = 1.0
 #: least time that the driver waits for a connection, s
 _LEAST_CONNECT_S = 2
-#: any number, the same in every process; another one than that of the migrations
+#: any number, the same in every process
 _WRITERS_LOCK = 5_210_120
 _WAIT_FOR_LOCK = text("SELECT pg_advisory_xact_lock(:lock)").bindparams(lock=_WRITERS_LOCK)
 _SHARE_LOCK = text("SELECT pg_advisory_xact_lock_shared(:lock)").bindparams(lock=_WRITERS_LOCK)

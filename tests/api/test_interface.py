@@ -1,4 +1,4 @@
-"""What holds for every path: keys, problems, sizes, packing, request ids, origins, the OpenAPI document, about."""
+"""Rules of every path: keys, problems, sizes, packing, request ids, origins, the OpenAPI document, about."""
 
 import gzip
 import json

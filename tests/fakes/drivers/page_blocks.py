@@ -1,4 +1,4 @@
-"""What tests of how-to pages share: the spacecraft that pages speak of, and their blocks run as they stand."""
+"""Parts of the tests of how-to pages: the spacecraft that pages speak of, and their blocks run as they stand."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""What routes share: waiting for the writer's thread, limits of epochs, widths of plans, blocks read ahead."""
+"""Parts of all routes: waiting for the writer's thread, limits of epochs, widths of plans, blocks read ahead."""
 
 import asyncio
 import threading

@@ -1,4 +1,4 @@
-"""What is sent in each dialect, whose traces are read how, and who is taken for whom."""
+"""Commands of each dialect, its traces, and the recognition of a maker."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What carriers can observe: bounds, sets of carriers and designs."""
+"""Observability by carriers: bounds, sets of carriers and designs."""
 
 import itertools
 import math

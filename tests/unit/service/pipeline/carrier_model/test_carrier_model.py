@@ -1,4 +1,4 @@
-"""What the model of carriers expects: noise, deviation, level and its control, beams."""
+"""Expectations of the model of carriers: noise, deviation, level and its control, beams."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What both methods share: results of carriers, inhibitions and disagreement."""
+"""Parts of both methods: results of carriers, inhibitions and disagreement."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What the demonstration shows: runs, merit and closed judgement."""
+"""The demonstration: runs, merit and closed judgement."""
 
 import json
 import math

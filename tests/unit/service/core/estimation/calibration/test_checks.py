@@ -1,4 +1,4 @@
-"""What the calibration says about sensors, wheels, feed and station."""
+"""Verdicts of the calibration on sensors, wheels, feed and station."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What the published method rejects: clipped samples, unselected carriers, criteria and consistency."""
+"""Rejections of the published method: clipped samples, unselected carriers, criteria and consistency."""
 
 import math
 
