@@ -380,6 +380,7 @@ def _identity_of(path: Path) -> _Identity | None:
 #: wait for a lock where no other is wanted, s
 BUSY_TIMEOUT_S = 10.0
 READERS = 8
+_LOG_RETRY_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -476,9 +477,23 @@ def _guard(engine: Engine, watch: FileWatch) -> None:
 def _prepare(busy_s: float, connection: Any, _record: object) -> None:
     connection.isolation_level = None
     connection.execute(f"PRAGMA busy_timeout={round(1000 * busy_s)}")
-    connection.execute("PRAGMA journal_mode=WAL")
+    _use_wal(connection, busy_s)
     connection.execute("PRAGMA synchronous=FULL")
     connection.execute("PRAGMA foreign_keys=ON")
+
+
+def _use_wal(connection: sqlite3.Connection, busy_s: float) -> None:
+    # the busy timeout does not hold while another connection gives a new file its log: SQLite refuses at once
+    deadline = time.monotonic() + busy_s
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode=WAL")
+        except sqlite3.OperationalError as fault:
+            if fault.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY or time.monotonic() > deadline:
+                raise
+            time.sleep(_LOG_RETRY_S)
+        else:
+            return
 
 
 def _forbid_writing(connection: Any, _record: object) -> None:

@@ -5,11 +5,13 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 import pytest
 from sqlalchemy import create_engine, inspect
+from sqlalchemy.exc import OperationalError
 from typer.testing import CliRunner
 
 from db.connection.engines import open_engines
@@ -88,6 +90,24 @@ def test_two_services_that_start_together_make_one_archive(empty):
     with engines.read.connect() as connection:
         assert connection.exec_driver_sql("SELECT number FROM archive_layout").scalars().all() == [LAYOUT]
     engines.dispose()
+
+
+def test_a_new_file_whose_lock_another_holds_is_waited_for(tmp_path, monkeypatch):
+    # SQLite refuses to change the journal of such a file at once, whatever its busy timeout
+    with closing(sqlite3.connect(tmp_path / "soo.db", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        monkeypatch.setattr(time, "sleep", lambda _: other.in_transaction and other.execute("ROLLBACK"))
+        prepare(f"sqlite:///{tmp_path / 'soo.db'}")
+        assert not other.in_transaction
+    assert {"archive_layout", "measurement"} <= tables(f"sqlite:///{tmp_path / 'soo.db'}")
+
+
+def test_a_new_file_that_stays_locked_is_an_error(tmp_path):
+    with closing(sqlite3.connect(tmp_path / "soo.db", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        engines = open_engines(f"sqlite:///{tmp_path / 'soo.db'}", limit_s=0.05)
+        with pytest.raises(OperationalError, match="locked"):
+            engines.read.connect()
 
 
 def test_an_archive_that_cannot_be_made_leaves_nothing_behind(empty):
