@@ -25,8 +25,7 @@ from bench.bench_chain import measure_filter
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.__main__ import main as serve
-from service.composition.settings import Settings
-from service.pipeline.kernels import kernels_named
+from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
 from service.ports import LIVE
 from service.records.levels.measurement import MeasurementBatch
 from tests.fakes.worlds.synthetic_payload import SC, START_US, S, SyntheticPayload
@@ -143,7 +142,7 @@ def _storage(database: Path) -> Iterator[SqlStorage]:
 
 def serve_warm() -> None:
     """Serve as ``soo serve``, its filter kernels warm as in a service that has been up for a while."""
-    measure_filter(16, 5, kernels_named(Settings.model_validate({}).kernels))
+    measure_filter(16, 5, compiled_kernels())
     serve()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, no_motion
 from service.core.estimation.filtering.model.filter_state import initial_gaussian
-from service.pipeline.kernels import kernels_named
+from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
 
 _MINUTE_US = 60_000_000
 #: more than the anchor waits between two answers
@@ -18,7 +18,7 @@ _ROWS = 30
 
 def compile_filter() -> None:
     """Filter half an hour of eight carriers by the compiled kernels."""
-    model, kernels, random = _payload(8), kernels_named("numba"), np.random.default_rng(1)
+    model, kernels, random = _payload(8), compiled_kernels(), np.random.default_rng(1)
     sigma_deg, sigma_db = np.full(3, 0.01), np.full(model.carriers, 0.03)
     aligned = initial_gaussian(model, np.zeros(3), sigma_deg, sigma_db, drift_deg_h=(0.1, 0.1, 0.1))
     state = start(model, 0, aligned)

@@ -54,11 +54,10 @@ def orbital_frame(
     plain: Annotated[bool, typer.Option("--plain", help="Compute without the compiler.")] = False,
 ) -> None:
     """Fly the orbital-frame model and print its figures beside the published ones."""
-    from service.core.dynamics.orbital_frame_kernel import fly
-    from service.pipeline.kernels import flight_kernel
+    from service.core.dynamics.orbital_frame_kernel import compiled_fly, fly
     from service.study.orbital_frame.reproduction import reproduce
 
-    kernel = fly if plain else flight_kernel()
+    kernel = fly if plain else compiled_fly()
     began_s = time.monotonic()
     with named_steps() as show:
         rows = reproduce(kernel, show)

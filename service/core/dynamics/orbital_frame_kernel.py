@@ -275,19 +275,14 @@ _KERNEL_STAGES: tuple[Callable[..., Any], ...] = (
 )
 
 
-@lru_cache(maxsize=2)
-def compiled_fly(*, is_cached: bool = True) -> Fly:
-    """Return ``fly`` compiled, or read from numba's cache: 7 s without, .3 s with it.
-
-    Raises
-    ------
-    RuntimeError
-        There is no place for a cache; ask for one that is not cached.
-    """
-    from numba import njit
+@lru_cache(maxsize=1)
+def compiled_fly() -> Fly:
+    """Return ``fly`` compiled: 7 s, and .3 s where an earlier process has kept it."""
     from numba.extending import register_jitable
+
+    from service.core.machine_code import compiled
 
     for chunk in _KERNEL_STAGES:
         register_jitable(chunk)
-    flown: Fly = njit(nogil=True, error_model="numpy", cache=is_cached)(fly)
+    flown: Fly = compiled(fly)
     return flown

@@ -246,8 +246,9 @@ def _put_pair(out: Bytes, at: int, number: np.int64 | np.uint32) -> int:
 @lru_cache(maxsize=1)
 def compiled_fill_rows() -> FillRows:
     """Return ``fill_rows`` compiled; machine code is kept between processes where there is a place for it."""
-    from numba import njit
     from numba.extending import register_jitable
+
+    from service.core.machine_code import compiled
 
     register_jitable(_put_bytes)
     register_jitable(_put_decimal)
@@ -258,9 +259,5 @@ def compiled_fill_rows() -> FillRows:
     register_jitable(_rounded)
     register_jitable(inline="always")(_put_hundredths)
     register_jitable(_put_value)
-    try:
-        compiled: FillRows = njit(nogil=True, error_model="numpy", cache=True)(fill_rows)
-    except RuntimeError:
-        # a file system that is read only: numba finds no place for its cache
-        compiled = njit(nogil=True, error_model="numpy")(fill_rows)
-    return compiled
+    fill: FillRows = compiled(fill_rows)
+    return fill

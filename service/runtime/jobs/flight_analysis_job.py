@@ -16,9 +16,8 @@ from service.core.dynamics.orbital_frame_analysis import (
     check_closed_loop,
     fly_closed_loop,
 )
-from service.core.dynamics.orbital_frame_kernel import fly
+from service.core.dynamics.orbital_frame_kernel import compiled_fly, fly
 from service.errors import BusyError
-from service.pipeline.kernels import flight_kernel
 from service.records.operations.work import Job
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress
 
@@ -101,4 +100,4 @@ class FlightAnalyses:
 
 def fly_thinned(request: SettlingRequest, points: int, kernels: Literal["numba", "numpy"]) -> ClosedLoop:
     """Return a flight with so many rows of its record at most; for a worker process, whose kernel stays compiled."""
-    return fly_closed_loop(request, flight_kernel() if kernels == "numba" else fly).thinned(points)
+    return fly_closed_loop(request, compiled_fly() if kernels == "numba" else fly).thinned(points)

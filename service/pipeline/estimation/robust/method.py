@@ -20,6 +20,7 @@ from service.core.estimation.filtering.model.filter_state import (
     FREE_REFERENCE_DB2,
     initial_gaussian,
 )
+from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch
 from service.core.estimation.filtering.watches.polarimeter_watch import PolarimeterWatch, polarimeter_advice
 from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates
@@ -46,7 +47,6 @@ from service.pipeline.inputs.declared_operations import declared_between, with_c
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import CommandedMotion, consume
 from service.pipeline.inputs.sensor_angles import usual_sigma_deg
-from service.pipeline.kernels import kernels_named
 from service.records.calibration import Alignment
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow, FloatArray
@@ -211,7 +211,7 @@ def _filtered(
     recorder: RowRecorder | None,
 ) -> FilterStep:
     """Return the filter after a row; ArithmeticError where its numbers are lost."""
-    kernels = kernels_named(config.kernels)
+    kernels = ARRAYS if config.kernels == "numpy" else compiled_kernels()
     found = step(
         model.filter,
         model.settings,

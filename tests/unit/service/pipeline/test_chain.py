@@ -8,13 +8,11 @@ import synthetic_payload as synthetic
 from geometry_flight import Flight, FlightPayload
 
 from bench.bench_chain import measure
-from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels
-from service.pipeline import kernels as filter_kernels
+from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.first_rows import compile_filter
 from service.pipeline.inputs.knowledge import Knowledge, update
-from service.pipeline.kernels import kernels_named
 from service.records.catalogue import FlexibleMode, Method, Release
 from service.records.inputs import (
     AlignmentSet,
@@ -287,39 +285,10 @@ def test_momentum_and_rate_are_known_while_they_are_fresh_in_whatever_order_they
 @pytest.mark.slow
 def test_rows_of_a_spacecraft_find_their_machine_code():
     compile_filter()
-    kernels = kernels_named("numba")
+    kernels = compiled_kernels()
     row = kernels.ordinary_row
     held = (row._hold_model._compiled, row._hold_state._compiled, row._taken._compiled)
     stages = (kernels.move_state._compiled, *held, kernels.anchor.mix, kernels.anchor.levels)
     made = [len(stage.signatures) for stage in stages]
     measure(16, 30, "numba", (Method.ROBUST,), has_commands=False)
     assert [len(stage.signatures) for stage in stages] == made == [1, 1, 1, 1, 1, 1]
-
-
-@pytest.fixture(autouse=True)
-def _forgotten_choice():
-    """Ask again in every test."""
-    kernels_named.cache_clear()
-    yield
-    kernels_named.cache_clear()
-
-
-def test_numpy_compiles_nothing():
-    assert kernels_named("numpy") is ARRAYS
-
-
-def test_numba_is_compiled_once():
-    assert kernels_named("numba") is kernels_named("numba") is compiled_kernels()
-
-
-def test_without_a_place_for_machine_code_it_is_compiled_all_the_same(monkeypatch):
-    def homeless(*, is_cached=True):
-        if is_cached:
-            raise RuntimeError("cannot cache function: no locator available")
-        return compiled_kernels(is_cached=False)
-
-    monkeypatch.setattr(filter_kernels, "compiled_kernels", homeless)
-    kernels = kernels_named("numba")
-    assert kernels is compiled_kernels(is_cached=False)
-    level_deg = kernels.anchor.levels(np.ones(1), np.zeros((1, 3)), np.full((1, 3), 0.1), 1e-4)
-    np.testing.assert_allclose(level_deg, 0.389, atol=1e-3)  # 3.89 sigma of a normal error

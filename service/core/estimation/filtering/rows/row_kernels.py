@@ -75,25 +75,15 @@ class RowKernels(NamedTuple):
 ARRAYS = RowKernels(filter_predict.move_state, row_stages.ordinary_row, kernels.ARRAYS)
 
 
-@lru_cache(maxsize=2)
-def compiled_kernels(*, is_cached: bool = True) -> RowKernels:
-    """Return the compiled set; a stage is compiled at its first call, or read from numba's cache.
-
-    Parameters
-    ----------
-    is_cached : bool
-        Keep the machine code beside the source or in the user's cache; False where neither can be written.
-
-    Raises
-    ------
-    RuntimeError
-        There is no place for the cache.
-    """
+@lru_cache(maxsize=1)
+def compiled_kernels() -> RowKernels:
+    """Return the compiled set; a stage is compiled at its first call, or read from what an earlier process kept."""
     # the import costs a quarter of a second: only a program that filters pays it
-    from numba import config, njit
+    from numba import config
     from numba.extending import register_jitable
 
     from service.core.estimation.filtering.rows import held_values
+    from service.core.machine_code import compiled
 
     # less of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code
     for vector_code in ("LOOP_VECTORIZE", "SLP_VECTORIZE"):
@@ -104,11 +94,11 @@ def compiled_kernels(*, is_cached: bool = True) -> RowKernels:
         for part in vars(module).values():
             if isinstance(part, FunctionType) and part.__module__ == module.__name__:
                 register_jitable(part)
-    compiler, digest = njit(cache=is_cached, nogil=True, error_model="numpy"), _digest(sources)
+    digest = _digest(sources)
     stages = (filter_predict.move_state, held_values.held, held_values.held)
-    mover, hold_model, hold_state = (_Stage(compiler(_entry(stage, digest))) for stage in stages)
-    taken = _Stage(compiler(held_values.row_of_held(digest)))
-    anchor = kernels.AnchorKernels(compiler(anchor_kernels.mix), compiler(anchor_kernels.levels))
+    mover, hold_model, hold_state = (_Stage(compiled(_entry(stage, digest))) for stage in stages)
+    taken = _Stage(compiled(held_values.row_of_held(digest)))
+    anchor = kernels.AnchorKernels(compiled(anchor_kernels.mix), compiled(anchor_kernels.levels))
     return RowKernels(mover, _HeldRows(hold_model, hold_state, taken), anchor)
 
 
