@@ -5,6 +5,7 @@ import logging
 import math
 import os
 import socket
+import tempfile
 import time
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
@@ -17,9 +18,10 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import end_stopped_writers, session_engine, translated_faults
-from db.schema.tables import MEMBERS_LOCK, SERVER_NOW_US, lease, live_member, member
+from db.schema.tables import LEASE_US, MEMBERS_LOCK, SERVER_NOW_US, lease, live_member, member
 from service.errors import StorageError
 from service.ports import ARCHIVE, Leases, Term
+from service.records.epoch import US_PER_S
 
 if TYPE_CHECKING:
     from db.connection.writer import Writer
@@ -58,7 +60,7 @@ def none_held(_name: str) -> int:
 
 
 class FileLeases:
-    """One lock on a file beside a SQLite archive, for all spacecraft.
+    """One lock on a file beside a SQLite archive, for all spacecraft; the file's time is its holder's sign of life.
 
     Parameters
     ----------
@@ -77,19 +79,26 @@ class FileLeases:
         self._writer = writer
         self._file: int | None = None
         self._terms = 0
+        #: file and time of the newest sign of life, and when it was seen by the clock that no suspension moves
+        self._sign: tuple[int, int] | None = None
+        self._seen_s = time.monotonic()
         #: programs that only look at an archive, or repair it, ask for no lease and need none
         self._is_wanted = False
 
     def poll(self, *, is_estimator: bool) -> Term:
-        """Lock the file unless another process has it; return the term of everything."""
+        """Lock the file unless another process has it, and give a sign of life; return the term of everything."""
         self._is_wanted = True
         if not is_estimator:
+            self._look()
             return none_held
         if not self._is_ours():
             self.give_back()
             if not self._is_acquired():
                 return none_held
             self._terms += 1
+        if self._file is not None:
+            os.utime(self._file)
+        self._look()
         term = self._terms
         return lambda _: term
 
@@ -101,6 +110,10 @@ class FileLeases:
     def leaders(self) -> dict[str, str]:
         """Return nothing: a lock does not say whose it is."""
         return {}
+
+    def silent_s(self) -> float:
+        """Return the time since the last sign of life that a poll found."""
+        return time.monotonic() - self._seen_s
 
     def ended(self) -> int:
         """Return 0: what a process has left is found by the next that leads."""
@@ -132,6 +145,7 @@ class FileLeases:
         """Lock the file, and wait for the transactions of its last holder; return whether it is ours."""
         try:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            self._look()
         except OSError as fault:
             _log.warning(
                 "lease file %s cannot be opened, this service does not lead: %s; check the folder's permissions",
@@ -143,14 +157,41 @@ class FileLeases:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(file)
-            return False
+            # a holder that was stopped within a transaction would be waited for in vain
+            if self.silent_s() <= LEASE_US / US_PER_S or not self._is_writable():
+                return False
+            file = self._successor()
         self._file = file
-        try:
-            self._writer.submit(lambda _: None).result()
-        except StorageError:
+        if not self._is_writable():
             self.give_back()
             return False
         return True
+
+    def _successor(self) -> int:
+        """Return a locked file that has replaced the one of a stopped holder, whose writes are refused from now on."""
+        file, name = tempfile.mkstemp(dir=self._path.parent, prefix=f"{self._path.name}-")
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        Path(name).replace(self._path)
+        _log.warning("the service that led has given no sign of life for %.0f s, this one leads", self.silent_s())
+        return file
+
+    def _is_writable(self) -> bool:
+        """Return whether an empty transaction ends, which waits for those of another process."""
+        try:
+            self._writer.submit(lambda _: None).result()
+        except StorageError:
+            return False
+        return True
+
+    def _look(self) -> None:
+        """Look for a new sign of life."""
+        try:
+            state = self._path.stat()
+        except OSError:
+            return
+        sign = (state.st_ino, state.st_mtime_ns)
+        if sign != self._sign:
+            self._sign, self._seen_s = sign, time.monotonic()
 
     def _is_ours(self) -> bool:
         """Return whether the locked file stands under its name: one that was taken away keeps nobody out."""
@@ -227,6 +268,7 @@ class ServerLeases:
         self._pid = 0
         self._terms: dict[str, int] = {}
         self._live: frozenset[int] = frozenset()
+        self._led_s = time.monotonic()
         self._ended = 0
         self._announcer: Connection | None = None
         self._announcer_pid = 0
@@ -256,6 +298,10 @@ class ServerLeases:
         self._is_refused = False
         terms = self._terms
         return lambda name: terms.get(name, 0)
+
+    def silent_s(self) -> float:
+        """Return the time since a poll found the lease of the archive with a member that lives."""
+        return time.monotonic() - self._led_s
 
     def wait(self, limit_s: float) -> frozenset[str]:
         """Wait for announcements of other processes."""
@@ -357,7 +403,10 @@ class ServerLeases:
         if missing or ARCHIVE not in {each.name for each in leases}:
             session.execute(_MAKE, {"names": [ARCHIVE, *missing]})
             leases = [_Lease(*each) for each in session.execute(_LEASES)]
-        return self._acquired(session, leases, live) if is_estimator else self._given_back(session, leases)
+        held = self._acquired(session, leases, live) if is_estimator else self._given_back(session, leases)
+        if ARCHIVE in held or any(each.name == ARCHIVE and each.holder in live for each in leases):
+            self._led_s = time.monotonic()
+        return held
 
     def _acquired(self, session: Connection, leases: list[_Lease], live: dict[int, bool]) -> dict[str, int]:
         """Acquire leases that are free up to the share of this process, and give back those above it."""

@@ -126,6 +126,9 @@ class Leases(Protocol):
     def leaders(self) -> dict[str, str]:
         """Return the name of the process that leads each spacecraft, and the archive, where the archive knows it."""
 
+    def silent_s(self) -> float:
+        """Return for how long no process has been seen to lead the archive, by the polls of this one."""
+
     def ended(self) -> int:
         """Return a number that changes when another process has ended; its jobs are nobody's then."""
 

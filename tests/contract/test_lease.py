@@ -5,16 +5,19 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from threading import Event
+from types import SimpleNamespace
 
 import pytest
 from sqlalchemy import text
 
+from db.connection import lease
 from db.connection.lease import require_own_session
 from db.maintenance.doctor import diagnose
 from db.schema.tables import LEASE_US
 from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports import ARCHIVE, Outcome
+from service.records.epoch import US_PER_S
 from service.records.operations.alarms import EngineMemory
 from service.records.operations.work import Job, JobState
 from service.runtime.clock import system_now_us
@@ -84,12 +87,19 @@ def is_stored(setting):
         return False
 
 
-def silence(storage):
-    """Let the server have had no word of a process for longer than a lease."""
-    member = storage.leases.member
-    carried_out(
-        storage, "UPDATE member SET seen_at_us = seen_at_us - :us WHERE member_id = :id", us=LEASE_US, id=member
-    )
+@pytest.fixture
+def silence(url, monkeypatch):
+    """Function that lets others have had no word of a process for longer than a lease."""
+
+    def silence(storage):
+        if url.startswith("sqlite"):
+            later = SimpleNamespace(monotonic=lambda: time.monotonic() + 2 * LEASE_US / US_PER_S, sleep=time.sleep)
+            monkeypatch.setattr(lease, "time", later)
+            return
+        silent = "UPDATE member SET seen_at_us = seen_at_us - :us WHERE member_id = :id"
+        carried_out(storage, silent, us=LEASE_US, id=storage.leases.member)
+
+    return silence
 
 
 def test_one_has_it_until_it_gives_it_back(setting, open_storage):
@@ -191,9 +201,8 @@ def test_processes_share_the_spacecraft_out(setting, new_setting, open_storage):
     assert held(first, names) == {ARCHIVE, *names}
 
 
-@pytest.mark.usefixtures("on_server")
-def test_a_stopped_process_and_a_dead_host_lose_their_leases_after_15_s(setting, open_storage, make):
-    """Their sessions are still open on the server: what counts is their silence."""
+def test_a_stopped_process_and_a_dead_host_lose_their_leases_after_15_s(setting, open_storage, make, silence):
+    """Their locks and sessions still stand: what counts is their silence."""
     first, twin = setting.storage, open_storage()
     assert held(first, [setting.id]) == {ARCHIVE, setting.id}
     assert held(twin, [setting.id]) == set()
@@ -205,8 +214,21 @@ def test_a_stopped_process_and_a_dead_host_lose_their_leases_after_15_s(setting,
     assert held(first, [setting.id]) == set()
 
 
+def test_signs_of_life_are_seen_by_who_waits(setting, open_storage, silence):
+    first, twin = setting.storage, open_storage()
+    held(first)
+    held(twin, is_estimator=False)
+    silence(first)
+    held(twin, is_estimator=False)
+    assert twin.leases.silent_s() > 0.0
+    before_s = twin.leases.silent_s()
+    held(first)
+    held(twin, is_estimator=False)
+    assert 0.0 <= twin.leases.silent_s() < before_s
+
+
 @pytest.mark.usefixtures("on_server")
-def test_a_process_that_was_silent_and_alone_goes_on(setting, make):
+def test_a_process_that_was_silent_and_alone_goes_on(setting, make, silence):
     first = setting.storage
     before = first.leases.poll(is_estimator=True)(setting.id)
     silence(first)
@@ -216,7 +238,7 @@ def test_a_process_that_was_silent_and_alone_goes_on(setting, make):
 
 
 @pytest.mark.usefixtures("on_server")
-def test_a_write_that_has_begun_is_waited_for(setting, open_storage):
+def test_a_write_that_has_begun_is_waited_for(setting, open_storage, silence):
     first, twin = setting.storage, open_storage()
     assert setting.id in held(first, [setting.id])
     with first._database.engines.read.connect() as connection:
@@ -301,7 +323,7 @@ def test_changes_are_announced_to_others(setting, open_storage):
 
 
 @pytest.mark.usefixtures("on_server")
-def test_jobs_of_a_process_that_lives_go_on(setting, open_storage):
+def test_jobs_of_a_process_that_lives_go_on(setting, open_storage, silence):
     first, twin = setting.storage, open_storage()
     held(first), held(twin)
     first.results.add_job(Job("fit-1", "fit", JobState.QUEUED, 0.0, 1))
