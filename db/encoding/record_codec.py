@@ -8,10 +8,11 @@ from operator import attrgetter, itemgetter
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
-from pydantic import ConfigDict, TypeAdapter
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 from sqlalchemy import Row, Table
 
 from db.schema.columns import column_names
+from service.errors import StorageError
 from service.records.journal import KIND_OF, KINDS, SlowInput
 from service.records.levels.attitude import NO_ANGLES, Axes, IntArray
 from service.records.levels.measurement import Float32Array, QualityFlag
@@ -36,9 +37,15 @@ def encode_all(kind: Any, records: object) -> str:
 
 
 def decode_all(kind: type[Record], text: str) -> tuple[Record, ...]:
-    """Return the values of one kind that a JSON list holds."""
+    """Return the values of one kind that a JSON list holds; StorageError ``storage.corrupt`` where it holds others."""
     adapter: TypeAdapter[tuple[Record, ...]] = _adapter(cast("Any", kind))
-    return adapter.validate_json(text)
+    try:
+        return adapter.validate_json(text)
+    except ValidationError as fault:
+        found = fault.errors(include_url=False, include_input=False)[0]
+        place = ".".join(map(str, found["loc"][1:])) or "its text"
+        detail = f"A stored {kind.__name__} cannot be read: {place}: {found['msg']}."
+        raise StorageError("storage.corrupt", detail) from fault
 
 
 def kind_of(record: SlowInput) -> str:

@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -10,12 +10,26 @@ from sqlalchemy import ColumnElement, Connection, Engine, Table, func, select, t
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.engines import COMPANIONS, open_engines, reading_engine, sqlite_path, translated_faults
+from db.encoding.record_codec import decode, decode_all
 from db.maintenance.integrity_check import Report, examine, guarded
 from db.measurements.journal_heads import compared_heads
-from db.schema.tables import alignment, checkpoint, head, measurement, spacecraft
+from db.schema.tables import (
+    alarm,
+    alignment,
+    calibration,
+    carrier_plan,
+    checkpoint,
+    ephemeris,
+    head,
+    measurement,
+    spacecraft,
+)
 from service.errors import StorageError
+from service.records.calibration import Alignment, CalibrationRequest, CalibrationResult
+from service.records.catalogue import Carrier, Ephemeris, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.journal import JournalHead
+from service.records.operations.alarms import Alarm
 from service.records.storage import Diagnosis
 
 #: processor time of an entry, s: both methods and the torque for sixteen carriers, on a machine of two cores
@@ -106,6 +120,8 @@ def _examined(
             if not any(each.check == "layout" and each.state == "fault" for each in found):
                 report("clock")
                 found += guarded("clock", partial(_clock, connection, now_us))
+                found += guarded("documents", partial(_documents, connection))
+                found += guarded("estimator", partial(_estimator, connection))
                 found += guarded("log", partial(compared_heads, connection, announced))
                 if connection.dialect.name == "postgresql":
                     found += guarded("leases", partial(_leaders, connection))
@@ -195,6 +211,44 @@ def _clock(connection: Connection, now_us: int) -> Iterator[Diagnosis]:
             yield Diagnosis("clock", "warning", f"the server's clock is {apart / US_PER_S:.0f} s away", advice)
             return
     yield Diagnosis("clock", "ok", f"{format_epoch(now_us)}, not behind any received row")
+
+
+#: documents on which estimates rest: table, column, reader
+_DOCUMENTS: tuple[tuple[Table, str, Callable[[str], object]], ...] = (
+    (spacecraft, "document", partial(decode, Spacecraft)),
+    (carrier_plan, "document", partial(decode_all, Carrier)),
+    (ephemeris, "document", partial(decode, Ephemeris)),
+    (calibration, "request", partial(decode, CalibrationRequest)),
+    (calibration, "result", partial(decode, CalibrationResult)),
+    (alignment, "document", partial(decode, Alignment)),
+)
+
+
+def _documents(connection: Connection) -> Iterator[Diagnosis]:
+    """Read every document that estimates rest on."""
+    read, unreadable = 0, 0
+    for table, column, read_text in _DOCUMENTS:
+        keys = [table.c[key.name] for key in table.primary_key]
+        for *key, document in connection.execute(select(*keys, table.c[column]).where(table.c[column].is_not(None))):
+            read += 1
+            try:
+                read_text(document)
+            except StorageError as fault:
+                unreadable += 1
+                detail = f"{table.name} {'/'.join(map(str, key))}: {fault.detail}"
+                yield Diagnosis("documents", "fault", detail, "Restore it from a backup, or make it again.")
+    if not unreadable:
+        yield Diagnosis("documents", "ok", f"{read} documents of the catalogue and of calibrations can be read")
+
+
+def _estimator(connection: Connection) -> Iterator[Diagnosis]:
+    """Yield for which spacecraft the estimator fails, by the alarm that the service has raised."""
+    standing = [decode(Alarm, text) for text in connection.scalars(select(alarm.c.document).where(alarm.c.is_open))]
+    failing = [each for each in standing if each.condition == "estimator_failed" and each.is_active]
+    for each in failing:
+        yield Diagnosis("estimator", "fault", f"{each.spacecraft_id}: {each.detail}", "Read the log of the service.")
+    if not failing:
+        yield Diagnosis("estimator", "ok", "no alarm says that it fails")
 
 
 def _leaders(connection: Connection) -> Iterator[Diagnosis]:

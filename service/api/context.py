@@ -208,6 +208,7 @@ class ApiContext:
     clock_kind: Literal["system", "data"] = "system"
     #: name of the process that leads each spacecraft, where the archive knows it
     leaders: Callable[[], dict[str, str]] = dict
+    leader_silent_s: Callable[[], float] = float
     #: whether the estimator runs
     is_following: Callable[[], bool] = _always
     #: who writes exported levels

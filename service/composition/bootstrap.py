@@ -39,6 +39,7 @@ from service.runtime.jobs.replay_run import prepare_process, replay_in_process
 from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.leadership import Leading, always
 from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.step_failures import StepFailures
 from service.runtime.live.supervisor import Supervisor
 from service.runtime.process_metrics import raised_descriptor_limit
 
@@ -151,7 +152,9 @@ def first_administrator(settings: Settings, storage: Storage) -> Path | None:
     return None
 
 
-def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, turn: Term) -> AlarmService:
+def build_alarms(
+    settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, turn: Term, failures: StepFailures
+) -> AlarmService:
     """Return the alarm desk with the notices of the settings."""
     conditions = condition_table(settings.alarms, settings.robust)
     from_severity = Severity[settings.alarm_notices_from.upper()]
@@ -185,6 +188,7 @@ def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveF
         check_period_s=settings.alarms.check_period_s,
         stale_periods=settings.alarms.stale_periods,
         turn=turn,
+        failures=failures,
     )
 
 
@@ -296,9 +300,10 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     clock = build_clock(settings, storage)
     feed = LiveFeed()
     leading = Leading(storage.leases, is_estimator=settings.estimator, changed=lambda sc: supervisor.on_announced(sc))
-    alarms = build_alarms(settings, storage, clock, feed, leading.term)
+    failures = StepFailures()
+    alarms = build_alarms(settings, storage, clock, feed, leading.term, failures)
     release_service = build_release_service(settings, storage, clock, feed, lambda sc: supervisor.notify(sc), leading)
-    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.term, release_service)
+    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.term, release_service, failures)
     # apart, so that no calibration waits for an analysis
     jobs, analyses = JobRunner(storage.results, clock), JobRunner(storage.results, clock)
     workers = Workers(settings.workers)
@@ -324,6 +329,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         clock=clock,
         is_following=lambda: supervisor.is_running,
         leaders=leading.leaders,
+        leader_silent_s=leading.silent_s,
         on_accepted=supervisor.notify,
         on_startup=start,
         on_shutdown=stop,

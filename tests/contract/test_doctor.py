@@ -18,6 +18,7 @@ from service.cli.app import app
 from service.ports import LIVE, Outcome
 from service.records.inputs import Correction
 from service.records.operations.access import AuditEvent
+from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.storage import Checkpoint, SealedPart, worst
 from service.runtime.clock import system_now_us
 
@@ -85,8 +86,8 @@ def test_a_sound_archive_is_called_sound_while_it_is_open(filled, url):
     assert of_archive(url) == []
     checks = [found.check for found in looked_at(url)]
     outside = ["file", "permissions", "disk", "wal"] if url.startswith("sqlite") else []
-    assert checks[-9:-4] == ["layout", "checksums", "segments", "summaries", "journal"]
-    assert checks[-4:] == ["counts", "results", "audit", "clock"]
+    assert checks[-11:-6] == ["layout", "checksums", "segments", "summaries", "journal"]
+    assert checks[-6:] == ["counts", "results", "audit", "clock", "documents", "estimator"]
     assert checks[: len(outside)] == outside
     # and after it was closed in good order
     filled.storage.close()
@@ -281,6 +282,21 @@ def test_a_file_that_this_user_cannot_write_is_told(file, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(db.maintenance.doctor.os, "geteuid", lambda: os.getuid() + 1)
     assert [check for check, _ in faults(f"sqlite:///{file}")] == ["permissions"]
+
+
+def test_documents_that_cannot_be_read_and_an_estimator_that_fails_are_told(filled, url):
+    assert [found.state for found in looked_at(url) if found.check in ("documents", "estimator")] == ["ok", "ok"]
+    alarm = Alarm(
+        *(0, filled.id, "estimator_failed", "step", Process.UNACKNOWLEDGED, Cover.NONE, Severity.CRITICAL),
+        *(1, 1, 1, 60.0, 0.0, "s", "no attitude is computed, every step has failed for 60 s"),
+    )
+    filled.storage.alarms.save([AlarmChange(ChangeKind.RAISED, alarm, 1, True)])
+    with filled.storage._database.engines.write.begin() as connection:
+        connection.execute(text("UPDATE carrier_plan SET document = replace(document, '\"id\"', '\"name\"')"))
+    found = of_archive(url)
+    assert [check for check, _ in found] == ["documents", "estimator"]
+    assert "/1: A stored Carrier cannot be read: id: " in found[0][1]
+    assert found[1][1] == f"{filled.id}: no attitude is computed, every step has failed for 60 s"
 
 
 @pytest.mark.parametrize(

@@ -90,11 +90,24 @@ class Metrics:
         yield from self._requests()
         parts = parts_of(self._context)
         yield from (("soo_ready", (part.name,), float(part.fault is None)) for part in parts)
+        yield from self._readable(self._archive())
         try:
-            # a list: what was gathered before the database left is not told half
-            yield from list(self._stored())
-        except StorageError as error:
-            _LOG.warning("metrics answer lacks those of the archive: %s", error)
+            catalogue = self._context.storage.catalogue.all_spacecraft()[:MAX_SPACECRAFT]
+        except StorageError:
+            catalogue = ()
+        for spacecraft in catalogue:
+            families = (self._sources(spacecraft.id), self._rows(spacecraft.id), self._attitude(spacecraft))
+            for family in families:
+                yield from self._readable(family)
+        yield from self._readable(self._links())
+
+    def _readable(self, family: Iterator[Sample]) -> Iterable[Sample]:
+        """Return the samples of a family as a whole, none where it fails: the others are told all the same."""
+        try:
+            return list(family)
+        except Exception as error:  # noqa: BLE001 a look at the service outlives every fault of it
+            _LOG.warning("metrics lack a family: %s", error)
+            return ()
 
     def _process(self) -> Iterator[Sample]:
         """Yield the samples of the process."""
@@ -137,19 +150,15 @@ class Metrics:
             family.add_metric([route], buckets, durations.total_s)
         return family
 
-    def _stored(self) -> Iterator[Sample]:
-        """Yield the samples of the archive."""
+    def _archive(self) -> Iterator[Sample]:
+        """Yield the samples of the archive as a whole."""
         state = self._context.storage.state()
         yield "soo_writer_queue", (), float(state.queued_writes)
         if state.free_bytes is not None:
             yield "soo_disk_free_bytes", (), float(state.free_bytes)
-        for spacecraft in self._context.storage.catalogue.all_spacecraft()[:MAX_SPACECRAFT]:
-            yield from self._sources(spacecraft.id)
-            yield from self._attitude(spacecraft)
-        yield from self._links()
 
     def _sources(self, spacecraft_id: str) -> Iterator[Sample]:
-        """Yield age and gaps of each source, the lags of the estimates, and the state of each carrier."""
+        """Yield age and gaps of each source, and the lags of the estimates."""
         archive, now_us = self._context.storage.archive, self._context.clock.now_us(spacecraft_id)
         head = archive.head(spacecraft_id)
         yield "soo_journal_lag", (spacecraft_id,), float(head.newest_number - head.consumed_number)
@@ -163,13 +172,13 @@ class Metrics:
                 yield "soo_sample_age_seconds", key, max(0.0, (now_us - source.newest_epoch_us) / US_PER_S)
             if source.rows_missing is not None:
                 yield "soo_rows_missing", key, float(source.rows_missing)
+
+    def _rows(self, spacecraft_id: str) -> Iterator[Sample]:
+        """Yield the rows that the filter has taken, and the state of each carrier of the newest one."""
         for is_ordinary, rows in self._context.supervisor.rows_by_kind(spacecraft_id).items():
             yield "soo_filter_rows_total", (spacecraft_id, "ordinary" if is_ordinary else "event"), float(rows)
-        yield from self._carriers(spacecraft_id, now_us)
-
-    def _carriers(self, spacecraft_id: str, now_us: int | None) -> Iterator[Sample]:
-        """Yield the state of each carrier of the newest row."""
         known = self._context.supervisor.carrier_states(spacecraft_id)
+        now_us = self._context.clock.now_us(spacecraft_id)
         if known is None:
             return
         row, states = known

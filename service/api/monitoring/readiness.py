@@ -14,7 +14,11 @@ from starlette.concurrency import run_in_threadpool
 from service.api.context import ApiContext
 from service.api.problems.problems import RETRY_AFTER_S, RequestProblemError
 from service.errors import FieldError, StorageError
+from service.records.epoch import format_epoch
 from service.records.storage import StorageState
+
+#: where nobody is seen to lead for longer, nobody estimates, s: a service takes over after half of it
+_SILENT_S = 30.0
 
 
 class Part(NamedTuple):
@@ -87,6 +91,12 @@ def _consumers(context: ApiContext) -> Iterator[Part]:
     if not context.is_following():
         yield Part("consumers", "consumers.stopped", "the estimator does not run")
         return
+    silent_s = context.leader_silent_s()
+    if silent_s > _SILENT_S:
+        yield Part("leader", "leader.silent", f"no service has been seen to estimate for {silent_s:.0f} s")
+    for failure in context.supervisor.failures.lasting():
+        since = f"{failure.times} times since {format_epoch(failure.since_us)}"
+        yield Part("estimator", "estimator.failed", f"{failure.spacecraft_id} failed {since}, first: {failure.error}")
     archive, limit = context.storage.archive, context.monitoring.ready_lag
     heads = {spacecraft.id: archive.head(spacecraft.id) for spacecraft in context.storage.catalogue.all_spacecraft()}
     lags = {name: head.newest_number - head.consumed_number for name, head in heads.items()}

@@ -53,6 +53,8 @@ _REQUESTS = {
     "disk.read_only": "Check the owner, the permissions and the mount of the database's folder.",
     "consumers.stopped": "Restart the service; its log says why the estimator ended.",
     "consumers.behind": "Wait until it has caught up; if the lag grows, read the log of the service.",
+    "estimator.failed": "Read the log of the service and run `soo doctor`; rows are kept and computed later.",
+    "leader.silent": "Start an estimator, or end the one that is stopped; its log says why.",
     "stream.too_many": "Close a stream, or try again after Retry-After seconds.",
     "storage.unavailable": "Send the same again after Retry-After seconds; if it fails again, run `soo doctor`.",
     "storage.gone": "Put the archive file back, then send the same again.",
@@ -60,7 +62,7 @@ _REQUESTS = {
     "storage.closed": "Send the same again after the restart.",
     "lease.elsewhere": "Send the request to that process, or again when this one leads.",
     "lease.lost": "Send the same again after Retry-After seconds.",
-    "storage.corrupt": "Run `soo doctor`, then restore that day from a backup.",
+    "storage.corrupt": "Run `soo doctor`, then restore what it names from a backup.",
 }
 _CATALOGUE = {
     "spacecraft.unknown": "Look up the id with GET /api/v1/spacecraft.",

@@ -1,8 +1,8 @@
 """The present as operators see it: newest rows, status, links, jobs, hand-over."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from service.api.context import ApiContext
 from service.api.schemas.access import JobAnswer
@@ -33,6 +33,7 @@ from service.records.operations.alarms import Alarm, Cover
 from service.records.operations.work import Job, LinkReport, LinkState
 from service.runtime.jobs.archive_maintenance import newest_advice, runnable_methods
 
+_Found = TypeVar("_Found")
 #: path below which results of closed loops stand, each under the id of its job
 RESULTS = "/api/v1/analyses/closed-loop"
 
@@ -173,7 +174,11 @@ def present_of(context: ApiContext, spacecraft: Spacecraft, view: ControlView | 
             # estimation can be read while nothing can be stored
             view = None
     command = newest_command(context, spacecraft, row, is_withheld=view is not None and view.is_withheld)
-    return Present(row, command, control_verdict(view, row if command is None else command))
+    failing = context.supervisor.failures.lasting(spacecraft.id)
+    failure = failing[0].error if failing else None
+    now_us = context.clock.now_us(spacecraft.id)
+    age_s = None if row is None or now_us is None else _age_s(now_us, row.epoch_us)
+    return Present(row, command, control_verdict(view, row if command is None else command, failure, age_s))
 
 
 def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
@@ -182,10 +187,11 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
     spacecraft = storage.catalogue.spacecraft(spacecraft_id)
     # in this order: with nothing pending, the newest attitude is that of the newest measurement told, or of a later one
     newest_us = storage.archive.head(spacecraft_id).newest_epoch_us
-    pending = storage.results.pending(spacecraft_id, runnable_methods(storage, spacecraft_id))
+    methods = _readable(lambda: runnable_methods(storage, spacecraft_id))
+    pending = storage.results.pending(spacecraft_id, methods)
     row, _, verdict = present_of(context, spacecraft)
-    alignments = storage.results.alignments(spacecraft_id)
-    active = storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
+    alignments = _readable(lambda: storage.results.alignments(spacecraft_id))
+    active = _readable(lambda: storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE))
     advice = newest_advice(storage, spacecraft_id)
     return StatusAnswer.model_validate(
         {
@@ -206,6 +212,16 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
             "alignment_id": alignments[0].id if alignments else None,
         }
     )
+
+
+def _readable(read: Callable[[], tuple[_Found, ...]]) -> tuple[_Found, ...]:
+    """Return what is stored, nothing where it cannot be read: the verdict says why nothing is computed."""
+    try:
+        return read()
+    except StorageError as error:
+        if error.code != "storage.corrupt":
+            raise
+        return ()
 
 
 def _links_of_sources(context: ApiContext, spacecraft_id: str) -> list[dict[str, Any]]:

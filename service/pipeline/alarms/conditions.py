@@ -175,8 +175,14 @@ def _of_release() -> tuple[AlarmCondition, ...]:
 
 
 def _of_service(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
-    """Return the conditions of calibration, ephemeris, keys and disk."""
+    """Return the conditions of estimator, calibration, ephemeris, keys and disk."""
     return (
+        _condition(
+            ("estimator_failed", Kind.ABOVE, "s", "failure", Origin.CLOCK),
+            "no attitude is computed, every {thing} has failed for {value}",
+            "read the service log; `soo doctor` finds what is stored wrong; rows are kept meanwhile and computed later",
+            ConditionLimits(critical=0.0, repeat_s=600.0),
+        ),
         _condition(
             ("calibration_old", Kind.ABOVE, "d", "calibration", Origin.CLOCK),
             "data of calibration {thing} ended {value} ago",

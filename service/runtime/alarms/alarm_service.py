@@ -24,6 +24,7 @@ from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.alarms.persisted_alarms import PersistedAlarms
 from service.runtime.live.leadership import always, elsewhere
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed, Seen
+from service.runtime.live.step_failures import StepFailures
 
 _LOG = logging.getLogger("soo.alarms")
 
@@ -56,6 +57,8 @@ class AlarmService:
         Row periods that are waited for after a start before rows are missed.
     turn : Term
         Tells which spacecraft this service leads: of others it alarms nobody.
+    failures : StepFailures, optional
+        Of the estimator.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class AlarmService:
         check_period_s: float = 2.0,
         stale_periods: float = 3.0,
         turn: Term = always,
+        failures: StepFailures | None = None,
     ) -> None:
         self._turn = turn
         #: terms from which on the alarms at hand are what the archive holds
@@ -79,7 +83,7 @@ class AlarmService:
         self._notices = notices
         self.conditions = conditions
         self._check_period_s = check_period_s
-        self._checks = ClockChecks(storage, clock, stale_periods)
+        self._checks = ClockChecks(storage, clock, stale_periods, failures or StepFailures())
         self._polls = 0
         self._persisted_by_id: dict[str | None, PersistedAlarms] = {}
         self._lock = threading.RLock()
@@ -240,16 +244,19 @@ class AlarmService:
                 self._check(self._persisted(None), readings, self._clock.system_us())
 
     def _check_spacecraft(self, spacecraft_id: str, *, is_thorough: bool) -> None:
-        """Check one spacecraft by its clock; without a row its clock has no present and nothing is checked."""
-        now_us = self._clock.now_us(spacecraft_id)
-        if now_us is None:
-            return
+        """Check one spacecraft by its clock, the estimator alone where it has no row and therefore no present yet."""
         persisted = self._persisted(spacecraft_id)
-        readings = list(self._checks.of_inputs(spacecraft_id, persisted.reader, now_us))
-        readings += self._checks.of_release(spacecraft_id, now_us)
-        if is_thorough:
-            readings += self._checks.of_foundations(spacecraft_id, now_us)
-        self._check(persisted, readings, now_us)
+        readings, now_us = [self._checks.of_estimator(spacecraft_id)], self._clock.now_us(spacecraft_id)
+        if now_us is not None:
+            families = [self._checks.of_inputs(spacecraft_id, persisted.reader, now_us)]
+            families.append(self._checks.of_release(spacecraft_id, now_us))
+            if is_thorough:
+                families.append(self._checks.of_foundations(spacecraft_id, now_us))
+            for family in families:
+                # what cannot be read of one keeps the others from nothing; an archive that is away ends the check
+                with self._unless_corrupt(spacecraft_id):
+                    readings += family
+        self._check(persisted, readings, self._now_us(spacecraft_id))
 
     def _check(self, persisted: PersistedAlarms, readings: Iterable[Readings], now_us: int) -> None:
         """Hold readings of the clock against the limits, let time pass, and keep what is about to happen."""
@@ -294,6 +301,16 @@ class AlarmService:
         """Return the present of a spacecraft, that of the system where it has none."""
         now_us = None if spacecraft_id is None else self._clock.now_us(spacecraft_id)
         return self._clock.system_us() if now_us is None else now_us
+
+    @contextmanager
+    def _unless_corrupt(self, spacecraft_id: str) -> Iterator[None]:
+        """Go on where something that is stored cannot be read."""
+        try:
+            yield
+        except StorageError as error:
+            if error.code != "storage.corrupt":
+                raise
+            _LOG.error("some alarms of %s are not checked: %s", spacecraft_id, error)
 
     @contextmanager
     def _guarded(self, spacecraft_id: str | None) -> Iterator[None]:

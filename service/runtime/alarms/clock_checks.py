@@ -18,6 +18,7 @@ from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
 from service.records.levels.measurement import SourceState
 from service.records.operations.work import LinkState
+from service.runtime.live.step_failures import StepFailures
 
 _SILENT = "SILENT"
 #: the least age of a warning, so that one of this very instant stands too, s
@@ -50,9 +51,12 @@ class ClockChecks:
         The only source of time.
     stale_periods : float
         Periods without a row that are waited for after a start before rows are missed.
+    failures : StepFailures
+        Of the estimator.
     """
 
-    def __init__(self, storage: Storage, clock: Clock, stale_periods: float) -> None:
+    def __init__(self, storage: Storage, clock: Clock, stale_periods: float, failures: StepFailures) -> None:
+        self._failures = failures
         self._storage = storage
         self._clock = clock
         self._grace_periods = stale_periods
@@ -66,6 +70,14 @@ class ClockChecks:
         yield from self._age(sources, reader, seen, now_us)
         yield Readings("rows_missing", *_missing(sources, seen, now_us))
         yield from self._links(spacecraft_id)
+
+    def of_estimator(self, spacecraft_id: str) -> Readings:
+        """Return for how long the estimator has failed; asked of nothing that is stored."""
+        failing = self._failures.lasting(spacecraft_id)
+        now_us = self._clock.system_us()
+        lasting_s = tuple(max((now_us - each.since_us) / US_PER_S, _LEAST_AGE_S) for each in failing)
+        things = tuple(each.kind for each in failing)
+        return Readings("estimator_failed", things, lasting_s, {each.kind: each.error for each in failing})
 
     def of_release(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
         """Yield the readings of the stored release of torques."""

@@ -63,6 +63,10 @@ class Leading:
         """Return the name of the process that leads each spacecraft, where the archive knows it."""
         return self._leases.leaders()
 
+    def silent_s(self) -> float:
+        """Return for how long no process has been seen to lead the archive; 0 while this one does."""
+        return 0.0 if self._archive_term else self._leases.silent_s()
+
     def start(self, taking_over: Sequence[Callable[[], None]] = ()) -> None:
         """Ask for leases, and from then on again and again.
 

@@ -27,13 +27,12 @@ from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpo
 from service.runtime.live.journal_consumer import StepResults, consume, result_events, seen_of, trips_after
 from service.runtime.live.leadership import always, is_moving
 from service.runtime.live.live_feed import FeedEvent, FreshRows, LiveFeed, Relay, ReleaseWatcher, RowPublisher, Watcher
+from service.runtime.live.step_failures import StepFailures
 
 _LOG = logging.getLogger("soo.supervisor")
 
 #: entries read from the journal and outcomes stored in one go
 _ENTRIES_AT_ONCE = 256
-#: wait before an entry is tried again after the storage failed, s
-_RETRY_S = 1.0
 #: between two looks at the journals for what other services have taken in, s
 _POLL_S = 0.5
 #: from the end of one round to the begin of the next: where rows stream in, what is taken in one go costs least
@@ -80,6 +79,8 @@ class Supervisor:
         Tells which spacecraft this process leads; of the others the feed gets what their leaders have stored.
     release : ReleaseWatcher, optional
         Who releases torques.
+    failures : StepFailures, optional
+        Where failures are noted.
     """
 
     def __init__(
@@ -90,7 +91,9 @@ class Supervisor:
         watcher: Watcher | None = None,
         turn: Term = always,
         release: ReleaseWatcher | None = None,
+        failures: StepFailures | None = None,
     ) -> None:
+        self.failures = failures or StepFailures()
         self._storage = storage
         self._release = release
         self._turn = turn
@@ -211,24 +214,26 @@ class Supervisor:
 
     def _follow_guarded(self, spacecraft_id: str, up_to: float) -> None:
         """Follow one journal; a fault is logged, the state is rebuilt and the journal tried again."""
+        if self.failures.is_waiting(spacecraft_id):
+            # the poll finds it again
+            return
         try:
             self._follow(spacecraft_id, up_to)
+            self.failures.forget(spacecraft_id, "step")
         except Exception as fault:  # noqa: BLE001 the supervisor outlives every fault; the chain is rebuilt from the archive
             if isinstance(fault, NotFoundError) and fault.code == "spacecraft.unknown":
                 # deleted
-                self._followers.pop(spacecraft_id, None)
-                return
-            if is_moving(fault):
+                self.failures.forget(spacecraft_id, "step")
+            elif is_moving(fault):
                 _LOG.warning("another process leads %s now: %s", spacecraft_id, fault)
             else:
                 _LOG.exception(
                     "computing new rows of %s failed; its state is rebuilt from the archive and the step retried",
                     spacecraft_id,
                 )
+                is_outage = isinstance(fault, StorageError) and fault.code != "storage.corrupt"
+                self.failures.note(spacecraft_id, "step", f"{type(fault).__name__}: {fault}", is_outage=is_outage)
             self._followers.pop(spacecraft_id, None)
-            timer = threading.Timer(_RETRY_S, self.notify, (spacecraft_id,))
-            timer.daemon = True
-            timer.start()
 
     def _follow(self, spacecraft_id: str, up_to: float) -> None:
         """Consume the entries of one journal up to a number, or to its end."""
@@ -346,6 +351,8 @@ class Supervisor:
         sequence = self._storage.results.save_outcomes(
             follower.spacecraft_id, LIVE, outcomes, number, epoch_us, checkpoint
         )
+        for outcome in outcomes:
+            self._note_row(follower.spacecraft_id, outcome)
         follower.consumed_number = number
         if checkpoint is not None:
             follower.kept_us = epoch_us
@@ -353,6 +360,14 @@ class Supervisor:
         follower.sequence = sequence
         if any(outcome.applied is not None for outcome in outcomes):
             self.notify(follower.spacecraft_id)
+
+    def _note_row(self, spacecraft_id: str, outcome: Outcome) -> None:
+        """Note whether a row could be computed by every method."""
+        failing = [row.method for row in outcome.rows if "internal_error" in row.inhibitions]
+        if failing:
+            self.failures.note(spacecraft_id, "rows", f"rows of method {failing[0]} fail, the service log says where")
+        else:
+            self.failures.forget(spacecraft_id, "rows")
 
     def _publish(self, spacecraft_id: str, events: tuple[FeedEvent, ...]) -> None:
         """Publish stored events if the spacecraft has subscribers."""

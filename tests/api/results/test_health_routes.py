@@ -80,6 +80,52 @@ async def test_an_estimator_that_is_behind_is_named(bench, make):
     assert (await bench.client.get("/readyz")).status_code == 200
 
 
+async def test_an_estimator_that_fails_is_not_ready_and_the_status_says_so_first(bench, make):
+    (row,) = bench.append([make.now_us])
+    bench.consume([Outcome((make.row(row, inhibitions=("fade",), control_allowed=False),), None)])
+    for _ in range(3):
+        bench.context.supervisor.failures.note(make.sc, "step", "UnpicklingError: pickle data was truncated")
+    problem = await unready(bench)
+    assert problem["code"] == "estimator.failed"
+    assert problem["errors"][0]["pointer"] == "/estimator"
+    assert re.search(rf"{make.sc} failed 3 times since 20.*, first: UnpicklingError: pickle", problem["detail"])
+    (first, *_) = (await bench.client.get(f"{bench.url}/status")).json()["control"]["reasons"]
+    assert first["code"] == "estimator_failed"
+    assert "UnpicklingError: pickle data was truncated" in first["text"]
+    assert samples((await bench.client.get("/metrics")).text)["soo_ready", "estimator"] == 0.0
+    bench.context.supervisor.failures.forget(make.sc, "step")
+    assert (await bench.client.get("/readyz")).status_code == 200
+
+
+async def test_a_service_beside_a_leader_that_is_silent_is_not_ready(bench):
+    change(bench, leader_silent_s=lambda: 29.0)
+    assert (await bench.client.get("/readyz")).status_code == 200
+    change(bench, leader_silent_s=lambda: 41.0)
+    problem = await unready(bench)
+    assert (problem["code"], problem["errors"][0]["pointer"]) == ("leader.silent", "/leader")
+    assert "for 41 s" in problem["detail"]
+
+
+async def test_a_document_that_cannot_be_read_takes_nothing_else_away(bench, make):
+    """A key of a calibration was written otherwise: no request fails by more than a problem with its code."""
+    (row,) = bench.append([make.now_us])
+    bench.consume([Outcome((make.row(row),), make.command(row))])
+    bench.calibrate([make.carrier_calibration(0, Axes(0.1, -0.3, 0.4))])
+    bench.align(make.now_us - make.s)
+    with bench.storage._database.engines.write.begin() as connection:
+        connection.exec_driver_sql("""UPDATE calibration SET request = replace(request, '"method"', '"way"')""")
+        connection.exec_driver_sql("""UPDATE alignment SET document = replace(document, '"source"', '"from"')""")
+    paths = ["status", "attitude", "control", "torques", "calibrations", "alignments", "sources", "carriers"]
+    for path in paths:
+        answer = await bench.client.get(f"{bench.url}/{path}")
+        code = answer.json().get("code") if answer.status_code != 200 else None
+        assert (answer.status_code, code) in ((200, None), (503, "storage.corrupt"), (404, code)), path
+    assert (await bench.client.get(f"{bench.url}/status")).status_code == 200
+    reported = samples((await bench.client.get("/metrics")).text)
+    assert reported["soo_attitude_deg", make.sc, "paper", "roll"] == -0.02
+    assert reported["soo_journal_lag", make.sc] == 2.0
+
+
 async def test_several_parts_are_all_named(bench, monkeypatch):
     state = bench.storage.state()
     monkeypatch.setattr(bench.storage, "state", lambda: replace(state, free_bytes=1000))

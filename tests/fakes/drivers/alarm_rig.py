@@ -14,6 +14,7 @@ from service.records.operations.work import LinkReport
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.step_failures import StepFailures
 
 S = 1_000_000
 MINUTE = 60 * S
@@ -59,6 +60,7 @@ class Rig:
     def __init__(self, path):
         self.storage = SqlStorage(f"sqlite:///{path}")
         self.clock, self.notices, self.events = Clock(), Notices(), []
+        self.failures = StepFailures()
         self.plan = CarrierPlan(1, "sha", CARRIERS)
         self.restart()
 
@@ -66,7 +68,7 @@ class Rig:
         feed = LiveFeed()
         feed.publish = lambda spacecraft_id, events: self.events.extend(events)
         conditions = condition_table(AlarmConfig(), RobustConfig())
-        self.desk = AlarmService(self.storage, self.clock, feed, conditions, self.notices)
+        self.desk = AlarmService(self.storage, self.clock, feed, conditions, self.notices, failures=self.failures)
 
     def row(self, minute, *power_dbm, is_late=False):
         epoch_us = START + round(minute * MINUTE)

@@ -9,6 +9,7 @@ from service.composition.bootstrap import build_alarms
 from service.composition.settings import Settings
 from service.runtime.clock import SystemClock
 from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.step_failures import StepFailures
 
 PLAIN = {
     "SOO_DATABASE_URL": ("database_url", "sqlite:///elsewhere.db", "sqlite:///elsewhere.db"),
@@ -179,12 +180,12 @@ HOOK = {"alarm_webhook_url": "http://hook.test/"}
     ],
 )
 def test_channels_are_those_of_the_settings(given, names):
-    desk = build_alarms(Settings.model_validate(given), None, SystemClock(), LiveFeed(), lambda: 1)
+    desk = build_alarms(Settings.model_validate(given), None, SystemClock(), LiveFeed(), lambda: 1, StepFailures())
     assert [channel.name for channel in desk.notices.channels] == names
 
 
 def test_limits_by_default_come_from_the_settings():
     given = {"alarms": {"attitude_warning_deg": 0.25}, "robust": {"disagreement_deg": 0.2}}
-    desk = build_alarms(Settings.model_validate(given), None, SystemClock(), LiveFeed(), lambda: 1)
+    desk = build_alarms(Settings.model_validate(given), None, SystemClock(), LiveFeed(), lambda: 1, StepFailures())
     assert desk.conditions["attitude_angle"].limits.warning == 0.25
     assert desk.conditions["methods_disagree"].limits.warning == 0.2

@@ -5,7 +5,7 @@ Every answer about the present carries this one object.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
 from service.core.control.slew_schedule import Envelope
@@ -37,6 +37,7 @@ _GIVING = frozenset({State.ARMED.name, State.ENGAGED.name, State.RECOVERY.name})
 _YAW_ONLY = frozenset(each.word for each in Condition if each.consequence is Consequence.YAW)
 #: reasons that are neither conditions of the interlock nor inhibitions of rows and commands
 OTHER_REASONS = {
+    "estimator_failed": "the estimator fails, no attitude is computed",
     "not_armed": "control is not armed",
     "good_minutes": "{good_min:g} minutes without a reason are not over",
     "no_attitude": "no attitude has been computed yet",
@@ -47,6 +48,7 @@ OTHER_REASONS = {
 
 #: next step, with the codes that it is for, by blanks
 _NEXT_STEPS = {
+    "Read the service log and run `soo doctor`: rows are kept and computed later.": "estimator_failed",
     "Wait: it clears by itself.": "late catch_up settling no_rate gap good_minutes chain_step",
     "Check links and newest_measurement of GET .../status.": "estimate_old no_attitude expired",
     "Check the excluded carriers of GET .../attitude.": (
@@ -211,7 +213,12 @@ def control_view(state: ReleaseState, spacecraft: Spacecraft, settings: ReleaseS
     )
 
 
-def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRow | None) -> ControlVerdict:
+def control_verdict(
+    view: ControlView | None,
+    newest: TorqueCommand | AttitudeRow | None,
+    failure: str | None = None,
+    age_s: float | None = None,
+) -> ControlVerdict:
     """Return the verdict on control.
 
     Parameters
@@ -220,6 +227,10 @@ def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRo
         Interlock; None: it cannot be read, which forbids control.
     newest : TorqueCommand or AttitudeRow or None
         Newest command of the method that drives control as it holds now, else its newest row; None: neither exists.
+    failure : str or None
+        Error that comes back with every try to compute an attitude.
+    age_s : float or None
+        Of the newest row, where it is known.
 
     Returns
     -------
@@ -228,10 +239,18 @@ def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRo
         while allowed.
     """
     found = {} if view is None else {reason.code: reason for reason in view.reasons}
+    if failure is not None:
+        reason = reason_of("estimator_failed")
+        found[reason.code] = replace(reason, text=f"{reason.text}: {failure}")
     if view is None:
         found["release_unreadable"] = reason_of("release_unreadable")
     # the interlock itself names the condition that tripped
     inhibitions = ("no_attitude",) if newest is None else tuple(one for one in newest.inhibitions if one != "tripped")
+    if "expired" in inhibitions:
+        # what else the row says is about the past
+        inhibitions, reason = ("expired",), reason_of("expired")
+        text = reason.text if age_s is None else f"the newest row is {_in_words(age_s)} old"
+        found["expired"] = replace(reason, text=text)
     for code in inhibitions:
         found.setdefault(code, reason_of(code))
     if inhibitions:
@@ -246,7 +265,15 @@ def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRo
 
 def _rank(reason: ControlReason) -> int:
     """Return the place of a reason among others, least first."""
+    if reason.code == "estimator_failed":
+        return -2
     return _NAMED_LAST.index(reason.code) if reason.code in _NAMED_LAST else -1
+
+
+def _in_words(age_s: float) -> str:
+    """Return an age in the largest unit of which there are two."""
+    units = (("days", 86_400.0), ("h", 3600.0), ("min", 60.0))
+    return next((f"{age_s / s:.1f} {unit}" for unit, s in units if age_s >= 2.0 * s), f"{age_s:.0f} s")
 
 
 def _good_minutes(since_us: int | None, now_us: int, settings: ReleaseSettings) -> GoodMinutes:

@@ -14,7 +14,7 @@ TWO = np.ones(2)
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """Function that compiles one and the same function anew, as every process does, and returns it after a call."""
+    """Function that compiles one and the same function as every process does, and returns it after a call."""
     monkeypatch.setattr(caching.config, "CACHE_DIR", str(tmp_path / "kept"))
     source = tmp_path / "arithmetic.py"
     source.write_text(SOURCE)

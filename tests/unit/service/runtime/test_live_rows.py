@@ -27,6 +27,7 @@ from service.records.inputs import (
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.runtime.live import step_failures
 from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, update_before
 from service.runtime.live.live_feed import FreshRows, LiveFeed, RowPublisher
 
@@ -78,7 +79,7 @@ def test_a_full_disk_between_two_parts_loses_and_doubles_no_row(waiting, calls):
     whole, broken = waiting
     storage = Parts(broken.storage, Ending(broken.storage.results, calls, full))
     with (
-        patch.object(supervisor_module, "_RETRY_S", 0.02),
+        patch.object(step_failures, "_RETRY_S", 0.02),
         patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 10),
         broken.supervised(storage) as supervisor,
     ):

@@ -321,8 +321,22 @@ def test_the_reason_to_act_on_comes_first():
     row = replace(GOOD, status=Status.INVALID, inhibitions=("not_aligned",), control_allowed=False)
     view = replace(CONTROL, state="INHIBITED", reasons=(reason_of("estimate_old"), reason_of("yaw_sign")))
     assert codes(control_verdict(view, row)) == ["not_aligned", "estimate_old", "yaw_sign"], "links are not to blame"
-    row = replace(GOOD, status=Status.EXPIRED, inhibitions=("expired", "redundancy"), control_allowed=False)
-    assert codes(control_verdict(view, row))[0] == "redundancy"
+    verdict = control_verdict(view, replace(GOOD, inhibitions=("redundancy",)), "KeyError: 'gain'")
+    assert codes(verdict)[:2] == ["estimator_failed", "redundancy"]
+    assert verdict.reasons[0].text == "the estimator fails, no attitude is computed: KeyError: 'gain'"
+    assert (verdict.is_allowed, verdict.state) == (False, "INHIBITED")
+
+
+@pytest.mark.parametrize(
+    ("age_s", "words"), [(211.0, "3.5 min"), (233_280.0, "2.7 days"), (40 * 60.0, "40.0 min"), (7_200.0, "2.0 h")]
+)
+def test_reasons_of_an_old_row_are_not_those_of_the_present(age_s, words):
+    row = replace(GOOD, status=Status.EXPIRED, inhibitions=("catch_up", "redundancy", "expired"), control_allowed=False)
+    view = replace(CONTROL, state="INHIBITED", reasons=(reason_of("yaw_sign"),))
+    verdict = control_verdict(view, row, age_s=age_s)
+    assert codes(verdict) == ["expired", "yaw_sign"]
+    assert verdict.reasons[0].text == f"the newest row is {words} old"
+    assert codes(control_verdict(view, row)) == ["expired", "yaw_sign"]
 
 
 def test_figures_are_those_of_the_settings():
