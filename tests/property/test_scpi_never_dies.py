@@ -250,7 +250,7 @@ def test_bytes_that_are_no_hislip_end_only_their_own_session(analyzer, name):
     @settings(max_examples=WIRE_EXAMPLES, deadline=None, derandomize=True, database=None)
     def throw(data, is_first):
         line = RawLine(analyzer.hislip_port or 0) if is_first else HislipLine(analyzer.hislip_port or 0)
-        (line.socket if isinstance(line, RawLine) else line.synchronous).sendall(data)
+        (line if isinstance(line, RawLine) else line.sync).write(data)
         line.close()
         assert neighbour.ask("*IDN?") == DIALECTS[name].identity
 

@@ -1,37 +1,22 @@
-"""Lines to a live instrument, byte by byte: a raw socket and a HiSLIP session, written from IVI-6.1 alone."""
+"""Lines to a live instrument, byte by byte: a raw socket and a HiSLIP session, written from IVI-6.1 alone.
+
+They share no code with the simulator: what both got wrong alike would not be seen.
+"""
 
 import socket
 import struct
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 TIMEOUT_S = 120.0
+FIRST_ID = 0xFFFFFF00
 _HEADER = struct.Struct("!2sBBIQ")
-(
-    *_,
-    DATA,
-    DATA_END,
-    CLEAR_COMPLETE,
-    CLEAR_ACKNOWLEDGE,
-    REMOTE_LOCAL,
-    REMOTE_LOCAL_RESPONSE,
-    TRIGGER,
-    INTERRUPTED,
-    ASYNC_INTERRUPTED,
-    MAX_SIZE,
-    MAX_SIZE_RESPONSE,
-    ASYNC_INITIALIZE,
-    ASYNC_INITIALIZE_RESPONSE,
-    ASYNC_CLEAR,
-    SERVICE_REQUEST,
-    STATUS_QUERY,
-    STATUS_RESPONSE,
-    ASYNC_CLEAR_ACKNOWLEDGE,
-    LOCK_INFO,
-    LOCK_INFO_RESPONSE,
-) = range(26)
+# numbers of table 4 of IVI-6.1
+INITIALIZE, INITIALIZED, FATAL, ERROR, LOCK, LOCKED, DATA, DATA_END, CLEAR_COMPLETE, CLEAR_DONE = range(10)
+REMOTE, REMOTE_DONE, TRIGGER, INTERRUPTED, ASYNC_INTERRUPTED, SIZE, SIZE_TOLD, ASYNC_INITIALIZE = range(10, 18)
+ASYNC_INITIALIZED, CLEAR, SERVICE, STATUS, STATUS_TOLD, CLEAR_ACKNOWLEDGED, LOCK_INFO, LOCK_TOLD = range(18, 26)
 
 
-class Packet(NamedTuple):
+class Heard(NamedTuple):
     """One HiSLIP message."""
 
     kind: int
@@ -40,137 +25,161 @@ class Packet(NamedTuple):
     payload: bytes
 
 
-def connected(port: int) -> socket.socket:
-    """Return a connection without delays."""
-    line = socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT_S)
-    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return line
-
-
-def received(line: socket.socket, count: int) -> bytes:
-    """Return exactly so many bytes."""
-    data = b""
-    while len(data) < count:
-        chunk = line.recv(count - len(data))
-        if not chunk:
-            raise ConnectionError("the instrument closed the line")
-        data += chunk
-    return data
-
-
 class RawLine:
     """A raw socket."""
 
     def __init__(self, port: int) -> None:
-        self.socket = connected(port)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=TIMEOUT_S)
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
         self.socket.sendall(data)
 
+    def received(self, count: int) -> bytes:
+        """Return exactly so many bytes."""
+        data = b""
+        while len(data) < count:
+            data += self._chunk(count - len(data))
+        return data
+
     def read_until(self, tail: bytes) -> bytes:
         """Return what comes until it ends with something."""
         data = b""
         while not data.endswith(tail):
-            chunk = self.socket.recv(1 << 16)
-            if not chunk:
-                raise ConnectionError("the instrument closed the line")
-            data += chunk
+            data += self._chunk(1 << 16)
         return data
+
+    def _chunk(self, limit: int) -> bytes:
+        chunk = self.socket.recv(limit)
+        if not chunk:
+            raise ConnectionError("the instrument closed the line")
+        return chunk
 
     def ask(self, text: str) -> str:
         """Send one message and return the line that answers."""
         self.write(text.encode() + b"\n")
         return self.read_until(b"\n").decode().removesuffix("\n")
 
+    def hears_nothing(self, for_s: float = 0.2) -> bool:
+        """Tell whether nothing comes for some time."""
+        self.socket.settimeout(for_s)
+        try:
+            return self.socket.recv(1) == b"never"
+        except TimeoutError:
+            return True
+        finally:
+            self.socket.settimeout(TIMEOUT_S)
+
+    def is_closed(self) -> bool:
+        """Tell whether the instrument has closed the line."""
+        try:
+            return self.socket.recv(1) == b""
+        except ConnectionResetError:
+            return True
+
     def close(self) -> None:
         """Close the line."""
         self.socket.close()
 
 
-class HislipLine:
-    """A HiSLIP session in synchronized mode."""
+class Channel(RawLine):
+    """One connection of HiSLIP messages."""
 
-    def __init__(self, port: int, client_bytes: int = 1 << 20) -> None:
-        self.synchronous = connected(port)
-        self.put(0, 0, 0x0101 << 16 | int.from_bytes(b"JU", "big"), b"hislip0")
-        opened = self.consume()
-        self.is_overlap_preferred = bool(opened.control & 1)
-        self.number = opened.parameter & 0xFFFF
-        self.asynchronous = connected(port)
-        self.put_asynchronous(ASYNC_INITIALIZE, 0, self.number)
-        self.on_asynchronous(ASYNC_INITIALIZE_RESPONSE)
-        self.put_asynchronous(MAX_SIZE, 0, 0, struct.pack("!Q", client_bytes))
-        self.server_bytes = struct.unpack("!Q", self.on_asynchronous(MAX_SIZE_RESPONSE).payload)[0]
-        self.message_id = 0xFFFFFF00
-        self.is_delivered = False
+    def say(self, kind: int, control: int = 0, parameter: int = 0, payload: bytes = b"") -> None:
+        """Send a message."""
+        self.write(_HEADER.pack(b"HS", kind, control, parameter, len(payload)) + payload)
 
-    def put(self, kind: int, control: int = 0, parameter: int = 0, payload: bytes = b"") -> None:
-        """Send a message on the synchronous channel."""
-        self.synchronous.sendall(_HEADER.pack(b"HS", kind, control, parameter, len(payload)) + payload)
-
-    def put_asynchronous(self, kind: int, control: int = 0, parameter: int = 0, payload: bytes = b"") -> None:
-        """Send a message on the asynchronous channel."""
-        self.asynchronous.sendall(_HEADER.pack(b"HS", kind, control, parameter, len(payload)) + payload)
-
-    @staticmethod
-    def _packet(line: socket.socket) -> Packet:
-        prologue, kind, control, parameter, length = _HEADER.unpack(received(line, _HEADER.size))
+    def on_input(self) -> Heard:
+        """Return the next message."""
+        prologue, kind, control, parameter, length = _HEADER.unpack(self.received(_HEADER.size))
         assert prologue == b"HS"
-        return Packet(kind, control, parameter, received(line, length))
+        return Heard(kind, control, parameter, self.received(length))
 
-    def consume(self) -> Packet:
-        """Return the next message of the synchronous channel."""
-        return self._packet(self.synchronous)
 
-    def on_asynchronous(self, kind: int | None = None) -> Packet:
-        """Return the next message of the asynchronous channel; with a kind, the next of that kind."""
-        while True:
-            packet = self._packet(self.asynchronous)
-            if kind is None or packet.kind == kind:
-                return packet
+class HislipLine:
+    """A session in synchronized mode: numbers its messages and tells what it has read, as IVI-6.1 wants it."""
 
-    def write(self, data: bytes) -> int:
-        """Send one program message as DataEnd; return its identifier."""
-        sent = self.message_id
-        self.put(DATA_END, int(self.is_delivered), sent, data)
-        self.is_delivered = False
-        self.message_id = (sent + 2) & 0xFFFFFFFF
-        return sent
+    def __init__(self, port: int, version: int = 0x0100) -> None:
+        self.sync, self.side = Channel(port), Channel(port)
+        self.sync.say(INITIALIZE, 0, version << 16 | 0x7878, b"hislip0")
+        self.opened = self.sync.on_input()
+        assert self.opened.kind == INITIALIZED
+        self.side.say(ASYNC_INITIALIZE, 0, self.opened.parameter & 0xFFFF)
+        assert self.side.on_input()[:2] == (ASYNC_INITIALIZED, 0)
+        self.next_id, self.last_id, self.delivered = FIRST_ID, FIRST_ID - 2, 0
 
-    def read(self) -> tuple[int, bytes]:
-        """Return identifier and bytes of one answer; what is neither Data nor DataEnd is passed over."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def write(self, data: bytes, kind: int = DATA_END) -> int:
+        """Send one program message; return its identifier."""
+        self.sync.say(kind, self.delivered, self.next_id, data)
+        self.delivered, self.last_id = 0, self.next_id
+        self.next_id = (self.next_id + 2) & 0xFFFFFFFF
+        return self.last_id
+
+    def read(self) -> bytes:
+        """Return the answer to the last message."""
         answer = b""
         while True:
-            packet = self.consume()
-            if packet.kind in {DATA, DATA_END}:
-                answer += packet.payload
-            if packet.kind == DATA_END:
-                self.is_delivered = True
-                return packet.parameter, answer
+            heard = self.sync.on_input()
+            assert heard.kind in {DATA, DATA_END}, heard
+            assert heard.parameter == self.last_id
+            answer += heard.payload
+            if heard.kind == DATA_END:
+                self.delivered = 1
+                return answer
 
     def ask(self, text: str) -> str:
         """Send one message and return the line that answers."""
-        self.write(text.encode() + b"\n")
-        return self.read()[1].decode().removesuffix("\n")
+        self.write(text.encode())
+        return self.read().decode().removesuffix("\n")
 
     def status(self) -> int:
         """Return the status byte as a serial poll does."""
-        self.put_asynchronous(STATUS_QUERY, int(self.is_delivered), (self.message_id - 2) & 0xFFFFFFFF)
-        self.is_delivered = False
-        return self.on_asynchronous(STATUS_RESPONSE).control
+        self.side.say(STATUS, self.delivered, self.last_id)
+        heard = self.side.on_input()
+        assert heard.kind == STATUS_TOLD, heard
+        self.delivered = 0
+        return heard.control
+
+    def lock(self, timeout_ms: int = 0, key: bytes = b"") -> int:
+        """Ask for the lock; return the answer."""
+        self.side.say(LOCK, 1, timeout_ms, key)
+        return self.lock_answer()
+
+    def unlock(self) -> int:
+        """Give the lock back; return the answer."""
+        self.side.say(LOCK, 0, self.last_id)
+        return self.lock_answer()
+
+    def lock_answer(self) -> int:
+        """Return the answer to a request for the lock."""
+        heard = self.side.on_input()
+        assert heard.kind == LOCKED, heard
+        return heard.control
 
     def clear(self) -> None:
-        """Clear the device: both channels, then start again."""
-        self.put_asynchronous(ASYNC_CLEAR)
-        self.on_asynchronous(ASYNC_CLEAR_ACKNOWLEDGE)
-        self.put(CLEAR_COMPLETE)
-        while self.consume().kind != CLEAR_ACKNOWLEDGE:
+        """Clear the device: both channels, then start again; requests for service that stand are passed over."""
+        self.side.say(CLEAR)
+        while self.side.on_input().kind != CLEAR_ACKNOWLEDGED:
             pass
-        self.message_id = 0xFFFFFF00
-        self.is_delivered = False
+        self.sync.say(CLEAR_COMPLETE)
+        while self.sync.on_input().kind != CLEAR_DONE:
+            pass
+        self.next_id, self.last_id, self.delivered = FIRST_ID, FIRST_ID - 2, 0
 
     def close(self) -> None:
         """Close both channels."""
-        self.synchronous.close()
-        self.asynchronous.close()
+        self.sync.close()
+        self.side.close()

