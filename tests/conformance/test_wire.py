@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import wire_lines as w
 from analyzer_thread import AnalyzerThread, start_in_thread
-from scpi_bench import standing_instrument
+from scpi_bench import block_payload, standing_instrument
 from wire_lines import HislipLine, RawLine
 
 from analyzer_sim.dialects.dialects import DIALECTS
@@ -59,11 +59,7 @@ def trace_bytes(line, facts):
         head = line.received(2)
         size = line.received(int(head[1:]))
         data = head + size + line.received(int(size) + 1)
-    digits = int(data[1:2])
-    assert data[:1] == b"#"
-    assert data[-1:] == b"\n"
-    assert int(data[2 : 2 + digits]) == len(data) - 3 - digits
-    return data[2 + digits : -1]
+    return block_payload(data)
 
 
 # both transports

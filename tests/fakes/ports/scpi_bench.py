@@ -30,6 +30,16 @@ def standing_instrument(
     return Instrument(source or StandingSource(), TracePainter(7, IDEAL), may_advance, dialect.model)
 
 
+def block_payload(data: bytes) -> bytes:
+    """Read ``#<n><length>``, the payload and the line feed; return the payload."""
+    digits = int(data[1:2])
+    size = int(data[2 : 2 + digits])
+    assert data[:1] == b"#"
+    assert len(data) == 2 + digits + size + 1
+    assert data.endswith(b"\n")
+    return data[2 + digits : -1]
+
+
 class Bench:
     """An instrument and one session on it; ``allow(False)`` keeps sweeps pending, and so does ``may_advance``."""
 

@@ -10,7 +10,6 @@ from analyzer_sim.instrument.imperfections import IDEAL, Imperfections, LevelErr
 from analyzer_sim.instrument.instrument_settings import (
     FSW_26,
     MS2090A,
-    N9020B,
     SSA3032X,
     AnalyzerModel,
     FilterSteps,
@@ -190,12 +189,6 @@ def test_filter_told_by_another_width_is_narrower_at_3_db() -> None:
     settings = fresh(filter_ratio=1.5)
     put(settings, rbw_hz=30e3)
     assert (settings.rbw_shown_hz, settings.rbw_hz) == (30e3, 20e3)
-
-
-def test_preset_sweeps_where_the_reset_does_not() -> None:
-    assert not reset_state(N9020B).is_continuous
-    assert reset_state(N9020B, is_preset=True).is_continuous
-    assert reset_state(FSW_26).is_continuous
 
 
 def test_hold_combines_only_when_several_sweeps_are_taken() -> None:

@@ -44,14 +44,6 @@ def test_epoch_is_that_of_the_trace_shown(bench: Any) -> None:
     assert instrument.trace().epoch_us == instrument.epoch_us()
 
 
-def test_count_combines_sweeps_of_one_row(bench: Any) -> None:
-    instrument = bench.instrument
-    instrument.settings.is_continuous = False
-    instrument.settings.count = 20
-    instrument.initiate()
-    assert bench.source.row == 1
-
-
 class Clock:
     """Seconds that pass when told."""
 
@@ -220,23 +212,6 @@ def test_sweeps_without_end_can_be_ended_and_a_single_one_follows(slow: Slow) ->
     slow.ask("INIT:CONT ON")
     slow.pass_time(0.0)
     assert (slow.condition, slow.instrument.is_pending) == (OPERATION_SWEEPING, False)
-
-
-def test_device_clear_frees_the_session_and_leaves_the_sweep(slow: Slow) -> None:
-    slow.ask("INIT;*OPC")
-    slow.ask("*OPC?")
-    slow.bench.session.clear()
-    assert not slow.bench.session.is_busy
-    assert slow.condition == OPERATION_SWEEPING
-    slow.pass_time(2.01)
-    assert slow.bench.source.row == 1
-    assert slow.ask("*ESR?") == "128", "*OPC was taken back"
-
-
-def test_reset_ends_the_sweep(slow: Slow) -> None:
-    slow.ask("INIT;*RST")
-    assert not slow.instrument.is_pending
-    assert slow.bench.source.row == 0
 
 
 def test_life_counts_its_changes_and_time() -> None:
