@@ -175,13 +175,6 @@ def test_end_of_a_sweep_can_be_polled(siglent_bench: Any) -> None:
     assert siglent_bench.ask("TRAC:SWE:STAT?") == "1"
 
 
-@pytest.mark.parametrize(("kind", "detector"), [("POW", "RMS"), ("LOGP", "AVER"), ("VOLT", "LIN")])
-def test_average_detector_follows_the_average_type(siglent_bench: Any, kind: str, detector: str) -> None:
-    siglent_bench.ask(f"AVER:TYPE {kind};:DET:TRAC1 AVER")
-    assert siglent_bench.instrument.settings.detector == detector
-    assert siglent_bench.ask("DET:TRAC1?") == "AVER"
-
-
 def test_default_is_the_positive_peak(siglent_bench: Any) -> None:
     assert siglent_bench.ask("DET:TRAC?;:AVER:TYPE?;:AVER:TRAC1:COUN?") == "POS;LOGP;100"
 

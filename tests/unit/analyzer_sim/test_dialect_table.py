@@ -11,7 +11,6 @@ from analyzer_sim.dialects.dialects import DIALECTS
 
 ALL = ("rs", "keysight", "siglent", "anritsu")
 ATTENUATION = {"rs": ":INP:ATT", "keysight": ":POW:ATT", "siglent": ":POW:ATT", "anritsu": ":POW:RF:ATT"}
-REFERENCE = dict.fromkeys(ALL, ":DISP:WIND:TRAC:Y:SCAL:RLEV")
 TABLE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("FREQ:CENT 1.017 GHZ", "FREQ:CENT?", "1017000000", ALL),
     ("FREQ:SPAN 20 MHZ", "FREQ:SPAN?", "20000000", ALL),
@@ -137,7 +136,7 @@ def test_state_after_reset(make_bench: Callable[..., Any], name: str) -> None:
     bench.ask("FREQ:CENT 1 GHZ;:UNIT:POW V;*RST")
     attenuation = ATTENUATION[name]
     query = (
-        f"INIT:CONT?;:DET?;:UNIT:POW?;:FORM?;{attenuation}?;{REFERENCE[name]}?;:FREQ:CENT?;SPAN?"
+        f"INIT:CONT?;:DET?;:UNIT:POW?;:FORM?;{attenuation}?;:DISP:WIND:TRAC:Y:SCAL:RLEV?;:FREQ:CENT?;SPAN?"
         f";:BAND:AUTO?;VID:AUTO?;:SWE:TIME:AUTO?"
     )
     assert bench.ask(query) == AFTER_RESET[name]
@@ -149,6 +148,22 @@ def test_dbw_is_a_unit_of_no_maker(make_bench: Callable[..., Any], name: str) ->
     assert bench.ask("UNIT:POW DBW") == ""
     assert bench.errors() == [-141]
     assert bench.ask("UNIT:POW?") == "DBM"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "detector"),
+    [
+        *(("keysight", *row) for row in (("RMS", "RMS"), ("LOG", "AVER"), ("SCAL", "LIN"))),
+        *(("siglent", *row) for row in (("POW", "RMS"), ("LOGP", "AVER"), ("VOLT", "LIN"))),
+    ],
+)
+def test_average_detector_follows_the_average_type(
+    make_bench: Callable[..., Any], name: str, kind: str, detector: str
+) -> None:
+    bench = make_bench(name)
+    bench.ask(f"DET:TRAC1 AVER;:AVER:TYPE {kind}")
+    assert bench.instrument.settings.detector == detector
+    assert bench.ask("DET:TRAC1?") == "AVER"
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -44,7 +44,7 @@ class Client:
         await self.send(data + b"\n")
         return await self.line()
 
-    async def send(self, data: bytes) -> None:
+    async def send(self, data: bytes = PROCEED) -> None:
         self.writer.write(data)
         await self.writer.drain()
 
@@ -116,18 +116,7 @@ async def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_
         assert flown == {"type": "flown", "epoch": rfc3339(subject.epoch_us)}
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"\xff\xfe\x00",
-        b"[" * 5000,
-        b'{"schedule":[{"start":1}]}',
-        b'{"schedule":[],"counter":-1}',
-        b'{"schedule":[],"counter":1e999}',
-        b'{"kind":"proceed"}',
-    ],
-)
+@pytest.mark.parametrize("data", [b"", b"\xff\xfe\x00", b'{"schedule":[],"counter":-1}'])
 async def test_garbage_is_answered_and_changes_nothing(data: bytes) -> None:
     async with served() as (port, subject), connected(port) as client:
         await client.line()
@@ -142,12 +131,6 @@ async def test_a_line_that_is_too_long_is_skipped_to_its_end() -> None:
         answer = await client.ask(b"x" * (2 * MAX_LINE_CHARACTERS + 7))
         assert "at most 1000000 characters" in answer["detail"]
         assert (await client.ask(schedule(subject, 1)))["type"] == "taken"
-
-
-async def test_before_operation_nothing_is_taken() -> None:
-    async with served(rows=0) as (port, _spacecraft), connected(port) as client:
-        await client.line()
-        assert "under its sensors" in (await client.ask(b'{"schedule":[]}'))["detail"]
 
 
 async def test_a_second_client_is_turned_away_and_the_first_goes_on() -> None:
@@ -197,12 +180,12 @@ def test_the_ground_port_tells_truth_and_telemetry_after_the_row() -> None:
             held = await client.until("hold")
             while held[-1]["phase"] != "operation":
                 assert "truth" in {line["kind"] for line in held}, "before operation it is known beforehand"
-                await client.send(PROCEED)
+                await client.send()
                 held = await client.until("hold")
             assert {line["kind"] for line in held} == {"phase", "hold"}, "nobody knows what will be flown"
             while subject.world.next_epoch_us < STORY.operation_start_us:
                 subject.advance()
-            await client.send(PROCEED)
+            await client.send()
             await gate.wait(STORY.operation_start_us)
             assert not gate.is_granted(STORY.operation_start_us + 1), "each row waits for the command of the one before"
             subject.advance()
@@ -221,8 +204,8 @@ def test_a_ground_client_that_leaves_while_a_row_is_due_hears_its_truth_later() 
         async with server:
             async with connected(port) as client:
                 while (await client.until("hold"))[-1]["phase"] != "operation":
-                    await client.send(PROCEED)
-                await client.send(PROCEED)
+                    await client.send()
+                await client.send()
                 await gate.wait(STORY.operation_start_us)
             await noticed(turns=250)  # it looks after its client five times a second
             while subject.epoch_us is None:
@@ -240,40 +223,6 @@ def world() -> World:
     return World(replace(scenario_named("nominal"), quiet_h=2.5, operation_h=1.5), 1)
 
 
-class GroundClient:
-    """A ground client that reads line by line."""
-
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.reader, self.writer = reader, writer
-
-    async def line(self) -> dict[str, Any]:
-        return json.loads(await asyncio.wait_for(self.reader.readline(), 120.0))
-
-    async def until(self, *kinds: str) -> list[dict[str, Any]]:
-        """Read up to and including the first line of these kinds."""
-        lines = [await self.line()]
-        while lines[-1]["kind"] not in kinds:
-            lines.append(await self.line())
-        return lines
-
-    async def send(self, data: bytes = PROCEED) -> None:
-        self.writer.write(data)
-        await self.writer.drain()
-
-    async def close(self) -> None:
-        self.writer.close()
-        await self.writer.wait_closed()
-
-
-@asynccontextmanager
-async def ground_connected(port: int) -> AsyncIterator[GroundClient]:
-    client = GroundClient(*await asyncio.open_connection("127.0.0.1", port, limit=1 << 22))
-    try:
-        yield client
-    finally:
-        await client.close()
-
-
 @asynccontextmanager
 async def ground_served(*, await_ground: bool = True) -> AsyncIterator[tuple[int, Gate]]:
     """Serve the port; give its number and its gate."""
@@ -281,13 +230,7 @@ async def ground_served(*, await_ground: bool = True) -> AsyncIterator[tuple[int
     server = await serve_ground(world(), gate, port=0, await_ground=await_ground)
     async with server:
         yield server.sockets[0].getsockname()[1], gate
-        await ground_noticed()
-
-
-async def ground_noticed() -> None:
-    """Let the handlers notice that their clients left: so many turns of the loop, however long they take."""
-    for _ in range(20):
-        await asyncio.sleep(0.002)
+        await noticed()
 
 
 async def settled(condition: Callable[[], bool]) -> None:
@@ -328,7 +271,7 @@ async def test_a_cancelled_wait_leaves_nothing_behind() -> None:
 async def test_the_port_says_all_the_ground_knows_and_ends() -> None:
     async with ground_served() as (port, gate):
         heard: list[dict[str, Any]] = []
-        async with ground_connected(port) as client:
+        async with connected(port) as client:
             for first, last, phase in chunks_of(world()):
                 lines = await client.until("hold")
                 assert lines[-1]["phase"] == phase
@@ -343,7 +286,7 @@ async def test_the_port_says_all_the_ground_knows_and_ends() -> None:
 
 
 async def test_a_grant_reaches_exactly_to_the_last_row_of_the_chunk() -> None:
-    async with ground_served() as (port, gate), ground_connected(port) as client:
+    async with ground_served() as (port, gate), connected(port) as client:
         hold = (await client.until("hold"))[-1]
         await client.send()
         await client.until("hold")
@@ -352,12 +295,12 @@ async def test_a_grant_reaches_exactly_to_the_last_row_of_the_chunk() -> None:
 
 async def test_a_client_that_returns_resumes_at_the_first_unconfirmed_chunk() -> None:
     async with ground_served() as (port, _gate):
-        async with ground_connected(port) as client:
+        async with connected(port) as client:
             await client.until("hold")
             await client.send()
             second = (await client.until("hold"))[-1]
-        await ground_noticed()
-        async with ground_connected(port) as client:
+        await noticed()
+        async with connected(port) as client:
             lines = await client.until("hold")
             assert [line["kind"] for line in lines[:4]] == ["spacecraft", "carriers", "task", "ephemeris"]
             assert lines[-1] == second
@@ -374,7 +317,7 @@ async def test_a_client_that_returns_resumes_at_the_first_unconfirmed_chunk() ->
     ],
 )
 async def test_a_bad_line_is_answered_and_changes_nothing(data: bytes, code: str) -> None:
-    async with ground_served() as (port, gate), ground_connected(port) as client:
+    async with ground_served() as (port, gate), connected(port) as client:
         hold = (await client.until("hold"))[-1]
         await client.send(data)
         error = (await client.until("error"))[-1]
@@ -386,9 +329,9 @@ async def test_a_bad_line_is_answered_and_changes_nothing(data: bytes, code: str
 
 
 async def test_a_second_client_is_turned_away() -> None:
-    async with ground_served() as (port, _gate), ground_connected(port) as holder:
+    async with ground_served() as (port, _gate), connected(port) as holder:
         await holder.until("hold")
-        async with ground_connected(port) as other:
+        async with connected(port) as other:
             assert (await other.line())["code"] == "ground.taken"
         await holder.send()
         await holder.until("hold")
@@ -397,7 +340,7 @@ async def test_a_second_client_is_turned_away() -> None:
 async def test_without_await_ground_the_gate_is_open_until_a_client_comes_and_after_it_left() -> None:
     async with ground_served(await_ground=False) as (port, gate):
         assert gate.is_granted(10**18)
-        async with ground_connected(port) as client:
+        async with connected(port) as client:
             await client.until("hold")
             assert not gate.is_granted(10**18)
         await settled(lambda: gate.is_granted(10**18))
@@ -405,9 +348,9 @@ async def test_without_await_ground_the_gate_is_open_until_a_client_comes_and_af
 
 async def test_with_await_ground_the_gate_stays_closed_when_the_client_leaves() -> None:
     async with ground_served() as (port, gate):
-        async with ground_connected(port) as client:
+        async with connected(port) as client:
             await client.until("hold")
-        await ground_noticed()
+        await noticed()
         assert not gate.is_granted(int(world().rows.epochs_us[0]))
 
 

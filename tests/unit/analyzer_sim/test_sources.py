@@ -147,11 +147,6 @@ def test_the_backup_measures_for_hours_through_another_chain() -> None:
     switches = [(epoch_us, source) for epoch_us, source in story.source_switches]
     assert [source for _epoch_us, source in switches] == ["sa-2", "sa-1"]
     assert bodies("prime_backup", "source") == [{"source": "sa-2"}, {"source": "sa-1"}]
-    # the first row of an analyzer is the first one at or after its switch, and a chunk of its own
-    starts = {first: last for first, last, _phase in chunks_of(story)}
-    for epoch_us, _source in switches:
-        row = int(np.searchsorted(story.rows.epochs_us, epoch_us))
-        assert starts[row] == row
 
 
 def test_a_new_plan_comes_exactly_with_its_first_row() -> None:

@@ -147,14 +147,7 @@ def test_neighbour_that_grows_leaks_what_its_shape_says_and_no_more() -> None:
 
 
 #: 3 dB width of 30 kHz, noise bandwidth of a Gaussian
-ENBW_HZ = 30e3 * math.sqrt(math.pi / (4 * math.log(2)))
-
-
-def trace_dbm(*signals: Signal, noise_dbm_hz: float = -400.0) -> np.ndarray:
-    return 10 * np.log10(mean_trace(Emission(0, signals, noise_dbm_hz), GRID, -400.0).total_mw)
-
-
-FLAT_DBM = np.full(2401, -100.0 + 10 * math.log10(ENBW_HZ))
+FLAT_DBM = np.full(2401, -100.0 + 10 * math.log10(30e3 * math.sqrt(math.pi / (4 * math.log(2)))))
 
 
 @pytest.mark.parametrize("width_hz", [15e3, 1e6, 1.2345e6, 36.015e6])
@@ -169,7 +162,7 @@ def test_flat_noise_gives_density_times_width_whatever_the_edges(width_hz: float
 def test_carrier_gives_its_power_and_a_line_too(rate_hz: float) -> None:
     carrier = Signal("x", 971.3e6, rate_hz, 0.25, -43.0)
     line = Signal("y", 985e6, 0.0, 0.0, -40.0)
-    levels_dbm = trace_dbm(carrier, line)
+    levels_dbm = 10 * np.log10(trace_mw(carrier, line))
     width_hz = 1.25 * rate_hz + 200e3
     assert decibels(band_power_mw(levels_dbm, GRID, Band(971.3e6, width_hz))) == pytest.approx(-43.0, abs=1e-3)
     assert decibels(band_power_mw(levels_dbm, GRID, Band(985e6, 200e3))) == pytest.approx(-40.0, abs=1e-3)

@@ -14,11 +14,11 @@ from simulated_gain import attitude_gain_db
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import measured_dbm
 from analyzer_sim.world.faults import cooling, wet_antenna_db
-from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, turn_operations
+from analyzer_sim.world.ground.ground import chunks_of, turn_operations
 from analyzer_sim.world.ground.ground_bodies import spacecraft_body
 from analyzer_sim.world.payload.carriers import PLANS
 from analyzer_sim.world.payload.effects import FaultFlag
-from analyzer_sim.world.payload.level_terms import dishes_loss_db, sweep_sigma_db
+from analyzer_sim.world.payload.level_terms import dishes_loss_db
 from analyzer_sim.world.scenario.events import ChainStep, Eclipse, GroupStep, Relevel, Storm, SunOutage, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
 from analyzer_sim.world.scenario.story import TIMETABLE
@@ -156,12 +156,6 @@ def test_chunks_cover_all_rows_and_end_with_the_phases() -> None:
     assert all(last - first < 60 for first, last, _phase in chunks)
 
 
-def test_the_catalogue_alone_can_be_had() -> None:
-    assert [line["kind"] for line in catalogue_lines(world())] == [
-        *("spacecraft", "carriers", "task", "ephemeris", "bound")
-    ]
-
-
 def test_a_spacecraft_that_is_flown_states_no_torque_that_moves_its_wheels_alone() -> None:
     story = World(replace(scenario_named("wheels"), quiet_h=1.0, operation_h=1.0), 1)
     told, flown = (spacecraft_body(story, is_flown=each)["onboard"]["momentum"] for each in (False, True))
@@ -296,12 +290,6 @@ def test_a_stale_calibration_meets_new_levels_and_a_new_plan() -> None:
     assert after - before == {"c16", "c17"}
     assert [{carrier.id for carrier in version.carriers} for version in world.plan_versions] == [before, after]
     assert np.all(np.isnan(world.rows.power_dbm[first - 1]) == ~world.rows.is_on[first - 1])
-
-
-def test_the_sweep_of_the_clear_sky_is_what_it_was() -> None:
-    world = built()
-    noise = (measured_dbm(world) - world.rows.power_dbm).std(axis=0)
-    np.testing.assert_allclose(noise, sweep_sigma_db(world.plan), rtol=0.1)  # 1300 rows: 2 %, four sigmas
 
 
 DAYS = 11

@@ -182,8 +182,6 @@ def test_white_noise_has_the_planned_size() -> None:
     # differences of neighbours see the white part alone; 4260 rows give 1.5 %
     seen = np.diff(quiet, axis=0).std(axis=0) / np.sqrt(2.0)
     np.testing.assert_allclose(seen, world_white_db(world.plan), rtol=0.08)
-    total = np.hypot(world_white_db(world.plan), sweep_sigma_db(world.plan))
-    assert np.all((total >= 0.13) & (total <= 0.17))  # dB, figures of the method
 
 
 def test_total_noise_is_near_the_measured_figure() -> None:
