@@ -7,7 +7,6 @@ from types import TracebackType
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.instrument import Instrument
-from analyzer_sim.lines.line_faults import LineFaults
 from analyzer_sim.lines.server import SimulatedAnalyzer
 
 _THREAD_PATIENCE_S = 120.0
@@ -22,7 +21,6 @@ class AnalyzerThread:
         self.trace_faults = instrument.trace_faults
         #: the ports taken
         self.port = 0
-        self.alias_ports: tuple[int, ...] = ()
         self.hislip_port: int | None = None
         self._analyzer = analyzer
         self._is_up = threading.Event()
@@ -64,7 +62,7 @@ class AnalyzerThread:
         self._loop = asyncio.get_running_loop()
         self._stop_wanted = asyncio.Event()
         async with self._analyzer as analyzer:
-            self.port, self.alias_ports, self.hislip_port = analyzer.port, analyzer.alias_ports, analyzer.hislip_port
+            self.port, self.hislip_port = analyzer.port, analyzer.hislip_port
             self._is_up.set()
             await self._stop_wanted.wait()
 
@@ -72,10 +70,8 @@ class AnalyzerThread:
 def start_in_thread(
     instrument: Instrument,
     port: int = 0,
-    faults: LineFaults | None = None,
     dialect: Dialect = RS,
     hislip_port: int | None = None,
-    alias_ports: tuple[int, ...] = (),
 ) -> AnalyzerThread:
     """Serve an instrument on 127.0.0.1 from a thread; use the handle as a context manager or call its ``stop``.
 
@@ -84,9 +80,7 @@ def start_in_thread(
     OSError
         A port is taken.
     """
-    analyzer = SimulatedAnalyzer(
-        instrument, dialect, faults=faults, port=port, hislip_port=hislip_port, alias_ports=alias_ports
-    )
+    analyzer = SimulatedAnalyzer(instrument, dialect, port=port, hislip_port=hislip_port)
     handle = AnalyzerThread(analyzer, instrument)
     handle.start()
     return handle

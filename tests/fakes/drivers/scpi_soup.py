@@ -1,6 +1,5 @@
 """Messages for fuzzing a dialect: bytes, message units of the grammar, and spoiled spellings of its real headers."""
 
-from dataclasses import dataclass
 from functools import cache
 
 from hypothesis import strategies as st
@@ -38,22 +37,8 @@ def spellings(name: str) -> tuple[str, ...]:
     return tuple(sorted(header for header in headers if not any(word in header for word in COSTLY)))
 
 
-@dataclass(frozen=True)
-class Edit:
-    """One change of a text: what is at a place is replaced by something."""
-
-    position: float
-    width: int
-    text: str
-
-    def apply(self, text: str) -> str:
-        """Return the text with the change."""
-        at = int(self.position * len(text))
-        return text[:at] + self.text + text[at + self.width :]
-
-
-_EDITS = st.builds(
-    Edit,
+#: what is at a place, and as wide, is replaced by something
+_EDITS = st.tuples(
     st.floats(0.0, 1.0),
     st.integers(0, 3),
     st.one_of(st.just(""), st.text(alphabet="AEINST0189:;?*,' #\"\n\x00é", max_size=3), st.sampled_from(DATA)),
@@ -73,10 +58,11 @@ def _messages(name: str) -> SearchStrategy[bytes]:
 
 
 def _mutations(name: str) -> SearchStrategy[bytes]:
-    def spoil(texts: list[str], edits: list[Edit]) -> bytes:
+    def spoil(texts: list[str], edits: list[tuple[float, int, str]]) -> bytes:
         message = ";:".join(texts)
-        for edit in edits:
-            message = edit.apply(message)
+        for position, width, text in edits:
+            at = int(position * len(message))
+            message = message[:at] + text + message[at + width :]
         return _encoded(message + "\n")
 
     return st.builds(spoil, st.lists(units(name), min_size=1, max_size=3), st.lists(_EDITS, min_size=1, max_size=5))

@@ -41,7 +41,7 @@ def block_payload(data: bytes) -> bytes:
 
 
 class Bench:
-    """An instrument and one session on it; ``allow(False)`` keeps sweeps pending, and so does ``may_advance``."""
+    """An instrument and one session on it; ``allow(False)`` keeps sweeps pending."""
 
     def __init__(
         self,
@@ -49,7 +49,6 @@ class Bench:
         *,
         is_lenient: bool = False,
         is_error_queue_per_session: bool = False,
-        may_advance: Callable[[], bool] = lambda: True,
         **source: Any,
     ) -> None:
         model = replace(DIALECTS[name].model, is_error_queue_per_session=is_error_queue_per_session)
@@ -57,7 +56,7 @@ class Bench:
         self.dialect = dialect
         self.source = StandingSource(**source)
         self.is_allowed = True
-        self.instrument = standing_instrument(dialect, self.source, lambda: self.is_allowed and may_advance())
+        self.instrument = standing_instrument(dialect, self.source, lambda: self.is_allowed)
         self._tree = command_tree(dialect) if is_lenient else tree_of(name)
         self.framer = MessageFramer()
         self.session = self.new_session()

@@ -345,13 +345,7 @@ def test_a_client_that_reads_nothing_is_cleared_or_leaves(analyzer: AnalyzerThre
         for _ in range(200):
             deaf.write(b"*CLS")
         assert client.ask("*IDN?") == IDENTITY
-        deaf.side.say(w.CLEAR)
-        while deaf.side.on_input().kind != w.CLEAR_ACKNOWLEDGED:
-            pass
-        deaf.sync.say(w.CLEAR_COMPLETE)
-        while deaf.sync.on_input().kind != w.CLEAR_DONE:
-            pass
-        deaf.next_id, deaf.delivered = w.FIRST_ID, 0
+        deaf.clear()
         assert deaf.ask("*ESE?") == "0"
         deaf.write(b";".join([b"TRAC? TRACE1"] * 30))
         deaf.write(b"*CLS")

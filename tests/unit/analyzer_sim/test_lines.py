@@ -3,7 +3,7 @@
 import asyncio
 import itertools
 import struct
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
@@ -350,8 +350,8 @@ def test_long_message_gives_others_a_turn(bench: Any) -> None:
     assert response == b"0" + b";0" * 999 + b"\n"
 
 
-def test_device_clear_drops_what_is_held_and_what_waits(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench(may_advance=lambda: False)
+def test_device_clear_drops_what_is_held_and_what_waits(bench: Any) -> None:
+    bench.allow(False)
     bench.ask("INIT:CONT OFF;:INIT;*OPC")
     assert bench.ask("*ESE?;*OPC?;*ESE 9") == ""
     bench.session.clear()

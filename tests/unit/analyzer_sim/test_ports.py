@@ -66,10 +66,10 @@ async def connected(port: int) -> AsyncIterator[Client]:
 
 
 @asynccontextmanager
-async def served(*, rows: int = 1) -> AsyncIterator[tuple[int, FlownWorld]]:
-    """Serve the port of a spacecraft that has flown some rows; give its number and the spacecraft."""
+async def served() -> AsyncIterator[tuple[int, FlownWorld]]:
+    """Serve the port of a spacecraft that has flown a row; give its number and the spacecraft."""
     subject = FlownWorld(STORY, SEED, PlantOptions())
-    while rows and subject.epoch_us is None:
+    while subject.epoch_us is None:
         subject.advance()
     server = await UplinkPort(subject).serve("127.0.0.1", 0)
     async with server:

@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,16 +21,16 @@ from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 
 
-def test_sweep_waits_for_its_row_and_runs_once(make_bench: Callable[..., Any]) -> None:
-    answers = iter([False, False, True])
-    bench = make_bench(may_advance=lambda: next(answers))
+def test_sweep_waits_for_its_row_and_runs_once(bench: Any) -> None:
+    bench.allow(False)
     instrument = bench.instrument
     instrument.settings.is_continuous = False
     instrument.initiate()
     assert not instrument.complete_pending()
     assert bench.source.row == 0
-    assert instrument.complete_pending()
+    bench.allow(True)
     assert (bench.source.row, instrument.is_pending) == (1, False)
+    bench.allow(False)
     assert instrument.complete_pending(), "nothing is pending any more and nobody is asked"
 
 
