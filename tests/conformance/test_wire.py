@@ -157,8 +157,8 @@ def test_service_is_requested_once_for_each_reason(hislip, gate, facts):
     assert hislip.status() & 0x60 == 0x20, "the poll has taken the request, the reason stands"
 
 
-def test_trigger_starts_a_sweep(hislip, analyzer, facts):
-    hislip.write(f"{SETUP};:{facts.few_points}\n".encode())
+def test_trigger_starts_a_sweep(hislip, facts):
+    hislip.write(f"{SETUP};:{facts.few_points};:FORM ASC\n".encode())
     hislip.write(b"", w.TRIGGER)
-    assert hislip.ask("*OPC?") == "1"
+    assert hislip.ask(f"{facts.trace_query};*OPC?").count(",") >= facts.points - 1
     assert hislip.ask("SYST:ERR?") == facts.no_error
