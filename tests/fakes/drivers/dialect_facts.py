@@ -13,10 +13,8 @@ class Facts:
     attenuation: str
     #: header with a numeric suffix beyond what exists
     suffix_beyond: str
-    #: units that choose the power average of noise, and what the detector query answers then
+    #: units that choose the power average of noise
     power_detector: str = "DET RMS"
-    detector_query: str = "DET?"
-    detector_answer: str = "RMS"
     #: query of the first trace
     trace_query: str = "TRAC:DATA? 1"
     #: choice of 32 bit blocks, and their byte order after ``*RST``
@@ -25,7 +23,6 @@ class Facts:
     #: units of a short sweep of few points, and how many it has
     few_points: str = "SWE:POIN 101"
     points: int = 101
-    points_query: str = "SWE:POIN?"
     #: a bandwidth asked for and the step it becomes
     rbw_asked_hz: float = 29e3
     rbw_step_hz: float = 30e3
@@ -57,7 +54,6 @@ FACTS = {
     "keysight": Facts(
         identity=r"Keysight Technologies,N9020B,MY\d+,A\.30\.05",
         power_detector="DET AVER;:AVER:TYPE RMS",
-        detector_answer="AVER",
         trace_query="TRAC? TRACE1",
         is_big_endian=True,
         attenuation="POW:ATT",
@@ -70,8 +66,6 @@ FACTS = {
     "siglent": Facts(
         identity=r"Siglent Technologies,SSA3032X,SSA3X[^,]*,1\.2\.9\.3",
         power_detector="DET:TRAC AVER;:AVER:TYPE POW",
-        detector_query="DET:TRAC?",
-        detector_answer="AVER",
         real32="FORM REAL",
         points=751,
         attenuation="POW:ATT",
@@ -83,7 +77,6 @@ FACTS = {
     "anritsu": Facts(
         identity=r"Anritsu,MS2090A,[^,]+,[^,]+",
         few_points="DISP:POIN 101",
-        points_query="DISP:POIN?",
         attenuation="POW:RF:ATT",
         span_per_rbw=300.0,
         suffix_beyond="TRAC99:TYPE?",

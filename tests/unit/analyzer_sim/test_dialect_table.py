@@ -28,6 +28,7 @@ TABLE: tuple[tuple[str, str, str, tuple[str, ...]], ...] = (
     ("FORM REAL,32;:FORM ASC,0", "FORM?", "ASC,0", ("rs",)),
     ("AVER ON", "AVER:STAT1?;:DISP:WIND1:SUBW1:TRAC1:MODE?", "1;AVER", ("rs",)),
     ("DET1:FUNC POSITIVE", "DET?;:DET:AUTO?", "POS;0", ("rs",)),
+    ("AVER:TYPE POW", "AVER:TYPE?", "POW", ("rs",)),
     ("INST 'Spectrum'", "INST?", "SAN", ("rs",)),
     ("SYST:DISP:UPD ON", "SYST:DISP:UPD?", "1", ("rs",)),
     ("UNIT:POW WATT", "UNIT:POW?", "W", ("rs",)),

@@ -1,4 +1,4 @@
-"""The R&S dialect: what each row sets, answers and couples; channel power of the trace shown."""
+"""The R&S dialect: units, clock and status of a sweep; channel power of the trace shown."""
 
 import math
 from typing import Any
