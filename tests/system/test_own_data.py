@@ -13,7 +13,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from foreign_station import Row, write_station, write_tracker
+from foreign_station import Row, write_station
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "your-own-satellite.md"
@@ -133,41 +133,3 @@ def test_foreign_files_to_the_first_own_angle(site: Site) -> None:
     assert spent_s < MOST_PROCESSOR_S
     assert len(error_deg) > 30
     assert (rms_deg < [0.1, 0.03, 0.03]).all()
-
-
-def refused_calibration(site: Site) -> str:
-    """Carry out the page's commands up to the calibration, which is refused; return what it says."""
-    *commands, last = commands_of_the_page()[:5]
-    for command in commands:
-        site.serve(command) if command.endswith("&") else site.run(command)
-    done = site.run(last)
-    assert done.returncode == 1, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    print(done.stderr)
-    return done.stderr
-
-
-@pytest.mark.nightly
-def test_a_flipped_sensor_is_refused_by_the_calibration(site: Site) -> None:
-    known = write_station(site.folder / "files", SEED)
-    write_tracker(site.folder / "files" / "star-tracker.csv", known, SEED, signs=(1, -1, 1))
-    assert "roll" in refused_calibration(site)
-
-
-@pytest.mark.nightly
-def test_too_few_carriers_are_refused_by_the_calibration(site: Site) -> None:
-    write_station(site.folder / "files", SEED)
-    plan = site.folder / "files" / "carriers.csv"
-    plan.write_text("".join(plan.read_text().splitlines(keepends=True)[:4]))
-    said = refused_calibration(site)
-    assert "only 3 carriers can be used, 4 are needed for three angles and the common level" in said
-
-
-@pytest.mark.nightly
-def test_without_a_service_the_import_says_so(site: Site) -> None:
-    write_station(site.folder / "files", SEED, minutes=30)
-    init, _, _, propose, send, _ = commands_of_the_page()
-    site.run(init)
-    site.run(propose)
-    done = site.run(send)
-    assert (done.returncode, "no answer from" in done.stderr) == (1, True), done.stderr

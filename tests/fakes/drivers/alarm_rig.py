@@ -49,6 +49,13 @@ class Notices(NoticeChannels):
     def __init__(self):
         super().__init__()
         self.reported = []
+        self.is_running = False
+
+    def start(self):
+        self.is_running = True
+
+    def stop(self):
+        self.is_running = False
 
     def offer(self, change):
         self.reported.append((change.kind.value, change.is_told, change.alarm.condition, change.alarm.thing))

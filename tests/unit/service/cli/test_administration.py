@@ -142,6 +142,17 @@ def test_what_is_too_old_goes(url, monkeypatch):
     assert reported(url) == "sealed 0 rows, 0 results\ndropped 3 rows of measurements\n"
 
 
+def test_the_doctor_holds_the_archive_against_the_log(url, tmp_path):
+    def examined(name, text):
+        (tmp_path / name).write_text(text)
+        return CliRunner().invoke(app, ["doctor", "--database", url, "--log", str(tmp_path / name), "--json"])
+
+    lost = examined("lost.log", f"started\n{{'message': 'journal head craft 1003 {'0' * 16}'}}\n")
+    assert (lost.exit_code, "craft: 998 entries are lost" in lost.stdout) == (1, True), lost.output
+    unnamed = examined("none.log", "nothing\n")
+    assert (unnamed.exit_code, "names no head of a journal" in unnamed.stderr) == (2, True)
+
+
 def test_without_an_archive_the_option_is_wrong(tmp_path):
     answer = CliRunner().invoke(app, ["maintenance", "--database", f"sqlite:///{tmp_path / 'none.db'}"])
     assert answer.exit_code == 2

@@ -170,12 +170,14 @@ def test_too_many_rows_at_once_are_counted_not_kept(rig):
 def test_the_thread_looks_by_itself_and_a_stop_looks_a_last_time(rig):
     rig.desk._check_period_s = 0.05
     rig.desk.start()
+    assert rig.notices.is_running
     epoch_us = START + MINUTE
     for minute in range(1, 4):
         epoch_us = START + minute * MINUTE
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array([-40.0, NAN]), None)
         rig.desk.on_rows("craft", [RowEvidence(measurement, rig.plan, (), Method.ROBUST, None, {})])
     rig.desk.stop()
+    assert not rig.notices.is_running
     assert rig.reported() == [RAISED]
     assert rig.storage.alarms.memory("craft").newest_row_us == epoch_us
 
