@@ -16,10 +16,12 @@ from urllib.parse import quote
 import httpx
 import pytest
 from typer.testing import CliRunner
+from waiting import wait_until
 
 from service.cli.app import app
 from service.client.async_service_client import AsyncServiceClient
 from service.client.service_client import ServiceClient, StreamEvent
+from service.records.epoch import format_epoch
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -214,11 +216,6 @@ KILLS = 2
 SC = "sim-1"
 
 
-def epoch_of(number: int) -> str:
-    """Return the epoch of a row."""
-    return time.strftime("%Y-%m-%dT%H:%M:%S.000000Z", time.gmtime(1_795_000_000 + number))
-
-
 class Sender(threading.Thread):
     """Sends a row every few milliseconds and remembers what was acknowledged."""
 
@@ -233,7 +230,10 @@ class Sender(threading.Thread):
         number = 0
         while not self._is_over.wait(0.01):
             number += 1
-            row = {"epoch": epoch_of(number), "power_dbm": [-40.0 - number % 7] * 16}
+            row = {
+                "epoch": format_epoch(1_795_000_000_000_000 + 1_000_000 * number),
+                "power_dbm": [-40.0 - number % 7] * 16,
+            }
             receipt = self._client.post_measurements(SC, self._plan_id, [row], source="sa-1")
             assert receipt["accepted"] + receipt["duplicates"] == 1, receipt
             self.acknowledged.append(row["epoch"])
@@ -267,14 +267,6 @@ def epochs(events: list[StreamEvent]) -> set[str]:
     return {event.data["epoch"] for event in list(events) if event.kind == "measurement"}
 
 
-def wait_for(is_true, timeout_s: float = 120.0) -> None:
-    """Wait for something."""
-    deadline = time.monotonic() + timeout_s
-    while not is_true():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-
-
 def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_service, spacecraft, carriers):
     print(f"seed {SEED}")
     instants = random.Random(SEED)
@@ -292,7 +284,7 @@ def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_ser
     for reader in readers:
         reader.start()
     # both have an id to go on from before the first row is sent
-    wait_for(lambda: all(reported.values()))
+    wait_until(lambda: all(reported.values()))
     sender = Sender(url, plan_id)
     sender.start()
     for _ in range(KILLS):
@@ -307,7 +299,7 @@ def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_ser
     last.set()
     with ServiceClient(url, KEY, timeout_s=120) as client:
         # one more row wakes readers that have everything already
-        row = {"epoch": epoch_of(100_000), "power_dbm": [-40.0] * 16}
+        row = {"epoch": format_epoch(1_795_000_000_000_000 + 1_000_000 * 100_000), "power_dbm": [-40.0] * 16}
         client.post_measurements(SC, plan_id, [row], source="sa-1")
         stored = [
             row["epoch"] for row in client.measurement_history(SC, "2026-01-01T00:00:00Z", "2027-01-01T00:00:00Z")

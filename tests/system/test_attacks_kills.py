@@ -2,8 +2,6 @@
 
 import os
 import signal
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import chaos_clients as chaos
 import httpx
 import pytest
 from child_processes import children_of
+from waiting import wait_until
 
 from db.storage import SqlStorage
 from service.records.calibration import (
@@ -64,14 +63,6 @@ def align(database: Path) -> None:
 def workers_of(service_id: int) -> set[int]:
     """Return the processes that compute for a service."""
     return {child for child in children_of(service_id) if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()}
-
-
-def wait_until(is_done: Callable[[], bool], what: str) -> None:
-    """Wait until something has happened."""
-    deadline = time.monotonic() + 120
-    while not is_done():
-        assert time.monotonic() < deadline, what
-        time.sleep(0.05)
 
 
 def has_ended(process_id: int) -> bool:

@@ -6,11 +6,11 @@ import socket
 import statistics
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import httpx
 import pytest
+from waiting import wait_until
 
 pytestmark = pytest.mark.system
 
@@ -71,9 +71,7 @@ def test_sigterm_ends_it_at_once_beside_open_streams_and_idle_connections(start_
 def test_a_signal_during_the_start_ends_it_without_a_trace(start_service, tmp_path):
     service = start_service(database=tmp_path / "soo.db")
     # the interpreter has installed the handlers, the database is perhaps being made
-    deadline = time.monotonic() + 120
-    while not (service.output.parent / "soo.db").exists() and time.monotonic() < deadline:
-        time.sleep(0.005)
+    wait_until((service.output.parent / "soo.db").exists)
     code, _ = service.end()
     assert code == 0, service.written()
     assert "Traceback" not in service.written()

@@ -1,12 +1,12 @@
 """A station whose spacecraft both methods follow, and a morning in which everything happens that a journal can tell."""
 
-import time
 from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
+from waiting import wait_until as wait_for
 
 from db.encoding.measurement_runs import pack_carriers
 from db.results import jobs
@@ -32,13 +32,6 @@ SC = "yamal-test"
 OPERATION_US = START_US + 2 * HOUR
 NOISE_DB = 0.05
 BOTH = (Method.ROBUST, Method.PAPER)
-
-
-def wait_for(is_done, timeout_s=120.0):
-    deadline = time.monotonic() + timeout_s
-    while not is_done():
-        assert time.monotonic() < deadline, "did not happen in time"
-        time.sleep(0.005)
 
 
 def at(minute):

@@ -209,12 +209,13 @@ def finish(clients: list[ChaosClient], timeout_s: float = 120.0) -> Counter[str]
     return sum((client.counts + client.codes for client in clients), Counter())
 
 
-def history(client: httpx.Client) -> list[dict[str, Any]]:
+def history(client: httpx.Client, spacecraft_id: str = "sim-1", **window: str) -> list[dict[str, Any]]:
     """Return the whole history, page after page."""
     rows: list[dict[str, Any]] = []
-    params: dict[str, Any] = {**WINDOW, "limit": 10_000}
+    params: dict[str, Any] = {**WINDOW, **window, "limit": 10_000}
     while True:
-        page = client.get(f"{BASE}/sim-1/measurements/history", params=params).json()
+        answer = client.get(f"{BASE}/{spacecraft_id}/measurements/history", params=params)
+        page = answer.raise_for_status().json()
         rows += page["rows"]
         if page["next"] is None:
             return rows

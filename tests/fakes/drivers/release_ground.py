@@ -5,14 +5,13 @@ over sockets. Powers follow the payload's own geometry, so the attitude that the
 chooses. The spacecraft is simulated and the clock is that of its data: an hour passes as fast as its rows are sent.
 """
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import httpx
 import numpy as np
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload, S
+from waiting import wait_until as until
 
 from db.storage import SqlStorage
 from service.records.catalogue import Spacecraft
@@ -44,14 +43,6 @@ def seed_archive(url: str, *crafts: Spacecraft) -> None:
 def record(spacecraft_id: str, **changes: Any) -> Spacecraft:
     """Return a simulated spacecraft under ground control by the robust method, released in two steps."""
     return replace(PAYLOAD.spacecraft(), id=spacecraft_id, **changes)
-
-
-def until(is_done: Callable[[], bool], what: str, timeout_s: float = 120.0) -> None:
-    """Wait until something holds."""
-    deadline = time.monotonic() + timeout_s
-    while not is_done():
-        assert time.monotonic() < deadline, f"{what}: not in time"
-        time.sleep(0.02)
 
 
 @dataclass

@@ -3,8 +3,7 @@
 import json
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import httpx
 import pytest
 import uvicorn
+from waiting import wait_until
 
 from service.api.server_process import StreamingServer
 from service.ports import Outcome
@@ -101,14 +101,6 @@ def serving(app: Any, key: str) -> Iterator[Served]:
         thread.join(120)
         listener.close()
     assert not thread.is_alive()
-
-
-def wait_until(is_true: Callable[[], Any]) -> None:
-    """Wait for something that comes within moments."""
-    deadline = time.monotonic() + 120
-    while not is_true():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 class Source:

@@ -25,9 +25,9 @@ from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.carrier_model.expected_level import ExpectedLevel, geometry_model
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
-from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track
-from service.records.epoch import parse_epoch
+from service.records.catalogue import CarrierPlan
 from service.records.levels.measurement import MeasurementSeries, ReferenceSeries
+from service.study.estimation.flight.catalogue_lines import read_carriers, read_ephemeris, read_spacecraft
 
 DAY_US = 86_400_000_000
 _DIFFERENCE_DEG = 0.02
@@ -99,39 +99,19 @@ def calibrated_world(name: str, seed: int) -> CalibratedWorld:
 def calibration_input(arrays: dict[str, Any]) -> CalibrationInput:
     """Return what the archive would hold of an exported world's quiet days and turns."""
     reported = {line["kind"]: line["body"] for line in json.loads(arrays["catalogue_json"]) if "body" in line}
-    carriers = tuple(
-        Carrier(**{**one, "station": Station(**one["station"]) if one.get("station") else None})
-        for one in reported["carriers"]["carriers"]
-    )
     names = [str(name) for name in arrays["phase_name"]]
     stretches = zip(arrays["phase_start_us"], arrays["phase_stop_us"], strict=True)
     phases = {name: Window(int(start), int(stop)) for name, (start, stop) in zip(names, stretches, strict=True)}
     quiet, turns = phases["quiet"], phases["turns"]
     return CalibrationInput(
         CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY),
-        CarrierPlan(1, "exported", carriers),
-        _ephemeris(reported["ephemeris"]),
+        CarrierPlan(1, "exported", read_carriers(reported["carriers"])),
+        read_ephemeris(reported["ephemeris"]),
         _series(arrays, quiet),
         _series(arrays, turns),
         _references(arrays, turns),
         _references(arrays, quiet),
-        _spacecraft(reported["spacecraft"]),
-    )
-
-
-def _ephemeris(reported: dict[str, Any]) -> Ephemeris:
-    track = reported["track"]
-    at_us = tuple(parse_epoch(epoch) for epoch in track["epochs"])
-    nodes_us = tuple(parse_epoch(epoch) for epoch in reported["ascending_nodes"])
-    kept = Track(at_us, tuple(track["latitude_deg"]), tuple(track["longitude_deg"]))
-    return Ephemeris(1, nodes_us, reported["nodal_period_s"], at_us[0], at_us[-1], "track", kept)
-
-
-def _spacecraft(reported: dict[str, Any]) -> Spacecraft:
-    inertia = tuple(tuple(row) for row in reported["inertia_kg_m2"])
-    site = Site(**reported["receiving_site"])
-    return Spacecraft(
-        reported["id"], reported["name"], reported["longitude_deg"], site, inertia, reported["torque_limit_n_m"]
+        read_spacecraft(reported["spacecraft"]),
     )
 
 

@@ -10,26 +10,12 @@ from typing import Any
 import numpy as np
 from flight_geometry import CITIES, HOUR, INERTIA, LONGITUDE_DEG, MINUTE, PERIOD_S, SC, SITE, START_US, S
 from flight_payload import FlightPayload
+from synthetic_payload import opening
 
 from service.pipeline.chain import METHODS, Chain
 from service.pipeline.config import ChainConfig
-from service.records.calibration import (
-    Alignment,
-    Calibration,
-)
-from service.records.catalogue import (
-    CarrierPlan,
-    Ephemeris,
-    Method,
-    Spacecraft,
-)
-from service.records.inputs import (
-    AlignmentSet,
-    CalibrationActivation,
-    EphemerisChange,
-    PlanChange,
-    SpacecraftChange,
-)
+from service.pipeline.inputs.knowledge import JournalDocuments
+from service.records.catalogue import Method, Spacecraft
 from service.records.levels.attitude import AppliedCommand, AttitudeRow, Axes, FloatArray, Pulse, TorqueCommand
 from service.records.levels.measurement import Measurement
 
@@ -51,30 +37,12 @@ __all__ = [
 ]
 
 
-class FlightDocuments:
+class FlightDocuments(JournalDocuments):
     """Documents by number, as a test lays them down."""
 
     def __init__(self, payload: FlightPayload, aligned_us: int, angles_deg: Any) -> None:
-        self.plans = {1: payload.plan()}
-        self.ephemerides = {1: payload.ephemeris()}
-        self.calibrations = {1: payload.calibration()}
-        self.alignments = {1: payload.alignment(aligned_us, angles_deg=angles_deg)}
-
-    def plan(self, plan_id: int) -> CarrierPlan:
-        """Return a carrier plan."""
-        return self.plans[plan_id]
-
-    def ephemeris(self, ephemeris_id: int) -> Ephemeris:
-        """Return an ephemeris."""
-        return self.ephemerides[ephemeris_id]
-
-    def calibration(self, calibration_id: int) -> Calibration:
-        """Return a calibration."""
-        return self.calibrations[calibration_id]
-
-    def alignment(self, alignment_id: int) -> Alignment:
-        """Return an alignment."""
-        return self.alignments[alignment_id]
+        aligned = payload.alignment(aligned_us, angles_deg=angles_deg)
+        super().__init__({1: payload.plan()}, {1: payload.ephemeris()}, {1: payload.calibration()}, {1: aligned})
 
 
 def applied_command(
@@ -110,8 +78,7 @@ class Flight:
 
     def opening(self) -> tuple[Any, ...]:
         """Return the slow inputs with which the journal opens."""
-        changes = (PlanChange(1), EphemerisChange(1), CalibrationActivation(1, 1), AlignmentSet(1))
-        return SpacecraftChange(self.spacecraft, 1), *changes
+        return opening(self.spacecraft)
 
     def at(self, minute: float) -> int:
         """Return the epoch of a minute after the alignment."""

@@ -12,6 +12,7 @@ import numpy as np
 from service.core.estimation.paper.octants import predict_deviation_db
 from service.core.geometry.line_of_sight import node_phase_rad
 from service.pipeline.calibration.geometry_rows import CalibrationInput
+from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -242,30 +243,16 @@ class SyntheticPayload:
         return replace(Measurement(epoch_us, epoch_us + 2 * S, number, "sa-1", 1, power, None), **changes)
 
 
-class FixedDocuments:
+class FixedDocuments(JournalDocuments):
     """Documents by number, as a test lays them down."""
 
     def __init__(self, payload: SyntheticPayload, aligned_at_us: int) -> None:
-        self.plans = {1: payload.plan()}
-        self.ephemerides = {1: payload.ephemeris()}
-        self.calibrations = {1: payload.calibration()}
-        self.alignments = {1: payload.alignment(aligned_at_us)}
-
-    def plan(self, plan_id: int) -> CarrierPlan:
-        """Return a carrier plan."""
-        return self.plans[plan_id]
-
-    def ephemeris(self, ephemeris_id: int) -> Ephemeris:
-        """Return an ephemeris."""
-        return self.ephemerides[ephemeris_id]
-
-    def calibration(self, calibration_id: int) -> Calibration:
-        """Return a calibration."""
-        return self.calibrations[calibration_id]
-
-    def alignment(self, alignment_id: int) -> Alignment:
-        """Return an alignment."""
-        return self.alignments[alignment_id]
+        super().__init__(
+            {1: payload.plan()},
+            {1: payload.ephemeris()},
+            {1: payload.calibration()},
+            {1: payload.alignment(aligned_at_us)},
+        )
 
 
 def opening(spacecraft: Spacecraft) -> tuple[Any, ...]:

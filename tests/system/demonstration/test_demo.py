@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from datetime import datetime, timedelta
@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from child_processes import children_of
+from waiting import wait_until
 
 from service.cli.demonstration.demo_run import Alone, own_station
 from service.cli.demonstration.persons import two_persons
@@ -184,15 +185,7 @@ def test_two_days_on_a_tour_of_slews_keep_every_bound(compiled_environment):
 CRAFT = "yamal-202"
 #: bounds hangs; half a quiet day is measured first
 TIMEOUT_S = 500.0
-
-
-def until(reached: Callable[[], Any], what: str) -> Any:
-    """Wait until something is true and return it."""
-    deadline = time.monotonic() + TIMEOUT_S
-    while not (found := reached()):
-        assert time.monotonic() < deadline, what
-        time.sleep(0.05)
-    return found
+until = partial(wait_until, patience_s=TIMEOUT_S)
 
 
 @pytest.fixture(scope="module")
@@ -305,13 +298,6 @@ class Over(Exception):  # noqa: N818 - ends the story once the persons are done
     """The persons have what they came for."""
 
 
-def two_step_until(client: ServiceClient, is_reached) -> None:
-    deadline = time.monotonic() + TWO_STEP_TIMEOUT_S
-    while not is_reached():
-        assert time.monotonic() < deadline, client.control(CRAFT)
-        time.sleep(0.1)
-
-
 def release(anna: ServiceClient, boris: ServiceClient) -> dict:
     """Do what the two persons do, and return the command when it is reported."""
 
@@ -319,13 +305,15 @@ def release(anna: ServiceClient, boris: ServiceClient) -> dict:
         rows = anna.request("GET", "/spacecraft")["rows"]
         return bool(rows) and anna.control(CRAFT)["armed"]
 
-    two_step_until(anna, is_armed)
+    wait_until(is_armed, lambda: anna.control(CRAFT), TWO_STEP_TIMEOUT_S)
     command = anna.prepare_torques(CRAFT, "roll and pitch are off")
     with pytest.raises(ProblemError) as refused:
         anna.confirm_torques(CRAFT, command["id"], command["digest"])
     assert refused.value.status == 403, "nobody confirms alone"
     boris.confirm_torques(CRAFT, command["id"], command["digest"], "pulses seen")
-    two_step_until(anna, lambda: anna.command(CRAFT, command["id"])["state"] not in {"RELEASED", "SENT"})
+    wait_until(
+        lambda: anna.command(CRAFT, command["id"])["state"] not in {"RELEASED", "SENT"}, "a report", TWO_STEP_TIMEOUT_S
+    )
     return anna.command(CRAFT, command["id"])
 
 

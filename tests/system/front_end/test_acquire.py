@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from analyzer_thread import AnalyzerThread, start_in_thread
 from steady_world import CARRIERS, NOISE_DBM_HZ, Steady, steady_task
+from waiting import wait_until
 
 from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.emission import Signal
@@ -327,15 +328,6 @@ def station(folder: Path, url: str) -> Iterator[subprocess.Popen[str]]:
             process.wait()
 
 
-def wait_until(is_true: Callable[[], Any], what: str, patience_s: float = 120.0) -> Any:
-    """Wait, in small steps, until something is true, and return it."""
-    deadline = time.monotonic() + patience_s
-    while not (found := is_true()):
-        assert time.monotonic() < deadline, f"waited {patience_s} s for {what}"
-        time.sleep(0.05)
-    return found
-
-
 def link(client: httpx.Client, name: str) -> dict[str, Any]:
     """Return a link as operators see it; empty when it has not reported."""
     links = client.get("/api/v1/links").raise_for_status().json()["links"]
@@ -378,6 +370,9 @@ def test_a_station_of_two_makes(
 
         process.send_signal(signal.SIGTERM)
         assert process.wait(120.0) == 0, (tmp_path / "acquire.log").read_text()
+    log = (tmp_path / "acquire.log").read_text()
+    assert " accepted" in json.loads(log.splitlines()[-1])["message"]
+    assert KEY not in log
     assert all(spool_path(tmp_path / "spool", "sim-1", source).exists() for source in ("sa-1", "sa-2"))
 
 

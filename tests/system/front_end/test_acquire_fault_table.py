@@ -7,7 +7,7 @@ the machine let the test run meanwhile: a fault during which it stood still is c
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ import pyvisa
 from analyzer_thread import AnalyzerThread, start_in_thread
 from fault_table import TABLE, FaultRow
 from steady_world import CARRIERS, Steady, steady_task
+from waiting import wait_until
 
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
@@ -135,17 +136,10 @@ class Bench:
         self.rows.append((time.monotonic(), row))
         return True
 
-    def await_true(self, is_true: Callable[[], bool], what: str, patience_s: float = 120.0) -> None:
-        """Wait, in small steps, until something is true."""
-        deadline_s = time.monotonic() + patience_s
-        while not is_true():
-            assert time.monotonic() < deadline_s, f"waited {patience_s} s for {what}"
-            time.sleep(0.005)
-
     def await_rows(self, more: int) -> None:
         """Wait for this many further rows."""
         wanted = len(self.rows) + more
-        self.await_true(lambda: len(self.rows) >= wanted, f"{more} rows")
+        wait_until(lambda: len(self.rows) >= wanted, f"{more} rows")
 
     def close(self) -> None:
         """Stop everything."""
@@ -171,7 +165,7 @@ def benches() -> Iterator[tuple[Bench, Bench]]:
 def other_client(bench: Bench, message: str, *, is_clear: bool = False) -> None:
     """Let another client send a message while a sweep is held in the middle."""
     bench.allowed.clear()
-    bench.await_true(lambda: bench.instrument.is_pending, "a sweep to be held")
+    wait_until(lambda: bench.instrument.is_pending, "a sweep to be held")
     client = pyvisa.ResourceManager("@py").open_resource(
         f"TCPIP::127.0.0.1::hislip0,{bench.ports[1]}::INSTR", write_termination="\n", timeout=120_000
     )
@@ -204,10 +198,10 @@ def cause(bench: Bench, fault: str) -> None:
     """Let a fault happen."""
     if fault in LINE_FAULTS:
         bench.analyzer.faults.arm(LINE_FAULTS[fault])
-        bench.await_true(lambda: bench.analyzer.faults.remaining == 0, "the fault to be spent")
+        wait_until(lambda: bench.analyzer.faults.remaining == 0, "the fault to be spent")
     elif fault in TRACE_FAULTS:
         bench.analyzer.trace_faults.arm(TRACE_FAULTS[fault])
-        bench.await_true(lambda: bench.analyzer.trace_faults.remaining == 0, "the fault to be spent")
+        wait_until(lambda: bench.analyzer.trace_faults.remaining == 0, "the fault to be spent")
     elif fault in FOREIGN:
         other_client(bench, FOREIGN[fault])
     else:
@@ -264,10 +258,8 @@ def caused(bench: Bench, expected: FaultRow) -> Trial:
     ended_s = time.monotonic()
     if expected.is_reopened:
         # an answer that is late for a machine that stood still is in time
-        bench.await_true(
-            lambda: counters.sessions > sessions or bench.stillness.longest_s >= STILL_S, "another session"
-        )
-    bench.await_true(lambda: any(is_good(at_s, row, ended_s) for at_s, row in bench.rows[before:]), "a good row")
+        wait_until(lambda: counters.sessions > sessions or bench.stillness.longest_s >= STILL_S, "another session")
+    wait_until(lambda: any(is_good(at_s, row, ended_s) for at_s, row in bench.rows[before:]), "a good row")
     after = bench.rows[before:]
     recovery = (next(at_s for at_s, row in after if is_good(at_s, row, ended_s)) - ended_s) / PERIOD_S
     lost = round((bench.rows[-1][0] - bench.rows[before - 1][0]) / PERIOD_S) - len(after)

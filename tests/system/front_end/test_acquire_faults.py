@@ -5,15 +5,10 @@ of the contract.
 """
 
 import json
-import logging
-import os
-import signal
-import subprocess
-import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -22,6 +17,7 @@ import numpy as np
 import pytest
 from analyzer_thread import AnalyzerThread, start_in_thread
 from recording_service import Recorder
+from waiting import wait_until
 
 from analyzer_sim.emission import EndOfScenario
 from analyzer_sim.instrument.imperfections import Imperfections
@@ -130,14 +126,6 @@ class Bench:
         return int(self.world.row_index) + 1
 
 
-def wait_until(is_true: Callable[[], bool], what: str, patience_s: float = PATIENCE_S) -> None:
-    """Wait, in small steps, until something is true."""
-    deadline = time.monotonic() + patience_s
-    while not is_true():
-        assert time.monotonic() < deadline, f"waited {patience_s} s for {what}"
-        time.sleep(0.01)
-
-
 def quick_task(world: World) -> MeasurementTask:
     """Return the task of a world with a short sweep."""
     document = ground.task(world, world.plan_versions[0].carriers)
@@ -150,17 +138,12 @@ def bench(**settings: Any) -> Iterator[Bench]:
     """Return a running bench and stop it at the end."""
     with tempfile.TemporaryDirectory() as folder:
         made = Bench(Path(folder), **settings)
-        yield from _started(made)
-
-
-def _started(made: Bench) -> Iterator[Bench]:
-    """Give a started bench and stop it at the end."""
-    try:
-        made.start()
-        made.await_rows(5)
-        yield made
-    finally:
-        made.close()
+        try:
+            made.start()
+            made.await_rows(5)
+            yield made
+        finally:
+            made.close()
 
 
 def assert_all_counted_once(made: Bench, summary: StationSummary, lost_sweeps: int = 0) -> None:
@@ -189,22 +172,6 @@ def test_undisturbed_every_sweep_is_a_row_with_the_levels_of_the_plan() -> None:
         assert all(flag == QualityFlag.SIMULATED for row in made.recorder.rows.values() for flag in row["flags"])
 
 
-@pytest.mark.parametrize("fault", list(LineFault))
-def test_a_fault_of_the_line_costs_its_own_sweep_at_most(fault: LineFault, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO, logger="service.frontend")
-    with bench(io_timeout_s=SHORT_S) as made:
-        made.analyzer.faults.arm(fault)
-        wait_until(lambda: made.station.acquisition.counters.faults >= 1, f"the fault {fault.value} to be noticed")
-        made.await_rows(20)
-        summary = made.finish()
-        # the sweep whose trace was spoiled, and one that a reset found running
-        assert_all_counted_once(made, summary, lost_sweeps=2)
-        assert summary.acquisition.sessions == 2
-        assert any(row["flags"][0] & QualityFlag.RECONNECTED for row in made.recorder.rows.values())
-    assert "failed in MEASURE" in caplog.text
-    assert "next attempt in" in caplog.text
-
-
 def test_faults_one_after_another_are_outlasted() -> None:
     with bench(io_timeout_s=SHORT_S) as made:
         for fault in LineFault:
@@ -214,17 +181,6 @@ def test_faults_one_after_another_are_outlasted() -> None:
         summary = made.finish()
         assert_all_counted_once(made, summary, lost_sweeps=2 * len(LineFault))
         assert summary.acquisition.faults >= 3
-
-
-def test_an_analyzer_that_goes_and_comes_back(caplog: pytest.LogCaptureFixture) -> None:
-    with bench() as made:
-        port = made.analyzer.port
-        made.analyzer.stop()
-        wait_until(lambda: made.station.acquisition.counters.faults >= 3, "attempts to be refused")
-        made.analyzer = start_in_thread(made.instrument, port=port)
-        made.await_rows(20)
-        assert_all_counted_once(made, made.finish(), lost_sweeps=2)
-    assert "ConnectionRefusedError" in caplog.text
 
 
 def test_a_scenario_that_ends_is_a_fault_and_never_a_repeated_row(caplog: pytest.LogCaptureFixture) -> None:
@@ -312,26 +268,3 @@ def test_a_stop_without_a_service_says_what_was_left() -> None:
         summary = made.finish()
         assert summary.undelivered == summary.acquisition.rows - len(made.recorder.rows)
         assert summary.undelivered > 0
-
-
-def test_the_command_measures_until_sigterm_and_ends_with_zero(tmp_path: Path) -> None:
-    made = Bench(tmp_path)
-    try:
-        (tmp_path / "task.json").write_text(made.task.model_dump_json())
-        command = [sys.executable, "-m", "service", "acquire", "--task", str(tmp_path / "task.json")]
-        command += ["--resource", f"TCPIP::127.0.0.1::{made.analyzer.port}::SOCKET", "--spacecraft", "sc"]
-        command += ["--service", f"http://127.0.0.1:{made.recorder.port}", "--epoch", "analyzer", "--period", "0"]
-        command += ["--spool", str(tmp_path / "spool")]
-        process = subprocess.Popen(
-            [*command, "--json-log"], env=os.environ | {"SOO_KEY": "secret-key"}, stderr=subprocess.PIPE, text=True
-        )
-        made.await_rows(50)
-        process.send_signal(signal.SIGTERM)
-        _, log = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0, log
-        assert len(made.recorder.rows) == made.swept()
-        messages = [json.loads(line)["message"] for line in log.splitlines()]
-        assert f"{made.swept()} accepted" in messages[-1]
-        assert "secret-key" not in log
-    finally:
-        made.close()

@@ -14,16 +14,19 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import chaos_clients as chaos
 import numpy as np
 import pytest
+from waiting import wait_until
 
 from analyzer_sim.world.ground import ground, ground_bodies
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
+from service.records.epoch import format_epoch
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -57,7 +60,7 @@ class Child:
 
     def announced(self) -> dict[str, Any]:
         """Return its first line."""
-        await_that(lambda: b"\n" in self.log.read_bytes(), f"an announcement in {self.log}")
+        wait_until(lambda: b"\n" in self.log.read_bytes(), f"an announcement in {self.log}")
         return dict(json.loads(self.log.read_text().splitlines()[0]))
 
 
@@ -94,24 +97,10 @@ class Truth:
             self.newest[line["session"]] = line["epoch"]
 
 
-def await_that(is_so: Callable[[], bool], what: str) -> None:
-    """Wait until something is so."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not is_so():
-        assert time.monotonic() < deadline, f"waited {PATIENCE_S} s for {what}"
-        time.sleep(0.01)
-
-
 def micro(epoch: str) -> str:
     """Return an epoch of the simulator as the service tells it."""
     whole, _, fraction = epoch.removesuffix("Z").partition(".")
     return f"{whole}.{fraction:0<6}Z"
-
-
-def epoch_text(epoch_us: int) -> str:
-    """Return microseconds UTC as the service tells them."""
-    seconds, micros = divmod(epoch_us, 1_000_000)
-    return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(seconds)) + f".{micros:06d}Z"
 
 
 def spooled(folder: Path, copy: Path) -> tuple[set[str], int]:
@@ -122,24 +111,13 @@ def spooled(folder: Path, copy: Path) -> tuple[set[str], int]:
     connection = sqlite3.connect(path)
     try:
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
-        waiting = {epoch_text(epoch_us) for (epoch_us,) in connection.execute("SELECT epoch_us FROM measured")}
+        waiting = {format_epoch(epoch_us) for (epoch_us,) in connection.execute("SELECT epoch_us FROM measured")}
         found = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'measured'").fetchone()
         dropped = connection.execute("SELECT sum(count) FROM tally WHERE name LIKE 'dropped_%'").fetchone()[0]
     finally:
         connection.close()
     assert not dropped
     return waiting, int(found[0]) if found else 0
-
-
-def history(client: Any, stop: str) -> Iterator[dict[str, Any]]:
-    """Yield every row of the archive."""
-    params: dict[str, Any] = {"start": "2000-01-01T00:00:00Z", "stop": stop, "limit": 5000}
-    while True:
-        page = client.get("/api/v1/spacecraft/sc/measurements/history", params=params).raise_for_status().json()
-        yield from page["rows"]
-        if page["next"] is None:
-            return
-        params["cursor"] = page["next"]
 
 
 class Rig:
@@ -204,13 +182,13 @@ class Rig:
             assert self.front_end.process.poll() is None, self.front_end.log.read_text()
             return self.truth.grow() >= wanted
 
-        await_that(flows, "rows to flow")
+        wait_until(flows, "rows to flow")
 
     def await_delivery(self) -> None:
         """Wait until the service stores rows again."""
         with self.service.client() as client:
             before = self._stored(client)
-            await_that(lambda: self._stored(client) > before, "rows to be stored")
+            wait_until(lambda: self._stored(client) > before, "rows to be stored")
 
     @staticmethod
     def _stored(client: Any) -> int:
@@ -310,7 +288,7 @@ def lose_and_double_nothing(rig: Rig, kills: int) -> None:
     last_seq = finish(rig)
     in_hand = {micro(rig.truth.newest[session]) for session in cut_off}
     with rig.service.client() as client:
-        rows = list(history(client, "2100-01-01T00:00:00Z"))
+        rows = chaos.history(client, "sc", start="2000-01-01T00:00:00Z", stop="2100-01-01T00:00:00Z")
         (source,) = client.get("/api/v1/spacecraft/sc/sources").raise_for_status().json()["rows"]
     epochs = [row["epoch"] for row in rows]
     read = [micro(epoch) for epoch in rig.truth.traces]
@@ -342,15 +320,3 @@ def test_four_kills_lose_and_double_nothing(rig: Rig) -> None:
 @pytest.mark.timeout(1200)
 def test_fifty_kills_lose_and_double_nothing(rig: Rig) -> None:
     lose_and_double_nothing(rig, 50)
-
-
-def test_the_log_of_truth_is_read_in_whole_lines(tmp_path: Path) -> None:
-    path = tmp_path / "truth"
-    path.write_bytes(b'{"kind": "trace", "session": "a", "epoch": "2026-11-01T00:00:00Z"}\n{"kind": "tra')
-    truth = Truth(path)
-    assert truth.grow() == 1
-    with path.open("ab") as log:
-        log.write(b'ce", "session": "a", "epoch": "2026-11-01T00:01:00.5Z"}\n')
-    assert truth.grow() == 2
-    assert [micro(each) for each in truth.traces] == ["2026-11-01T00:00:00.000000Z", "2026-11-01T00:01:00.500000Z"]
-    assert path.stat().st_size == truth._read

@@ -18,6 +18,7 @@ import pytest
 import typer
 from pyarrow import parquet
 from typer.testing import CliRunner
+from waiting import wait_until
 
 from db.storage import SqlStorage
 from service.api.export.export_files import OFFERED
@@ -216,10 +217,7 @@ def test_an_interrupted_export_goes_on_and_every_format_is_the_archive(
 
 def kill_after_first(folder: Path, process: "subprocess.Popen[bytes]") -> None:
     """Kill an export when its first day is there."""
-    deadline = time.monotonic() + 120
-    while not list(folder.glob("*.csv")) and process.poll() is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
+    wait_until(lambda: list(folder.glob("*.csv")) or process.poll() is not None, "the first day")
     process.kill()
     process.wait(120)
 
@@ -367,9 +365,7 @@ def test_steps_of_an_hour_and_a_leap_second_cost_no_row(bench):
     assert bench.send(hours=1) == (5, 0, [])
     bench.step(0)
     # behind what the chain has consumed
-    deadline = time.monotonic() + 120
-    while bench.client.get(f"{CLOCK_BASE}/sim-1/status").json()["pending"] and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_until(lambda: not bench.client.get(f"{CLOCK_BASE}/sim-1/status").json()["pending"], "rows are consumed")
     accepted, late, codes = bench.send()
     assert (accepted, codes) == (5, [])
     assert late in (0, 5)

@@ -20,6 +20,7 @@ from postgresql_cluster import PostgresqlCluster
 from sqlalchemy import create_engine, text
 from sqlalchemy.engine import make_url
 from storage_trial import IMPATIENT
+from waiting import wait_until
 
 from bench.bench_operation import fill
 from db.connection.engines import reading_engine
@@ -220,10 +221,7 @@ def test_nothing_is_lost_or_doubled_when_the_leading_one_is_killed(start_service
     time.sleep(0.3)
     services[0].process.kill()
     services[0].process.wait()
-    deadline = time.monotonic() + 120
-    while "this service leads" not in services[1].written():
-        assert time.monotonic() < deadline, services[1].written()
-        time.sleep(0.02)
+    wait_until(lambda: "this service leads" in services[1].written(), services[1].written)
     services[0] = start_service("--port", ports[0], *options)
     services[0].await_announcement()
     assert "another service leads" in services[0].written()
@@ -267,14 +265,6 @@ ROWS = 2500
 PLAIN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}
 
 
-def await_true(condition):
-    deadline_s = time.monotonic() + 300.0
-    while not (found := condition()):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-    return found
-
-
 def ended_children_s():
     """Return the processor time of all children that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -293,7 +283,7 @@ def test_it_is_ready_says_how_far_it_is_and_ends_at_once(start_service, tmp_path
     options = {"database": database, "environment": PLAIN}
     with closing(SqlStorage(f"sqlite:///{database}")) as storage:
         first = start_service("--port", "0", "--clock", "data", **options)
-        await_true(lambda: (head := storage.archive.head(SC)).consumed_number == head.newest_number)
+        wait_until(lambda: (head := storage.archive.head(SC)).consumed_number == head.newest_number)
         assert first.end()[0] == 0
         # as after an upgrade that raises the number of the layout
         storage._database.write(lambda connection: connection.execute(checkpoint.delete()))
@@ -305,7 +295,7 @@ def test_it_is_ready_says_how_far_it_is_and_ends_at_once(start_service, tmp_path
                 assert answer.status_code == 200, answer.text
                 return answer.json()["catching_up"]
 
-            began = await_true(ready)
+            began = wait_until(ready)
             assert began["spacecraft"] == SC
             assert 0 < began["rows_left"] <= ROWS + 100
             # the newest row is answered, with its age, and gives no torque
@@ -316,7 +306,7 @@ def test_it_is_ready_says_how_far_it_is_and_ends_at_once(start_service, tmp_path
             torque = client.get(f"/api/v1/spacecraft/{SC}/torques").json()
             assert torque["control"]["allowed"] is False
             assert [torque[f"{axis}_n_m"] for axis in ("yaw", "roll", "pitch")] == [0.0] * 3
-            await_true(lambda: ready()["rows_left"] < began["rows_left"])
+            wait_until(lambda: ready()["rows_left"] < began["rows_left"])
         ended_s, before_s = ended_children_s(), processor_s(service.process.pid)
         assert service.end()[0] == 0
         took_s = ended_children_s() - ended_s - before_s
@@ -356,10 +346,7 @@ def test_a_backup_under_load_holds_what_was_acknowledged_before_it_began(
     with service.client() as client:
         plan_id = chaos.set_up(client, spacecraft, carriers)
         clients = chaos.start_clients(service.url, "a-key-for-tests-only", plan_id, BACKUP_SEED)
-        deadline = time.monotonic() + 120
-        while not (before := chaos.promised(clients)):
-            assert time.monotonic() < deadline, [client.faults for client in clients]
-            time.sleep(0.05)
+        before = wait_until(lambda: chaos.promised(clients), lambda: [client.faults for client in clients])
         manifest = create(tmp_path / "b", url)
         counts = chaos.finish(clients)
         after = chaos.promised(clients)

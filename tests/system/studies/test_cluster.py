@@ -17,6 +17,7 @@ import pytest
 from busy_station import SC, Station, at, everything, live_morning_of_states
 from child_processes import descendants_of
 from typer import Exit
+from waiting import wait_until
 
 from service.cli.operation import parallel_replay
 from service.composition.bootstrap import storage_opener
@@ -37,13 +38,6 @@ WANTED = Replay(0, at(1), at(300), None, None, 0, "journal", "", 0)
 
 #: a second before an end: Dask does not always start a worker again that ends while it starts
 ENDING = "__import__('time').sleep(1.0), __import__('os')._exit(1)"
-
-
-def await_true(condition):
-    deadline = time.monotonic() + 120.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
 
 
 @contextmanager
@@ -69,7 +63,7 @@ def scheduled(folder, patience="120s"):
     file = folder / "scheduler.json"
     where = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)]
     with processes(folder, ["scheduler", *where], DASK_DISTRIBUTED__SCHEDULER__NO_WORKERS_TIMEOUT=patience):
-        await_true(lambda: file.is_file() and file.read_text().endswith("}"))
+        wait_until(lambda: file.is_file() and file.read_text().endswith("}"))
         yield json.loads(file.read_text())["address"]
 
 
@@ -82,7 +76,7 @@ def cluster(tmp_path_factory):
     """Address of a scheduler with two workers, each with a watch of its own."""
     folder = tmp_path_factory.mktemp("cluster")
     with scheduled(folder) as address, processes(folder, worker(address), worker(address), OPENBLAS_NUM_THREADS="1"):
-        await_true(lambda: has_workers(address))
+        wait_until(lambda: has_workers(address))
         yield address
 
 
@@ -97,7 +91,7 @@ def has_workers(address):
 @pytest.fixture
 def pool(cluster):
     """Executor of the cluster, whose workers may still come back from the test before."""
-    await_true(lambda: has_workers(cluster))
+    wait_until(lambda: has_workers(cluster))
     with executor_of(WorkerChoice(scheduler=cluster)) as executor:
         yield executor
 
@@ -137,7 +131,7 @@ def test_a_piece_whose_workers_are_gone_is_reported(tmp_path):
         scheduled(tmp_path, "5s") as address,
         processes(tmp_path, worker(address, "--no-nanny"), OPENBLAS_NUM_THREADS="1"),
     ):
-        await_true(lambda: has_workers(address))
+        wait_until(lambda: has_workers(address))
         with (
             executor_of(WorkerChoice(scheduler=address)) as executor,
             pytest.raises(ClusterError, match="no worker is left, for 5"),
@@ -172,7 +166,7 @@ def test_a_worker_that_could_compute_other_digits_is_refused(tmp_path):
         scheduled(tmp_path) as address,
         processes(tmp_path, worker(address, "--no-nanny"), OPENBLAS_NUM_THREADS="2"),
     ):
-        await_true(lambda: has_workers(address))
+        wait_until(lambda: has_workers(address))
         code, output, error = study("--scheduler", address)
     assert (code, output) == (2, "")
     assert "OPENBLAS_NUM_THREADS not set to 1: bring it to the state of this machine" in error

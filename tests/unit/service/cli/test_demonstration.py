@@ -352,11 +352,6 @@ ANSWER = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _own_folder(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-
-
 @pytest.fixture
 def simulator():
     """Give a function that runs a port with one answer; it returns address and lines received."""
@@ -382,8 +377,7 @@ def simulator():
 
 
 def run(changes, *arguments):
-    demonstration = RunningDemonstration(os.getpid(), "http://127.0.0.1:1", "absent.key", changes)
-    with published(demonstration):
+    with published(HERE._replace(key_file="absent.key", changes=changes)):
         return CliRunner().invoke(app, ["demo", "inject", *arguments])
 
 

@@ -27,6 +27,7 @@ from service.client.service_client import ServiceClient
 from service.formats.foreign.layout import StatedLayout, TableLayout
 from service.formats.foreign.proposal import propose
 from service.frontend.backfill.columns import ArchiveError
+from service.frontend.backfill.reader import FileRow
 from service.records.epoch import format_epoch
 
 CARRIERS = ("c00", "c01", "c02")
@@ -42,13 +43,16 @@ def layout_of(path: Path, stated: StatedLayout) -> TableLayout:
     return proposal.layout
 
 
+def rows_of(path: Path, stated: StatedLayout = STATED) -> list[FileRow]:
+    """Return the rows of a file, those that cannot be read too."""
+    with closing(ForeignArchive(path, layout_of(path, stated))) as archive:
+        return list(archive.rows())
+
+
 def read(path: Path, stated: StatedLayout = STATED) -> dict[int, list[float | None]]:
     """Return levels by epoch, in the order of the carriers."""
-    layout = layout_of(path, stated)
-    archive = ForeignArchive(path, layout)
-    order = list(dict.fromkeys(layout.carriers.values()))
-    rows = list(archive.rows())
-    archive.close()
+    order = list(dict.fromkeys(layout_of(path, stated).carriers.values()))
+    rows = rows_of(path, stated)
     assert [row.detail for row in rows if row.fault] == []
     return {row.cells[0]: [row.cells[1 + order.index(name)] for name in CARRIERS if name in order] for row in rows}
 
@@ -105,9 +109,7 @@ def test_long_tables_may_come_carrier_by_carrier(tmp_path: Path) -> None:
 def test_a_second_level_of_one_carrier_at_one_epoch_is_kept_back(tmp_path: Path) -> None:
     header, *rows = table(truth(CARRIERS, 3), Writing(is_long=True))
     path = write_table(tmp_path / "levels.csv", [header, *rows, [*rows[0][:2], "-1.5"]], Writing())
-    archive = ForeignArchive(path, layout_of(path, STATED))
-    kept_back = [row for row in archive.rows() if row.fault]
-    archive.close()
+    kept_back = [row for row in rows_of(path) if row.fault]
     assert [(row.line, row.fault) for row in kept_back] == [(11, "second level of one carrier at one epoch")]
 
 
@@ -141,9 +143,7 @@ def test_cells_without_a_level_are_absent_and_odd_ones_are_kept_back(tmp_path: P
     rows[3][1], rows[4][2], rows[5][3], rows[6][1] = "", "NaN", "n/a", "---"
     rows[7][1], rows[8][2], rows[9][0] = "overload", "-60,5", "2026-02-30 00:00:00"
     path = write_table(tmp_path / "levels.csv", [header, *rows], Writing())
-    archive = ForeignArchive(path, layout_of(path, STATED))
-    found = list(archive.rows())
-    archive.close()
+    found = rows_of(path)
     assert [found[k].cells[n] for k, n in ((3, 1), (4, 2), (5, 3), (6, 1))] == [None] * 4
     odd = {row.line: row for row in found if row.fault}
     assert {line: row.fault for line, row in odd.items()} == {
@@ -163,10 +163,7 @@ def test_a_file_that_was_cut_off_does_not_give_a_cut_number(tmp_path: Path) -> N
     draw = random.Random(3)
     for _ in range(40):
         path.write_bytes(whole[: draw.randrange(len(whole) // 2, len(whole) - 1)])
-        archive = ForeignArchive(path, layout_of(path, STATED))
-        rows = list(archive.rows())
-        archive.close()
-        readable = {row.cells[0]: row.cells[1:] for row in rows if not row.fault}
+        readable = {row.cells[0]: row.cells[1:] for row in rows_of(path) if not row.fault}
         assert readable.items() <= wanted(known).items()
         assert len(readable) >= 8
 
@@ -177,9 +174,7 @@ def test_hours_that_a_change_of_the_clocks_repeats_are_kept_back(tmp_path: Path,
     if zone == "America/New_York":
         known = truth(CARRIERS, 8, datetime(2025, 11, 2, 5, tzinfo=UTC), step_s=900.0)
     path = write_table(tmp_path / "levels.csv", table(known, Writing(zone=zone)), Writing())
-    archive = ForeignArchive(path, layout_of(path, StatedLayout(tz=zone, unit="dBm")))
-    faults = [row.fault for row in archive.rows()]
-    archive.close()
+    faults = [row.fault for row in rows_of(path, StatedLayout(tz=zone, unit="dBm"))]
     assert faults == ["epoch in an hour that the change of the clocks repeats or leaves out"] * 8
 
 
@@ -304,10 +299,7 @@ def written(folder: Path, writing: Writing, known: Truth, name: str = "levels.cs
 
 def file_wanted(known: Truth) -> dict[str, list[float]]:
     """Return the truth by epoch as the service has it."""
-    return {
-        format_epoch(round(epoch.timestamp() * 1e6)): list(levels)
-        for epoch, levels in zip(known.epochs, known.levels_dbm, strict=True)
-    }
+    return {format_epoch(epoch_us): levels for epoch_us, levels in wanted(known).items()}
 
 
 def test_without_a_terminal_the_command_ends_with_the_options_that_answer_it(service: Service, tmp_path: Path) -> None:

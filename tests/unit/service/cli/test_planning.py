@@ -413,15 +413,9 @@ def options(world: World, tmp_path: Path) -> list[str]:
     return found
 
 
-def quiet_run(*options: str) -> Any:
-    app = typer.Typer()
-    app.command()(plan)
-    return CliRunner().invoke(app, list(options))
-
-
 def test_the_report_of_quiet_days(options: list[str], tmp_path: Path) -> None:
     folder = tmp_path / "report"
-    result = quiet_run(*options, "--report", str(folder), "--json")
+    result = plan_run(*options, "--report", str(folder), "--json")
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     assert json.loads((folder / "plan.json").read_text()) == document
@@ -459,7 +453,7 @@ def test_turns_within_the_quiet_days_are_dated(world: World, options: list[str],
     window = whole["quiet"].__class__(whole["quiet"].start_us + 24 * HOUR_US, whole["turns"].stop_us)
     series = ground.series(window, names)
     write_powers(tmp_path / "quiet.csv", MeasurementSeries(names, series.epochs_us[::STEP], series.power_dbm[::STEP]))
-    result = quiet_run(*options, "--json")
+    result = plan_run(*options, "--json")
     said = result.output
     assert "the powers move as by turns of the satellite: " in said
     assert "leave these hours out of the file" in said
@@ -509,7 +503,7 @@ def test_mistakes_are_refused_in_a_sentence(
     options: list[str], tmp_path: Path, change: Callable[[Path], None], words: str
 ) -> None:
     change(tmp_path)
-    result = quiet_run(*options)
+    result = plan_run(*options)
     said = " ".join(result.output.split())
     assert result.exit_code == 2, said
     assert re.search(words, said), said
@@ -520,7 +514,7 @@ def test_the_orbit_of_another_satellite_is_refused(options: list[str], tmp_path:
     orbit = json.loads((tmp_path / "orbit.json").read_text())
     orbit["track"]["longitude_deg"] = [value - 20.0 for value in orbit["track"]["longitude_deg"]]
     (tmp_path / "orbit.json").write_text(json.dumps(orbit))
-    result = quiet_run(*options)
+    result = plan_run(*options)
     assert result.exit_code == 2
     assert "deg East, the catalogue has 90 deg; check the satellite" in " ".join(result.output.split())
 
@@ -529,7 +523,7 @@ def test_the_orbit_of_another_month_is_refused(world: World, options: list[str],
     series = powers(world)
     late = MeasurementSeries(series.carrier_ids, series.epochs_us + 60 * 24 * HOUR_US, series.power_dbm)
     write_powers(tmp_path / "quiet.csv", late)
-    result = quiet_run(*options)
+    result = plan_run(*options)
     assert result.exit_code == 2
     assert "the quiet days begin at" in " ".join(result.output.split())
 
@@ -541,7 +535,7 @@ def test_gaps_repeated_rows_and_missing_carriers_are_said(options: list[str], tm
     names[4], names[6] = "humidity", "c77_dbm"
     kept = [*rows[:300], rows[299], *rows[350:]]
     (tmp_path / "quiet.csv").write_text("\n".join([",".join(names), *kept]) + "\n")
-    result = quiet_run(*options[:-2], "--json")
+    result = plan_run(*options[:-2], "--json")
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     notes = "\n".join(document["notes"])
@@ -569,7 +563,7 @@ def test_foreign_powers_are_read_as_their_manifest_states(tmp_path: Path) -> Non
 
 
 def test_options_that_nothing_would_read_are_refused(options: list[str]) -> None:
-    alone = quiet_run(*options[:4], "--ephemeris", options[-1])
+    alone = plan_run(*options[:4], "--ephemeris", options[-1])
     assert (alone.exit_code, "state --quiet with it" in alone.output) == (2, True)
-    service = quiet_run("--spacecraft", "yamal-202", "--quiet", options[7])
+    service = plan_run("--spacecraft", "yamal-202", "--quiet", options[7])
     assert (service.exit_code, "go with --spacecraft-file" in service.output) == (2, True)

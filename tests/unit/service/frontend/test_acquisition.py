@@ -134,6 +134,16 @@ def acquisition(
     return made, rows, stop
 
 
+def measured(
+    monkeypatch: pytest.MonkeyPatch, script: Script, count: int = 1, **changes: Any
+) -> tuple[Acquisition, list[MeasuredRow]]:
+    """Return an acquisition that has measured some rows, and the rows."""
+    made, rows, _ = acquisition(monkeypatch, script, **changes)
+    while len(rows) < count:
+        made.step()
+    return made, rows
+
+
 def test_the_table_is_complete_and_every_fault_leads_to_the_wait() -> None:
     assert set(TRANSITIONS) == set(AcquisitionState) == set(ACTIONS)
     assert all(set(row) == set(AcquisitionEvent) for row in TRANSITIONS.values())
@@ -179,9 +189,7 @@ def test_a_fault_opens_another_session_and_marks_the_next_row(
 ) -> None:
     script = Script()
     script.take_faults["b"] = [None, fault]
-    made, rows, _ = acquisition(monkeypatch, script)
-    while len(rows) < 3:
-        made.step()
+    made, rows = measured(monkeypatch, script, 3)
     assert (script.opened, script.closed) == (2, 1)
     assert [bool(row.flags[0] & QualityFlag.RECONNECTED) for row in rows] == [False, True, False]
     assert made.counters.faults == 1
@@ -194,9 +202,7 @@ def test_connecting_is_tried_again_with_growing_waits(
     caplog.set_level(logging.INFO, logger="service.frontend.acquisition.acquisition")
     script = Script()
     script.open_faults = [AnalyzerIOError("refused")] * 3
-    made, rows, _ = acquisition(monkeypatch, script)
-    while not rows:
-        made.step()
+    measured(monkeypatch, script)
     assert caplog.text.count("failed in CONNECT: refused") == 3
     assert caplog.text.count("next attempt in") == 3
 
@@ -204,9 +210,7 @@ def test_connecting_is_tried_again_with_growing_waits(
 def test_one_refused_sweep_leaves_the_other_good(monkeypatch: pytest.MonkeyPatch) -> None:
     script = Script()
     script.take_faults["a"] = [SweepRefusedError("-221 Settings conflict")]
-    made, rows, _ = acquisition(monkeypatch, script)
-    while not rows:
-        made.step()
+    made, rows = measured(monkeypatch, script)
     assert np.isnan(rows[0].power_dbm).tolist() == [True, False]
     assert all(flag & QualityFlag.PARTIAL_CYCLE for flag in rows[0].flags)
     assert made.counters.faults == 0
@@ -220,14 +224,6 @@ def test_all_sweeps_refused_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
         made.step()
     assert rows == []
     assert made.counters.state is AcquisitionState.BACKOFF
-
-
-def test_settings_are_sent_when_the_sweep_changes(monkeypatch: pytest.MonkeyPatch) -> None:
-    script = Script()
-    made, rows, _ = acquisition(monkeypatch, script)
-    while len(rows) < 2:
-        made.step()
-    assert script.configured == ["a", "b", "a", "b"]
 
 
 def test_a_stop_ends_the_run_with_the_session_closed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,22 +259,18 @@ def test_an_overrun_is_counted_and_not_caught_up(monkeypatch: pytest.MonkeyPatch
 def test_what_the_analyzer_remarks_is_logged(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     script = Script()
     script.analyzer_messages.append(AnalyzerMessage(-222, "Data out of range"))
-    made, rows, _ = acquisition(monkeypatch, script)
-    while not rows:
-        made.step()
+    measured(monkeypatch, script)
     assert "analyzer reports error -222 Data out of range" in caplog.text
     assert script.analyzer_messages == []
 
 
-def test_a_shared_analyzer_is_given_back_after_every_cycle_and_configured_before_every_sweep(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("is_shared", "released", "first"), [(False, 0, []), (True, 2, ["a"])])
+def test_settings_are_sent_when_the_sweep_changes_and_a_shared_analyzer_is_given_back_after_every_cycle(
+    monkeypatch: pytest.MonkeyPatch, is_shared: bool, released: int, first: list[str]
 ) -> None:
     script = Script()
-    made, rows, _ = acquisition(monkeypatch, script, is_shared=True)
-    while len(rows) < 2:
-        made.step()
-    assert script.released == 2
-    assert script.configured == ["a", "a", "b", "a", "b"]
+    measured(monkeypatch, script, 2, is_shared=is_shared)
+    assert (script.released, script.configured) == (released, [*first, "a", "b", "a", "b"])
 
 
 def test_no_good_row_for_three_periods_opens_another_session(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -324,9 +316,7 @@ def test_an_order_to_rest_and_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_reset_closes_the_session_clears_the_waits_and_keeps_the_counters(monkeypatch: pytest.MonkeyPatch) -> None:
     script = Script()
-    made, rows, _ = acquisition(monkeypatch, script)
-    while not rows:
-        made.step()
+    made, rows = measured(monkeypatch, script)
     made.orders.apply(is_enabled=True, resets=0)
     made.orders.apply(is_enabled=True, resets=3)
     assert made.step() is AcquisitionState.CONNECT
@@ -361,9 +351,7 @@ def test_an_order_ends_a_long_wait(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_an_action_that_hangs_is_noticed_shown_and_its_line_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     script = Script()
-    made, rows, _ = acquisition(monkeypatch, script)
-    while not rows:
-        made.step()
+    made, _ = measured(monkeypatch, script)
     now_s = module.time.monotonic()
     made.poll()
     assert (made.is_stuck, made.counters.stuck) == (False, 0)
