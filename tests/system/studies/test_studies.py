@@ -1,21 +1,17 @@
-"""Studies and plans as processes: the figures, the files and the exit codes."""
+"""Studies as processes: the figures, the files and the exit codes."""
 
 import json
 import signal
 import subprocess
 import sys
-import time
-from dataclasses import replace
 from pathlib import Path
 
-import httpx
 import numpy as np
 import pytest
 from child_processes import descendants_of
-from synthetic_payload import SC, SyntheticPayload
 from typer.testing import CliRunner
+from waiting import wait_until
 
-from db.storage import SqlStorage
 from service.cli.app import app
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.plant_process import PlantFailedError
@@ -121,64 +117,6 @@ def test_an_unknown_scenario_is_the_plants_to_refuse():
     assert "no uplink 'pigeon'" in announced.output
 
 
-KEY = "a-key-for-tests-only"
-PAYLOAD = SyntheticPayload.make(18)
-
-
-def calibrated(database: Path) -> None:
-    """Make an archive with a spacecraft, a plan over three transponders, and a calibration."""
-    storage = SqlStorage(f"sqlite:///{database}")
-    storage.prepare()
-    storage.catalogue.add_spacecraft(PAYLOAD.spacecraft())
-    carriers = [replace(carrier, transponder=f"K{k % 3}") for k, carrier in enumerate(PAYLOAD.carriers())]
-    plan = storage.catalogue.put_plan(SC, carriers, "three")
-    ephemeris = storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris())
-    known = PAYLOAD.calibration()
-    draft = storage.results.add_calibration(SC, known.request, plan.id, ephemeris.id, known.created_at_us, "engineer")
-    storage.results.finish_calibration(SC, draft.id, known.result, None)
-    storage.close()
-
-
-@pytest.fixture(scope="module")
-def url(serving, tmp_path_factory):
-    """Address of a service with a calibrated spacecraft."""
-    database = tmp_path_factory.mktemp("plan") / "calibrated.db"
-    calibrated(database)
-    with serving(database) as service:
-        yield service.url
-
-
-def soo_plan(url: str, environment: dict[str, str], *options: str) -> subprocess.CompletedProcess[str]:
-    """Run the command."""
-    command = [sys.executable, "-m", "service", "plan", "--service", url, *options]
-    return subprocess.run(
-        command, env={**environment, "SOO_KEY": KEY}, capture_output=True, text=True, timeout=120, check=False
-    )
-
-
-def test_a_calibrated_service_chooses(url, compiled_environment, tmp_path):
-    figure = tmp_path / "map.png"
-    ended = soo_plan(url, compiled_environment, "--spacecraft", SC, "--count", "12", "--figure", str(figure))
-    assert ended.returncode == 0, ended.stderr
-    assert f"{SC}: 18 carriers by calibration 1 (paper), rule optimal" in ended.stdout
-    assert "Recommended turns, 8.5 h in all" in ended.stdout
-    assert figure.read_bytes().startswith(b"\x89PNG")
-    ended = soo_plan(url, compiled_environment, "--spacecraft", SC, "--count", "12", "--json")
-    document = json.loads(ended.stdout)
-    assert len(document["selected"]) == 12
-    assert document["sufficient"] is True
-
-
-def test_refusals_of_the_service_are_its_words(url, compiled_environment, spacecraft):
-    headers = {"Authorization": f"Bearer {KEY}"}
-    answer = httpx.post(f"{url}/api/v1/spacecraft", json=spacecraft, headers=headers, trust_env=False, timeout=120)
-    assert answer.status_code == 201
-    ended = soo_plan(url, compiled_environment, "--spacecraft", "sim-1")
-    assert ended.returncode == 1
-    assert "no calibration of sim-1 has figures to choose carriers by" in ended.stderr
-    assert "Traceback" not in ended.stderr
-
-
 STUDY = [sys.executable, "-m", "service", "study", "estimation"]
 
 
@@ -215,20 +153,6 @@ def test_a_short_study_prints_figures_bounds_and_marks(compiled_environment, tmp
     assert sorted(path.name for path in tmp_path.iterdir()) == drawn
 
 
-def test_an_unknown_scenario_is_refused_in_the_words_of_the_simulator(compiled_environment):
-    ran = subprocess.run(
-        [*STUDY, "--scenario", "nosuch", "--seeds", "1"],
-        env=compiled_environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert ran.returncode == 2
-    assert "the simulator wrote no world of nosuch, seed 1" in ran.stderr
-    assert "Traceback" not in ran.stderr
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_ends_the_study_with_all_its_processes(number, compiled_environment, tmp_path):
     log = tmp_path / "out"
@@ -237,21 +161,15 @@ def test_a_signal_ends_the_study_with_all_its_processes(number, compiled_environ
             [*STUDY, "--group", "quick", "--seeds", "3"], env=compiled_environment, stdout=output, stderr=output
         )
     try:
-        deadline = time.monotonic() + 120
         # two workers, the tracker of their resources, and simulators below the workers
-        while time.monotonic() < deadline and len(descendants_of(process.pid)) < 4:
-            time.sleep(0.05)
+        wait_until(lambda: len(descendants_of(process.pid)) >= 4, log.read_text)
         children = descendants_of(process.pid)
-        assert len(children) >= 4, log.read_text()
         process.send_signal(number)
         assert process.wait(120) == 2, log.read_text()
     finally:
         process.kill()
         process.wait()
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and any(Path(f"/proc/{child}").exists() for child in children):
-        time.sleep(0.05)
-    assert [child for child in children if Path(f"/proc/{child}").exists()] == []
+    wait_until(lambda: not any(Path(f"/proc/{child}").exists() for child in children), "the end of its processes")
     assert "stopped" in log.read_text()
     assert "Traceback" not in log.read_text()
 

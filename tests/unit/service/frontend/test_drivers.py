@@ -139,6 +139,17 @@ def driver(session: ScriptedSession, dialect: Dialect = RS, *, use_analyzer_cloc
     return made
 
 
+@pytest.fixture
+def session() -> ScriptedSession:
+    return ScriptedSession()
+
+
+@pytest.fixture
+def made(session: ScriptedSession) -> ScpiDriver:
+    """Give a driver of the session."""
+    return driver(session)
+
+
 def level_dbm(power_mw: np.ndarray, position: int = 0) -> float:
     return float(10 * np.log10(power_mw[position]))
 
@@ -160,18 +171,14 @@ def test_the_sweep_is_awaited_for_one_and_a_half_sweep_times() -> None:
     assert session.timeouts[-1] == pytest.approx(1.5 * 2.0 + 5.0)  # the rule itself
 
 
-def test_a_refused_sweep_gives_no_trace() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_a_refused_sweep_gives_no_trace(session: ScriptedSession, made: ScpiDriver) -> None:
     session.queue += ['-200,"Execution error;end of scenario"', '-222,"Data out of range"']
     with pytest.raises(SweepRefusedError, match="end of scenario"):
         made.measure(SWEEP)
     assert session.queue == []
 
 
-def test_a_clamped_setting_is_a_remark() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_a_clamped_setting_is_a_remark(session: ScriptedSession, made: ScpiDriver) -> None:
     made.analyzer_messages.clear()
     session.queue.append('-222,"Data out of range"')
     made.measure(SWEEP)
@@ -208,17 +215,13 @@ def test_an_analyzer_without_a_clock_cannot_stamp() -> None:
         driver(session, use_analyzer_clock=True)
 
 
-def test_a_repeated_trace_is_stale_and_a_new_one_is_not() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_a_repeated_trace_is_stale_and_a_new_one_is_not(session: ScriptedSession, made: ScpiDriver) -> None:
     assert [made.measure(SWEEP).is_stale, made.measure(SWEEP).is_stale] == [False, True]
     session.levels = session.levels + 0.1
     assert not made.measure(SWEEP).is_stale
 
 
-def test_count_averages_milliwatts() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_count_averages_milliwatts(made: ScpiDriver) -> None:
     many = SWEEP.model_copy(update={"count": 3})
     made.configure(many, InputPart())
     assert level_dbm(made.measure(many).power_mw) == pytest.approx(-90.0, abs=1e-5)  # float32
@@ -240,26 +243,22 @@ def test_a_block_of_doubles_falls_back_to_text() -> None:
     assert session.reported.count(":FORM ASC") == 1
 
 
-def test_a_missing_answer_is_a_broken_session() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_a_missing_answer_is_a_broken_session(session: ScriptedSession, made: ScpiDriver) -> None:
     del session.known[":STAT:QUES:COND?"]
     with pytest.raises(AnalyzerIOError, match="answers to"):
         made.measure(SWEEP)
 
 
-def test_an_endless_error_queue_is_a_broken_session() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_an_endless_error_queue_is_a_broken_session(session: ScriptedSession, made: ScpiDriver) -> None:
     session.queue += ['-222,"again"'] * 500
     with pytest.raises(AnalyzerIOError, match="without end"):
         made.measure(SWEEP)
 
 
 @pytest.mark.parametrize("header", [":FREQ:STAR", ":BAND", ":SWE:POIN", ":UNIT:POW", ":DET", ":DISP:TRAC:MODE"])
-def test_a_setting_changed_during_a_sweep_is_restored_and_the_sweep_taken_again(header: str) -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_a_setting_changed_during_a_sweep_is_restored_and_the_sweep_taken_again(
+    session: ScriptedSession, made: ScpiDriver, header: str
+) -> None:
     before = session.values[header]
 
     def change() -> None:
@@ -277,9 +276,9 @@ def test_a_setting_changed_during_a_sweep_is_restored_and_the_sweep_taken_again(
 
 
 @pytest.mark.parametrize("header", [":BAND:VID", ":BAND", ":INP:ATT", ":UNIT:POW", ":INIT:CONT", ":FORM"])
-def test_a_setting_changed_between_two_sweeps_is_restored_before_the_next_of_its_kind(header: str) -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_a_setting_changed_between_two_sweeps_is_restored_before_the_next_of_its_kind(
+    session: ScriptedSession, made: ScpiDriver, header: str
+) -> None:
     path = InputPart(attenuation_db=10.0)
     other = SWEEP.model_copy(update={"id": "tp2", "start_hz": 960e6})
     for sweep in (SWEEP, other):
@@ -293,9 +292,7 @@ def test_a_setting_changed_between_two_sweeps_is_restored_before_the_next_of_its
     assert made.foreign_changes == 1
 
 
-def test_a_sweep_whose_settings_never_stand_still_is_no_measurement() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_a_sweep_whose_settings_never_stand_still_is_no_measurement(session: ScriptedSession, made: ScpiDriver) -> None:
     turns = iter(range(100))
 
     def turn() -> None:
@@ -307,9 +304,7 @@ def test_a_sweep_whose_settings_never_stand_still_is_no_measurement() -> None:
     assert sweep.is_setting_mismatch
 
 
-def test_another_unit_that_stays_is_refused() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_another_unit_that_stays_is_refused(session: ScriptedSession, made: ScpiDriver) -> None:
     session.stuck[":UNIT:POW"] = "V"
     session.values[":UNIT:POW"] = "V"
     with pytest.raises(SweepRefusedError, match="UNIT:POW 'V'"):
@@ -326,9 +321,9 @@ def test_what_is_no_trace_is_never_a_level(answer: str) -> None:
 
 
 @pytest.mark.parametrize("unit", ["dBuV", "W", "V"])
-def test_levels_in_another_unit_than_stated_are_not_levels(unit: str) -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_levels_in_another_unit_than_stated_are_not_levels(
+    session: ScriptedSession, made: ScpiDriver, unit: str
+) -> None:
     convert = {
         "dBuV": lambda dbm: dbm + 130.0,
         "W": lambda dbm: 10 ** (dbm / 10 - 3),
@@ -339,9 +334,7 @@ def test_levels_in_another_unit_than_stated_are_not_levels(unit: str) -> None:
         made.measure(SWEEP)
 
 
-def test_a_trace_that_reaches_the_reference_level_is_overdriven() -> None:
-    session = ScriptedSession()
-    made = driver(session)
+def test_a_trace_that_reaches_the_reference_level_is_overdriven(session: ScriptedSession, made: ScpiDriver) -> None:
     made.configure(SWEEP, InputPart(ref_level_dbm=-80.0))
     assert made.measure(SWEEP).is_overrange
     made.configure(SWEEP, InputPart(ref_level_dbm=-79.0))

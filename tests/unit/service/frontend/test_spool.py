@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scripted_service import fill
 from spooled_rows import NOW_US, OWNER, TASK, Hands, fill_disk, heal_disk, protect_disk, row, spool, sweep, waiting
 
 from service.frontend.spool.disk import MARK_STEP, SpoolInUseError
@@ -48,8 +49,7 @@ def test_only_its_owner_can_read_a_spool(tmp_path: Path) -> None:
 def test_numbers_go_on_for_ever_even_over_an_emptied_spool_and_a_restart(tmp_path: Path) -> None:
     for start in (0, 3, 6):
         with spool(tmp_path) as made:
-            for number in range(start, start + 3):
-                assert made.append(row(number))
+            fill(made, 3, first=start)
             rows = made.batch(UploadLane.LIVE, 0, 10)
             assert [each.seq for each in rows] == [start + 1, start + 2, start + 3]
             made.settle(rows)
@@ -101,8 +101,7 @@ def test_rows_of_another_task_are_another_batch(tmp_path: Path) -> None:
 
 def test_beyond_its_size_the_oldest_rows_go_and_leave_a_gap(tmp_path: Path) -> None:
     with spool(tmp_path, Bounds(rows_bytes=4 * ROW_BYTES)) as made:
-        for number in range(10):
-            assert made.append(row(number))
+        fill(made, 10)
         assert waiting(made) == [(7, 6), (8, 7), (9, 8), (10, 9)]
         assert made.state.dropped == {"full": 6}
         (warning,) = made.warnings
@@ -120,8 +119,7 @@ def test_beyond_its_size_the_oldest_rows_go_and_leave_a_gap(tmp_path: Path) -> N
 
 def test_rows_that_are_being_sent_are_not_given_up(tmp_path: Path) -> None:
     with spool(tmp_path, Bounds(rows_bytes=3 * ROW_BYTES)) as made:
-        for number in range(3):
-            made.append(row(number))
+        fill(made, 3)
         sent = made.batch(UploadLane.LIVE, 0, 2)
         made.append(row(3))
         assert made.state.dropped == {"full": 1}
@@ -153,8 +151,7 @@ def test_a_spool_of_another_source_is_refused(tmp_path: Path) -> None:
 
 def test_refused_rows_are_kept_apart_bounded_and_counted(tmp_path: Path) -> None:
     with spool(tmp_path, Bounds(refused_rows=3)) as made:
-        for number in range(6):
-            made.append(row(number))
+        fill(made, 6)
         rows = made.batch(UploadLane.LIVE, 0, 10)
         made.settle(rows, {position: ("time.future", f"row {position}") for position in range(1, 6)})
         assert made.state.refused == 5
@@ -202,8 +199,7 @@ def test_traces_are_kept_at_a_pace_for_each_sweep(tmp_path: Path) -> None:
 def test_an_emptied_file_gives_its_pages_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.frontend.spool.spool._IDLE_BYTES", 1 << 16)
     with spool(tmp_path) as made:
-        for number in range(2000):
-            made.append(row(number))
+        fill(made, 2000)
         made.settle(made.batch(UploadLane.LIVE, 0, 5000))
         made._disk.file.connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         assert (tmp_path / "sa-1.spool").stat().st_size < 1 << 16
@@ -228,8 +224,7 @@ def test_a_copy_of_the_files_at_any_moment_is_whole(tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     copy.mkdir()
     with spool(tmp_path) as made:
-        for number in range(30):
-            made.append(row(number))
+        fill(made, 30)
         for path in tmp_path.glob("sa-1.spool*"):
             shutil.copy(path, copy)
     with spool(copy) as made:
@@ -359,8 +354,7 @@ def test_a_folder_that_cannot_be_made_holds_the_rows_until_it_can(tmp_path: Path
 
 def test_a_file_that_is_no_database_is_set_aside_and_numbers_go_on(tmp_path: Path) -> None:
     with spool(tmp_path) as made:
-        for number in range(5):
-            made.append(row(number))
+        fill(made, 5)
     (tmp_path / "sa-1.spool").write_bytes(b"no database" * 1000)
     with spool(tmp_path) as made:
         (warning,) = made.warnings
@@ -374,16 +368,20 @@ def test_a_file_that_is_no_database_is_set_aside_and_numbers_go_on(tmp_path: Pat
     assert aside.read_bytes().startswith(b"no database")
 
 
+def spoil(path: Path) -> None:
+    """Write over one page of rows in the middle of a file."""
+    with path.open("r+b") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(size // 2 // 4096 * 4096)
+        file.write(b"\xff" * 4096)
+
+
 def test_what_can_be_read_of_a_spoiled_file_is_carried_over(tmp_path: Path) -> None:
     path = tmp_path / "sa-1.spool"
     with spool(tmp_path) as made:
         for number in range(3000):
             made.append(row(number, carriers=2))
-    with path.open("r+b") as file:
-        size = file.seek(0, os.SEEK_END)
-        # one page of rows in the middle of the file
-        file.seek(size // 2 // 4096 * 4096)
-        file.write(b"\xff" * 4096)
+    spoil(path)
     with spool(tmp_path) as made:
         (warning,) = made.warnings
         assert warning.code == "spool.corrupt"
@@ -401,14 +399,10 @@ def test_a_file_that_is_spoiled_while_in_use_loses_no_row_that_can_be_read(tmp_p
     path = tmp_path / "sa-1.spool"
     hands = Hands()
     with spool(tmp_path, elapsed_s=hands) as made:
-        for number in range(2000):
-            made.append(row(number))
+        fill(made, 2000)
         made._disk.file.connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         made._disk.file.connection.execute("PRAGMA cache_size=1")
-        with path.open("r+b") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(size // 2 // 4096 * 4096)
-            file.write(b"\xff" * 4096)
+        spoil(path)
         epochs, last = set(), 2000
         made.append(row(last))
         while rows := made.batch(UploadLane.LIVE, 0, 50):
@@ -423,8 +417,7 @@ def test_a_file_that_is_spoiled_while_in_use_loses_no_row_that_can_be_read(tmp_p
 
 def test_a_file_removed_while_in_use_is_begun_anew_with_its_rows(tmp_path: Path) -> None:
     with spool(tmp_path) as made:
-        for number in range(5):
-            made.append(row(number))
+        fill(made, 5)
         for path in tmp_path.iterdir():
             path.unlink()
         assert made.append(row(5))

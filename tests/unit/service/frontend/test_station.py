@@ -10,13 +10,12 @@ from typing import Any
 import httpx
 import pytest
 from spooled_rows import spool
-from steady_world import steady_task
+from steady_world import CARRIERS, steady_task
 
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.states import AcquisitionEvent, AcquisitionSettings, AcquisitionState
 from service.frontend.link_report import LinkReporter
-from service.frontend.measurement_task import MeasurementTask, parse_task
 from service.frontend.station import MeasuringStation, StationError
 from service.frontend.upload.uploader import UploadSettings
 
@@ -118,7 +117,8 @@ def test_an_end_in_good_order_is_the_last_word(made: tuple[Service, MeasuringSta
     service, _, reporter = made
     reporter.start()
     reporter.stop()
-    assert [link["state"] for link in service.reports[-1]["links"]] == ["STOPPED", "STOPPED"]
+    (report,) = service.reports
+    assert [link["state"] for link in report["links"]] == ["STOPPED", "STOPPED"]
 
 
 def raises(error: Exception) -> Answer:
@@ -157,31 +157,15 @@ def test_a_service_that_is_away_changes_nothing_and_is_told_of_once(
     assert "link reports are sent again" in caplog.text
 
 
-def test_reports_end_with_a_last_one(made: tuple[Service, MeasuringStation, LinkReporter]) -> None:
-    service, _, reporter = made
-    reporter.start()
-    reporter.stop()
-    assert len(service.reports) == 1
-
-
-def task() -> MeasurementTask:
-    """Return a task of one carrier."""
-    return parse_task(
-        b'{"id":"t","sweeps":[{"id":"a","start_hz":950e6,"stop_hz":990e6,"rbw_hz":40e3,"points":2001,"time_s":2}],'
-        b'"carriers":[{"id":"c00","sweep":"a","fc_hz":960e6,"symbol_rate":1e6,"integ_bw_hz":1.25e6,'
-        b'"noise":[[951e6,954e6]]}]}'
-    )[0]
-
-
 @pytest.fixture
 def station_made(tmp_path: Path) -> Iterator[MeasuringStation]:
     """Give a station whose service knows the plan."""
-    plan = {"plan_id": 1, "carriers": [{"id": "c00"}]}
+    plan = {"plan_id": 1, "carriers": [{"id": name} for name in CARRIERS]}
     http = httpx.MockTransport(lambda _: httpx.Response(200, json=plan))
     client = ServiceClient("http://service", "key", retries=0, http=http)
     with spool(tmp_path) as rows:
         yield MeasuringStation(
-            task(),
+            steady_task(),
             AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", 0.0),
             UploadSettings("sc", "sa-1", drain_s=0.2),
             client,

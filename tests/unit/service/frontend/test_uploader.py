@@ -363,11 +363,16 @@ def test_after_a_stop_a_service_that_is_away_is_not_waited_for(rows: Spool, capl
     assert "5 rows stay in the spool" in caplog.text
 
 
-def test_traces_go_when_no_row_waits(rows: Spool) -> None:
-    service = Service()
-    for number in range(6):
+def fill_traces(rows: Spool, count: int) -> None:
+    """Append rows with a trace each."""
+    for number in range(count):
         rows.append_trace(sweep(number))
         fill(rows, 1, first=number)
+
+
+def test_traces_go_when_no_row_waits(rows: Spool) -> None:
+    service = Service()
+    fill_traces(rows, 6)
     made = uploader(service, rows, batch_rows=2, batch_traces=4)
     deliver(made, lambda: made.traces.sent == 6)
     assert len(service.posts) == 3
@@ -385,9 +390,7 @@ def test_traces_that_the_service_refuses_are_accounted_for(rows: Spool) -> None:
     service.take_traces = lambda body: httpx.Response(
         200, json={"received": 2, "accepted": len(body["traces"]) - 1, "duplicates": 0, "refused": refused}
     )
-    for number in range(2):
-        rows.append_trace(sweep(number))
-        fill(rows, 1, first=number)
+    fill_traces(rows, 2)
     made = uploader(service, rows)
     deliver(made, lambda: made.traces.refused > 0)
     assert (made.traces.sent, made.traces.refused, rows.traces_waiting) == (1, 1, 0)
@@ -416,9 +419,7 @@ def test_a_trace_that_cannot_be_read_is_given_up_and_the_others_go(rows: Spool) 
 
     service = Service()
     service.take_traces = judge
-    for number in range(3):
-        rows.append_trace(sweep(number))
-        fill(rows, 1, first=number)
+    fill_traces(rows, 3)
     made = uploader(service, rows)
     deliver(made, lambda: rows.traces_waiting == 0)
     assert (made.traces.sent, made.traces.refused) == (2, 1)
