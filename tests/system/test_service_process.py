@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import httpx
+import chaos_clients as chaos
 import pytest
 from waiting import wait_until
 
@@ -30,14 +30,6 @@ def rows(first_s: int, count: int) -> list[dict]:
     ]
 
 
-def add_plan(client: httpx.Client, spacecraft: dict, carriers: list[dict]) -> int:
-    """Store spacecraft and plan and return the plan's number."""
-    assert client.post(BASE, json=spacecraft).status_code == 201
-    put = client.put(f"{BASE}/sim-1/carriers", json={"carriers": carriers})
-    assert put.status_code == 200, put.text
-    return int(put.json()["plan_id"])
-
-
 def test_it_announces_its_address_once_is_ready_never_writes_the_given_key_and_ends_by_sigint(start_service):
     service = start_service()
     announced = service.await_announcement()
@@ -57,7 +49,7 @@ def test_it_announces_its_address_once_is_ready_never_writes_the_given_key_and_e
 def test_sigterm_ends_it_at_once_beside_open_streams_and_idle_connections(start_service, spacecraft, carriers):
     service = start_service()
     with service.client() as client, service.client() as streaming:
-        add_plan(client, spacecraft, carriers)
+        chaos.set_up(client, spacecraft, carriers)
         with streaming.stream("GET", f"{BASE}/sim-1/stream") as stream:
             assert stream.status_code == 200
             lines = stream.iter_lines()
@@ -81,7 +73,7 @@ def test_a_second_start_on_the_same_database_knows_everything(start_service, spa
     # the first one makes the database
     service = start_service(database=tmp_path / "soo.db")
     with service.client() as client:
-        plan_id = add_plan(client, spacecraft, carriers)
+        plan_id = chaos.set_up(client, spacecraft, carriers)
         body = {"plan_id": plan_id, "source": "sa-1", "first_seq": 1, "measurements": rows(0, 90)}
         sent = client.post(f"{BASE}/sim-1/measurements:batch", json=body).json()
         assert (sent["received"], sent["accepted"], sent["durable"]) == (90, 90, True)

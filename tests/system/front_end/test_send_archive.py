@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import chaos_clients as chaos
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -62,8 +63,7 @@ def test_an_export_sent_through_kills_is_exported_the_same(
     print(f"seed {SEED}")
     service = start_service()
     with service.client() as client:
-        client.post(BASE, json=spacecraft).raise_for_status()
-        client.put(f"{BASE}/sim-1/carriers", json={"carriers": carriers}).raise_for_status()
+        chaos.set_up(client, spacecraft, carriers)
         environment = compiled_environment | {"SOO_KEY": client.headers["Authorization"].partition(" ")[2]}
         path = tmp_path / "levels.csv"
         wanted = write(path, [each["id"] for each in carriers])
@@ -129,8 +129,7 @@ def test_exit_codes_tell_what_became_of_the_rows(
 ) -> None:
     service = start_service()
     with service.client() as client:
-        client.post(BASE, json=spacecraft).raise_for_status()
-        client.put(f"{BASE}/sim-1/carriers", json={"carriers": carriers}).raise_for_status()
+        chaos.set_up(client, spacecraft, carriers)
         monkeypatch.setenv("SOO_KEY", client.headers["Authorization"].partition(" ")[2])
     path = tmp_path / "levels.csv"
     path.write_text("epoch,c00_dbm,strange\n2026-01-01T00:00:00Z,-40,1\n1999-01-01T00:00:00Z,-40,1\nyesterday,-40,1\n")

@@ -159,21 +159,13 @@ def between(kind, url):
         wire.close()
 
 
-@pytest.fixture
-def url(durable_postgresql_cluster):
-    """URL of an empty database."""
-    made = durable_postgresql_cluster.new_database()
-    yield made
-    durable_postgresql_cluster.drop(made)
-
-
-def test_rows_whose_announcement_is_lost_are_found_by_the_poll(start_service, spacecraft, carriers, url):
+def test_rows_whose_announcement_is_lost_are_found_by_the_poll(start_service, spacecraft, carriers, durable_url):
     print(f"seed {SEED}")
-    with between(DeafWire, url) as wire:
+    with between(DeafWire, durable_url) as wire:
         leading = start_service("--port", "0", "--clock", "data", "--database", wire.url)
         with leading.client() as client:
             plan_id = chaos.set_up(client, spacecraft, carriers)
-        other = start_service("--port", "0", "--clock", "data", "--database", url)
+        other = start_service("--port", "0", "--clock", "data", "--database", durable_url)
         address = other.url
         assert "another service leads" in other.written()
         sender = chaos.ChaosClient(address, KEY, plan_id, 0, 2, SEED)
@@ -189,8 +181,8 @@ def test_rows_whose_announcement_is_lost_are_found_by_the_poll(start_service, sp
 
 
 @pytest.mark.parametrize("kind", [TransactionPooler, PoolerInTurn])
-def test_a_pooler_that_changes_sessions_is_refused(refused_starts, url, kind):
-    with between(kind, url) as wire:
+def test_a_pooler_that_changes_sessions_is_refused(refused_starts, durable_url, kind):
+    with between(kind, durable_url) as wire:
         ((code, said),) = refused_starts((["--port", "0", "--database", wire.url], {"SOO_BOOTSTRAP_KEY": KEY}))
     print(said)
     assert code == 2

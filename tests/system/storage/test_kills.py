@@ -17,6 +17,7 @@ import chaos_clients as chaos
 import pytest
 from busy_station import SC
 from postgresql_cluster import PostgresqlCluster
+from service_process import KEY
 from sqlalchemy import create_engine, text
 from sqlalchemy.engine import make_url
 from storage_trial import IMPATIENT
@@ -66,9 +67,8 @@ def test_kills_of_the_service_lose_and_double_nothing(start_service, spacecraft,
     service = start_service()
     with service.client() as client:
         plan_id = chaos.set_up(client, spacecraft, carriers)
-        key = client.headers["Authorization"].partition(" ")[2]
     port = service.url.rpartition(":")[2]
-    clients = chaos.start_clients(service.url, key, plan_id, SEED)
+    clients = chaos.start_clients(service.url, KEY, plan_id, SEED)
     for kill in range(kills):
         # anywhere between the first request after the start and well into the stream
         time.sleep(instants.uniform(0.0, 0.6))
@@ -95,14 +95,6 @@ def test_kills_of_the_service_lose_and_double_nothing(start_service, spacecraft,
 POSTGRESQL_SEED = 21
 
 
-@pytest.fixture
-def durable_url(durable_postgresql_cluster):
-    """URL of an empty database."""
-    made = durable_postgresql_cluster.new_database()
-    yield made
-    durable_postgresql_cluster.drop(made)
-
-
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize(
@@ -124,9 +116,8 @@ def test_kills_lose_and_double_nothing(
     service = start_service("--port", "0", *options)
     with service.client() as client:
         plan_id = chaos.set_up(client, spacecraft, carriers)
-        key = client.headers["Authorization"].partition(" ")[2]
     port = service.url.rpartition(":")[2]
-    clients = chaos.start_clients(service.url, key, plan_id, POSTGRESQL_SEED)
+    clients = chaos.start_clients(service.url, KEY, plan_id, POSTGRESQL_SEED)
     for kill in range(kills):
         time.sleep(instants.uniform(0.0, 0.6))
         victim = victims[kill % len(victims)]
@@ -200,7 +191,6 @@ def test_a_standby_that_is_promoted_has_every_row_and_the_services_find_it(trial
 
 
 TWO_SEED = 23
-KEY = "a-key-for-tests-only"
 
 
 def test_nothing_is_lost_or_doubled_when_the_leading_one_is_killed(start_service, spacecraft, carriers, url):
@@ -331,21 +321,14 @@ def create(folder, url):
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_a_backup_under_load_holds_what_was_acknowledged_before_it_began(
-    request, start_service, spacecraft, carriers, tmp_path, kind
+    start_service, spacecraft, carriers, tmp_path, url
 ):
-    if kind == "sqlite":
-        url = f"sqlite:///{tmp_path / 'soo.db'}"
-    else:
-        cluster = request.getfixturevalue("durable_postgresql_cluster")
-        url = cluster.new_database()
-        request.addfinalizer(lambda: cluster.drop(url))
     options = ("--port", "0", "--clock", "data", "--database")
     service = start_service(*options, url)
     with service.client() as client:
         plan_id = chaos.set_up(client, spacecraft, carriers)
-        clients = chaos.start_clients(service.url, "a-key-for-tests-only", plan_id, BACKUP_SEED)
+        clients = chaos.start_clients(service.url, KEY, plan_id, BACKUP_SEED)
         before = wait_until(lambda: chaos.promised(clients), lambda: [client.faults for client in clients])
         manifest = create(tmp_path / "b", url)
         counts = chaos.finish(clients)

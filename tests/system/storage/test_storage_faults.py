@@ -14,14 +14,13 @@ import chaos_clients as chaos
 import numpy as np
 import pytest
 from sqlalchemy import create_engine, func, select
-from storage_trial import BASE, IMPATIENT, disk_volume, small_volume
+from storage_trial import BASE, IMPATIENT, disk_volume, doubtful, small_volume
 from waiting import wait_until
 
 from bench.bench_storage import outcome_of, prepare_catalogue
 from bench.bench_summaries import STEP_US, append
 from db.encoding.segments import DAY_US
 from db.maintenance.backup import create_backup
-from db.maintenance.doctor import diagnose
 from db.maintenance.restore import restore_backup
 from db.schema.tables import attitude, metadata, result_segment
 from db.storage import SqlStorage
@@ -31,7 +30,6 @@ from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
 from service.records.operations.work import Job, JobState, Replay
 from service.records.storage import Checkpoint
-from service.runtime.clock import system_now_us
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -90,8 +88,7 @@ def test_an_archive_that_is_put_in_the_place_of_the_open_one_is_opened(trial, tm
     assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
     assert one.service.output.read_text().count("\n") == 1, "the address is announced once"
     assert one.service.end()[0] == 0
-    found = diagnose(f"sqlite:///{one.file}", system_now_us(), lambda _: None)
-    assert [each for each in found if each.state != "ok" and each.check != "disk"] == []
+    assert doubtful(f"sqlite:///{one.file}") == []
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root mounts volumes")
@@ -147,11 +144,7 @@ def test_a_damaged_day_is_refused_alone(trial):
     assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
     newest = "2026-11-23T00:00:01.000000Z"
     wait_until(lambda: one.client.get(f"{BASE}/attitude").json().get("epoch") == newest, "the row is consumed")
-    faults = [
-        each.check
-        for each in diagnose(f"sqlite:///{one.file}", system_now_us(), lambda _: None)
-        if each.state == "fault"
-    ]
+    faults = [each.check for each in doubtful(f"sqlite:///{one.file}") if each.state == "fault"]
     assert set(faults) == {"segments"}
     other.execute("UPDATE measurement_segment SET crc32 = crc32 - 1")
     other.close()
@@ -180,9 +173,8 @@ def test_a_volume_that_turns_read_only_under_the_service(trial, start_service, t
 
 
 @pytest.mark.nightly
-def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster):
-    cluster = durable_postgresql_cluster
-    url = cluster.new_database()
+def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster, durable_url):
+    cluster, url = durable_postgresql_cluster, durable_url
     one = trial(options=("--database", url))
     cluster.program("pg_ctl", "stop", "-D", str(cluster.data), "-m", "fast")
     one.await_code("storage.unavailable")
@@ -191,13 +183,11 @@ def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster):
     assert one.client.get("/healthz").status_code == 200
     cluster.start(fsync=True)
     one.conclude(url)
-    cluster.drop(url)
 
 
 @pytest.mark.nightly
-def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_postgresql_cluster):
-    cluster = durable_postgresql_cluster
-    url = cluster.new_database()
+def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_postgresql_cluster, durable_url):
+    cluster, url = durable_postgresql_cluster, durable_url
     one = trial(options=("--database", url), settings=IMPATIENT)
     # an answer (2 s and 1 s of grace), a connection (at least 2 s), for keys and for the rows themselves, and load
     bound_s = 60.0
@@ -219,7 +209,6 @@ def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_po
     engine.dispose()
     one.conclude(url)
     assert one.slowest_s() < bound_s
-    cluster.drop(url)
 
 
 SEED = 23
@@ -274,12 +263,6 @@ def steps_done(database):
         other.close()
 
 
-def doubtful(path):
-    found = diagnose(f"sqlite:///{path}", system_now_us(), lambda _: None)
-    # the disk of the tests' machine may be small
-    return [each for each in found if each.state != "ok" and each.check != "disk"]
-
-
 @pytest.mark.timeout(900)
 @pytest.mark.nightly
 @pytest.mark.parametrize("kills", [6, 60])
@@ -314,7 +297,7 @@ def test_kills_while_results_are_sealed(start_service, empty_database, tmp_path,
         assert rows + sealed == 2 * 2 * ROWS
         assert everything(storage, version) == wanted
         storage.close()
-        assert doubtful(tmp_path / "copy" / "soo.db") == []
+        assert doubtful(f"sqlite:///{tmp_path / 'copy' / 'soo.db'}") == []
         partly += rows > 0 and sealed > 0
     assert partly, "no kill came while something was sealed"
 
@@ -384,4 +367,4 @@ def test_a_full_disk_fails_each_write_whole(empty_database, tmp_path):
             write()
             assert (contents(storage, version) if "deleted" not in name else None) != before, name
         storage.close()
-        assert doubtful(database) == []
+        assert doubtful(f"sqlite:///{database}") == []

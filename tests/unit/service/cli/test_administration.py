@@ -8,7 +8,7 @@ import sqlite3
 import stat
 import subprocess
 import sys
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -276,11 +276,7 @@ def asked(monkeypatch):
             requests.append((method, path, body, params))
             return {"POST": MADE, "GET": {"rows": [ROW]}, "DELETE": None}[method]
 
-    @contextmanager
-    def connected(service, key_env):
-        yield Client()
-
-    monkeypatch.setattr(keys, "connected", connected)
+    monkeypatch.setattr(keys, "connected", lambda _service, _key_env: nullcontext(Client()))
     return requests
 
 

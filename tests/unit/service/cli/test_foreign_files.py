@@ -4,8 +4,7 @@ import json
 import random
 import shlex
 import tracemalloc
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -270,10 +269,8 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Service:
     """The service that the command is connected with."""
     made = Service()
 
-    @contextmanager
-    def connected(*_: object, **__: object) -> Iterator[ServiceClient]:
-        with ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(made.handle)) as client:
-            yield client
+    def connected(*_: object, **__: object) -> ServiceClient:
+        return ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(made.handle))
 
     monkeypatch.setattr(module, "connected", connected)
     monkeypatch.setattr("service.cli.own_data.angles._POLL_S", 0.0)

@@ -1,7 +1,7 @@
 """Commands of an operation: profile, connection, ``calibrate``, ``compare`` and ``replays``."""
 
 import json
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -303,11 +303,7 @@ class Service:
 def service(monkeypatch: pytest.MonkeyPatch) -> Service:
     made = Service()
 
-    @contextmanager
-    def connected(_service: str, _key_env: str) -> Any:
-        yield made
-
-    monkeypatch.setattr(operate_module, "connected", connected)
+    monkeypatch.setattr(operate_module, "connected", lambda _service, _key_env: nullcontext(made))
     return made
 
 
@@ -398,11 +394,8 @@ def held(monkeypatch):
         start, stop = (format_epoch(START_US + 60_000_000 * minute) for minute in SPANS[number])
         return {"start": start, "stop": stop}
 
-    @contextmanager
-    def connected(*_):
-        yield SimpleNamespace(attitude_history=history, replay=replay)
-
-    monkeypatch.setattr(compare_module, "connected", connected)
+    client = SimpleNamespace(attitude_history=history, replay=replay)
+    monkeypatch.setattr(compare_module, "connected", lambda *_: nullcontext(client))
     return SimpleNamespace(rows=rows, asked=asked)
 
 
@@ -495,12 +488,7 @@ def deleted(monkeypatch):
     numbers = []
     held = [DONE, DONE | {"version": "replay-2", "state": "running", "progress": 0.25}]
     client = SimpleNamespace(replays=lambda _: held, delete_replay=lambda _, number: numbers.append(number))
-
-    @contextmanager
-    def connected(*_):
-        yield client
-
-    monkeypatch.setattr(replays_module, "connected", connected)
+    monkeypatch.setattr(replays_module, "connected", lambda *_: nullcontext(client))
     return numbers
 
 

@@ -4,7 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -94,11 +94,7 @@ def run(monkeypatch):
                 asked.append((args, options))
                 return document
 
-        @contextmanager
-        def connected(*_):
-            yield Client()
-
-        monkeypatch.setattr(beams_module, "connected", connected)
+        monkeypatch.setattr(beams_module, "connected", lambda *_: nullcontext(Client()))
         app = new_app()
         app.command()(beams_module.beams)
         return CliRunner().invoke(app, ["--spacecraft", "sc", *arguments]), asked
@@ -357,12 +353,7 @@ def test_a_service_is_asked_for_its_calibration(
 ) -> None:
     document = reported(*files, "--far-yaw") | {"calibration_id": 7, "calibration_method": "geometry", "notes": []}
     client = FakeClient(document)
-
-    @contextmanager
-    def connected(*_: str) -> Any:
-        yield client
-
-    monkeypatch.setattr(plan_module, "connected", connected)
+    monkeypatch.setattr(plan_module, "connected", lambda *_: nullcontext(client))
     figure = tmp_path / "map.svg"
     result = plan_run("--spacecraft", "yamal-202", "--far-yaw", "--figure", str(figure))
     assert result.exit_code == 0, result.output

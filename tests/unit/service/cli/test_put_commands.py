@@ -3,8 +3,6 @@
 import csv
 import json
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -66,10 +64,8 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Catalogue:
     """The service that the commands are connected with."""
     made = Catalogue()
 
-    @contextmanager
-    def connected(*_: object, **__: object) -> Iterator[ServiceClient]:
-        with ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(made.handle)) as client:
-            yield client
+    def connected(*_: object, **__: object) -> ServiceClient:
+        return ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(made.handle))
 
     for module in (carriers, ephemeris, references, spacecraft):
         monkeypatch.setattr(module, "connected", connected)

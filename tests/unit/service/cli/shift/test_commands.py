@@ -1,7 +1,7 @@
 """Commands of a shift: exit codes, what they print, and what they send, against a service of documents."""
 
 import json
-from contextlib import contextmanager
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
@@ -17,12 +17,8 @@ HOSTILE = "\x1b[2J\u009b31m\u202e"
 
 @pytest.fixture
 def service(documents: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
-    @contextmanager
-    def connected(_service: str, _key_env: str, **_: object) -> Any:
-        yield documents
-
     for module in (control, handover, orders, reading, torque, watch):
-        monkeypatch.setattr(module, "connected", connected)
+        monkeypatch.setattr(module, "connected", lambda _service, _key_env, **_: nullcontext(documents))
     return documents
 
 
