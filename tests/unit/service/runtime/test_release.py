@@ -356,8 +356,15 @@ def test_mode_onboard_gets_angles_while_they_are_fit_for_use(driver):
 def test_under_the_data_clock_only_simulated_craft_get_commands():
     driver = ReleaseServiceDriver(is_data_service=True)
     driver.rows(12)
-    with pytest.raises(ConflictError, match=r"interlock\.simulated"):
-        driver.order(OrderKind.ARM)
+    orders = (
+        lambda: driver.order(OrderKind.ARM),
+        driver.prepare,
+        lambda: driver.engage("ann"),
+        lambda: driver.service.sign_check(SC, "roll", "ann"),
+    )
+    for order in orders:
+        with pytest.raises(ConflictError, match=r"interlock\.simulated"):
+            order()
     driver = ReleaseServiceDriver(is_data_service=True)
     driver.archive.change_spacecraft(simulated=True)
     driver.clock.is_of_data = True
