@@ -48,7 +48,8 @@ class Station:
     """The service's runtime over one archive with a calibration by geometry that knows the truth."""
 
     def __init__(self, directory, url=None):
-        self.storage = SqlStorage(url or f"sqlite:///{directory / 'soo.db'}")
+        self.url = url or f"sqlite:///{directory / 'soo.db'}"
+        self.storage = SqlStorage(self.url)
         self.jobs = JobRunner(self.storage.results, self)
         self.replayer = Replayer(self.storage, self, self.jobs, self.run_replay)
         self.aligner = Aligner(self.storage, self, AlignmentConfig())

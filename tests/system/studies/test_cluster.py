@@ -221,7 +221,7 @@ def station(lived, tmp_path, monkeypatch):
 
 def replayed(station, workers):
     """Replay the morning in parts; return the version and how often progress was shown."""
-    settings = Settings(database_url=station.storage._url, kernels=ChainConfig().kernels)
+    settings = Settings(database_url=station.url, kernels=ChainConfig().kernels)
     shown = []
     replay = parallel_replay.replay_in_parts(settings, SC, WANTED, workers, shown.append)
     assert shown[-1] == 1.0
