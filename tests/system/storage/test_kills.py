@@ -237,15 +237,15 @@ def test_a_service_that_is_stopped_hands_over_and_follows_when_it_goes_on(start_
     services.append(start_service("--port", "0", "--clock", "data", "--database", url))
     services[1].await_announcement()
     services[0].process.send_signal(signal.SIGSTOP)
-    await_true(lambda: "this service leads" in services[1].written())
+    wait_until(lambda: "this service leads" in services[1].written())
     row = {"epoch": "2026-11-21T04:00:00Z", "power_dbm": [-42.0] * len(carriers)}
     batch = {"plan_id": plan_id, "source": "sa-1", "measurements": [row]}
     with services[1].client() as client:
         sent = client.post("/api/v1/spacecraft/sim-1/measurements:batch", json=batch)
         assert sent.json()["accepted"] == 1, sent.text
-        await_true(lambda: 'soo_journal_lag{spacecraft="sim-1"} 0.0' in client.get("/metrics").text)
+        wait_until(lambda: 'soo_journal_lag{spacecraft="sim-1"} 0.0' in client.get("/metrics").text)
     services[0].process.send_signal(signal.SIGCONT)
-    await_true(lambda: "the lease is lost" in services[0].written())
+    wait_until(lambda: "the lease is lost" in services[0].written())
     assert [each for each in diagnose(url, system_now_us(), lambda _: None) if each.state == "fault"] == []
     assert [service.end()[0] for service in services] == [0, 0]
 
