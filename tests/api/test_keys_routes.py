@@ -389,12 +389,6 @@ async def test_the_log_is_paged_filtered_and_names_its_head(soo, spacecraft):
         assert [row["number"] for row in rows] == numbers, params
 
 
-@pytest.mark.parametrize(("role", "status"), [("viewer", 403), ("station", 403), ("operator", 403), ("approver", 200)])
-async def test_the_log_is_for_approvers_and_administrators(soo, role, status):
-    _, key = await key_of(soo, role, role)
-    assert (await soo.client.get(AUDIT, headers=key)).status_code == status
-
-
 SESSION = "/api/v1/session"
 
 

@@ -4,7 +4,6 @@ import json
 from typing import Any
 
 import pytest
-from role_keys import RoleKeys
 
 from service.api.problems.next_steps import NEXT_STEPS
 from service.records.epoch import format_epoch
@@ -153,24 +152,6 @@ async def test_rows_missing_stand_with_the_link_until_they_come(soo, spacecraft,
     assert reported == {"sa-1": 10, "unknown": None, "no-source": None}
     await rows(11, 10)
     assert (await soo.client.get(f"{LINKS}/sa-1")).json()["rows_missing"] == 0
-
-
-async def test_roles(soo):
-    await send(soo, report())
-    soo.app.state.key_ring = RoleKeys()
-
-    async def status(role: str, method: str, path: str, **options: Any) -> int:
-        headers = {"Authorization": f"Bearer {role}"}
-        return (await soo.client.request(method, path, headers=headers, **options)).status_code
-
-    body = {"json": {"links": [report()]}}
-    assert await status("viewer", "GET", LINKS) == 200
-    assert await status("viewer", "POST", REPORT, **body) == 403
-    assert await status("station", "POST", REPORT, **body) == 200
-    for verb in ("enable", "disable", "reset"):
-        assert await status("station", "POST", f"{LINKS}/sa-1:{verb}") == 403
-        assert await status("operator", "POST", f"{LINKS}/sa-1:{verb}") == 200
-    assert await status("station", "DELETE", f"{LINKS}/sa-1") == 403
 
 
 @pytest.mark.parametrize("name", ["nobody", "%00", "a%20b", "x" * 500])
@@ -341,15 +322,6 @@ async def test_unknown_ones_are_404_and_a_bad_epoch_is_422(record):
     body = {"source": "sa-1", "traces": [trace(-1)]}
     answer = await record.client.post(URL.replace("yamal-202", "yamal-300"), json=body)
     assert (answer.status_code, answer.json()["code"]) == (404, "spacecraft.unknown")
-
-
-async def test_roles_of_traces(record):
-    record.app.state.key_ring = RoleKeys()
-    body = {"source": "sa-1", "traces": [trace(-1)]}
-    for role, status in (("viewer", 403), ("station", 200)):
-        answer = await record.client.post(URL, json=body, headers={"Authorization": f"Bearer {role}"})
-        assert answer.status_code == status
-    assert (await record.client.get(URL, headers={"Authorization": "Bearer viewer"})).status_code == 200
 
 
 POWER = "/traces/0/power_dbm"

@@ -252,23 +252,6 @@ async def test_every_order_stands_in_the_audit_log_with_person_and_body(soo, ser
 
 
 @pytest.mark.parametrize(
-    ("role", "path"),
-    [
-        ("viewer", "torques:prepare"),
-        ("station", "torques/7:executed"),
-        ("operator", "torques/7:confirm"),
-        ("operator", "control:engage"),
-        ("station", "control:stop"),
-    ],
-)
-async def test_who_may_not_is_stopped_before_the_service(soo, service, role, path):
-    headers = await key(soo, "Nobody", role)
-    answer = await soo.client.post(f"{URL}/{path}", json={"digest": "ab", "until": UNTIL}, headers=headers)
-    assert (answer.status_code, answer.json()["code"]) == (403, "key.forbidden")
-    assert service.asked == []
-
-
-@pytest.mark.parametrize(
     ("path", "body", "code", "pointer"),
     [
         ("torques:prepare", {}, "field.missing", "/reason"),

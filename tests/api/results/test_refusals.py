@@ -68,11 +68,6 @@ async def test_nothing_is_started_for_an_unknown_spacecraft(bench):
     assert await wrong(bench, table) == {}
 
 
-async def test_no_key(bench):
-    options = {"headers": {"Authorization": "Bearer no"}}
-    assert await wrong(bench, {path: ("GET", SC + path, options, (401, "key.invalid")) for path in READ}) == {}
-
-
 PAGED = ("/attitude/history", "/torques/history", "/measurements/history")
 PARAMETERS = {
     "limit too small": ("limit=0", "value.range", "/query/limit"),
