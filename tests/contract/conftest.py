@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import stored_records
 
 from db.storage import SqlStorage
 from service.ports import Outcome, Storage
@@ -22,7 +23,7 @@ from service.records.calibration import (
     Window,
 )
 from service.records.catalogue import Carrier, Ephemeris, Method, Site, Spacecraft
-from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, Pulse, Status, TorqueCommand
+from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
 
 CARRIERS = tuple(Carrier(f"c{k:02}", "C", f"t{k // 2}", 3.7e9 + k * 1e7, 5e6) for k in range(3))
@@ -103,56 +104,10 @@ class Setting:
 
 
 def attitude_row(of: Measurement, method: Method = Method.ROBUST, **changes: object) -> AttitudeRow:
-    """Return a row with plain figures."""
-    row = AttitudeRow(
-        epoch_us=of.epoch_us,
-        received_at_us=of.received_at_us,
-        number=of.number,
-        method=method,
-        attitude_deg=Axes(0.1, -0.02, 0.03),
-        sigma_deg=Axes(0.01, 0.002, 0.003),
-        rates_deg_s=None,
-        status=Status.ACQUIRED,
-        control_allowed=True,
-        control_allowed_axes=(False, True, True),
-        inhibitions=("late", "catch_up"),
-        carriers_used=15,
-        excluded=(Exclusion("c01", "step"),),
-        downlink_fade=False,
-        downlink_fade_db=0.0,
-        common_db=0.02,
-        residual_rms_db=0.15,
-        calibration_id=1,
-        alignment_id=1,
-        protection_deg=Axes(0.05, 0.01, 0.015),
-        # no figure is NaN: a row that comes back is equal to the one that was stored
-        lag_s=900.0,
-    )
+    """Return a row with plain figures, none of them NaN: a row that comes back is equal to the one that was stored."""
+    figures = {"rates_deg_s": None, "protection_deg": Axes(0.05, 0.01, 0.015), "lag_s": 900.0}
+    row = stored_records.attitude_row(of, method=method, inhibitions=("late", "catch_up"), **figures)
     return replace(row, **changes)  # type: ignore[arg-type]
-
-
-def torque_command(of: Measurement, **changes: object) -> TorqueCommand:
-    """Return a command with plain figures."""
-    axes = Axes(0.001, -0.002, 0.003)
-    command = TorqueCommand(
-        epoch_us=of.epoch_us,
-        number=of.number,
-        attitude_epoch_us=of.epoch_us,
-        mode="ground",
-        torque_n_m=axes,
-        wheels_n_m=(0.1, -0.2, 0.3),
-        saturated=False,
-        command_period_s=60.0,
-        valid_until_us=of.epoch_us + 60_000_000,
-        schedule=(Pulse(of.epoch_us, 2.5, axes),),
-        impulse_n_m_s=axes,
-        predicted_angle_change_deg=axes,
-        predicted_rate_change_deg_s=axes,
-        predicted_wheel_momentum_n_m_s=(1.0, 2.0, 3.0),
-        control_allowed=True,
-        inhibitions=(),
-    )
-    return replace(command, **changes)  # type: ignore[arg-type]
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -196,4 +151,6 @@ def setting(new_setting: Callable[[], Setting]) -> Setting:
 @pytest.fixture
 def make() -> SimpleNamespace:
     """Makers of results."""
-    return SimpleNamespace(attitude_row=attitude_row, torque_command=torque_command, ever=EVER, carriers=CARRIERS)
+    return SimpleNamespace(
+        attitude_row=attitude_row, torque_command=stored_records.torque_command, ever=EVER, carriers=CARRIERS
+    )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from block_rows import row_sources
 from sqlalchemy import select
+from stored_records import ALARM, COMMAND
 
 from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements.ingest_grouped import StoreBatch
@@ -24,8 +25,8 @@ from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails
 from service.records.levels.sweep import Ring, Trace, TraceSettings
 from service.records.operations.access import AuditEvent, AuditFilter
-from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Note, Process, Severity
-from service.records.operations.release import Command, CommandState, Purpose, ReleaseChange
+from service.records.operations.alarms import AlarmChange, ChangeKind, Note
+from service.records.operations.release import ReleaseChange
 from service.records.operations.work import Replay
 
 
@@ -165,13 +166,16 @@ def fill(setting, make, random_of):
     for k in range(8):
         at_us = random_of.choice(epochs_us)
         storage.notes.add(Note(0, name, at_us, at_us, "ann", f"note {k}", (), None))
-        storage.alarms.save([AlarmChange(ChangeKind.RAISED, alarm(name, k, at_us), at_us, is_told=True)])
+        alarm = replace(ALARM, spacecraft_id=name, thing=f"c{k}", raised_at_us=at_us)
+        storage.alarms.save([AlarmChange(ChangeKind.RAISED, alarm, at_us, is_told=True)])
         storage.archive.add_operation(name, Operation(0, "slew", at_us, at_us + random_of.randrange(DAY_US)))
         target = f"/spacecraft/{name}/{k}"
         storage.audit.append(audit_event(target))
         replay = Replay(0, at_us, at_us + STEP_US, Method.PAPER, None, 3, "journal", f"{name}-{k}", 9)
         storage.results.add_replay(name, replay)
-        storage.releases.save(name, k, ReleaseChange("{}", "process-1", commands=(command(k + 1, at_us),)))
+        storage.releases.save(
+            name, k, ReleaseChange("{}", "process-1", commands=(replace(COMMAND, counter=k + 1, prepared_us=at_us),))
+        )
     star = Axes(0.1, 0.2, 0.3)
     storage.archive.append_inputs(name, [AttitudeReference("star", at_us, star, star) for at_us in epochs_us])
     settings = TraceSettings(954e6, 15e3, 30e3, 31.5e3, 0.0)
@@ -180,38 +184,9 @@ def fill(setting, make, random_of):
         storage.traces.append(name, source_id, traces, 77, Ring(1000, 1 << 30))
 
 
-def alarm(spacecraft_id, k, at_us):
-    instance = (spacecraft_id, "carrier_absent", f"c{k}", Process.UNACKNOWLEDGED, Cover.NONE, Severity.WATCH)
-    return Alarm(0, *instance, at_us, at_us, at_us, 1.0, 2.0, "s", "")
-
-
 def audit_event(target):
     names = ("who", "key_id", "role", "address", "action", "outcome", "request_id")
     return AuditEvent(at_us=5, target=target, **dict.fromkeys(names, "a"))
-
-
-def command(counter, at_us):
-    axes = Axes(0.0, 0.0, 0.0)
-    return Command(
-        counter=counter,
-        state=CommandState.PREPARED,
-        digest="ab",
-        purpose=Purpose.CONTROL,
-        is_automatic=False,
-        is_simulated=True,
-        reason="",
-        prepared_by="ann",
-        prepared_us=at_us,
-        expires_us=at_us + 1,
-        attitude_epoch_us=at_us,
-        start_us=at_us,
-        stop_us=at_us,
-        schedule=(),
-        **dict.fromkeys(("impulse_n_m_s", "gross_impulse_n_m_s", "angle_change_deg", "rate_change_deg_s"), axes),
-        **dict.fromkeys(("peak_angle_deg", "peak_rate_deg_s"), axes),
-        wheel_momentum_n_m_s=(),
-        checks=(),
-    )
 
 
 def lists_of(setting, window):

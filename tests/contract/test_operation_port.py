@@ -1,18 +1,18 @@
 """Every storage keeps alarms, notes, releases, keys and the audit log; of two who change one only one succeeds."""
 
-import math
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
 from sqlalchemy import text
+from stored_records import ALARM, AXES, COMMAND, PULSES
 
 from db.storage import SqlStorage
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.calibration import Window
 from service.records.catalogue import Site, Spacecraft
-from service.records.levels.attitude import Axes, Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import ReleasedCommand, ReportedCommand
 from service.records.operations.access import (
     CURRENT_NOTE,
     AccessKey,
@@ -25,7 +25,6 @@ from service.records.operations.access import (
     findings,
 )
 from service.records.operations.alarms import (
-    Alarm,
     AlarmChange,
     AlarmLimits,
     ChangeKind,
@@ -34,39 +33,19 @@ from service.records.operations.alarms import (
     Handling,
     Note,
     Process,
-    Severity,
     ValueMemory,
     WatchMemory,
 )
 from service.records.operations.release import (
-    Command,
-    CommandCheck,
     CommandState,
     InterlockHold,
     ProductForm,
-    Purpose,
     ReleaseChange,
     StoredRelease,
     UplinkProduct,
 )
 
 S = 1_000_000
-RAISED = Alarm(
-    id=0,
-    spacecraft_id="craft",
-    condition="carrier_absent",
-    thing="c01",
-    process=Process.UNACKNOWLEDGED,
-    cover=Cover.NONE,
-    severity=Severity.WARNING,
-    since_us=5 * S,
-    raised_at_us=7 * S,
-    changed_at_us=7 * S,
-    value=120.5,
-    limit=math.inf,
-    unit="s",
-    detail="carrier c01: nothing found\n\u0000 \u20ac",
-)
 
 
 def change(alarm, kind=ChangeKind.RAISED, **more):
@@ -78,14 +57,14 @@ def closed(alarm):
 
 
 def raise_one(storage, **changes):
-    (stored,) = storage.alarms.save([change(replace(RAISED, **changes))])
+    (stored,) = storage.alarms.save([change(replace(ALARM, **changes))])
     return stored.alarm
 
 
 def test_a_change_comes_back_as_it_was_with_numbers(storage):
     handling = Handling("anna", 9 * S, "seen")
-    (raised,) = storage.alarms.save([change(RAISED)])
-    assert raised.alarm == replace(RAISED, id=raised.alarm.id)
+    (raised,) = storage.alarms.save([change(ALARM)])
+    assert raised.alarm == replace(ALARM, id=raised.alarm.id)
     seen = replace(raised.alarm, process=Process.ACKNOWLEDGED, acknowledged=handling, changed_at_us=9 * S)
     (acknowledged,) = storage.alarms.save([change(seen, ChangeKind.ACKNOWLEDGED, handling=handling)])
     assert acknowledged.sequence > raised.sequence > 0
@@ -97,8 +76,8 @@ def test_a_change_comes_back_as_it_was_with_numbers(storage):
 
 
 def test_changes_of_a_new_alarm_in_one_batch_are_of_one_alarm_and_the_next_one_is_another(storage):
-    second = replace(RAISED, raised_at_us=20 * S, changed_at_us=20 * S)
-    batch = [change(RAISED), change(closed(RAISED), ChangeKind.RETURNED), change(second)]
+    second = replace(ALARM, raised_at_us=20 * S, changed_at_us=20 * S)
+    batch = [change(ALARM), change(closed(ALARM), ChangeKind.RETURNED), change(second)]
     first, gone, other = storage.alarms.save(batch)
     assert first.alarm.id == gone.alarm.id != other.alarm.id
     assert [alarm.id for alarm in storage.alarms.open_alarms("craft")] == [other.alarm.id]
@@ -211,32 +190,6 @@ def test_notes_are_dropped_by_the_instant_they_are_about(storage):
             storage.notes.note(gone.id)
 
 
-AXES = Axes(0.001, -0.0, math.nan)
-PULSES = (Pulse(900 * S, 2.5, Axes(0.0, 0.002, 0.0)), Pulse(990 * S, 2.5, Axes(0.0, -0.002, 0.0)))
-COMMAND = Command(
-    counter=1,
-    state=CommandState.PREPARED,
-    digest="ab",
-    purpose=Purpose.CONTROL,
-    is_automatic=False,
-    is_simulated=True,
-    reason="station \u0000 \u20ac",
-    prepared_by="ann",
-    prepared_us=700 * S,
-    expires_us=900 * S,
-    attitude_epoch_us=690 * S,
-    start_us=900 * S,
-    stop_us=993 * S,
-    schedule=PULSES,
-    impulse_n_m_s=AXES,
-    gross_impulse_n_m_s=AXES,
-    angle_change_deg=AXES,
-    rate_change_deg_s=AXES,
-    peak_angle_deg=AXES,
-    peak_rate_deg_s=AXES,
-    wheel_momentum_n_m_s=(0.1, -0.2),
-    checks=(CommandCheck("envelope", True, ""),),
-)
 PRODUCT = UplinkProduct(ProductForm.TORQUES, 1, 800 * S, 900 * S, 993 * S, 690 * S, True, "ab", PULSES)
 ANGLES = UplinkProduct(ProductForm.ATTITUDE, 1, 5 * S, 5 * S, 8 * S, 4 * S, True, attitude_deg=AXES, sigma_deg=AXES)
 

@@ -4,10 +4,12 @@ import logging
 import shutil
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from sqlalchemy import select, update
+from stored_records import ALARM
 
 import db.measurements.checksum_check
 from db.maintenance.backup import create_backup, verify_backup
@@ -21,7 +23,7 @@ from service.records.inputs import AttitudeReference, Operation
 from service.records.journal import JournalHead
 from service.records.levels.measurement import CarrierDetails
 from service.records.levels.sweep import Ring, Trace, TraceSettings
-from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Note, Process, Severity
+from service.records.operations.alarms import AlarmChange, ChangeKind, Note
 from service.records.operations.release import ProductForm, ReleaseChange, UplinkProduct
 from service.records.storage import BackupError, Checkpoint, worst
 from service.runtime.clock import system_now_us
@@ -148,22 +150,7 @@ def filled(setting, make):
     setting.storage.notes.add(Note(0, setting.id, 5, 6, "olga", "смена"))
     product = UplinkProduct(ProductForm.TORQUES, 1, 5, 6, 7, 5, is_simulated=True)
     setting.storage.releases.save(setting.id, 0, ReleaseChange("{}", "holder", products=(product,)))
-    alarm = Alarm(
-        0,
-        setting.id,
-        "carrier_absent",
-        "c01",
-        Process.UNACKNOWLEDGED,
-        Cover.NONE,
-        Severity.WARNING,
-        5,
-        7,
-        7,
-        1.5,
-        2,
-        "s",
-        "€",
-    )
+    alarm = replace(ALARM, spacecraft_id=setting.id, limit=2)
     setting.storage.results.save_outcomes(setting.id, LIVE, [], 1, 10, Checkpoint(1, 10, "1/numpy", b"\x00state"))
     setting.storage.alarms.save([AlarmChange(ChangeKind.RAISED, alarm, 7, is_told=True)])
     return setting

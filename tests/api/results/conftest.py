@@ -13,6 +13,7 @@ import pytest
 from fastapi import FastAPI
 from set_clock import NOW_US, SetClock
 from shared_routes import with_shared_routes
+from stored_records import attitude_row, torque_command
 
 from db.storage import SqlStorage
 from service.api.app import create_app
@@ -52,7 +53,7 @@ from service.records.catalogue import (
     Spacecraft,
     Station,
 )
-from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Pulse, Status, TorqueCommand
+from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
 from service.records.operations.work import JobState, Replay
 from service.runtime.alarms.alarm_service import AlarmService
@@ -82,55 +83,6 @@ def carrier(k: int, **changes: Any) -> Carrier:
         f"c{k:02d}", "Ku", "Ku1", 11200e6 + k * 2e6, 1e6, Station(50.0, 40.0 + k), 14250e6, uplink_power_control="none"
     )
     return replace(plain, **changes)
-
-
-def attitude_row(of: Measurement, **changes: Any) -> AttitudeRow:
-    """Return a row with plain figures of the paper method."""
-    row = AttitudeRow(
-        epoch_us=of.epoch_us,
-        received_at_us=of.received_at_us,
-        number=of.number,
-        method=Method.PAPER,
-        attitude_deg=Axes(0.1, -0.02, 0.03),
-        sigma_deg=Axes(0.2, 0.01, 0.02),
-        rates_deg_s=Axes(1e-6, -2e-6, 3e-6),
-        status=Status.ACQUIRED,
-        control_allowed=True,
-        control_allowed_axes=(False, True, True),
-        inhibitions=(),
-        carriers_used=14,
-        excluded=(Exclusion("c03", "uplink_fade"), Exclusion("c05", "absent")),
-        downlink_fade=False,
-        downlink_fade_db=0.0,
-        common_db=0.02,
-        residual_rms_db=0.15,
-        calibration_id=1,
-        alignment_id=1,
-    )
-    return replace(row, **changes)
-
-
-def torque_command(of: Measurement, **changes: Any) -> TorqueCommand:
-    """Return a command with plain figures."""
-    command = TorqueCommand(
-        epoch_us=of.epoch_us,
-        number=of.number,
-        attitude_epoch_us=of.epoch_us,
-        mode="ground",
-        torque_n_m=Axes(0.0, -0.002, 0.003),
-        wheels_n_m=(0.002, -0.003, 0.0),
-        saturated=False,
-        command_period_s=60.0,
-        valid_until_us=of.epoch_us + 60 * S,
-        schedule=(Pulse(of.epoch_us, 2.5, Axes(0.0, -0.05, 0.0)),),
-        impulse_n_m_s=Axes(0.0, -0.12, 0.18),
-        predicted_angle_change_deg=Axes(0.0, -0.1, 0.2),
-        predicted_rate_change_deg_s=Axes(0.0, -1e-5, 2e-5),
-        predicted_wheel_momentum_n_m_s=(0.12, -0.18, 0.0),
-        control_allowed=True,
-        inhibitions=(),
-    )
-    return replace(command, **changes)
 
 
 def carrier_calibration(k: int, sensitivity: Axes, **changes: Any) -> CarrierCalibration:

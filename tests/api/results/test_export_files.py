@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from aem_reader import read_aem
 from pyarrow import parquet
+from stored_records import ALARM
 
 from service.api.export.export_files import OFFERED
 from service.formats.tdm import read_tdm
@@ -21,7 +22,7 @@ from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference, Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import NO_ANGLES, Axes, ScheduleVerdict
 from service.records.levels.measurement import CarrierDetails
-from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.operations.alarms import AlarmChange, ChangeKind
 
 pytestmark = pytest.mark.anyio
 
@@ -211,22 +212,8 @@ async def test_events_tell_what_was_declared_and_decided(bench, make):
 
 async def test_alarms_are_events(bench, make):
     bench.append([make.now_us - make.s])
-    raised = Alarm(
-        id=0,
-        spacecraft_id=make.sc,
-        condition="carrier_level",
-        thing="c03",
-        process=Process.UNACKNOWLEDGED,
-        cover=Cover.NONE,
-        severity=Severity.WARNING,
-        since_us=make.now_us - make.s,
-        raised_at_us=make.now_us,
-        changed_at_us=make.now_us,
-        value=math.inf,
-        limit=-3.0,
-        unit="dB",
-        detail="3 dB below its level",
-    )
+    about = {"spacecraft_id": make.sc, "condition": "carrier_level", "thing": "c03", "raised_at_us": make.now_us}
+    raised = replace(ALARM, value=math.inf, **about)
     bench.storage.alarms.save([AlarmChange(ChangeKind.RAISED, raised, make.now_us, is_told=True)])
     rows = table_of((await file_of(bench, "events")).text)
     (alarm,) = [row for row in rows if row["kind"] == "alarm"]

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from stored_records import ALARM
 
 from db.results import state_summaries
 from service.api.context import CarrierNameCache
@@ -18,7 +19,7 @@ from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import Axes, Exclusion
 from service.records.levels.measurement import Measurement
 from service.records.operations.access import AccessKey, Role, StoredKey
-from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.operations.alarms import AlarmChange, ChangeKind, Process
 from service.records.operations.work import LinkReport
 
 pytestmark = pytest.mark.anyio
@@ -310,22 +311,6 @@ async def test_the_hand_over_tells_what_the_next_shift_must_know(bench, make):
 
 
 TIMELINE_MINUTE = 60_000_000
-LEVEL = Alarm(
-    id=0,
-    spacecraft_id=None,
-    condition="carrier_level",
-    thing="",
-    process=Process.UNACKNOWLEDGED,
-    cover=Cover.NONE,
-    severity=Severity.WARNING,
-    since_us=0,
-    raised_at_us=0,
-    changed_at_us=0,
-    value=-4.0,
-    limit=-3.0,
-    unit="dB",
-    detail="4 dB below its level",
-)
 LISTS = ("states", "gaps", "operations", "corrections", "commands", "calibrations", "alignments", "alarms", "notes")
 
 
@@ -398,7 +383,7 @@ async def test_alarms_are_those_that_were_active_within_the_span(bench, make):
         raised_us = make.now_us + raised * TIMELINE_MINUTE
         gone_us = None if gone is None else make.now_us + gone * TIMELINE_MINUTE
         about = {"thing": thing, "process": process, "changed_at_us": gone_us or raised_us, "returned_at_us": gone_us}
-        alarm = replace(LEVEL, spacecraft_id=make.sc, since_us=raised_us, raised_at_us=raised_us, **about)
+        alarm = replace(ALARM, spacecraft_id=make.sc, since_us=raised_us, raised_at_us=raised_us, **about)
         changes.append(AlarmChange(ChangeKind.RAISED, alarm, raised_us, is_told=False))
     service = replace(
         changes[5].alarm, spacecraft_id=None, thing="of the service", raised_at_us=make.now_us - TIMELINE_MINUTE

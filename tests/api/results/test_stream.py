@@ -5,18 +5,20 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 
 import httpx
 import numpy as np
 import pytest
 from fastapi.responses import PlainTextResponse, StreamingResponse
 from served_stream import Event, Reader, Served, Source, serving, wait_until
+from stored_records import ALARM
 
 from service.ports import LIVE, Outcome
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import CarrierResults
-from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Note, Process, Severity
+from service.records.operations.alarms import AlarmChange, ChangeKind, Note
 from service.records.operations.work import Job, JobState, LinkReport
 from service.runtime.live.live_feed import Cursor, FeedEvent
 
@@ -293,22 +295,7 @@ async def test_streams_that_are_asked_for_together_do_not_pass_the_limit(bench, 
 
 async def test_alarms_are_told_and_resumed(served, bench, make):
     def alarm(condition: str) -> AlarmChange:
-        raised = Alarm(
-            id=0,
-            spacecraft_id=make.sc,
-            condition=condition,
-            thing="c00",
-            process=Process.UNACKNOWLEDGED,
-            cover=Cover.NONE,
-            severity=Severity.WARNING,
-            since_us=make.now_us,
-            raised_at_us=make.now_us,
-            changed_at_us=make.now_us,
-            value=1.0,
-            limit=0.5,
-            unit="dB",
-            detail="told by a test",
-        )
+        raised = replace(ALARM, spacecraft_id=make.sc, condition=condition, raised_at_us=make.now_us)
         return bench.storage.alarms.save([AlarmChange(ChangeKind.RAISED, raised, make.now_us, is_told=True)])[0]
 
     with served.open() as response:

@@ -6,17 +6,19 @@ import socketserver
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 from email import message_from_bytes
 from email.policy import default
 from hashlib import sha256
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
+from stored_records import ALARM
 
 from service.client.backoff import Backoff
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.operations.alarms import AlarmChange, ChangeKind, Severity
 from service.runtime.alarms.mail import Mail, MailRoute
 from service.runtime.alarms.notifications import ATTEMPTS, DeliveryError, NoticeChannel, NoticeChannels, notice_of
 from service.runtime.alarms.webhook import Webhook
@@ -27,22 +29,8 @@ SECRET = "shared"
 
 
 def change(sequence=1, kind=ChangeKind.RAISED, severity=Severity.WARNING, **more):
-    alarm = Alarm(
-        id=5,
-        spacecraft_id="craft",
-        condition="carrier_absent",
-        thing="c01",
-        process=Process.UNACKNOWLEDGED,
-        cover=Cover.NONE,
-        severity=severity,
-        since_us=5 * S,
-        raised_at_us=7 * S,
-        changed_at_us=7 * S,
-        value=120.0,
-        limit=float("nan"),
-        unit="s",
-        detail="carrier c01: für 120 s nichts\ngefunden",
-    )
+    detail = "carrier c01: für 120 s nichts\ngefunden"
+    alarm = replace(ALARM, id=5, severity=severity, value=120.0, limit=float("nan"), detail=detail)
     return AlarmChange(kind, alarm, 7 * S, **{"is_told": True, **more}, sequence=sequence)
 
 
