@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
+from set_clock import SetClock
 from waiting import wait_until as wait_for
 
 from db.encoding.measurement_runs import pack_carriers
@@ -47,30 +48,38 @@ def angles(minutes):
 class Station:
     """The service's runtime over one archive with a calibration by geometry that knows the truth."""
 
+    id = SC
+
     def __init__(self, directory, url=None):
         self.url = url or f"sqlite:///{directory / 'soo.db'}"
         self.storage = SqlStorage(self.url)
-        self.jobs = JobRunner(self.storage.results, self)
-        self.replayer = Replayer(self.storage, self, self.jobs, self.run_replay)
-        self.aligner = Aligner(self.storage, self, AlignmentConfig())
+        self.clock, self.config = SetClock(1_900_000_000_000_000), ChainConfig()
+        self.jobs = JobRunner(self.storage.results, self.clock)
+        self.replayer = Replayer(self.storage, self.clock, self.jobs, self.run_replay)
+        self.aligner = Aligner(self.storage, self.clock, AlignmentConfig())
 
-    def system_us(self):
-        return 1_900_000_000_000_000
+    def at(self, minute):
+        """Return the epoch of a minute of operation."""
+        return at(minute)
 
     def close(self):
+        """Let go of everything."""
         self.jobs.stop()
         self.storage.close()
 
     def open(self):
         """Lay down catalogue, calibration and the half hour before operation."""
         self.storage.prepare()
-        record = PAYLOAD.spacecraft(release=Release.AUTOMATIC, coupling=True)
-        self.storage.catalogue.add_spacecraft(record)
-        self.storage.catalogue.put_plan(SC, PAYLOAD.carriers(), "sha")
-        self.storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris())
+        self.enter(PAYLOAD, PAYLOAD.spacecraft(release=Release.AUTOMATIC, coupling=True))
         self.calibrate(PAYLOAD.calibration())
         self.send(range(-30, 1))
         self.refer(range(-30, 1))
+
+    def enter(self, payload, record):
+        """Enter a spacecraft with the plan and the ephemeris of a payload."""
+        self.storage.catalogue.add_spacecraft(record)
+        self.storage.catalogue.put_plan(self.id, payload.carriers(), "sha")
+        self.storage.catalogue.put_ephemeris(self.id, payload.ephemeris())
 
     def calibrate(self, calibration):
         request = calibration.request
@@ -93,18 +102,24 @@ class Station:
         return PAYLOAD.power_dbm([at(minute) for minute in minutes], angles(minutes)) + NOISE_DB * np.array(noise)
 
     def send(self, minutes, power_dbm=None, **changes):
+        """Send rows of some minutes and return the receipt."""
         minutes = list(minutes)
         power = self.powers(minutes) if power_dbm is None else power_dbm
+        return self.append_rows([self.at(minute) for minute in minutes], power, **changes)
+
+    def append_rows(self, epochs_us, power_dbm, **changes):
+        """Send rows of given epochs and powers and return the receipt."""
+        rows = len(epochs_us)
         batch = MeasurementBatch(
-            SC,
+            self.id,
             "sa-1",
             1,
-            at(10_000),
-            np.arange(len(minutes)),
-            np.array([at(minute) for minute in minutes], dtype=np.int64),
-            np.asarray(power, dtype=np.float32),
-            (None,) * len(minutes),
-            np.zeros(len(minutes), dtype=bool),
+            self.at(10_000),
+            np.arange(rows),
+            np.asarray(epochs_us, dtype=np.int64),
+            np.asarray(power_dbm, dtype=np.float32),
+            (None,) * rows,
+            np.zeros(rows, dtype=bool),
         )
         return self.storage.archive.append_measurements(replace(batch, **changes)).result(timeout=120)
 
@@ -112,41 +127,60 @@ class Station:
         return self.storage.archive.append_inputs(SC, records)
 
     @contextmanager
-    def supervised(self):
-        supervisor = self.supervisor = Supervisor(self.storage, LiveFeed(), ChainConfig())
-        supervisor.start()
+    def followed(self, storage=None, feed=None):
+        """Run a supervisor, and end it."""
+        self.supervisor = Supervisor(storage or self.storage, feed or LiveFeed(), self.config)
+        self.supervisor.start()
         try:
-            yield lambda: self.settle(supervisor)
+            yield self.supervisor
         finally:
-            supervisor.stop()
+            self.supervisor.stop()
+
+    @contextmanager
+    def supervised(self):
+        """Run a supervisor and give what lets it come to the end of the journal."""
+        with self.followed() as supervisor:
+            yield lambda: self.settle(supervisor)
 
     def settle(self, supervisor):
-        supervisor.notify(SC)
+        """Tell that the journal grew and wait until all of it is consumed."""
+        supervisor.notify(self.id)
         wait_for(self.is_settled)
 
     def is_settled(self):
-        head = self.storage.archive.head(SC)
+        """Whether the whole journal is consumed."""
+        head = self.storage.archive.head(self.id)
         return head.consumed_number == head.newest_number
 
+    def window(self, start, stop):
+        return Window(self.at(start), self.at(stop))
+
     def rows(self, method, version=LIVE, start=1, stop=100_000):
-        window = Window(at(start), at(stop))
-        return self.storage.results.attitude_rows(SC, version, method, window, 100_000, None)
+        """Return the attitude rows of some minutes."""
+        return self.storage.results.attitude_rows(self.id, version, method, self.window(start, stop), 100_000, None)
 
     def carriers(self, method, version, start, stop):
-        found = self.storage.results.carrier_results(SC, version, method, Window(at(start), at(stop)))
+        found = self.storage.results.carrier_results(SC, version, method, self.window(start, stop))
         return {position: pack_carriers(results) for position, results in found.items()}
 
     def commands(self, version=LIVE, start=1, stop=100_000):
-        return self.storage.results.commands(SC, version, Window(at(start), at(stop)), 100_000, None)
+        """Return the commands of some minutes."""
+        return self.storage.results.commands(self.id, version, self.window(start, stop), 100_000, None)
+
+    def finish(self, job_id):
+        """Wait for a job and return how it ended."""
+        wait_for(lambda: self.storage.results.job(job_id).state in (JobState.DONE, JobState.FAILED))
+        return self.storage.results.job(job_id).state
 
     def run_replay(self, spacecraft_id, version, report):
-        ReplayRun(self.storage, ChainConfig(), spacecraft_id, version).run(report)
+        """Run a replay, in a thread."""
+        ReplayRun(self.storage, self.config, spacecraft_id, version).run(report)
 
     def replay(self, start, stop, **changes):
-        wanted = Replay(0, at(start), at(stop), None, None, 0, "journal", "", 0)
-        replay, job = self.replayer.start(SC, replace(wanted, **changes))
-        wait_for(lambda: self.storage.results.job(job.id).state in (JobState.DONE, JobState.FAILED))
-        assert self.storage.results.job(job.id).error is None
+        """Replay some minutes and return the version."""
+        wanted = Replay(0, self.at(start), self.at(stop), None, None, 0, "journal", "", 0)
+        replay, job = self.replayer.start(self.id, replace(wanted, **changes))
+        assert self.finish(job.id) is JobState.DONE, self.storage.results.job(job.id).error
         return replay.version
 
 
@@ -172,6 +206,8 @@ def morning(station):
     station.storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris(start_us=at(0) - HOUR // 2))
     other = replace(PAYLOAD, level_dbm=PAYLOAD.level_dbm + 0.1, gradient=1.02 * PAYLOAD.gradient)
     station.calibrate(other.calibration())
+    record = station.storage.catalogue.spacecraft(SC)
+    station.storage.catalogue.replace_spacecraft(replace(record, control=replace(record.control, damping=0.7)))
     station.send(range(70, 80))
     yield
     plan = station.storage.catalogue.put_plan(SC, PAYLOAD.carriers()[::-1], "turned round")

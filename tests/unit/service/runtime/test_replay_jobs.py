@@ -10,13 +10,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
-from busy_station import SC, at, everything
+from busy_station import BOTH, SC, at, everything, text
 
 from db.results import jobs
 from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError, UnavailableError
 from service.pipeline.config import ChainConfig
+from service.ports import LIVE
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method
 from service.records.operations.work import JobState, Replay
@@ -26,57 +26,31 @@ from service.runtime.jobs.replay_run import ReplayRun, ReplaySpan
 from service.runtime.jobs.workers import WorkerConfig, Workers
 
 
-@pytest.mark.parametrize(
-    ("start", "stop"),
-    [
-        pytest.param(1, 300, id="the whole day"),
-        pytest.param(25, 90, id="from the middle"),
-        pytest.param(140, 200, id="rows that a later alignment caught up with first"),
-        pytest.param(170, 210, id="rows of the second alignment only"),
-    ],
-)
-def test_a_replay_in_the_order_of_the_journal_is_the_live_run_bit_for_bit(lived, start, stop):
-    version = lived.replay(start, stop)
-    live, again = lived.rows(start=start, stop=stop), lived.rows(version, start, stop)
-    assert len(live) > 10
-    # the text of a record holds every digit of every float, and tells NaN and -0.0
-    assert [repr(row) for row in again] == [repr(row) for row in live]
-    commands = lived.commands(version, start, stop)
-    assert [repr(item) for item in commands] == [repr(item) for item in lived.commands(start=start, stop=stop)]
+def rows_of(station, version=LIVE):
+    """Return the rows of both methods as text, which holds every digit."""
+    return [text(station.rows(method, version)) for method in BOTH]
 
 
-def test_sealed_days_replay_bit_for_bit(lived):
-    live = [repr(row) for row in lived.rows()]
-    before = [repr(row) for row in lived.rows(lived.replay(1, 300))]
-    by_epoch = [repr(row) for row in lived.rows(lived.replay(1, 300, order="epoch"))]
-    entries = repr(lived.storage.archive.journal(lived.id, 0, 100_000))
-    sealed = sum(part.rows for part in lived.storage.archive.seal(lived.id, 1 << 60, 1 << 60))
-    assert sealed == sum(source.rows for source in lived.storage.archive.sources(lived.id)) > 1000
-    assert repr(lived.storage.archive.journal(lived.id, 0, 100_000)) == entries
-    assert [repr(row) for row in lived.rows()] == live
-    assert [repr(row) for row in lived.rows(lived.replay(1, 300))] == before == live
-    assert [repr(row) for row in lived.rows(lived.replay(1, 300, order="epoch"))] == by_epoch
+def test_sealed_days_replay_bit_for_bit(busy):
+    archive, live = busy.storage.archive, rows_of(busy)
+    by_epoch = rows_of(busy, busy.replay(1, 300, order="epoch"))
+    entries = repr(archive.journal(SC, 0, 100_000))
+    sealed = sum(part.rows for part in archive.seal(SC, 1 << 60, 1 << 60))
+    assert sealed == sum(source.rows for source in archive.sources(SC)) > 150
+    assert repr(archive.journal(SC, 0, 100_000)) == entries
+    assert rows_of(busy) == rows_of(busy, busy.replay(1, 300)) == live
+    assert rows_of(busy, busy.replay(1, 300, order="epoch")) == by_epoch
 
 
-def test_the_day_holds_what_its_name_promises(lived):
-    rows = lived.rows()
-    reasons = {reason for row in rows for reason in row.inhibitions}
-    assert {"late", "settling", "no_fix", "operation"} <= reasons
-    assert {row.calibration_id for row in rows} == {1, 2}
-    assert {row.alignment_id for row in rows} == {1, 2}
-    assert any(item.reason == "uplink_fade" for row in rows for item in row.excluded)
-    assert any(np.isnan(row.attitude_deg.roll) for row in rows)
-
-
-def test_a_replay_does_not_disturb_the_live_version_or_another_replay(lived):
-    before, head = repr(lived.rows()), lived.storage.archive.head(lived.id)
-    first = lived.replay(1, 100)
-    kept = repr(lived.rows(first))
-    second = lived.replay(1, 100, order="epoch")
+def test_a_replay_does_not_disturb_the_live_version_or_another_replay(busy):
+    before, head = rows_of(busy), busy.storage.archive.head(SC)
+    first = busy.replay(1, 100)
+    kept = rows_of(busy, first)
+    second = busy.replay(1, 100, order="epoch")
     assert first != second
-    assert repr(lived.rows()) == before
-    assert repr(lived.rows(first)) == kept
-    assert lived.storage.archive.head(lived.id) == head
+    assert rows_of(busy) == before
+    assert rows_of(busy, first) == kept
+    assert busy.storage.archive.head(SC) == head
 
 
 def test_in_order_of_epoch_late_rows_take_their_place(ground):
@@ -95,27 +69,10 @@ def test_in_order_of_epoch_late_rows_take_their_place(ground):
     assert settled <= set(changed) <= settled | {ground.at(minute) for minute in range(1, 9)}
 
 
-def test_with_another_calibration_its_figures_are_used_throughout(lived):
-    rows = lived.rows(lived.replay(1, 220, calibration_id=1))
-    assert {row.calibration_id for row in rows} == {1}
-    assert {row.calibration_id for row in lived.rows()} == {1, 2}
-
-
-def test_with_an_alignment_named_no_later_one_replaces_it(lived):
-    rows = lived.rows(lived.replay(1, 220, alignment_id=1))
-    assert {row.alignment_id for row in rows} == {1}
-
-
-def test_one_method_alone_may_be_replayed(ground):
-    ground.append(range(1, 11))
-    assert len(ground.rows(ground.replay(1, 11, method=Method.PAPER))) == 10
-    assert ground.rows(ground.replay(1, 11, method=Method.ROBUST)) == []
-
-
-def test_many_rows_are_stored_in_pieces(lived, monkeypatch):
+def test_many_rows_are_stored_in_pieces(busy, monkeypatch):
     monkeypatch.setattr("service.runtime.jobs.replay_run._OUTCOMES_AT_ONCE", 7)
     monkeypatch.setattr("service.runtime.jobs.replay_run._ENTRIES_AT_ONCE", 16)
-    assert repr(lived.rows(lived.replay(1, 300))) == repr(lived.rows())
+    assert rows_of(busy, busy.replay(1, 300)) == rows_of(busy)
 
 
 def start(ground, **changes):
@@ -146,8 +103,8 @@ def test_a_span_before_every_alignment_starts_with_the_first(ground):
     assert early.alignment_id == 1
 
 
-def test_a_replay_that_is_deleted_while_it_runs_ends_and_says_so(lived, monkeypatch):
-    results, calls = lived.storage.results, []
+def test_a_replay_that_is_deleted_while_it_runs_ends_and_says_so(busy, monkeypatch):
+    results, calls = busy.storage.results, []
     save = results.save_outcomes
 
     def deleting(spacecraft_id, version, *others):
@@ -158,14 +115,14 @@ def test_a_replay_that_is_deleted_while_it_runs_ends_and_says_so(lived, monkeypa
 
     monkeypatch.setattr(results, "save_outcomes", deleting)
     monkeypatch.setattr("service.runtime.jobs.replay_run._OUTCOMES_AT_ONCE", 7)
-    replay, job = start(lived, stop_us=lived.at(300))
-    assert lived.finish(job.id) is JobState.FAILED
+    replay, job = start(busy, stop_us=at(300))
+    assert busy.finish(job.id) is JobState.FAILED
     assert "was deleted" in results.job(job.id).error
-    lived.jobs.stop()
+    busy.jobs.stop()
     assert "was deleted while it was computed" in results.job(job.id).error
-    assert sum(results.drop_replays(lived.id, None)) > 0
+    assert sum(results.drop_replays(SC, None)) > 0
     with pytest.raises(NotFoundError):
-        lived.rows(replay.version)
+        rows_of(busy, replay.version)
 
 
 WANTED = Replay(0, at(1), at(300), None, None, 0, "journal", "", 0)

@@ -8,7 +8,8 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
-from busy_station import SC, at
+from busy_station import BOTH, SC, at, everything
+from storage_parts import with_part
 
 from db.storage import SqlStorage
 from service.pipeline.checkpoints import fingerprint, pack_state
@@ -23,7 +24,6 @@ from service.runtime.live.chain_restart import state_of
 #: replays of a busy morning, again and again
 pytestmark = pytest.mark.slow
 
-BOTH = (Method.ROBUST, Method.PAPER)
 WANTED = Replay(0, at(1), at(300), None, None, 0, "journal", "", 0)
 
 
@@ -47,34 +47,20 @@ def stored(station, monkeypatch, **changes):
 
 def run(station, version, kill_after=None):
     """Run a replay, killed right before a piece is stored; return how many were."""
-    results, saves = station.storage.results, []
+    save, saves = station.storage.results.save_outcomes, []
 
-    class Results:
-        def __getattr__(self, name):
-            return getattr(results, name)
+    def save_outcomes(*arguments):
+        if len(saves) == kill_after:
+            raise KilledError
+        saves.append(arguments)
+        return save(*arguments)
 
-        def save_outcomes(self, *arguments):
-            if len(saves) == kill_after:
-                raise KilledError
-            saves.append(arguments)
-            return results.save_outcomes(*arguments)
-
-    class Storage:
-        archive, catalogue = station.storage.archive, station.storage.catalogue
-
-    Storage.results = Results()
+    storage = with_part(station.storage, "results", save_outcomes=save_outcomes)
     try:
-        ReplayRun(Storage, ChainConfig(), SC, version).run(lambda _: None)
+        ReplayRun(storage, ChainConfig(), SC, version).run(lambda _: None)
     except KilledError:
         assert kill_after is not None
     return len(saves)
-
-
-def everything(station, version):
-    """Return all that a version holds, as text with every digit."""
-    found = station.storage.results.replay(SC, version)
-    counts = (found.attitude_rows, found.torque_rows)
-    return counts, repr([station.rows(method, version) for method in BOTH]), repr(station.commands(version))
 
 
 @pytest.mark.parametrize(
@@ -92,7 +78,7 @@ def test_a_run_that_is_killed_again_and_again_gives_the_same_rows(busy, monkeypa
     kills = [max(1, pieces // 4), 1, max(1, pieces // 3)]
     saves = sum(run(busy, broken, kill) for kill in kills) + run(busy, broken)
     assert everything(busy, broken) == everything(busy, whole)
-    assert everything(busy, whole)[0][0] > 50
+    assert everything(busy, whole)[0] > 50
     # nothing but the piece in hand is computed twice
     assert saves <= pieces + 2 * len(kills)
 
@@ -201,4 +187,4 @@ def test_months_without_rows_and_changes_of_the_plan_within_a_span(busy):
 def test_a_span_without_rows_gives_a_version_without_rows(busy, monkeypatch):
     version = stored(busy, monkeypatch, start_us=at(200_000), stop_us=at(300_000), order="epoch")
     run(busy, version)
-    assert everything(busy, version) == ((0, 0), "[[], []]", "[]")
+    assert everything(busy, version) == (0, 0, [[], []], [], [{}, {}])

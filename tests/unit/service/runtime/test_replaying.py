@@ -2,19 +2,20 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
-import synthetic_payload as synthetic
-from busy_station import BOTH, PAYLOAD, SC, Station, at, morning, text
+from busy_station import BOTH, PAYLOAD, SC, Station, at, text
 
 from db.maintenance.backup import create_backup, verify_backup
 from db.maintenance.restore import restore_backup
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.errors import InvalidInputError
 from service.pipeline.config import ChainConfig
+from service.ports import LIVE
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import BodyRateSensor, ControlLaw, GyroOrbitantGains, Method, Polarimeter, WheelMomentum
 from service.records.inputs import PlanChange, PolarizationRecord, TelemetryRecord
@@ -95,19 +96,6 @@ def test_with_the_first_calibration_its_figures_hold_throughout(busy):
     assert {row.alignment_id for row in rows} == {1}
 
 
-def test_a_restart_after_each_piece_changes_no_row(lived_archive, opened_archive, new_station):
-    through, broken = new_station(lived_archive), new_station(opened_archive)
-    chunks = morning(broken)
-    is_over = False
-    while not is_over:
-        with broken.supervised() as settle:
-            is_over = next(chunks, chunks) is chunks
-            settle()
-    for method in BOTH:
-        assert text(broken.rows(method)) == text(through.rows(method))
-    assert text(broken.commands()) == text(through.commands())
-
-
 def test_commanded_motion_is_read_in_pages(busy, monkeypatch):
     monkeypatch.setattr("service.runtime.live.journal_consumer._INPUTS_AT_ONCE", 3)
     version = busy.replay(112, 135)
@@ -143,21 +131,10 @@ def test_what_telemetry_told_before_an_alignment_holds_after_a_restart_and_in_a_
     assert text(station.commands(station.replay(1, 8))) == text(live)
 
 
-def test_before_an_alignment_rows_say_why_they_have_no_angles(opened_archive, new_station):
-    station = new_station(opened_archive)
-    with station.supervised() as settle:
-        station.send(range(1, 5))
-        settle()
-    for method in BOTH:
-        assert {row.inhibitions for row in station.rows(method)} == {("not_aligned",)}
-
-
 def test_a_calibration_by_geometry_after_the_alignment_waits_for_the_next_one(tmp_path):
     station = Station(tmp_path)
     station.storage.prepare()
-    station.storage.catalogue.add_spacecraft(PAYLOAD.spacecraft())
-    station.storage.catalogue.put_plan(SC, PAYLOAD.carriers(), "sha")
-    station.storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris())
+    station.enter(PAYLOAD, PAYLOAD.spacecraft())
     plain = PAYLOAD.calibration()
     request = replace(plain.request, method=CalibrationMethod.PAPER)
     station.calibrate(replace(plain, request=request, result=replace(plain.result, geometry=None)))
@@ -344,22 +321,17 @@ def target(request, tmp_path):
 
 @pytest.mark.parametrize("is_sealed", [False, True], ids=["rows", "sealed"])
 @pytest.mark.parametrize("target", ["sqlite", "postgresql"], indirect=True)
-def test_a_replay_of_a_restored_archive_is_the_live_run_bit_for_bit(lived, payload, target, tmp_path, is_sealed):
+def test_a_replay_of_a_restored_archive_is_the_live_run_bit_for_bit(busy, target, tmp_path, is_sealed):
     if is_sealed:
-        assert sum(part.rows for part in lived.storage.archive.seal(lived.id, 1 << 60, 1 << 60)) > 1000
-    live = [repr(row) for row in lived.rows()]
-    commands = [repr(item) for item in lived.commands()]
-    entries = repr(lived.storage.archive.journal(lived.id, 0, 100_000))
+        assert sum(part.rows for part in busy.storage.archive.seal(SC, 1 << 60, 1 << 60)) > 150
+    live, commands = [text(busy.rows(method)) for method in BOTH], text(busy.commands())
+    entries = repr(busy.storage.archive.journal(SC, 0, 100_000))
     # the archive stays open, as under a running service
-    create_backup(f"sqlite:///{tmp_path / 'lived' / 'soo.db'}", tmp_path / "backup", 1, ignore)
+    create_backup(str(busy.storage._database.engines.write.url), tmp_path / "backup", 1, ignore)
     assert worst(verify_backup(tmp_path / "backup", ignore)) == "ok"
     restore_backup(tmp_path / "backup", target, "x", ignore, may_replace=False)
-    restored = type(lived)(target, payload, synthetic)
-    try:
-        assert repr(restored.storage.archive.journal(lived.id, 0, 100_000)) == entries
-        assert [repr(row) for row in restored.rows()] == live
-        version = restored.replay(1, 300)
-        assert [repr(row) for row in restored.rows(version)] == live
-        assert [repr(item) for item in restored.commands(version)] == commands
-    finally:
-        restored.close()
+    with closing(Station(None, target)) as restored:
+        assert repr(restored.storage.archive.journal(SC, 0, 100_000)) == entries
+        for version in (LIVE, restored.replay(1, 300)):
+            assert [text(restored.rows(method, version)) for method in BOTH] == live
+            assert text(restored.commands(version)) == commands

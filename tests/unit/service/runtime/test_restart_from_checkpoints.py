@@ -51,9 +51,9 @@ def steps(monkeypatch):
     return again
 
 
-def lived_again(station):
-    """Live a morning with a new service after each of its pieces."""
-    pieces, is_over = morning(station), False
+def lived_again(station, pieces=None):
+    """Live a morning, or what is left of one, with a new service after each of its pieces."""
+    pieces, is_over = pieces or morning(station), False
     while not is_over:
         with station.supervised() as settle:
             is_over = next(pieces, pieces) is pieces
@@ -145,11 +145,7 @@ def test_a_checkpoint_that_does_not_fit_is_left_out(damage, lived_archive, opene
         run_sql(broken, table.delete().where(table.c.number != newest.number))
         run_sql(broken, update(table).values(**change(newest.content)))
         assert [one for one in kept(broken, newest.number) if one == newest] == []
-    is_over = False
-    while not is_over:
-        with broken.supervised() as settle:
-            is_over = next(pieces, pieces) is pieces
-            settle()
+    lived_again(broken, pieces)
     assert_same(broken, through)
     assert steps, "the state was computed again"
     assert ("cannot be read" in caplog.text) is (change is None)

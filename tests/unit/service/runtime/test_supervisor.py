@@ -5,11 +5,13 @@ import random
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import count
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 from busy_station import BOTH, SC, morning, text, wait_for
+from storage_parts import with_part
 
 import service.runtime.live.supervisor as supervisor_module
 from service.errors import StorageError
@@ -47,21 +49,6 @@ def test_a_day_is_tracked_from_the_archive_alone(ground):
     assert len(applied) == sum(command.control_allowed for command in ground.commands()) > 200
 
 
-def test_a_restart_in_the_middle_changes_no_row(new_ground):
-    through, broken = new_ground(), new_ground()
-    for ground in (through, broken):
-        ground.align()
-    with through.supervised() as supervisor:
-        through.append(range(1, 121))
-        through.settle(supervisor)
-    for first in range(1, 121, 40):
-        with broken.supervised() as supervisor:
-            broken.append(range(first, first + 40))
-            broken.settle(supervisor)
-    assert unnumbered(broken.rows()) == unnumbered(through.rows())
-    assert unnumbered(broken.commands()) == unnumbered(through.commands())
-
-
 def test_a_stop_before_all_is_consumed_loses_nothing(new_ground):
     through, broken = new_ground(), new_ground()
     for ground in (through, broken):
@@ -76,28 +63,6 @@ def test_a_stop_before_all_is_consumed_loses_nothing(new_ground):
         with broken.supervised() as supervisor:
             broken.settle(supervisor)
     assert unnumbered(broken.rows()) == unnumbered(through.rows())
-
-
-def test_late_and_doubled_rows_leave_the_others_alone(new_ground):
-    plain, disturbed = new_ground(), new_ground()
-    for ground in (plain, disturbed):
-        ground.align()
-    with plain.supervised() as supervisor:
-        plain.append([minute for minute in range(1, 91) if minute != 20])
-        plain.settle(supervisor)
-    with disturbed.supervised() as supervisor:
-        disturbed.append([minute for minute in range(1, 61) if minute != 20])
-        disturbed.settle(supervisor)
-        assert disturbed.append(range(41, 61)).duplicates == 20
-        receipt = disturbed.append([20])
-        assert (receipt.accepted, receipt.late) == (1, 1)
-        disturbed.append(range(61, 91))
-        disturbed.settle(supervisor)
-    rows = disturbed.rows()
-    late = next(row for row in rows if row.epoch_us == disturbed.at(20))
-    assert late.inhibitions == ("late",)
-    assert unnumbered([row for row in rows if row is not late]) == unnumbered(plain.rows())
-    assert unnumbered(disturbed.commands()) == unnumbered(plain.commands())
 
 
 # ---- catching up ----------------------------------------------------------------------------------------------------
@@ -119,18 +84,6 @@ def test_rows_stored_before_the_alignment_are_caught_up_with(new_ground):
     assert ground.storage.results.pending(ground.id, [rows[0].method]) == 0
     assert not any(command.schedule for command in ground.commands()[:60])
     assert ground.commands()[-1].control_allowed
-
-
-def test_pending_counts_what_is_to_be_caught_up_with(new_ground):
-    ground = new_ground()
-    ground.append(range(1, 31))
-    method = ground.payload.spacecraft().control.method
-    assert ground.storage.results.pending(ground.id, [method]) == 0
-    ground.align()
-    assert ground.storage.results.pending(ground.id, [method]) == 31
-    with ground.supervised() as supervisor:
-        ground.settle(supervisor)
-    assert ground.storage.results.pending(ground.id, [method]) == 0
 
 
 def test_a_second_alignment_keeps_earlier_rows_and_starts_the_means_anew(ground):
@@ -171,32 +124,16 @@ def test_an_alignment_at_the_same_epoch_keeps_rows_and_a_replay_computes_them_ag
 
 
 # ---- faults ---------------------------------------------------------------------------------------------------------
-class FailingOnce:
-    """A part of a storage one of whose methods fails at some of its calls."""
+def failing(storage, part, method, calls):
+    """Return a storage one of whose methods fails at some of its calls."""
+    found, numbers = getattr(getattr(storage, part), method), count(1)
 
-    def __init__(self, inner, method, calls):
-        self._inner, self._method, self._calls, self._count = inner, method, calls, 0
+    def guarded(*arguments):
+        if next(numbers) in calls:
+            raise StorageError("storage.unavailable", "the disk is full; make room")
+        return found(*arguments)
 
-    def __getattr__(self, name):
-        found = getattr(self._inner, name)
-        if name != self._method:
-            return found
-
-        def guarded(*arguments):
-            self._count += 1
-            if self._count in self._calls:
-                raise StorageError("storage.unavailable", "the disk is full; make room")
-            return found(*arguments)
-
-        return guarded
-
-
-class Faulty:
-    """A storage with one failing part."""
-
-    def __init__(self, inner, part, method, calls):
-        self.catalogue, self.archive, self.results = inner.catalogue, inner.archive, inner.results
-        setattr(self, part, FailingOnce(getattr(inner, part), method, calls))
+    return with_part(storage, part, **{method: guarded})
 
 
 @pytest.mark.parametrize(
@@ -219,7 +156,7 @@ def test_a_storage_that_fails_delays_rows_and_loses_none(new_ground, caplog, par
     with (
         patch.object(step_failures, "_RETRY_S", 0.02),
         patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 400),
-        faulty.supervised(Faulty(faulty.storage, part, method, calls)) as supervisor,
+        faulty.supervised(failing(faulty.storage, part, method, calls)) as supervisor,
     ):
         faulty.append(range(1, 61))
         faulty.settle(supervisor)
@@ -385,44 +322,29 @@ def test_a_chain_that_is_brought_back_is_catching_up_until_it_stands(ground):
 MINUTE_US = 60_000_000
 
 
-class MortalResults:
-    """Results of a process that is killed at one of its commits: from then on it stores nothing."""
+def live_and_die(station, rng):
+    """Run a service until it is killed at one of its commits or there is nothing left; return whether it was killed."""
+    save, saves_left, is_stored = station.storage.results.save_outcomes, rng.randint(1, 25), rng.random() < 0.5
+    is_dead = False
 
-    def __init__(self, inner, saves_left, is_stored):
-        self._inner, self._left, self._is_stored = inner, saves_left, is_stored
-        self.is_dead = False
-
-    def __getattr__(self, name):
-        return getattr(self._inner, name)
-
-    def save_outcomes(self, *arguments):
-        self._left -= 1
-        stored = None
-        if self._left > 0 or (self._left == 0 and self._is_stored):
-            stored = self._inner.save_outcomes(*arguments)
-        if self._left <= 0:
-            self.is_dead = True
-            message = "this process is killed"
-            raise StorageError("storage.unavailable", message)
+    def save_outcomes(*arguments):
+        nonlocal saves_left, is_dead
+        saves_left -= 1
+        stored = save(*arguments) if saves_left > 0 or (saves_left == 0 and is_stored) else None
+        if saves_left <= 0:
+            # from then on it stores nothing
+            is_dead = True
+            raise StorageError("storage.unavailable", "this process is killed")
         return stored
 
-
-class Parts:
-    def __init__(self, storage, results):
-        self.catalogue, self.archive, self.results = storage.catalogue, storage.archive, results
-
-
-def live_and_die(station, rng):
-    """Run a service until it is killed or there is nothing left; return whether it was killed."""
-    results = MortalResults(station.storage.results, rng.randint(1, 25), rng.random() < 0.5)
-    service = live.Supervisor(Parts(station.storage, results), LiveFeed(), ChainConfig())
+    service = live.Supervisor(
+        with_part(station.storage, "results", save_outcomes=save_outcomes), LiveFeed(), ChainConfig()
+    )
     service.start()
     service.notify(SC)
-    wait_for(lambda: results.is_dead or station.is_settled())
-    is_killed = results.is_dead
+    wait_for(lambda: is_dead or station.is_settled())
     # no last words either
-    results.is_dead, results._left = True, 0
-    results._is_stored = False
+    is_killed, saves_left, is_stored = is_dead, 0, False
     service.stop()
     return is_killed
 
