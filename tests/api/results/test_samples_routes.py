@@ -67,24 +67,6 @@ async def test_a_result_has_no_source(bench, make, quantity):
     assert refusal == (422, "samples.source", ["/query/source"])
 
 
-async def test_samples_of_attitude(bench, make):
-    begin_us = make.now_us // (5 * make.s) * 5 * make.s
-    rows = bench.append([begin_us + k * make.s for k in range(10)])
-    angles = [Axes(0.1 * k, -0.2, 0.0) if k != 4 else NO_ANGLES for k in range(10)]
-    bench.consume([Outcome((make.row(row, attitude_deg=axes),), None) for row, axes in zip(rows, angles, strict=True)])
-    span = {"start": format_epoch(begin_us), "stop": format_epoch(begin_us + 10 * make.s)}
-    chosen = {"quantity": ["yaw_deg", "roll_deg"], "method": "paper"}
-    answer = await bench.get("/samples", count=2, **chosen, **span)
-    assert (answer["version"], answer["range"], answer["interval_s"]) == ("live", span, 5)
-    yaw, roll = answer["series"]
-    assert (yaw["n"], roll["n"]) == ([4, 5], [4, 5])
-    assert answer["epochs"][1] == format_epoch(begin_us + 5 * make.s)
-    assert (yaw["max"][1], yaw["max_epoch"][1]) == (0.9, format_epoch(begin_us + 9 * make.s))
-    assert roll["min"] == roll["max"] == [-0.2] * 2
-    empty = await bench.get("/samples", version=bench.replay(), **chosen)
-    assert [(each["quantity"], each["n"]) for each in empty["series"]] == [("yaw_deg", []), ("roll_deg", [])]
-
-
 async def test_too_many_cells_are_refused(bench, make):
     plan = bench.storage.catalogue.put_plan(make.sc, [make.carrier(k) for k in range(60)], "wide")
     bench.append([make.now_us, make.now_us + 9000 * make.s], -50.0, plan_id=plan.id)
@@ -153,6 +135,14 @@ def series_of(reported):
     return by_name
 
 
+ANGLES = ("yaw_deg", "roll_deg", "pitch_deg")
+
+
+def attitudes(rng):
+    """Return the angles of a row by both methods; a tenth of them are not known."""
+    return [Axes(*rng.normal(0, 1, 3)) if rng.random() < 0.9 else NO_ANGLES for _ in LIVE_METHODS]
+
+
 @pytest.mark.parametrize("seed", range(3))
 async def test_quantities_are_those_of_the_rows(bench, make, seed):
     """Two methods, two plans, closed days summarised, a late row behind them, any span and number of intervals."""
@@ -172,8 +162,8 @@ async def test_quantities_are_those_of_the_rows(bench, make, seed):
             levels_db[rng.random(levels_db.shape) < 0.1] = np.nan
             carriers = CarrierResults(row.plan_id, *levels_db, *np.zeros((2, 6), dtype=np.int64))
             rows = tuple(
-                make.row(row, method=method, attitude_deg=Axes(*rng.normal(0, 1, 3)), residual_rms_db=rng.random())
-                for method in LIVE_METHODS
+                make.row(row, method=method, attitude_deg=angles, residual_rms_db=rng.random())
+                for method, angles in zip(LIVE_METHODS, attitudes(rng), strict=True)
             )
             held.append((row, rows, carriers))
         new = held[-len(some_us) :]
@@ -187,7 +177,7 @@ async def test_quantities_are_those_of_the_rows(bench, make, seed):
     held.sort(key=lambda each: each[0].epoch_us)
     bounds = sorted(rng.choice(3 * 86_400, 2, replace=False).tolist())
     span = {"start": format_epoch(begin_us + bounds[0] * make.s), "stop": format_epoch(begin_us + bounds[1] * make.s)}
-    quantities = ["pitch_deg", "residual_rms_db", "control_allowed", "deviation_db", "residual_db", "expected_dbm"]
+    quantities = [*ANGLES, "residual_rms_db", "control_allowed", "deviation_db", "residual_db", "expected_dbm"]
     quantities += ["power_dbm", "c_n0_db_hz"]
     for count in (1, 9, int(rng.integers(1, 400))):
         reported = await bench.get("/samples", quantity=quantities, carrier=["c01", "c04"], count=count, **span)
@@ -197,7 +187,7 @@ async def test_quantities_are_those_of_the_rows(bench, make, seed):
         assert bounds_us[1] >= begin_us + bounds[1] * make.s
         assert (bounds_us[1] - bounds_us[0]) // interval_us <= count
         found = series_of(reported)
-        assert len(found) == 3 * 2 + 3 * 2 * 2 + 2 * 2
+        assert len(found) == 5 * 2 + 3 * 2 * 2 + 2 * 2
         for (quantity, method, carrier), samples in found.items():
             pairs = [(row.epoch_us, value_of(quantity, method, carrier, row, rows, each)) for row, rows, each in held]
             assert samples == plain_samples(pairs, *bounds_us, interval_us), quantity
@@ -220,7 +210,7 @@ def value_of(quantity, method, carrier, row, rows, carriers):
     if carrier is not None:
         return np.rint(getattr(carriers, quantity)[position] / 0.004) * 0.004
     of = next(each for each in rows if each.method == method)
-    return of.attitude_deg.pitch if quantity == "pitch_deg" else float(getattr(of, quantity))
+    return of.attitude_deg[ANGLES.index(quantity)] if quantity in ANGLES else float(getattr(of, quantity))
 
 
 async def test_quantities_of_nothing(bench):

@@ -193,18 +193,6 @@ async def test_a_stream_resumes_changes_of_alarms_without_loss(bench, absent, ma
     assert reported["alarm"]["next_step"]
 
 
-async def test_the_audit_log_tells_who_did_what(bench, absent):
-    absent("c00")
-    alarm_id = (await bench.client.get(ALARMS)).json()["rows"][0]["id"]
-    await bench.client.post(f"/api/v1/alarms/{alarm_id}:acknowledge")
-    await bench.client.put(LIMITS, json={})
-    entries = [entry.audit_event for entry in bench.storage.audit.chain()]
-    assert [(audit_event.who, audit_event.action, audit_event.target) for audit_event in entries] == [
-        ("bootstrap", "acknowledge_alarm", f"/alarms/{alarm_id}:acknowledge"),
-        ("bootstrap", "put_alarm_limits", "/spacecraft/yamal-202/alarm-limits"),
-    ]
-
-
 HOUR = 3600 * S
 NOTES = "/api/v1/notes"
 HANDOVER = "/api/v1/spacecraft/yamal-202/handover"

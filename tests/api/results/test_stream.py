@@ -228,7 +228,8 @@ async def test_many_clients_get_the_same(served, source):
 
 
 @pytest.mark.parametrize(
-    "id_", ["900.900", "yamal-202:1.2", "yamal-202:1.2.3.4", "x", "yamal-202:-1.0.0", "Yamal:1.1.1"]
+    "id_",
+    ["900.900", "yamal-202:1.2", "yamal-202:1.2.3.4", "x", "yamal-202:-1.0.0", "Yamal:1.1.1", "1 .2", "1" * 19 + ".0"],
 )
 async def test_an_id_that_no_stream_gave_is_refused(bench, id_):
     answer = await bench.refused("GET", "/spacecraft/yamal-202/stream", headers={"Last-Event-ID": id_})

@@ -3,9 +3,12 @@
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Pulse, Status, TorqueCommand
-from service.records.levels.measurement import Measurement
+from service.records.levels.measurement import Measurement, MeasurementBatch
+from service.records.operations.access import AuditEvent
 from service.records.operations.alarms import Alarm, Cover, Process, Severity
 from service.records.operations.release import Command, CommandCheck, CommandState, Purpose
 
@@ -25,6 +28,18 @@ ALARM = Alarm(
     limit=math.inf,
     unit="s",
     detail="carrier c01: nothing found\n\u0000 \u20ac",
+)
+AUDIT_EVENT = AuditEvent(
+    at_us=5,
+    who="anna",
+    key_id="k1",
+    role="operator",
+    address="127.0.0.1",
+    action="create",
+    target="/spacecraft/",
+    outcome="done",
+    request_id="r-1",
+    body_sha256="ab" * 32,
 )
 AXES = Axes(0.001, -0.0, math.nan)
 PULSES = (Pulse(900 * S, 2.5, Axes(0.0, 0.002, 0.0)), Pulse(990 * S, 2.5, Axes(0.0, -0.002, 0.0)))
@@ -101,3 +116,11 @@ def torque_command(of: Measurement, **changes: object) -> TorqueCommand:
         inhibitions=(),
     )
     return replace(command, **changes)  # type: ignore[arg-type]
+
+
+def zeros(rows: int, spacecraft_id: str = "sc") -> MeasurementBatch:
+    """Return a batch of rows a second apart, two carriers at 0 dBm."""
+    epochs_us, powers = S * np.arange(rows), np.zeros((rows, 2), dtype=np.float32)
+    return MeasurementBatch(
+        spacecraft_id, "sa-1", 1, 5, np.arange(rows), epochs_us, powers, (None,) * rows, np.zeros(rows, bool)
+    )

@@ -12,7 +12,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResp
 
 from service.api.limits.body_limit import BodyLimit
 from service.api.limits.http_protocol import Connections
-from service.api.limits.rate_limits import MAX_ADDRESSES, RateClass, RateLimitConfig, RateLimits, class_of, network_of
+from service.api.limits.rate_limits import MAX_ADDRESSES, RateClass, RateLimitConfig, RateLimits, network_of
 from service.api.problems.problems import RequestProblemError
 
 pytestmark = pytest.mark.anyio
@@ -241,24 +241,6 @@ def test_addresses_are_counted_apart_and_forgotten_in_time(time):
 )
 def test_one_client_has_a_whole_network_of_addresses(address, network):
     assert network_of(address) == network
-
-
-@pytest.mark.parametrize(
-    ("method", "path", "wanted"),
-    [
-        ("GET", "/api/v1/spacecraft", "read"),
-        ("HEAD", "/api/v1/spacecraft", "read"),
-        ("GET", "/api/v1/spacecraft/a/archive/attitude:export", "export"),
-        ("POST", "/api/v1/spacecraft/a/corrections:batch", "ingest"),
-        ("POST", "/api/v1/spacecraft/a/traces", "ingest"),
-        ("GET", "/api/v1/spacecraft/a/traces", "read"),
-        ("POST", "/api/v1/links:report", "ingest"),
-        ("POST", "/api/v1/spacecraft", "control"),
-        ("DELETE", "/api/v1/keys/x", "control"),
-    ],
-)
-def test_classes(method, path, wanted):
-    assert class_of(method, path) == wanted
 
 
 ROOT = Path(__file__).resolve().parents[4]
