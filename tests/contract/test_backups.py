@@ -5,6 +5,7 @@ import sqlite3
 
 import pytest
 from sqlalchemy import create_engine, func, inspect, select, text
+from stored_records import AUDIT_EVENT
 
 from db.connection.engines import open_engines
 from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
@@ -15,7 +16,6 @@ from db.storage import SqlStorage
 from service.ports import Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import Operation
-from service.records.operations.access import AuditEvent
 from service.records.storage import BackupError, worst
 
 STAMP = "20261122T040302Z"
@@ -36,8 +36,7 @@ def filled(setting, make):
     rows = [row for row in setting.rows() if row.feeds_estimator]
     made = [make.attitude_row(row, method, common_db=0.1 + 0.2) for row in rows for method in LIVE_METHODS]
     setting.consume([Outcome(tuple(made), make.torque_command(rows[0]))])
-    audit_event = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
-    setting.storage.audit.append(AuditEvent(at_us=1, outcome="done", request_id="r", **audit_event))
+    setting.storage.audit.append(AUDIT_EVENT)
     return setting
 
 

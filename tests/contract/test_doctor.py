@@ -3,10 +3,12 @@
 import os
 import shutil
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from sqlalchemy import delete, select, text
+from stored_records import AUDIT_EVENT
 from typer.testing import CliRunner
 
 import db.maintenance.doctor
@@ -17,7 +19,6 @@ from db.schema.tables import state_summary
 from service.cli.app import app
 from service.ports import LIVE, Outcome
 from service.records.inputs import Correction
-from service.records.operations.access import AuditEvent
 from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.storage import Checkpoint, SealedPart, worst
 from service.runtime.clock import system_now_us
@@ -42,9 +43,8 @@ def filled(setting, make):
     sealed: list[SealedPart] = list(setting.storage.archive.seal(setting.id, 2 * DAY_US, system_now_us()))
     assert sum(part.rows for part in sealed) == 40
     assert sum(part.rows for part in setting.storage.results.seal(setting.id, DAY_US)) == 21
-    audit_event = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
     for number in range(3):
-        setting.storage.audit.append(AuditEvent(at_us=number, outcome="done", request_id="r", **audit_event))
+        setting.storage.audit.append(replace(AUDIT_EVENT, at_us=number))
     return setting
 
 

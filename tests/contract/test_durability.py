@@ -3,11 +3,13 @@
 import threading
 import time
 from concurrent.futures import wait
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from psycopg import Connection
 from sqlalchemy import create_engine, event, select
+from stored_records import ALARM, COMMAND
 
 from db.connection.engines import BoundedConnection, NoAnswerError
 from db.connection.writer import ATTEMPTS
@@ -23,6 +25,9 @@ from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails
 from service.records.levels.sweep import Ring, Trace, TraceSettings
+from service.records.operations.alarms import AlarmChange, ChangeKind, EngineMemory
+from service.records.operations.release import ReleaseChange
+from service.records.operations.work import LinkReport
 
 
 def held(storage):
@@ -126,6 +131,12 @@ def test_a_restart_keeps_everything_and_goes_on_counting(setting, url, make):
     setting.calibrate()
     setting.align(5)
     setting.consume([Outcome((make.attitude_row(setting.rows()[0]),), make.torque_command(setting.rows()[0]))])
+    setting.storage.alarms.save([AlarmChange(ChangeKind.RAISED, ALARM, ALARM.changed_at_us, is_told=True)])
+    setting.storage.alarms.save_memory(setting.id, EngineMemory((), 11, 60.5))
+    setting.storage.links.report([LinkReport("sa-1", "analyzer", setting.id, "sa-1", "MEASURE", {}, {}, 7)], 9)
+    setting.storage.links.set_enabled("sa-1", enabled=False)
+    setting.storage.links.request_reset("sa-1")
+    setting.storage.releases.save(setting.id, 0, ReleaseChange("kept", "process-1", commands=(COMMAND,)))
 
     def everything(storage):
         archive, results, name = storage.archive, storage.results, setting.id
@@ -139,6 +150,11 @@ def test_a_restart_keeps_everything_and_goes_on_counting(setting, url, make):
                 results.calibrations(name),
                 results.alignments(name),
                 results.results_after(name, 0, 99),
+                storage.alarms.open_alarms(ALARM.spacecraft_id),
+                storage.alarms.memory(name),
+                storage.links.link("sa-1"),
+                storage.releases.stored(name),
+                storage.releases.command(name, 1),
             ]
         )
 
@@ -178,18 +194,6 @@ def test_a_future_that_was_cancelled_in_time_is_not_written(setting):
     release.set()
     assert setting.append([20]).accepted == 1
     assert [row.epoch_us for row in setting.rows()] == [20]
-
-
-def test_two_storages_on_one_database_share_one_journal(setting, url):
-    other = SqlStorage(url)
-    try:
-        twins = [setting.storage.archive, other.archive]
-        futures = [twins[position % 2].append_measurements(setting.batch([position // 2])) for position in range(40)]
-        receipts = [future.result(120) for future in futures]
-        assert sum(receipt.accepted for receipt in receipts) == sum(receipt.duplicates for receipt in receipts) == 20
-        assert [entry.number for entry in other.archive.journal(setting.id, 3, 99)] == list(range(4, 24))
-    finally:
-        other.close()
 
 
 def test_the_state_of_a_database_without_an_archive_is_a_fault(storage, tmp_path):
@@ -240,39 +244,36 @@ def failed(future):
     return caught.value.code
 
 
-def lock_all(url):
-    """Return a foreign connection that keeps every writer away."""
+@contextmanager
+def all_locked(url):
+    """Keep every writer away by a foreign connection."""
     engine = create_engine(url, isolation_level="AUTOCOMMIT") if url.startswith("sqlite") else create_engine(url)
-    connection = engine.connect()
-    if url.startswith("sqlite"):
-        connection.connection.driver_connection.isolation_level = None
-        connection.exec_driver_sql("BEGIN IMMEDIATE")
-    else:
-        connection.exec_driver_sql("SELECT * FROM head FOR UPDATE")
-    return connection
+    with engine.connect() as connection:
+        if url.startswith("sqlite"):
+            connection.connection.driver_connection.isolation_level = None
+            connection.exec_driver_sql("BEGIN IMMEDIATE")
+        else:
+            connection.exec_driver_sql("SELECT * FROM head FOR UPDATE")
+        yield
+        connection.connection.driver_connection.rollback()
+    engine.dispose()
 
 
 def test_a_lock_that_is_held_is_waited_for_once_by_all_who_wait(impatient, url):
-    held = lock_all(url)
-    began = time.monotonic()
-    futures = [impatient.storage.archive.append_measurements(impatient.batch([epoch])) for epoch in range(200)]
-    wait(futures, 120)
-    # one wait for each would take ten minutes
-    assert time.monotonic() - began < BOUND_S
-    assert {failed(future) for future in futures} == {"storage.unavailable"}
-    held.connection.driver_connection.rollback()
-    held.close()
-    held.engine.dispose()
+    with all_locked(url):
+        began = time.monotonic()
+        futures = [impatient.storage.archive.append_measurements(impatient.batch([epoch])) for epoch in range(200)]
+        wait(futures, 120)
+        # one wait for each would take ten minutes
+        assert time.monotonic() - began < BOUND_S
+        assert {failed(future) for future in futures} == {"storage.unavailable"}
     assert impatient.append(range(200)).accepted == 200
 
 
 def test_readers_do_not_wait_for_a_lock(impatient, url):
     impatient.append([1])
-    held = lock_all(url)
-    assert len(impatient.rows()) == 1
-    held.connection.driver_connection.rollback()
-    held.close()
-    held.engine.dispose()
+    with all_locked(url):
+        assert len(impatient.rows()) == 1
 
 
 def test_a_server_that_stopped_is_not_waited_for_without_end(server, postgresql_cluster):
@@ -332,7 +333,7 @@ def test_a_deadlock_without_end_is_told(server):
     assert server.append([7]).accepted == 1
 
 
-def test_groups_of_two_services_in_opposite_order_do_not_stop_each_other(setting, new_setting, url):
+def test_groups_of_two_services_in_opposite_order_share_journals_and_do_not_stop_each_other(setting, new_setting, url):
     other = new_setting()
     twins = [setting.storage, SqlStorage(url)]
     try:
@@ -343,6 +344,8 @@ def test_groups_of_two_services_in_opposite_order_do_not_stop_each_other(setting
             futures += [twins[1].archive.append_measurements(batch) for batch in reversed(batches)]
         receipts = [future.result(120) for future in futures]
         assert sum(receipt.accepted for receipt in receipts) == sum(receipt.duplicates for receipt in receipts) == 300
+        for name in (setting.id, other.id):
+            assert [entry.number for entry in twins[1].archive.journal(name, 3, 999)] == list(range(4, 154))
     finally:
         twins[1].close()
 

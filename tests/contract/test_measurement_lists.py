@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from block_rows import row_sources
 from sqlalchemy import select
-from stored_records import ALARM, COMMAND
+from stored_records import ALARM, AUDIT_EVENT, COMMAND
 
 from db.encoding.segments import DAY_US, SegmentCache
 from db.measurements.ingest_grouped import StoreBatch
@@ -24,7 +24,7 @@ from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails
 from service.records.levels.sweep import Ring, Trace, TraceSettings
-from service.records.operations.access import AuditEvent, AuditFilter
+from service.records.operations.access import AuditFilter
 from service.records.operations.alarms import AlarmChange, ChangeKind, Note
 from service.records.operations.release import ReleaseChange
 from service.records.operations.work import Replay
@@ -170,7 +170,7 @@ def fill(setting, make, random_of):
         storage.alarms.save([AlarmChange(ChangeKind.RAISED, alarm, at_us, is_told=True)])
         storage.archive.add_operation(name, Operation(0, "slew", at_us, at_us + random_of.randrange(DAY_US)))
         target = f"/spacecraft/{name}/{k}"
-        storage.audit.append(audit_event(target))
+        storage.audit.append(replace(AUDIT_EVENT, target=target))
         replay = Replay(0, at_us, at_us + STEP_US, Method.PAPER, None, 3, "journal", f"{name}-{k}", 9)
         storage.results.add_replay(name, replay)
         storage.releases.save(
@@ -182,11 +182,6 @@ def fill(setting, make, random_of):
     for source_id in ("sa-1", "sa-2"):
         traces = [Trace(at_us, "tp1", settings, np.zeros(3)) for at_us in random_of.sample(epochs_us, 8)]
         storage.traces.append(name, source_id, traces, 77, Ring(1000, 1 << 30))
-
-
-def audit_event(target):
-    names = ("who", "key_id", "role", "address", "action", "outcome", "request_id")
-    return AuditEvent(at_us=5, target=target, **dict.fromkeys(names, "a"))
 
 
 def lists_of(setting, window):
@@ -318,23 +313,6 @@ def send(setting, seqs, *, epoch_of=lambda seq: 100 + seq, **options) -> None:
 def test_a_source_without_numbers_misses_nothing_that_could_be_told(setting):
     setting.append([10, 20])
     assert missing(setting) is None
-
-
-def test_batches_that_follow_each_other_miss_nothing(setting):
-    for first in (1042, 1052, 1062):
-        send(setting, range(first, first + 10))
-    assert missing(setting) == 0
-
-
-def test_a_gap_is_counted_and_closes_as_rows_come(setting):
-    send(setting, range(10))
-    send(setting, range(30, 40))
-    assert missing(setting) == 20
-    send(setting, range(15, 20))
-    assert missing(setting) == 15
-    send(setting, range(10, 15))
-    send(setting, range(20, 30))
-    assert missing(setting) == 0
 
 
 def test_rows_before_the_first_ever_held_are_not_known_to_be_missing_until_one_of_them_comes(setting):

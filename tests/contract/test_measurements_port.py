@@ -161,12 +161,6 @@ def test_details_of_two_sources_stay_apart(setting):
     assert [row.details is None for row in setting.rows()] == [False, True]
 
 
-def test_the_same_row_again_is_a_duplicate(setting):
-    setting.append([10, 20], [-50.0, -51.0])
-    assert setting.append([10, 15, 20], [-50.0, -50.5, -51.0]) == BatchReceipt(1, 2, 0, ())
-    assert len(setting.rows()) == 3
-
-
 def test_every_nan_is_the_same_absence(setting):
     quiet, odd = struct.unpack("<2f", struct.pack("<2I", 0x7FC00000, 0x7FC12345))
     first = np.array([[quiet, 1.0, 2.0]], dtype=np.float32)
@@ -195,17 +189,6 @@ def test_other_flags_are_another_content(setting):
 def test_a_batch_that_repeats_an_epoch_keeps_its_first_row(setting):
     receipt = setting.append([10, 10, 10], [-50.0, -50.0, -51.0])
     assert (receipt.accepted, receipt.duplicates, len(receipt.refused)) == (1, 1, 1)
-
-
-def test_the_same_epoch_of_two_sources_is_two_rows(setting):
-    setting.append([10])
-    assert setting.append([10], source="sa-2").accepted == 1
-    assert [row.source for row in setting.rows()] == ["sa-1", "sa-2"]
-
-
-def test_out_of_order_before_the_chain_consumed_is_not_late(setting):
-    setting.append([100])
-    assert setting.append([50]).late == 0
 
 
 def test_below_the_newest_consumed_epoch_is_late(setting):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 from sqlalchemy import text
-from stored_records import ALARM, AXES, COMMAND, PULSES
+from stored_records import ALARM, AUDIT_EVENT, AXES, COMMAND, PULSES
 
 from db.storage import SqlStorage
 from service.errors import ConflictError, NotFoundError, StorageError
@@ -17,7 +17,6 @@ from service.records.operations.access import (
     CURRENT_NOTE,
     AccessKey,
     AuditContext,
-    AuditEvent,
     AuditFilter,
     Role,
     StoredKey,
@@ -103,21 +102,14 @@ def test_alarms_are_listed_by_state_and_window_with_those_of_the_service(storage
     assert [each.id for each in storage.alarms.open_alarms(None)] == [service]
 
 
-def test_memory_and_alarms_outlive_the_service(url):
+def test_the_memory_of_the_alarms_is_kept_for_each_spacecraft_and_for_the_service(storage):
     memory = EngineMemory((WatchMemory("carrier_level", "c01", ValueMemory(2, 5, 3, 7, None, 1.5, 8)),), 11, 60.5)
-    first = SqlStorage(url)
-    first.prepare()
-    assert first.alarms.memory("craft") == EngineMemory()
-    first.alarms.save_memory("craft", EngineMemory())
-    first.alarms.save_memory("craft", memory)
-    first.alarms.save_memory(None, replace(memory, newest_row_us=12))
-    alarm = raise_one(first)
-    first.close()
-    second = SqlStorage(url)
-    assert second.alarms.memory("craft") == memory
-    assert second.alarms.memory(None).newest_row_us == 12
-    assert second.alarms.open_alarms("craft") == (alarm,)
-    second.close()
+    assert storage.alarms.memory("craft") == EngineMemory()
+    storage.alarms.save_memory("craft", EngineMemory())
+    storage.alarms.save_memory("craft", memory)
+    storage.alarms.save_memory(None, replace(memory, newest_row_us=12))
+    assert storage.alarms.memory("craft") == memory
+    assert storage.alarms.memory(None).newest_row_us == 12
 
 
 def test_every_version_of_limits_is_kept(storage, setting):
@@ -301,32 +293,12 @@ def test_release_and_report_enter_the_journal_with_the_state(setting):
     assert releases.stored(setting.id).version == 2
 
 
-def test_what_was_saved_is_there_after_the_database_was_closed(setting, url):
-    setting.storage.releases.save(setting.id, 0, release_change("kept", commands=(COMMAND,), products=(PRODUCT,)))
-    reopened = SqlStorage(url)
-    assert reopened.releases.stored(setting.id).document == "kept"
-    assert reopened.releases.product(setting.id, ProductForm.TORQUES, 1) == PRODUCT
-    reopened.close()
-
-
 EVER = AuditFilter(start_us=-(2**62), stop_us=2**62)
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
 
 
 def audit_event(action="create", **changes):
-    known = AuditEvent(
-        at_us=5,
-        who="anna",
-        key_id="k1",
-        role="operator",
-        address="127.0.0.1",
-        action=action,
-        target="/spacecraft/",
-        outcome="done",
-        request_id="r-1",
-        body_sha256="ab" * 32,
-    )
-    return replace(known, **changes)
+    return replace(AUDIT_EVENT, action=action, **changes)
 
 
 def stored(key_id="k1", role=Role.OPERATOR, **changes):

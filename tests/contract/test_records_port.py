@@ -8,7 +8,6 @@ from example_counts import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from db.storage import SqlStorage
 from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.records.calibration import Window
 from service.records.inputs import (
@@ -269,19 +268,6 @@ def test_the_newest_report_holds_and_leaves_what_is_wanted_alone(storage):
     (reported,) = storage.links.report([changed], 20 * S)
     assert (reported.report.state, reported.enabled, reported.resets) == ("BACKOFF", False, 2)
     assert storage.links.set_enabled("sa-1", enabled=True).enabled
-
-
-def test_what_is_wanted_outlives_the_service(url):
-    first = SqlStorage(url)
-    first.prepare()
-    first.links.report([REPORT], 10 * S)
-    first.links.set_enabled("sa-1", enabled=False)
-    first.links.request_reset("sa-1")
-    first.close()
-    second = SqlStorage(url)
-    stored = second.links.link("sa-1")
-    assert (stored.enabled, stored.resets, stored.report) == (False, 1, REPORT)
-    second.close()
 
 
 def test_links_are_listed_in_order_and_by_spacecraft(storage):

@@ -179,20 +179,6 @@ def test_open_days_and_days_that_still_receive_stay_rows(setting):
     assert len(setting.rows()) == 4
 
 
-def test_duplicates_and_conflicts_are_found_in_sealed_days(setting):
-    setting.append([10, 20], [-50.0, -51.0], flags=[(0, 0, 1), None])
-    seal(setting)
-    assert setting.append([10, 20], [-50.0, -51.0], flags=[(0, 0, 1), None]).duplicates == 2
-    receipt = setting.append([5, 10, 15, 20], [-50.0, -50.0, -52.0, -51.5])
-    assert (receipt.accepted, receipt.duplicates) == (2, 0)
-    assert [(refused.index, refused.code) for refused in receipt.refused] == [
-        (1, "measurement.conflict"),
-        (3, "measurement.conflict"),
-    ]
-    assert setting.append([20], [-51.0], source="sa-2").accepted == 1, "another source"
-    assert [row.epoch_us for row in setting.rows()] == [5, 10, 15, 20, 20]
-
-
 def test_late_rows_are_merged_on_reading_and_go_into_the_segment_later(setting):
     setting.append([10, 30], [-1.0, -3.0])
     seal(setting)

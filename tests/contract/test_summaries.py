@@ -375,16 +375,11 @@ def check(setting):
             running[state] = (start_us, row.epoch_us, count + 1)
     wanted += [(state, *ends) for state, ends in running.items()]
     assert [tuple(run) for run in found.runs] == sorted(wanted, key=lambda run: (run[1], run[0]))
-    if summaries_of_states(setting):
+    if summaries(setting, state_summary):
         search = GapSearch()
         # rows have one distance, so that of a day is that of all
         gaps = [*search.add(np.array([row.epoch_us for row in rows])), *search.end()]
         assert found.gaps == gaps
-
-
-def summaries_of_states(setting):
-    with setting.storage._database.read() as connection:
-        return connection.execute(select(state_summary).order_by(state_summary.c.summary_id)).all()
 
 
 def state_some_rows(setting, make, dice, day):
@@ -419,7 +414,7 @@ def test_states_are_those_of_the_rows(setting, make, seed):
         check(setting)
     state_some_rows(setting, make, dice, DAYS - 1)
     list(setting.storage.results.complete_summaries(setting.id, ALWAYS))
-    assert summaries_of_states(setting)
+    assert summaries(setting, state_summary)
     check(setting)
 
 
@@ -442,7 +437,7 @@ def test_closed_days_are_read_from_their_summaries(state_summed, monkeypatch):
 
 
 def test_a_damaged_or_missing_summary_is_passed_over(state_summed):
-    first, second, *_ = summaries_of_states(state_summed)
+    first, second, *_ = summaries(state_summed, state_summary)
     damaged = bytes([*first.content[:-1], first.content[-1] ^ 1])
     change(
         state_summed,
@@ -454,14 +449,14 @@ def test_a_damaged_or_missing_summary_is_passed_over(state_summed):
 
 def test_states_go_with_the_summary_of_their_day(state_summed):
     change(state_summed, delete(attitude_summary))
-    assert summaries_of_states(state_summed) == []
+    assert summaries(state_summed, state_summary) == []
     check(state_summed)
 
 
 @pytest.mark.parametrize("most", [0, 1, 40, 300])
 def test_rows_without_a_summary_are_read_up_to_a_bound_and_the_rest_is_stated(state_summed, monkeypatch, most):
     """The first and the last day have no summary; what is given is what the given spans hold by themselves."""
-    first, *_ = summaries_of_states(state_summed)
+    first, *_ = summaries(state_summed, state_summary)
     change(state_summed, delete(state_summary).where(state_summary.c.summary_id == first.summary_id))
     rows = rows_of(state_summed)
     span = Window(rows[0].epoch_us, rows[-1].epoch_us + 1)

@@ -11,16 +11,17 @@ import lzma
 import math
 import tempfile
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
 from busy_station import BOTH, SC, Station, at, morning
 from fastapi import FastAPI
+from stored_records import AUDIT_EVENT
 
 from service.composition.bootstrap import build_app
 from service.composition.settings import Settings
 from service.records.levels.attitude import AttitudeRow
-from service.records.operations.access import AuditEvent
 
 FOLDER = Path(__file__).resolve().parents[2] / "unit" / "db" / "archive"
 ARCHIVE, EXPECTED = FOLDER / "archive.db.xz", FOLDER / "expected.json"
@@ -87,19 +88,7 @@ def make() -> None:
                 for _ in morning(station):
                     settle()
             storage = station.storage
-            storage.audit.append(
-                AuditEvent(
-                    at_us=at(0),
-                    who="ann",
-                    key_id="k",
-                    role="admin",
-                    address="::1",
-                    action="put",
-                    target="/x",
-                    outcome="done",
-                    request_id="r",
-                )
-            )
+            storage.audit.append(replace(AUDIT_EVENT, at_us=at(0)))
             list(storage.archive.seal(SC, _EVER, _EVER))
             list(storage.results.seal(SC, _EVER))
             list(storage.results.complete_summaries(SC, _EVER))
