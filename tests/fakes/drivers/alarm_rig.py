@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from set_clock import SetClock
 
 from db.storage import SqlStorage
 from service.pipeline.alarms.conditions import condition_table
@@ -25,22 +26,6 @@ CARRIERS = tuple(Carrier(f"c{k}", "C", "t", 3.7e9 + k * 1e7, 5e6) for k in range
 NAN = math.nan
 ABSENT = ("carrier_absent", "c1")
 RAISED = ("raised", True, *ABSENT)
-
-
-class Clock:
-    """A clock that a test turns."""
-
-    def __init__(self):
-        self.us = START
-
-    def now_us(self, spacecraft_id):
-        return self.us
-
-    def is_data(self, spacecraft_id):
-        return False
-
-    def system_us(self):
-        return self.us
 
 
 class Notices(NoticeChannels):
@@ -66,7 +51,7 @@ class Rig:
 
     def __init__(self, path):
         self.storage = SqlStorage(f"sqlite:///{path}")
-        self.clock, self.notices, self.events = Clock(), Notices(), []
+        self.clock, self.notices, self.events = SetClock(START), Notices(), []
         self.failures = StepFailures()
         self.plan = CarrierPlan(1, "sha", CARRIERS)
         self.restart()
@@ -79,7 +64,7 @@ class Rig:
 
     def row(self, minute, *power_dbm, is_late=False):
         epoch_us = START + round(minute * MINUTE)
-        self.clock.us = max(self.clock.us, epoch_us)
+        self.clock.system = max(self.clock.system, epoch_us)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array(power_dbm), None, is_late)
         facts = RowEvidence(measurement, self.plan, (), Method.ROBUST, None, {})
         self.desk.on_rows("craft", [facts])

@@ -136,14 +136,11 @@ def storage_with(**results: Any) -> Any:
     return SimpleNamespace(results=SimpleNamespace(**{name: lambda *_, v=value: v for name, value in results.items()}))
 
 
-@pytest.mark.parametrize("advice", [(), ("realign",), ("realign", "state_torque")])
-def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...]) -> None:
-    row = replace(row_without_attitude(START_US, START_US, 1, Method.ROBUST, ()), advice=advice)
-    assert newest_advice(storage_with(newest_attitude=row), "sc") == advice
-
-
-def test_without_a_row_nothing_is_advised() -> None:
-    assert newest_advice(storage_with(newest_attitude=None), "sc") == ()
+@pytest.mark.parametrize("advice", [None, (), ("realign", "state_torque")])
+def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...] | None) -> None:
+    row = row_without_attitude(START_US, START_US, 1, Method.ROBUST, ())
+    newest = None if advice is None else replace(row, advice=advice)
+    assert newest_advice(storage_with(newest_attitude=newest), "sc") == (advice or ())
 
 
 @pytest.mark.parametrize(
@@ -153,15 +150,13 @@ def test_without_a_row_nothing_is_advised() -> None:
         ({"robust": 3}, {Method.ROBUST}),
         ({"paper": 3}, {Method.PAPER}),
         ({}, {Method.PAPER}),
+        (None, set()),
     ],
 )
-def test_methods_that_the_alignment_started_run(named: dict[str, int], methods: set[Method]) -> None:
-    alignment = replace(PAYLOAD.alignment(START_US + HOUR), calibration_by_method=named)
-    assert set(runnable_methods(storage_with(alignments=(alignment,)), "sc")) == methods
-
-
-def test_without_an_alignment_nothing_runs() -> None:
-    assert runnable_methods(storage_with(alignments=()), "sc") == ()
+def test_methods_that_the_alignment_started_run(named: dict[str, int] | None, methods: set[Method]) -> None:
+    alignment = PAYLOAD.alignment(START_US + HOUR)
+    stored = () if named is None else (replace(alignment, calibration_by_method=named),)
+    assert set(runnable_methods(storage_with(alignments=stored), "sc")) == methods
 
 
 DAY_US = 86_400_000_000
@@ -378,13 +373,6 @@ def test_windows_without_what_is_needed_fail_with_the_same_text_in_job_and_calib
         ground.calibrator.activate(ground.id, calibration.id)
 
 
-def test_a_fault_of_the_fit_fails_calibration_and_job(ground):
-    with patch.object(calibrating, "calibrate_paper", side_effect=ZeroDivisionError("x")):
-        calibration, job = run(ground, ground.payload.request)
-    assert calibration.error == "internal error: ZeroDivisionError('x')"
-    assert "ZeroDivisionError" in job.error
-
-
 def test_a_calibration_by_geometry_says_what_its_windows_lack(ground):
     """The archive of this station has readings of the turns alone."""
     geometry = replace(ground.payload.request, method=CalibrationMethod.GEOMETRY)
@@ -443,6 +431,13 @@ def test_of_quiet_days_it_is_given_angles_of_each_polarimeter_a_minute_apart(gro
         run(ground, ground.payload.request)
     seconds = [(one.source, (one.epoch_us - quiet.start_us) // 1_000_000) for one in seen[0].polarization]
     assert seconds == [(source, second) for second in (0, 60, 120) for source in "pq"]
+
+
+def test_a_fault_of_the_fit_fails_calibration_and_job(ground):
+    with patch.object(calibrating, "calibrate_paper", side_effect=ZeroDivisionError("x")):
+        calibration, job = run(ground, ground.payload.request)
+    assert calibration.error == "internal error: ZeroDivisionError('x')"
+    assert "ZeroDivisionError" in job.error
 
 
 def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):

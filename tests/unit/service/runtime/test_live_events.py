@@ -8,23 +8,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from stored_records import zeros
 
 from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, SpacecraftChange
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
-from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement
 from service.runtime.live.journal_consumer import result_events
 from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, LiveFeed, RowPublisher, stored_rows
 
 pytestmark = pytest.mark.anyio
-
-
-@pytest.fixture
-def make_row():
-    """Return a maker of contents that know nothing but their epoch."""
-    return lambda epoch_us: SimpleNamespace(epoch_us=epoch_us)
 
 
 def events(*numbers):
@@ -98,10 +93,11 @@ async def test_a_subscriber_whose_loop_is_closed_is_passed_over():
     assert gone.loop is loop
 
 
-async def test_what_was_dropped_is_told_by_kind_and_span(make_row):
+async def test_what_was_dropped_is_told_by_kind_and_span():
     feed = LiveFeed(capacity=1)
     slow = feed.subscribe("a")
-    rows = tuple(FeedEvent("measurement", Cursor(k, 0), make_row(1_000_000 * k)) for k in (3, 1, 2))
+    contents = {k: SimpleNamespace(epoch_us=1_000_000 * k) for k in (3, 1, 2)}
+    rows = tuple(FeedEvent("measurement", Cursor(k, 0), content) for k, content in contents.items())
     feed.publish("a", rows)
     await asyncio.sleep(0)
     found, dropped = await slow.next_events(1.0)
@@ -141,24 +137,15 @@ def publisher_events(listener):
     return events
 
 
-def batch(rows: int) -> MeasurementBatch:
-    """Return a batch of some rows."""
-    epochs_us = 1_000_000 * np.arange(rows)
-    powers = np.zeros((rows, 2), dtype=np.float32)
-    return MeasurementBatch(
-        "sc", "sa-1", 1, 5, np.arange(rows), epochs_us, powers, (None,) * rows, np.zeros(rows, bool)
-    )
-
-
 def stored(events: RowPublisher, first: int, rows: int = 1, **changes: int) -> None:
     """Tell of a batch that was stored under the numbers from ``first`` on."""
     receipt = BatchReceipt(rows, 0, 0, (), first_number=first, feeds_estimator=True)
-    events.stored(batch(rows), replace(receipt, **changes))  # type: ignore[arg-type]
+    events.stored(zeros(rows), replace(receipt, **changes))  # type: ignore[arg-type]
 
 
 def followed(events: RowPublisher, *numbers: int) -> None:
     """Come to entries of the journal."""
-    (row,) = stored_rows(batch(1), BatchReceipt(1, 0, 0, (), first_number=1))
+    (row,) = stored_rows(zeros(1), BatchReceipt(1, 0, 0, (), first_number=1))
     events.followed("sc", [JournalEntry(number, replace(row, number=number)) for number in numbers])
 
 

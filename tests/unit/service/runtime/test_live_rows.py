@@ -5,9 +5,10 @@ from contextlib import closing
 from types import SimpleNamespace
 from unittest.mock import Mock, patch
 
-import numpy as np
 import pytest
 import synthetic_payload as synthetic
+from storage_parts import with_part
+from stored_records import zeros
 
 import service.runtime.live.live_feed as module
 import service.runtime.live.supervisor as supervisor_module
@@ -26,7 +27,7 @@ from service.records.inputs import (
 )
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
-from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, Measurement
 from service.runtime.live import step_failures
 from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, update_before
 from service.runtime.live.live_feed import FreshRows, LiveFeed, RowPublisher
@@ -48,26 +49,19 @@ def results_of(station):
     return [sequence for sequence, _ in station.storage.results.results_after(station.id, 0, 10_000)]
 
 
-class Ending:
-    """Results whose n-th call to save some outcomes ends something first."""
+def ending(storage, calls, end):
+    """Return a storage whose n-th call to save some outcomes ends something first."""
+    save, left = storage.results.save_outcomes, calls
 
-    def __init__(self, inner, calls, end):
-        self._inner, self._left, self._end = inner, calls, end
+    def save_outcomes(*arguments):
+        nonlocal left
+        left -= bool(arguments[2])
+        if left == 0:
+            left = -1
+            end()
+        return save(*arguments)
 
-    def __getattr__(self, name):
-        return getattr(self._inner, name)
-
-    def save_outcomes(self, *arguments):
-        self._left -= bool(arguments[2])
-        if self._left == 0:
-            self._left = -1
-            self._end()
-        return self._inner.save_outcomes(*arguments)
-
-
-class Parts:
-    def __init__(self, storage, results):
-        self.catalogue, self.archive, self.results = storage.catalogue, storage.archive, results
+    return with_part(storage, "results", save_outcomes=save_outcomes)
 
 
 def full():
@@ -77,7 +71,7 @@ def full():
 @pytest.mark.parametrize("calls", [2, 4, 7])
 def test_a_full_disk_between_two_parts_loses_and_doubles_no_row(waiting, calls):
     whole, broken = waiting
-    storage = Parts(broken.storage, Ending(broken.storage.results, calls, full))
+    storage = ending(broken.storage, calls, full)
     with (
         patch.object(step_failures, "_RETRY_S", 0.02),
         patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 10),
@@ -91,7 +85,7 @@ def test_a_full_disk_between_two_parts_loses_and_doubles_no_row(waiting, calls):
 def test_a_stop_between_two_parts_keeps_no_state_within_the_alignment(waiting, wait):
     whole, broken = waiting
     made = []
-    storage = Parts(broken.storage, Ending(broken.storage.results, 3, lambda: stop(made[0])))
+    storage = ending(broken.storage, 3, lambda: stop(made[0]))
 
     def stop(supervisor):
         supervisor._is_stopping = True
@@ -201,12 +195,7 @@ def fresh():
 
 def store(fresh: FreshRows, first: int | None, rows: int, *, accepted: int | None = None, sc: str = "sc") -> None:
     """Keep a batch that was stored under the numbers from ``first`` on."""
-    powers = np.zeros((rows, 2), dtype=np.float32)
-    positions = np.arange(rows)
-    batch = MeasurementBatch(
-        sc, "sa-1", 1, 5, positions, 1000 * positions, powers, (None,) * rows, np.zeros(rows, bool)
-    )
-    fresh.stored(batch, BatchReceipt(rows if accepted is None else accepted, 0, 0, (), first_number=first))
+    fresh.stored(zeros(rows, sc), BatchReceipt(rows if accepted is None else accepted, 0, 0, (), first_number=first))
 
 
 def after(fresh: FreshRows, number: int, limit: int = 100) -> list[int]:
@@ -230,9 +219,7 @@ def test_rows_that_a_listener_was_given_are_not_built_again(fresh):
     loop = asyncio.new_event_loop()
     with closing(loop):
         loop.run_until_complete(_subscribed(feed))
-        batch = MeasurementBatch(
-            "sc", "sa-1", 1, 5, np.arange(2), np.arange(2), np.zeros((2, 2), np.float32), (None,) * 2, np.zeros(2, bool)
-        )
+        batch = zeros(2)
         receipt = BatchReceipt(2, 0, 0, (), first_number=11)
         published = publisher.stored(batch, receipt)
         fresh.stored(batch, receipt, published)

@@ -4,7 +4,6 @@ import hmac
 import json
 import socketserver
 import threading
-import time
 from contextlib import contextmanager
 from dataclasses import replace
 from email import message_from_bytes
@@ -13,6 +12,7 @@ from hashlib import sha256
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
+from busy_station import wait_for
 from stored_records import ALARM
 
 from service.client.backoff import Backoff
@@ -32,13 +32,6 @@ def change(sequence=1, kind=ChangeKind.RAISED, severity=Severity.WARNING, **more
     detail = "carrier c01: für 120 s nichts\ngefunden"
     alarm = replace(ALARM, id=5, severity=severity, value=120.0, limit=float("nan"), detail=detail)
     return AlarmChange(kind, alarm, 7 * S, **{"is_told": True, **more}, sequence=sequence)
-
-
-def wait_for(is_done, timeout_s=120.0):
-    deadline = time.monotonic() + timeout_s
-    while not is_done():
-        assert time.monotonic() < deadline, "did not happen in time"
-        time.sleep(0.005)
 
 
 @contextmanager
