@@ -191,20 +191,6 @@ def test_after_a_jump_of_the_clock_nothing_goes(seconds):
     assert (driver.state, len(driver.releases.released)) == ("TRIPPED", 1)
 
 
-def test_a_forged_jump_gives_no_more_than_a_command_and_recovery_needs_persons():
-    driver = _engaged_and_sending()
-    driver.rows(14)
-    driver.rows(1, attitude_deg=Axes(0.0, 2.0, 0.0), inhibitions=("beyond_validity",), control_allowed=False)
-    driver.rows(5, attitude_deg=Axes(0.0, 2.0, 0.0), inhibitions=("beyond_validity",), control_allowed=False)
-    assert (driver.state, len(driver.releases.released)) == ("INHIBITED", 1)
-    # a forgery that stays within the range of control gets one command within the envelope, and waits for its report
-    driver = _engaged_and_sending()
-    driver.rows(16, attitude_deg=Axes(0.0, 0.39, 0.0))
-    assert [max(map(abs, view.gross_impulse_n_m_s)) <= 0.02 for _, view in driver.released] == [True, True]
-    driver.rows(60, attitude_deg=Axes(0.0, 0.39, 0.0))
-    assert len(driver.releases.released) == 2
-
-
 def test_killed_between_release_and_report_it_goes_on_and_the_report_still_counts():
     driver = ReleaseServiceDriver().engaged()
     driver.rows(1)
@@ -215,17 +201,3 @@ def test_killed_between_release_and_report_it_goes_on_and_the_report_still_count
     driver.report(1)
     driver.rows(1)
     assert len(driver.releases.released) == 2
-
-
-def test_replayed_confirmations_and_reports_change_nothing():
-    driver = ReleaseServiceDriver().armed()
-    command = driver.prepare()
-    driver.confirm(command)
-    driver.report(1)
-    reported = list(driver.releases.reported)
-    for _ in range(5):
-        driver.rows(1)
-        with pytest.raises(SooError, match=r"command\.state"):
-            driver.confirm(command)
-        driver.report(1)
-    assert driver.releases.reported == reported
