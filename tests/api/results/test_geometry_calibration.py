@@ -87,6 +87,12 @@ async def test_an_operation_inside_is_named(bench, payload):
     assert any("(station_keeping," in text for text in reported["quality"]["warnings"])
 
 
+async def test_a_sensor_that_never_spoke_fails_in_words(bench, payload):
+    reported = await calibrated(bench, payload, source="earth_sensor")
+    assert reported["state"] == "failed"
+    assert "have angles of earth_sensor" in reported["error"]
+
+
 async def test_announced_turns_prove_the_sign_of_all_axes(bench, payload):
     begin_us = payload.request.turns.start_us
     angles = turned_angles()
