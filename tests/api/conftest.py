@@ -23,6 +23,7 @@ from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.step_failures import StepFailures
 
 KEY = "test-key-of-the-administrator"
 
@@ -72,7 +73,12 @@ async def soo(storage: SqlStorage, workers: Workers) -> AsyncIterator[Soo]:
         storage=storage,
         clock=clock,
         # the routes under these tests store and list; none of them may ask for what computes
-        supervisor=cast("Any", SimpleNamespace(restarts=SimpleNamespace(under_way=None))),
+        supervisor=cast(
+            "Any",
+            SimpleNamespace(
+                restarts=SimpleNamespace(under_way=None), failures=StepFailures(), is_disagreeing=lambda _: False
+            ),
+        ),
         alarms=cast("Any", None),
         feed=cast("Any", None),
         calibrator=cast("Any", None),

@@ -156,16 +156,7 @@ async def test_what_stands_can_be_read(soo, service):
     assert angles["attitude_deg"] == {"yaw": None, "roll": 0.02, "pitch": -0.01}
 
 
-class Follower:
-    """A supervisor of which only this is asked."""
-
-    def is_disagreeing(self, _spacecraft_id: str) -> bool:
-        """Return False."""
-        return False
-
-
 async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(soo, service):
-    object.__setattr__(soo.app.state.context, "supervisor", Follower())
     reported = (await soo.client.get(f"{URL}/status")).json()
     assert reported["interlock"] == {"state": "ARMED", "reasons": ["no_attitude", "yaw_sign"]}
     stop = (reason_of("stop", AT_US),)

@@ -50,6 +50,7 @@ from service.records.catalogue import ControlMode, Method, Release
 from service.records.epoch import format_epoch
 from service.records.inputs import Operation
 from service.records.levels.attitude import Axes, Status
+from service.runtime.live.step_failures import StepFailures
 
 NAN = float("nan")
 BAD_ROWS = st.sampled_from(
@@ -130,7 +131,10 @@ def context_of(driver):
         limits=Limits(),
         interlock=InterlockConfig(),
         supervisor=SimpleNamespace(
-            is_disagreeing=lambda _: False, carrier_states=lambda _: None, is_catching_up=lambda _: False
+            failures=StepFailures(),
+            is_disagreeing=lambda _: False,
+            carrier_states=lambda _: None,
+            is_catching_up=lambda _: False,
         ),
         alarms=SimpleNamespace(notices=SimpleNamespace(channels=())),
     )

@@ -34,6 +34,7 @@ from db.encoding.segments import SegmentCache, SegmentChunk, SegmentHead, crc32_
 from db.encoding.summary_codec import pack_day, unpack_level, unpack_rows
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
 from service.core.rows import Summaries
+from service.errors import StorageError
 from service.records.inputs import AttitudeReference, Operation, PlanChange
 from service.records.journal import KINDS
 from service.records.levels.attitude import CARRIER_HYPOTHESES, CARRIER_STATES, STEP_DB, Axes, CarrierResults
@@ -68,7 +69,7 @@ def test_every_kind_of_input_has_a_name_and_a_key(kind, record_type):
 
 
 def test_documents_are_checked_when_read():
-    with pytest.raises(ValueError, match="plan_id"):
+    with pytest.raises(StorageError, match=r"storage\.corrupt: A stored PlanChange cannot be read: plan_id: Field"):
         decode(PlanChange, "{}")
 
 
