@@ -274,6 +274,16 @@ def test_pages_from_the_end_are_those_from_the_start_turned_round(setting, make,
     check(setting, random_of)
 
 
+@pytest.mark.parametrize("limit", [1, 2, 3])
+def test_a_page_from_the_end_may_end_between_rows_of_one_epoch(setting, limit):
+    for source_id in ("sa-1", "sa-2"):
+        setting.append([10, 20, 30], source=source_id)
+    read, position = lists_of(setting, EVER)["measurements"]
+    found = [position(row) for row in joined(read, position, limit, newest_first=True)]
+    assert found == sorted(found, reverse=True)
+    assert [epoch_us for epoch_us, _ in found] == [30, 30, 20, 20, 10, 10]
+
+
 def test_a_page_from_the_end_reads_what_it_holds_and_no_more(setting, make):
     """A list that is long costs no more from its end than a short one."""
     setting.append(range(0, 3000 * 1_000_000, 1_000_000))
