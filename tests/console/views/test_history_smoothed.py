@@ -43,7 +43,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess
 def ground(ground: ReleaseGround) -> ReleaseGround:
     """Give the station after rows of a slow motion, once their smoothed rows are made."""
     ground.rows(ROWS, np.linspace((0.0, 0.0, 0.0), (0.1, 0.06, -0.04), ROWS))
-    until(lambda: len(ground.get("/attitude/smoothed")["rows"]) >= ROWS // 5, "smoothed rows are made", timeout_s=300.0)
+    until(lambda: len(ground.get("/attitude/smoothed")["rows"]) >= ROWS // 5, "smoothed rows are made", patience_s=300.0)
     return ground
 
 
@@ -96,7 +96,7 @@ def test_a_smoothed_row_of_a_live_span_is_shown_when_it_is_made(new_page, ground
     expect(figures).to_be_visible()
     known = len(ground.get("/attitude/smoothed")["rows"])
     ground.rows(6, (0.1, 0.06, -0.04))
-    until(lambda: len(ground.get("/attitude/smoothed")["rows"]) > known, "another one is made", timeout_s=300.0)
+    until(lambda: len(ground.get("/attitude/smoothed")["rows"]) > known, "another one is made", patience_s=300.0)
     newest = ground.get("/attitude/smoothed?order=desc&limit=1")["rows"][0]
     cells = figures.get_by_role("row").filter(has_text=newest["epoch"][11:19]).get_by_role("cell")
     expect(cells.last).to_have_text(f"{round(newest['pitch_deg'], 3) + 0.0:.3f}")
