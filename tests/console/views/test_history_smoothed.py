@@ -43,7 +43,7 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess
 def ground(ground: ReleaseGround) -> ReleaseGround:
     """Give the station after rows of a slow motion, once their smoothed rows are made."""
     ground.rows(ROWS, np.linspace((0.0, 0.0, 0.0), (0.1, 0.06, -0.04), ROWS))
-    until(lambda: len(ground.get("/attitude/smoothed")["rows"]) >= ROWS // 5, "smoothed rows are made", patience_s=300.0)
+    until(lambda: len(ground.get("/attitude/smoothed")["rows"]) >= ROWS // 5, "rows are smoothed", patience_s=300.0)
     return ground
 
 
