@@ -20,7 +20,7 @@ SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:BAND 100 KHZ;
 
 @pytest.fixture
 def gate() -> dict[str, bool]:
-    """Whether sweeps may complete."""
+    """Return whether sweeps may complete."""
     return {"is_open": True}
 
 

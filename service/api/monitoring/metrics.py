@@ -102,7 +102,7 @@ class Metrics:
         yield from self._readable(self._links())
 
     def _readable(self, family: Iterator[Sample]) -> Iterable[Sample]:
-        """Return the samples of a family as a whole, none where it fails: the others are told all the same."""
+        """Return the samples of a family as a whole, none where it fails: the other families go on."""
         try:
             return list(family)
         except Exception as error:  # noqa: BLE001 a look at the service outlives every fault of it

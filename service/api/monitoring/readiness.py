@@ -17,7 +17,7 @@ from service.errors import FieldError, StorageError
 from service.records.epoch import format_epoch
 from service.records.storage import StorageState
 
-#: where nobody is seen to lead for longer, nobody estimates, s: a service takes over after half of it
+#: an archive without a leader for longer is not estimated, s; a standby takes over after half of it
 _SILENT_S = 30.0
 
 

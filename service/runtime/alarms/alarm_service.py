@@ -253,8 +253,8 @@ class AlarmService:
             if is_thorough:
                 families.append(self._checks.of_foundations(spacecraft_id, now_us))
             for family in families:
-                # what cannot be read of one keeps the others from nothing; an archive that is away ends the check
-                with self._unless_corrupt(spacecraft_id):
+                # a family that fails keeps no other from being checked; an archive that is away ends the check
+                with self._unless_away(spacecraft_id):
                     readings += family
         self._check(persisted, readings, self._now_us(spacecraft_id))
 
@@ -303,14 +303,14 @@ class AlarmService:
         return self._clock.system_us() if now_us is None else now_us
 
     @contextmanager
-    def _unless_corrupt(self, spacecraft_id: str) -> Iterator[None]:
-        """Go on where something that is stored cannot be read."""
+    def _unless_away(self, spacecraft_id: str) -> Iterator[None]:
+        """Go on after any error but that of an archive that does not answer."""
         try:
             yield
-        except StorageError as error:
-            if error.code != "storage.corrupt":
+        except Exception as error:
+            if isinstance(error, StorageError) and error.code != "storage.corrupt":
                 raise
-            _LOG.error("some alarms of %s are not checked: %s", spacecraft_id, error)
+            _LOG.error("some alarms of %s are not checked: %s: %s", spacecraft_id, type(error).__name__, error)
 
     @contextmanager
     def _guarded(self, spacecraft_id: str | None) -> Iterator[None]:

@@ -72,7 +72,7 @@ class ClockChecks:
         yield from self._links(spacecraft_id)
 
     def of_estimator(self, spacecraft_id: str) -> Readings:
-        """Return for how long the estimator has failed; asked of nothing that is stored."""
+        """Return for how long the estimator has failed; nothing is read from the archive."""
         failing = self._failures.lasting(spacecraft_id)
         now_us = self._clock.system_us()
         lasting_s = tuple(max((now_us - each.since_us) / US_PER_S, _LEAST_AGE_S) for each in failing)

@@ -1,7 +1,7 @@
-"""Failures of the estimator that come back with every try, so that they are told and not only logged.
+"""Failures of the estimator that come back with every try, so that they are reported and not only logged.
 
-Two kinds are told apart: a *step* that ends by an error stores nothing and is tried again, ever later; *rows* whose
-computation fails are stored without an attitude, and the next row is computed.
+There are two kinds: a *step* that ends by an error stores nothing and is tried again, ever later; a *row* whose
+computation fails is stored without an attitude, and the next row is computed.
 """
 
 import threading
@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 from service.runtime.clock import system_now_us
 
-Kind = Literal["step", "rows"]
+Kind = Literal["step", "row"]
 #: failures one after another that are no accident
 LASTING = 3
 #: wait before a step is tried again, s: as often as failures are an accident, and at most
@@ -46,7 +46,7 @@ class StepFailures:
         self._found: dict[tuple[str, Kind], StepFailure] = {}
 
     def note(self, spacecraft_id: str, kind: Kind, error: str, *, is_outage: bool = False) -> None:
-        """Note one more failure; an outage of the database is told by others and may last as long as it likes."""
+        """Note one more failure; an outage of the database never lasts here: it has a readiness of its own."""
         with self._lock:
             first = self._found.get((spacecraft_id, kind))
             times = 1 if first is None or is_outage else first.times + 1
@@ -55,10 +55,11 @@ class StepFailures:
             failure = StepFailure(spacecraft_id, kind, error, since_us, times, time.monotonic() + wait_s)
             self._found[spacecraft_id, kind] = failure
 
-    def forget(self, spacecraft_id: str, kind: Kind) -> None:
-        """Forget the failures of a spacecraft: a step or a row has succeeded."""
+    def forget(self, spacecraft_id: str, *kinds: Kind) -> None:
+        """Forget failures of a spacecraft: a step or a row has succeeded, or another process estimates it."""
         with self._lock:
-            self._found.pop((spacecraft_id, kind), None)
+            for kind in kinds:
+                self._found.pop((spacecraft_id, kind), None)
 
     def is_waiting(self, spacecraft_id: str) -> bool:
         """Return whether the next step of a spacecraft is to wait."""

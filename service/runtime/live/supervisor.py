@@ -223,7 +223,7 @@ class Supervisor:
         except Exception as fault:  # noqa: BLE001 the supervisor outlives every fault; the chain is rebuilt from the archive
             if isinstance(fault, NotFoundError) and fault.code == "spacecraft.unknown":
                 # deleted
-                self.failures.forget(spacecraft_id, "step")
+                self.failures.forget(spacecraft_id, "step", "row")
             elif is_moving(fault):
                 _LOG.warning("another process leads %s now: %s", spacecraft_id, fault)
             else:
@@ -240,6 +240,7 @@ class Supervisor:
         turn = self._turn(spacecraft_id)
         if turn == 0:
             self._followers.pop(spacecraft_id, None)
+            self.failures.forget(spacecraft_id, "row")
             self._relay.poll(spacecraft_id)
             return
         self._relay.forget(spacecraft_id)
@@ -365,9 +366,9 @@ class Supervisor:
         """Note whether a row could be computed by every method."""
         failing = [row.method for row in outcome.rows if "internal_error" in row.inhibitions]
         if failing:
-            self.failures.note(spacecraft_id, "rows", f"rows of method {failing[0]} fail, the service log says where")
+            self.failures.note(spacecraft_id, "row", f"rows of method {failing[0]} fail, the service log says where")
         else:
-            self.failures.forget(spacecraft_id, "rows")
+            self.failures.forget(spacecraft_id, "row")
 
     def _publish(self, spacecraft_id: str, events: tuple[FeedEvent, ...]) -> None:
         """Publish stored events if the spacecraft has subscribers."""

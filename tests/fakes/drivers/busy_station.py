@@ -148,7 +148,7 @@ class Station:
         wait_for(self.is_settled)
 
     def is_settled(self):
-        """Whether the whole journal is consumed."""
+        """Return whether the whole journal is consumed."""
         head = self.storage.archive.head(self.id)
         return head.consumed_number == head.newest_number
 

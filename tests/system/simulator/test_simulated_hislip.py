@@ -28,7 +28,7 @@ SETUP = (
 
 @pytest.fixture
 def allowed() -> threading.Event:
-    """Whether sweeps may complete."""
+    """Return whether sweeps may complete."""
     event = threading.Event()
     event.set()
     return event

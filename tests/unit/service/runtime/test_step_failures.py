@@ -14,7 +14,9 @@ from service.errors import StorageError
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.records.operations.alarms import Severity
 from service.runtime.live import step_failures
+from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.step_failures import StepFailures
+from service.runtime.live.supervisor import Supervisor
 
 OTHER = "other-craft"
 
@@ -108,15 +110,31 @@ def test_rows_that_fail_are_told_until_one_is_computed(new_ground, wait):
         ground.settle(supervisor)
         wait(lambda: supervisor.failures.lasting())
         (failure,) = supervisor.failures.lasting()
-        assert (failure.kind, failure.error) == ("rows", "rows of method paper fail, the service log says where")
+        assert (failure.kind, failure.error) == ("row", "rows of method paper fail, the service log says where")
         ground.append([13])
         ground.settle(supervisor)
         wait(lambda: not supervisor.failures.lasting())
 
 
-def test_the_alarm_needs_nothing_that_is_stored(rig, monkeypatch):
+def test_failures_end_where_another_process_leads(new_ground, wait):
+    ground = new_ground()
+    turns = [1]
+    supervisor = Supervisor(ground.storage, LiveFeed(), ground.config, turn=lambda _: turns[0])
+    for kind in ("step", "row"):
+        for _ in range(step_failures.LASTING):
+            supervisor.failures.note(SC, kind, "KeyError: 'gain'")
+    turns[0] = 0
+    with patch.object(step_failures.time, "monotonic", lambda clock=step_failures.time.monotonic: clock() + 60.0):
+        supervisor.start()
+        supervisor.notify(SC)
+        wait(lambda: not supervisor.failures.lasting())
+    supervisor.stop()
+
+
+@pytest.mark.parametrize("fault", [StorageError("storage.corrupt", "a document"), TypeError("a key")])
+def test_the_alarm_needs_nothing_that_is_stored(rig, monkeypatch, fault):
     def unreadable(*_):
-        raise StorageError("storage.corrupt", "A stored CalibrationResult cannot be read.")
+        raise fault
 
     rig.row(1, -40.0, -40.0)
     monkeypatch.setattr(rig.storage.results, "calibrations", unreadable)
