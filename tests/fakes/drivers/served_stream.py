@@ -36,7 +36,6 @@ class Reader:
 
     def __init__(self, response: httpx.Response) -> None:
         self._lines = response.iter_lines()
-        self.comments = 0
 
     def consume(self, count: int, *kinds: str) -> list[Event]:
         """Return the next events of some kinds, of all but status by default."""
@@ -47,12 +46,16 @@ class Reader:
                 events.append(event)
         return events
 
+    def has_heartbeat(self) -> bool:
+        """Read on to the next heartbeat; False where the stream ends before."""
+        return any(line.startswith(":") for line in self._lines)
+
     def _next(self) -> Event:
         fields: dict[str, str] = {}
         for line in self._lines:
             if line.startswith(":"):
-                self.comments += 1
-            elif line:
+                continue
+            if line:
                 name, _, value = line.partition(": ")
                 fields[name] = value
             elif "data" in fields:
