@@ -202,6 +202,10 @@ class Attitude(TypedDict):
     protection_deg: Angles
     #: Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods; s.
     lag_s: float | None
+    #: Protection level if nothing were wrong with any carrier; deg.
+    nominal_protection_deg: Angles
+    #: Size that the angle gains within two hours by the torque that acts, two sigmas of it among it; deg.
+    pushed_deg: Angles
     #: `live`, `smoothed`, or the replay that made the row.
     version: str
     #: Verdict on control: whether a torque may go now, and every reason against it.
@@ -370,6 +374,8 @@ class Control(TypedDict):
     conditions: list[Json]
     #: Minutes without a reason against control so far, and how many are needed.
     good_minutes: Json
+    #: An angle is to stay within it; deg.
+    angle_limit_deg: float
     #: Control was armed by a person; torques may go when the interlock allows it.
     armed: bool
     #: Computed commands are zeroed: from a trip until ten good minutes after its reset.

@@ -130,18 +130,14 @@ class RobustConfig:
     )
     min_white_db: float = setting(0.02, "white noise of a carrier is never believed to be below this, dB", TUNED)
     yaw_sigma_limit_deg: float = setting(
-        0.125, "greatest sigma with which the robust method lets yaw be controlled, deg", TUNED
-    )
-    pushed_yaw_sigma_limit_deg: float = setting(
-        0.5, "the same of a spacecraft that a residual torque turns, deg", TUNED
+        0.125, "a greater sigma of yaw withholds yaw while nothing is lost by waiting, deg", TUNED
     )
     unknown_torque_n_m: float = setting(
         1e-6, "prior of a residual torque that the catalogue does not state, one sigma, N m", CHOSEN
     )
-    unknown_torque_yaw_sigma_limit_deg: float = setting(
-        1.0, "greatest sigma of controlled yaw under such a torque, deg", TUNED
+    least_stated_torque_n_m: float = setting(
+        1e-9, "a stated torque is not believed to be smaller, one sigma, N m", TUNED
     )
-    yaw_validity_limit_deg: float = setting(2.0, "yaw beyond it is left alone, deg", CHOSEN)
     innovation_limit: float = setting(2.0, "mean normalised innovation squared above which control is withheld", TUNED)
     relearned_share: float = setting(
         1.0 / 3.0, "share of references learned again above which an alignment is advised", TUNED
@@ -171,7 +167,13 @@ class InterlockConfig:
     """Limits beyond which control is inhibited."""
 
     validity_limit_deg: float = setting(
-        0.4, "roll or pitch beyond this inhibits control, yaw beyond it its own, deg", PUBLISHED
+        0.4,
+        "range of the published model, in which angles are to stay, deg; roll or pitch of the method paper beyond "
+        "it inhibits control, yaw its own",
+        PUBLISHED,
+    )
+    robust_range_deg: float = setting(
+        2.0, "roll or pitch of the robust method beyond this inhibits control, deg", CHOSEN
     )
     yaw_sigma_limit_deg: float = setting(0.20, "greatest sigma with which yaw is controlled, deg", TUNED)
     roll_sigma_limit_deg: float = setting(0.06, "greatest sigma of roll with which control is allowed, deg", TUNED)

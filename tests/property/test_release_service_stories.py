@@ -22,12 +22,11 @@ NAN = float("nan")
 PERSONS = st.sampled_from(["ann", "bob", "cas"])
 BAD_ROWS = st.sampled_from(
     [
-        {"sigma_deg": Axes(0.08, 0.07, 0.03)},
-        {"sigma_deg": Axes(0.08, NAN, 0.03)},
+        {"inhibitions": ("sigma_roll",), "control_allowed": False},
         {"downlink_fade": True},
         {"carriers_used": 4},
         {"inhibitions": ("chain_step",), "control_allowed": False},
-        {"attitude_deg": Axes(0.0, 2.0, 0.0), "inhibitions": ("beyond_validity",)},
+        {"attitude_deg": Axes(0.0, 2.1, 0.0), "inhibitions": ("beyond_validity",)},
         {"attitude_deg": Axes(0.0, 0.45, 0.0), "inhibitions": ("beyond_validity",)},
         {"attitude_deg": Axes(NAN, NAN, NAN)},
     ]

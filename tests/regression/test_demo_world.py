@@ -161,12 +161,11 @@ def stating(residual_n_m):
 
 
 @pytest.mark.slow
-def test_where_the_catalogue_says_that_there_is_none_control_is_lost(monkeypatch):
-    """The default of before: the spacecraft is left to the torque by the reason that its motion was not announced."""
+def test_where_the_catalogue_says_that_there_is_none_it_is_found_and_roll_and_pitch_are_held(monkeypatch):
     monkeypatch.setattr(run, "flown_spacecraft", stating(0.0))
     _, merit = flown("unknown_residual_constant", SEED, SHORT_DAYS)
-    assert merit.longest_inhibited_h > 0.5
-    assert not merit.is_unknown_torque_survived
+    assert merit.longest_inhibited_h < 0.5
+    assert max(merit.largest_deg[1:]) < 0.3
 
 
 @pytest.mark.slow

@@ -299,7 +299,7 @@ EVERY_TIME = ("white", "nominal", "mixed", "flicker", "yaw_hold", "nominal_drift
 HONEST = {"white": (0.6, 1.3)}
 USUALLY_HONEST = (0.5, 1.5)
 #: noise beyond what real links show raises protection levels to the alert limit
-AVAILABLE = {"flicker": 0.85, "flicker_storm": 0.85}
+AVAILABLE = {"flicker": 0.84, "flicker_storm": 0.85}
 FALSE_REPORTS = ("flipped", "halved", "lost", "doubled")
 #: hours at which a slew that is not carried out as announced begins, and minutes for which it is judged
 SLEWS_H, SLEW_MINUTES = (9, 30), 240

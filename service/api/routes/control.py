@@ -221,7 +221,7 @@ def _answer(context: ApiContext, spacecraft_id: str, view: ControlView) -> Contr
     """Return the answer of a view of the interlock, with the verdict."""
     present = present_of(context, context.storage.catalogue.spacecraft(spacecraft_id), view)
     conditions = control_conditions(view, present.row, present.verdict, context.interlock)
-    return ControlAnswer.of(view, present.verdict, conditions)
+    return ControlAnswer.of(view, present.verdict, conditions, context.interlock.validity_limit_deg)
 
 
 status_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/status", tags=["status"])

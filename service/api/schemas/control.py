@@ -143,6 +143,7 @@ class ControlAnswer(
                 list[ControlConditionAnswer],
                 "All that the verdict is made of; those that are not met are its reasons.",
             ),
+            "angle_limit_deg": ("is_armed", float, "An angle is to stay within it."),
         },
     ),
     Answer,
@@ -150,11 +151,18 @@ class ControlAnswer(
     """State of the control interlock of a spacecraft."""
 
     @classmethod
-    def of(cls, view: ControlView, verdict: ControlVerdict, conditions: Sequence[ControlCondition]) -> Self:
+    def of(
+        cls,
+        view: ControlView,
+        verdict: ControlVerdict,
+        conditions: Sequence[ControlCondition],
+        angle_limit_deg: float,
+    ) -> Self:
         """Return the answer for the state of the interlock."""
         return super().of(
             view,
             control=VerdictAnswer.of(verdict),
+            angle_limit_deg=angle_limit_deg,
             conditions=[ControlConditionAnswer.of(each) for each in conditions],
             state=verdict.state,
             # before anything ever happened there is no instant

@@ -141,7 +141,7 @@ def attitude(
     def parts() -> "Iterator[RenderableType]":
         said = [meaning("statuses", row["status"]), meaning("statuses", row["status"], "next")]
         yield f"{spacecraft}, {utc(row['epoch'])} UTC: {'; '.join(filter(None, said))}"
-        yield axes_table(row, other, control["conditions"])
+        yield axes_table(row, other, control)
         yield f"{row['carriers_used']} carriers used, left out: {excluded_line(row)}"
         fade = f"{number(row['downlink_fade_db'], 2)} dB" if row["downlink_fade"] else words("views.now.none")
         residual = number(row["residual_rms_db"], 2)

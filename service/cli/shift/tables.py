@@ -134,10 +134,6 @@ def _composed(found: Any, values: Mapping[str, object]) -> str:
     return re.sub(r"\{(\w+)\}", lambda found: str(values.get(found[1], MISSING)), text)
 
 
-#: code of the condition that limits each angle
-LIMITS = {"yaw": "yaw_beyond", "roll": "beyond_validity", "pitch": "beyond_validity"}
-
-
 def screen(*, is_error: bool = False) -> "Console":
     """Return a console that prints texts as they are; a character that the output cannot hold becomes a mark."""
     output = sys.stderr if is_error else sys.stdout
@@ -177,21 +173,20 @@ def limit_of(conditions: Iterable[Json], code: str) -> float | None:
     return next((each["limit"] for each in conditions if each["code"] == code), None)
 
 
-def axes_table(row: Json, other: Json, conditions: list[Json]) -> "Table":
+def axes_table(row: Json, other: Json, control: Json) -> "Table":
     """Return angle, limit, uncertainty and the other method's angle of each axis."""
     names = ("axis", "angle", "toLimit", "sigma", "protection", "otherMethod")
     table = columns(*(words(f"views.now.{name}") for name in names))
-    alert = limit_of(conditions, "protection_level")
+    alert = limit_of(control["conditions"], "protection_level")
     for axis in AXES:
         angle, sigma = row[f"{axis}_deg"], row["sigma_deg"][axis]
-        limit = limit_of(conditions, LIMITS[axis])
         protection = number(row["protection_deg"][axis])
         if axis != "yaw" and alert is not None:
             protection += f" {words('views.now.ofAlert', alert=number(alert, 2))}"
         table.add_row(
             words(f"app.axis.{axis}"),
             number(angle, sign="+"),
-            _room(angle, limit),
+            _room(angle, control["angle_limit_deg"]),
             number(None if sigma is None else 2 * sigma),
             protection,
             number(other[f"{axis}_deg"], sign="+"),

@@ -103,7 +103,7 @@ def _above(state: LiveState, cut: str, blocks: str, width: int) -> "Iterator[Ren
     title = f"{clean(state.spacecraft['id'])}{simulated}, {utc(status['now'])} UTC"
     yield _line(title, is_cut=False)
     yield _line(f"{words('views.control.title')}: {meaning('states', verdict['state'])}", is_cut=False)
-    yield axes_table(row, state.other, conditions)
+    yield axes_table(row, state.other, state.control)
     yield _line(_strip(state, limit_of(conditions, "protection_level"), blocks, width))
     yield _line(f"{words('views.now.torque')}: {_torque(state.torque)}", is_cut=False)
     used = words("views.now.used", used=row["carriers_used"], all=row["carriers_used"] + len(row["excluded"]))

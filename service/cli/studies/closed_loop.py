@@ -61,7 +61,6 @@ def closed_loop(
         tuple[float, float, float] | None,
         typer.Option(help="Drift that the filter believes in: yaw, roll, pitch; default: the product's."),
     ] = None,
-    yaw_sigma_deg: Annotated[float, typer.Option(min=0.0, help="Sigma of yaw up to which it is controlled.")] = 0.5,
     mode: Annotated[
         str, typer.Option(help="ground: torques go up; onboard: angles do, for a loop on board.")
     ] = "ground",
@@ -92,7 +91,7 @@ def closed_loop(
     _require("mode", [mode], ("ground", "onboard"))
     if silence_h[1] and mode != "onboard":
         end("--silence-h is for --mode onboard; over a link commands are lost as it is")
-    settings = (uplink, operation_days, drift_deg_h, yaw_sigma_deg, mode, silence_h)
+    settings = (uplink, operation_days, drift_deg_h, mode, silence_h)
     plan = LoopPlan(scenarios, runs, WorkerChoice(workers, scheduler), sensings, *settings)
     with failures_shown(PlantFailedError, BrokenExecutor, ClusterError, OSError), counted("loops") as show:
         campaign = run_loops(plan, show, flights)
@@ -122,7 +121,7 @@ def _command(plan: "LoopPlan") -> str:
     words += [word for name in plan.scenarios for word in ("--scenario", name)]
     words += ["--operation-days", f"{plan.operation_days:g}"] if plan.operation_days else []
     words += ["--drift-deg-h", *(f"{drift:g}" for drift in plan.drift_deg_h)] if plan.drift_deg_h else []
-    words += ["--yaw-sigma-deg", f"{plan.yaw_sigma_deg:g}", "--mode", plan.mode]
+    words += ["--mode", plan.mode]
     words += ["--silence-h", *(f"{hours:g}" for hours in plan.silence_h)] if plan.silence_h[1] else []
     words += [word for sensing in plan.sensings for word in ("--sensing", sensing.value)]
     return shlex.join(words)

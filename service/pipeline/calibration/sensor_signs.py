@@ -139,4 +139,4 @@ def _about_scale(verdict: AxesVerdict, config: CalibrationConfig) -> tuple[str, 
 
 def _unproven(why: str) -> str:
     """Return the warning of a yaw whose sign is not proven."""
-    return f"the sign of yaw is unproven: {why}; control of yaw is withheld under this calibration"
+    return f"the sign of yaw is unproven: {why}; the method paper does not control it under this calibration"

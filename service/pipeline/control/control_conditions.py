@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+from service.core.estimation.filtering.watches.integrity import DOUBT_RATIO, PUSHED_DEG
 from service.pipeline.config import InterlockConfig
 from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS
 from service.pipeline.control.release.control_verdict import (
@@ -25,8 +26,8 @@ from service.pipeline.control.release.interlock_conditions import (
     greater_angle_deg,
 )
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
-from service.records.catalogue import Release
-from service.records.levels.attitude import AttitudeRow
+from service.records.catalogue import Method, Release
+from service.records.levels.attitude import AttitudeRow, row_without_attitude
 
 _CONSEQUENCES = {
     Consequence.INHIBIT: "inhibit",
@@ -105,14 +106,28 @@ def _values_of(view: ControlView | None, row: AttitudeRow | None, limits: Interl
     if view is not None:
         good = view.good_minutes
         found["good_minutes"] = ConditionValue(_GOOD_MINUTES, good.elapsed_s, good.needed_s)
-    # limits hold before the first row too
-    angle_deg = level_deg = math.nan
     if row is not None:
         fade_db = row.downlink_fade_db if row.downlink_fade_db > 0.0 or not row.downlink_fade else math.nan
         found["fade"] = found["downlink_fade"] = ConditionValue(MEASURES[Condition.FADE], fade_db)
-        angle_deg, level_deg = greater_angle_deg(row.attitude_deg), greater_angle_deg(row.protection_deg)
-    found["beyond_validity"] = ConditionValue(MEASURES[Condition.HAND_OVER], angle_deg, limits.validity_limit_deg)
-    found["protection_level"] = ConditionValue(_PROTECTION, level_deg, limits.alert_limit_deg)
+    # limits hold before the first row too
+    row = row or row_without_attitude(0, 0, 0, Method.ROBUST, ())
+    level_deg, nominal_deg = greater_angle_deg(row.protection_deg), greater_angle_deg(row.nominal_protection_deg)
+    is_urgent = greater_angle_deg(row.pushed_deg) > PUSHED_DEG
+    alert_deg = limits.alert_limit_deg
+    range_deg = limits.robust_range_deg if row.method is Method.ROBUST else limits.validity_limit_deg
+    found["beyond_validity"] = ConditionValue(
+        MEASURES[Condition.HAND_OVER], greater_angle_deg(row.attitude_deg), range_deg
+    )
+    # a less certain angle is used where something is lost by waiting
+    found["protection_level"] = ConditionValue(
+        _PROTECTION, level_deg, max(alert_deg, DOUBT_RATIO * nominal_deg) if is_urgent else alert_deg
+    )
+    sigmas = {"roll": limits.roll_sigma_limit_deg, "pitch": limits.pitch_sigma_limit_deg}
+    for axis, limit_deg in sigmas.items():
+        measure = Measure(f"sigma of {axis}", "deg")
+        found[f"sigma_{axis}"] = ConditionValue(
+            measure, getattr(row.sigma_deg, axis), math.nan if is_urgent else limit_deg
+        )
     return found
 
 

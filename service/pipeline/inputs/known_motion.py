@@ -244,16 +244,23 @@ _WANDER_SHARE = 0.2
 _STATED_CONSTANT_SHARE = 0.2
 
 
-def residual_deg_h2(spacecraft: Spacecraft | None, unknown_n_m: float) -> tuple[float, float, float]:
-    """Return the accelerations of yaw, roll and pitch by the torque of unknown shape that is not fed forward.
+def residual_torque_n_m(spacecraft: Spacecraft | None, unknown_n_m: float, least_n_m: float) -> float:
+    """Return the size of the torque of unknown shape that is not fed forward, N m.
 
-    Where the catalogue does not state its size, `unknown_n_m` is the prior.
+    Where the catalogue does not state it, `unknown_n_m` is the prior. What it states is a belief: a torque that was
+    called none is one of `least_n_m`, so that it can be learned.
     """
     if spacecraft is None:
-        return (0.0, 0.0, 0.0)
+        return 0.0
     stated_n_m = spacecraft.onboard.residual_torque_n_m
-    size_n_m = unknown_n_m if stated_n_m is None else stated_n_m
-    yaw, roll, pitch = (size_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft))
+    return unknown_n_m if stated_n_m is None else max(stated_n_m, least_n_m)
+
+
+def axis_accelerations_deg_h2(spacecraft: Spacecraft | None, torque_n_m: float) -> tuple[float, float, float]:
+    """Return the accelerations of yaw, roll and pitch by a torque about each; none of a spacecraft not known."""
+    if spacecraft is None:
+        return (0.0, 0.0, 0.0)
+    yaw, roll, pitch = (torque_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft))
     return yaw, roll, pitch
 
 

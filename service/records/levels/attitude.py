@@ -117,6 +117,10 @@ class AttitudeRow:
     lag_s: Annotated[
         float, "Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods."
     ] = math.nan
+    nominal_protection_deg: Annotated[Axes, "Protection level if nothing were wrong with any carrier."] = NO_ANGLES
+    pushed_deg: Annotated[
+        Axes, "Size that the angle gains within two hours by the torque that acts, two sigmas of it among it."
+    ] = NO_ANGLES
 
 
 def row_without_attitude(

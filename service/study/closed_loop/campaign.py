@@ -10,7 +10,7 @@ from typing import NamedTuple
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.flight_store import keep, kept
 from service.study.closed_loop.merit import GroupMerit, group_merit
-from service.study.closed_loop.run import YAW_SIGMA_DEG, LoopResult, LoopUnit, fly_unit
+from service.study.closed_loop.run import LoopResult, LoopUnit, fly_unit
 from service.study.executors import WorkerChoice, do_work, executor_of
 
 #: called after each run with how many are done and how many there are
@@ -28,8 +28,6 @@ class LoopPlan(NamedTuple):
     operation_days: float | None = None
     #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
     drift_deg_h: tuple[float, float, float] | None = None
-    #: sigma of yaw up to which it is controlled, deg
-    yaw_sigma_deg: float = YAW_SIGMA_DEG
     #: ``ground`` or ``onboard``
     mode: str = "ground"
     #: begin and length of a time in which nothing is sent up, h

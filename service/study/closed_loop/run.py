@@ -32,9 +32,6 @@ from service.study.estimation.flight.world import Ground
 
 #: what the spacecraft tells of commands
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
-#: sigma of yaw up to which it is controlled, deg: half a day long yaw may be known to a quarter of a degree, and left
-#: alone it goes off by a degree in that time
-YAW_SIGMA_DEG = 0.5
 #: s: of the closed loop and between commands over the link where the catalogue states the torque
 LOOP_PERIOD_S = 2400.0
 #: on board angles older than this are not acted on; the service's product holds for three rows and 30 s
@@ -54,8 +51,6 @@ class LoopUnit(NamedTuple):
     operation_days: float | None = None
     #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
     drift_deg_h: tuple[float, float, float] | None = None
-    #: sigma of yaw up to which it is controlled, deg
-    yaw_sigma_deg: float = YAW_SIGMA_DEG
     #: ``ground``: torques go up; ``onboard``: angles do
     mode: str = "ground"
     #: begin and length of a time in which nothing is sent up, h of operation
@@ -156,8 +151,7 @@ def _config(unit: LoopUnit) -> ChainConfig:
         yaw, roll, pitch = unit.drift_deg_h
         drift = {"yaw_drift_deg_h": yaw, "roll_drift_deg_h": roll, "pitch_drift_deg_h": pitch}
         config = replace(config, robust=replace(config.robust, **drift))
-    limits = {"yaw_sigma_limit_deg": unit.yaw_sigma_deg, "pushed_yaw_sigma_limit_deg": unit.yaw_sigma_deg}
-    return replace(config, robust=replace(config.robust, **limits))
+    return config
 
 
 @dataclass

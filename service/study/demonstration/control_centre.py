@@ -247,7 +247,7 @@ class ControlCentre:
 #: interval between two requests for the state of control, s
 _POLL_S = 0.25
 #: reasons under which control can be armed: that it is not armed, and those that withhold yaw alone
-_ARMABLE = {"not_armed", "sigma_yaw", "yaw_sign", "yaw_beyond"}
+_ARMABLE = {"not_armed", "yaw_uncertain", "yaw_sign"}
 #: fates of a command of which the spacecraft executed nothing
 _NOTHING_EXECUTED = {"late", "refused", "replaced"}
 

@@ -254,10 +254,10 @@ async def test_no_torque_goes_while_a_chain_is_brought_back(bench, make, monkeyp
 
 
 #: of the release: no row was seen, the ephemeris ends soon
-NOT_READY = ["ephemeris", "not_aligned", "estimate_old", "yaw_sign"]
+NOT_READY = ["ephemeris", "not_aligned", "estimate_old"]
 INTERLOCKS = {
     "automatic": (Release.AUTOMATIC, {"state": "INHIBITED", "reasons": NOT_READY}),
-    "two steps": (Release.TWO_STEP, {"state": "INHIBITED", "reasons": [*NOT_READY, "not_armed"]}),
+    "two steps": (Release.TWO_STEP, {"state": "INHIBITED", "reasons": [*NOT_READY, "yaw_sign", "not_armed"]}),
 }
 
 
@@ -278,7 +278,7 @@ async def test_status_tells_the_interlock(bench, make, release, interlock):
 async def test_status_of_an_empty_and_of_a_filled_archive(bench, make):
     empty = await bench.get("/status")
     assert empty.pop("control")["allowed"] is False
-    assert empty.pop("interlock")["reasons"] == [*NOT_READY[:-1], "no_attitude", "yaw_sign"]
+    assert empty.pop("interlock")["reasons"] == [*NOT_READY[:-1], "estimate_old", "no_attitude"]
     assert empty == {
         "newest_measurement": None,
         "newest_attitude": None,

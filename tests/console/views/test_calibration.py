@@ -183,7 +183,7 @@ def test_the_report_stands_beside_the_active_one_and_activation_says_that_contro
     for said in (
         "takes the place of calibration",
         "No longer selected: c00",
-        "yaw will not be controlled",
+        "the method paper will not control it",
         "1 warning",
     ):
         expect(dialog).to_contain_text(said)

@@ -54,8 +54,8 @@ GOOD = InterlockRow(
     epoch_us=START_US,
     period_s=60.0,
     attitude_deg=Axes(0.05, 0.02, -0.03),
-    sigma_deg=Axes(0.08, 0.02, 0.03),
     redundancy=9,
+    is_yaw_allowed=True,
 )
 
 
@@ -151,8 +151,7 @@ class ReleaseDriver:
             or bool(set(row.inhibitions) - {"beyond_validity"})
             or row.is_fading
             or row.redundancy < 2
-            or not (row.sigma_deg.roll <= 0.06 and row.sigma_deg.pitch <= 0.10)
-            or not (abs(row.attitude_deg.roll) <= 0.6 and abs(row.attitude_deg.pitch) <= 0.6)
+            or not (abs(row.attitude_deg.roll) <= 2.0 and abs(row.attitude_deg.pitch) <= 2.0)
             or (inputs.momentum_share or 0.0) > 0.8
             or inputs.ephemeris_stop_us is None
             or inputs.ephemeris_stop_us - self.now_us < 6 * 3600 * US

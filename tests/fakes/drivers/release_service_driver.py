@@ -215,8 +215,7 @@ class ReleaseServiceDriver:
             or bool(set(row.inhibitions) - OWN)
             or row.downlink_fade
             or row.carriers_used < 5
-            or not (row.sigma_deg.roll <= 0.06 and row.sigma_deg.pitch <= 0.10)
-            or not (abs(row.attitude_deg.roll) <= 0.6 and abs(row.attitude_deg.pitch) <= 0.6)
+            or not (abs(row.attitude_deg.roll) <= 2.0 and abs(row.attitude_deg.pitch) <= 2.0)
             or is_full
             or archive.ephemeris_stop_us - self.clock.now < 6 * 3600 * US
         )

@@ -57,8 +57,8 @@ def test_the_chain_holds_roll_and_pitch_over_a_link():
     print(f"seed {SEED}, {HOURS:g} h, yaw/roll/pitch: {largest.round(3)} deg, {flight.sent} commands")
     # lost without control in an hour and a half
     assert largest[1:].max() < 0.2
-    # the level of the first row has its noise alone
-    assert not flight.is_inhibited[1:].any()
+    # the level of the first rows has the noise of few, and is to be good for ten minutes
+    assert not flight.is_inhibited[12:].any()
     # one every ten minutes at most, each told once when it is over
     assert 12 <= flight.sent <= HOURS * 6
     over = {state: count for state, count in flight.reported.items() if state != "executing"}

@@ -39,7 +39,7 @@ export function show({ store, spacecraft }) {
     drawVerdict(verdict, problem && !row ? { ...store.get(), status: null } : store.get(), row);
     const isStale = !row || link.state === "cut" || row.status === "EXPIRED" || OLD.some((code) => status?.control.reasons.some((each) => each.code === code));
     const age = row ? ageOf(store.get(), row) : NaN;
-    for (const axis of AXES) gauges[axis].draw(axisState(axis, { row, other, conditions, isStale, age }));
+    for (const axis of AXES) gauges[axis].draw(axisState(axis, { row, other, control, isStale, age }));
     drawTorque(cards.torque, torque);
     drawWheels(cards.wheels, spacecraft, torque, state.telemetry, conditions);
     drawLevel(cards.level, row);
@@ -148,16 +148,15 @@ function ageOf(state, row) {
   return Math.max(0, (presentOf(state) + sinceStatus - oldest) / 1000);
 }
 
-function axisState(axis, { row, other, conditions, isStale, age }) {
-  const limitOf = (code) => conditions.find((each) => each.code === code)?.limit ?? null;
+function axisState(axis, { row, other, control, isStale, age }) {
   return {
     angle: row?.[`${axis}_deg`] ?? null,
     sigma: row?.sigma_deg?.[axis] ?? null,
     protection: row?.protection_deg?.[axis] ?? null,
     other: other?.[`${axis}_deg`] ?? null,
     rate: row?.rates_deg_s?.[axis] ?? null,
-    limit: limitOf(axis === "yaw" ? "yaw_beyond" : "beyond_validity"),
-    alert: axis === "yaw" ? null : limitOf("protection_level"),
+    limit: control?.angle_limit_deg ?? null,
+    alert: axis === "yaw" ? null : (control?.conditions.find((each) => each.code === "protection_level")?.limit ?? null),
     isStale,
     age,
   };

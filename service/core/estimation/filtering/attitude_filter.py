@@ -41,6 +41,7 @@ from service.core.estimation.filtering.watches.command_watch import (
 )
 from service.core.estimation.filtering.watches.drift_watch import scaled_settings
 from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess
+from service.core.estimation.filtering.watches.pushed_motion import pushed_deg
 
 __all__ = ["MIN_CARRIERS", "FilterState", "FilterStep", "start", "step"]
 
@@ -93,7 +94,7 @@ def step(
     """
     limits = limits or IntegrityLimits()
     if epoch_us <= state.epoch_us:
-        return _unused(model, state, limits, deviation_db)
+        return _unused(model, settings, state, limits, deviation_db)
     passed = _passed(model, settings, state, epoch_us - state.epoch_us, known)
     row = _row(state, deviation_db, passed.step.minutes, declared, reported_wet)
     is_enough = len(row.present) >= MIN_CARRIERS
@@ -102,15 +103,15 @@ def step(
             model, state, passed.step, passed.command, settings.drift_deg_h, row.deviation_db, row.present
         )
         if found.is_ordinary:
-            return _judged(model, found, row, None, limits, kernels)
+            return _judged(model, settings, found, row, None, limits, kernels)
     ahead = _ahead(model, passed, state, declared, kernels)
     if not is_enough:
-        return _unused(model, ahead, limits, deviation_db)
+        return _unused(model, settings, ahead, limits, deviation_db)
     white_db2 = (model.white_sigma_db * ahead.noise.white_scale) ** 2
     if declared is not None:
         white_db2 = white_db2 + declared.white_db**2
     found, cause = staged_row(model, settings, ahead, row, white_db2, chooser)
-    judged = _judged(model, found, row, cause, limits, kernels)
+    judged = _judged(model, settings, found, row, cause, limits, kernels)
     return judged if declared is None else judged._replace(residual_db=_left_db(model, judged.state, deviation_db))
 
 
@@ -179,6 +180,7 @@ def _row(
 
 def _judged(
     model: CarrierModel,
+    settings: FilterSettings,
     found: OrdinaryRow,
     row: JudgedRow,
     cause: Cause | None,
@@ -195,7 +197,7 @@ def _judged(
     residual_db = found.residual_db
     if after.gaussian is not found.state.gaussian:
         residual_db = _left_db(model, after, row.deviation_db)
-    return _reported(model, after, found, cause, limits, residual_db)
+    return _reported(model, settings, after, found, cause, limits, residual_db)
 
 
 def _left_db(model: CarrierModel, state: FilterState, deviation_db: FloatArray) -> FloatArray:
@@ -221,7 +223,13 @@ def _anchored(
     return start_again(model, state, mixture) if is_contradicted(mixture) else state
 
 
-def _unused(model: CarrierModel, state: FilterState, limits: IntegrityLimits, deviation_db: FloatArray) -> FilterStep:
+def _unused(
+    model: CarrierModel,
+    settings: FilterSettings,
+    state: FilterState,
+    limits: IntegrityLimits,
+    deviation_db: FloatArray,
+) -> FilterStep:
     """Return the step's result after a row of which nothing was used."""
     nothing = OrdinaryRow(
         True,
@@ -233,11 +241,12 @@ def _unused(model: CarrierModel, state: FilterState, limits: IntegrityLimits, de
         False,
         None,
     )
-    return _reported(model, state, nothing, None, limits, nothing.residual_db)
+    return _reported(model, settings, state, nothing, None, limits, nothing.residual_db)
 
 
 def _reported(
     model: CarrierModel,
+    settings: FilterSettings,
     state: FilterState,
     found: OrdinaryRow,
     cause: Cause | None,
@@ -247,10 +256,14 @@ def _reported(
     """Return the step's result with the judgement of its integrity."""
     gaussian = state.gaussian
     sigma_deg = gaussian.attitude_sigma_deg
-    protection_deg = protection_now_deg(state.anchor, state.epoch_us, sigma_deg)
+    protection_deg, nominal_deg = protection_now_deg(state.anchor, state.epoch_us, sigma_deg)
+    gained_deg = pushed_deg(model, settings, gaussian, state.epoch_us)
     evidence = IntegrityInputs(
+        state.epoch_us,
         sigma_deg,
         protection_deg,
+        nominal_deg,
+        gained_deg,
         len(found.used),
         state.rain.is_raining,
         state.rain.hold_minutes > 0.0,
@@ -259,18 +272,22 @@ def _reported(
         int(np.count_nonzero(state.carriers.is_relearned)),
         model.carriers,
         state.command.is_doubted,
+        state.motion.jump_minutes > 0.0,
     )
+    integrity, beyond_until_us = assess(evidence, limits, state.beyond_until_us)
     return FilterStep(
-        state,
+        state if beyond_until_us is state.beyond_until_us else state._replace(beyond_until_us=beyond_until_us),
         gaussian.mean[ATTITUDE],
         gaussian.covariance[ATTITUDE, ATTITUDE],
         protection_deg,
+        nominal_deg,
+        gained_deg,
         found.innovation_db,
         found.used,
         cause,
         float(gaussian.mean[CHAIN]),
         float(gaussian.mean[RAIN]),
-        assess(evidence, limits),
+        integrity,
         residual_db,
         found.is_ordinary,
         found.effective,

@@ -16,7 +16,7 @@ from service.core.estimation.filtering.model.filter_model import CarrierModel, F
 from service.core.estimation.filtering.model.filter_state import Gaussian
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, executed_commands
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch, usual_drift
-from service.core.estimation.filtering.watches.integrity import Integrity
+from service.core.estimation.filtering.watches.integrity import Integrity, good_figures
 from service.core.estimation.filtering.watches.minute_sums import MinuteSums, empty_minute
 from service.core.estimation.filtering.watches.motion_watch import MotionWatch, still_watch
 from service.core.estimation.filtering.watches.noise_watch import NoiseWatch, calm_watch
@@ -37,6 +37,8 @@ class FilterState(NamedTuple):
     anchor: AnchorWatch
     drift: DriftWatch = usual_drift()
     command: CommandWatch = executed_commands()
+    #: until when each figure of integrity inhibits at least
+    beyond_until_us: IntArray = good_figures()
 
 
 class FilterStep(NamedTuple):
@@ -48,6 +50,10 @@ class FilterStep(NamedTuple):
     covariance_deg2: FloatArray
     #: (3,) deg, levels that the error passes with a probability of 1e-4, NaN = not known
     protection_deg: FloatArray
+    #: (3,) deg, those levels if nothing were wrong with any carrier
+    nominal_deg: FloatArray
+    #: (3,) deg, what the angles gain by the torque within two hours
+    pushed_deg: FloatArray
     #: (N,) dB, NaN = absent or flagged
     innovation_db: FloatArray
     #: (n,) carriers used

@@ -25,10 +25,12 @@ _MOVED_DB = 0.05
 def start_again(model: CarrierModel, state: FilterState, mixture: Mixture) -> FilterState:
     """Return the state at the attitude that the references of the alignment ask for, with these references."""
     watch, mean, covariance = state.carriers, state.gaussian.mean.copy(), state.gaussian.covariance.copy()
-    anchor = moved_anchor(model, state.anchor, mean[ATTITUDE], mixture)
+    # as the anchor was asked: the error that it found, and what the filter did not know before
+    sigma_deg = np.hypot(ERROR_SIGMA_DEG, state.gaussian.attitude_sigma_deg)
+    anchor = moved_anchor(model, state.anchor, mean[ATTITUDE], sigma_deg, mixture)
     mean[ATTITUDE] += mixture.error_deg
     covariance[ATTITUDE, :] = covariance[:, ATTITUDE] = 0.0
-    covariance[ATTITUDE, ATTITUDE] = np.diag(np.square(ERROR_SIGMA_DEG))
+    covariance[ATTITUDE, ATTITUDE] = np.diag(sigma_deg**2)
     is_dry = (mixture.branch_probability[:, DRY] > _LIKELY) & np.isfinite(watch.aligned_reference_db)
     is_out = ~is_dry & ~watch.is_flagged & (mixture.branch_probability[:, LEARNED] < _LIKELY)
     gaussian, watch = give_back(model, Gaussian(mean, covariance), watch, is_dry, _MOVED_DB**2)

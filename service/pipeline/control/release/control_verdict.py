@@ -55,7 +55,7 @@ _NEXT_STEPS = {
         "no_fix invalid redundancy sigma_roll sigma_pitch protection_level integrity_unmonitored"
     ),
     "Look at live rows: a smoothed row is about the past and never drives control.": "smoothed",
-    "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": "sigma_yaw",
+    "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": "yaw_uncertain",
     "Check the inhibitions of GET .../attitude.": "estimator",
     "Wait for the end of the rain; without rain check the receiving chain.": "fade downlink_fade",
     "Compare with another sensor; align again if the estimate is wrong.": "innovations innovation",
@@ -64,7 +64,7 @@ _NEXT_STEPS = {
     "POST .../alignments.": "not_aligned",
     "PUT .../ephemeris with the newest orbit.": "no_ephemeris ephemeris",
     "Wait for the end of the operation, or PATCH .../operations/{id}.": "operation",
-    "Bring the angle back by another sensor or confirmed commands.": "beyond_validity hand_over yaw_beyond",
+    "Bring the angle back by another sensor or confirmed commands.": "beyond_validity hand_over",
     "Read the service log and report the failure.": "internal_error release_unreadable",
     "Set entry_modes or wait for the on-board mode.": "onboard_mode",
     "POST .../torques/{id}:executed or :failed.": "report_late",
@@ -85,7 +85,7 @@ _NEXT_STEP = {code: step for step, codes in _NEXT_STEPS.items() for code in code
 #: reasons that follow from others or hold back yaw alone, named behind those: the first reason is the one to act on
 _NAMED_LAST = (
     *("not_aligned", "unannounced_motion", "fade", "redundancy", "expired", "estimate_old", "no_attitude", "invalid"),
-    *("estimator", "tripped", "operation", "sigma_yaw", "yaw_beyond", "yaw_sign", "good_minutes", "not_armed"),
+    *("estimator", "tripped", "operation", "yaw_uncertain", "yaw_sign", "good_minutes", "not_armed"),
 )
 #: conditions that a verdict names, by code
 CONDITIONS = {each.word: each for each in Condition if each.consequence is not Consequence.ALARM}
@@ -172,7 +172,7 @@ def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings 
     Examples
     --------
     >>> reason_of("hand_over").text
-    'roll or pitch beyond 0.6 deg: over to the sensor mode (alarm)'
+    'roll or pitch beyond 2 deg: over to the sensor mode (alarm)'
     """
     known = (
         INHIBITIONS | CONTROL_INHIBITIONS | OTHER_REASONS | {word: each.meaning for word, each in CONDITIONS.items()}

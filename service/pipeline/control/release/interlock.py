@@ -148,13 +148,10 @@ def conditions_at(
         Condition.UNREPORTED: len(unreported) > settings.max_unreported,
         Condition.CLOCK_JUMP: _has_jumped(interlock.clock, at, settings),
         Condition.CONFIGURATION: interlock.armed_with not in (None, interlock.configuration),
-        Condition.YAW_SIGN: "yaw" not in interlock.proven_axes,
-    }
-    found = tuple(condition for condition in Condition if stands.get(condition))
-    if interlock.inputs.is_automatic and interlock.row is not None and interlock.row.is_yaw_allowed:
         # computed commands pass no check of the interlock: the estimator alone withholds their yaw torque
-        return tuple(condition for condition in found if condition.consequence is not Consequence.YAW)
-    return found
+        Condition.YAW_SIGN: not interlock.inputs.is_automatic and "yaw" not in interlock.proven_axes,
+    }
+    return tuple(condition for condition in Condition if stands.get(condition))
 
 
 def unreported_since_us(command: Command) -> int:

@@ -21,9 +21,6 @@ class ReleaseSettings:
     impulse_an_hour_n_m_s: float = setting(0.1, "the same over what was sent within an hour, N m s", CHOSEN)
     stale_periods: float = setting(3.0, "an estimate is too old after this many row periods", CHOSEN)
     stale_margin_s: float = setting(30.0, "and so many seconds", CHOSEN)
-    roll_sigma_limit_deg: float = setting(0.06, "a greater sigma of roll inhibits, deg", TUNED)
-    pitch_sigma_limit_deg: float = setting(0.10, "a greater sigma of pitch inhibits, deg", TUNED)
-    yaw_sigma_limit_deg: float = setting(0.20, "a greater sigma of yaw withholds the yaw torque, deg", TUNED)
     min_redundancy: int = setting(2, "fewer carriers beyond the unknowns inhibit", CHOSEN)
     ephemeris_ahead_s: float = setting(6 * 3600.0, "the ephemeris must reach this far ahead, s", CHOSEN)
     innovation_s: float = setting(1800.0, "innovations outside their band for this long inhibit, s", TUNED)
@@ -34,7 +31,7 @@ class ReleaseSettings:
     clock_jump_s: float = setting(2.0, "the clock may differ from the steady one by this much, s", CHOSEN)
     missed_log_ratio: float = setting(9.0, "log-likelihood ratio with which a command's response is missed", TUNED)
     recovery_deg: float = setting(0.4, "roll or pitch beyond it: single commands by an approver, deg", PUBLISHED)
-    hand_over_deg: float = setting(0.6, "roll or pitch beyond it: over to the sensor mode, deg", TUNED)
+    hand_over_deg: float = setting(2.0, "roll or pitch beyond it: over to the sensor mode, deg", TUNED)
     entry_modes: str = setting(
         "any", "on-board modes from which control is entered, by commas; `any`: not looked at", CHOSEN
     )
@@ -101,8 +98,6 @@ class Condition(Enum):
     ESTIMATE_OLD = (Consequence.INHIBIT, "no estimate, or older than {stale_periods:g} periods + {stale_margin_s:g} s")
     ESTIMATOR = (Consequence.INHIBIT, "the estimator itself forbids control on the newest row")
     NOT_ALIGNED = (Consequence.INHIBIT, "no alignment holds")
-    SIGMA_ROLL = (Consequence.INHIBIT, "sigma of roll above {roll_sigma_limit_deg:.2f} deg, or not known")
-    SIGMA_PITCH = (Consequence.INHIBIT, "sigma of pitch above {pitch_sigma_limit_deg:.2f} deg, or not known")
     FADE = (Consequence.INHIBIT, "downlink fade")
     REDUNDANCY = (Consequence.INHIBIT, "fewer than {min_redundancy} carriers beyond the unknowns")
     GAP = (Consequence.INHIBIT, "the newest row came after a gap")
@@ -123,9 +118,11 @@ class Condition(Enum):
     UNREPORTED = (Consequence.TRIP, "released commands without a report: more than {max_unreported}")
     LEASE = (Consequence.TRIP, "the estimator's lease is held twice")
     STOP = (Consequence.TRIP, "an operator stopped control")
-    SIGMA_YAW = (Consequence.YAW, "sigma of yaw above {yaw_sigma_limit_deg:.2f} deg, or not known")
+    YAW_UNCERTAIN = (
+        Consequence.YAW,
+        "the estimator withholds yaw: it is too uncertain, and waiting costs nothing",
+    )
     YAW_SIGN = (Consequence.YAW, "the sign of yaw is not proven")
-    YAW_BEYOND = (Consequence.YAW, "yaw beyond {recovery_deg:g} deg, or not known")
     DISAGREEMENT = (Consequence.ALARM, "the methods disagree in roll or pitch, by the rule of the estimator")
 
     def __init__(self, consequence: Consequence, meaning: str) -> None:
@@ -154,8 +151,6 @@ class Measure(NamedTuple):
 #: conditions that are judged by a number
 MEASURES: dict[Condition, Measure] = {
     Condition.ESTIMATE_OLD: Measure("age of the newest estimate", "s"),
-    Condition.SIGMA_ROLL: Measure("sigma of roll", "deg"),
-    Condition.SIGMA_PITCH: Measure("sigma of pitch", "deg"),
     Condition.FADE: Measure("downlink fade", "dB"),
     Condition.REDUNDANCY: Measure("carriers beyond the unknowns", "", is_least=True),
     Condition.EPHEMERIS: Measure("how far ahead the ephemeris reaches", "s", is_least=True),
@@ -167,25 +162,20 @@ MEASURES: dict[Condition, Measure] = {
     Condition.RESPONSE_MISSED: Measure("log-likelihood ratio", ""),
     Condition.UNREPORTED: Measure("released commands without a report", ""),
     Condition.LEASE: Measure("holders of the lease", ""),
-    Condition.SIGMA_YAW: Measure("sigma of yaw", "deg"),
-    Condition.YAW_BEYOND: Measure("size of yaw", "deg"),
 }
 #: conditions that lie in the newest row: without one they are not judged
 OF_ROW = frozenset(
     {
         Condition.ESTIMATOR,
-        Condition.SIGMA_ROLL,
-        Condition.SIGMA_PITCH,
         Condition.FADE,
         Condition.REDUNDANCY,
         Condition.GAP,
         Condition.HAND_OVER,
-        Condition.SIGMA_YAW,
-        Condition.YAW_BEYOND,
+        Condition.YAW_UNCERTAIN,
     }
 )
 #: reasons of the estimator that the interlock judges itself, by wider limits
-OWN_AFFAIR = frozenset({"beyond_validity", "sigma_roll", "sigma_pitch"})
+OWN_AFFAIR = frozenset({"beyond_validity"})
 #: an attitude has three unknowns
 _UNKNOWNS = 3
 #: conditions that raise an alarm as well
@@ -200,7 +190,6 @@ class InterlockRow:
     #: expected time to the next row
     period_s: float
     attitude_deg: Axes
-    sigma_deg: Axes
     #: carriers beyond the unknowns
     redundancy: int
     is_fading: bool = False
@@ -223,7 +212,6 @@ def interlock_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: b
         epoch_us=row.epoch_us,
         period_s=period_s,
         attitude_deg=row.attitude_deg,
-        sigma_deg=row.sigma_deg,
         redundancy=row.carriers_used - _UNKNOWNS,
         is_fading=row.downlink_fade,
         is_innovation_in_band=is_innovation_in_band,
@@ -263,20 +251,16 @@ def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSetti
     if row is None:
         return {Condition.ESTIMATE_OLD: True}
     stale_us = settings.stale_us(row.period_s)
-    attitude_deg, sigma_deg = row.attitude_deg, row.sigma_deg
     # negated, so that what is not a number is bad
     return {
         # an estimate from the future is as little to be believed as an old one
         Condition.ESTIMATE_OLD: not -stale_us <= now_us - row.epoch_us <= stale_us,
         Condition.ESTIMATOR: not OWN_AFFAIR.issuperset(row.inhibitions),
-        Condition.SIGMA_ROLL: not sigma_deg.roll <= settings.roll_sigma_limit_deg,
-        Condition.SIGMA_PITCH: not sigma_deg.pitch <= settings.pitch_sigma_limit_deg,
         Condition.FADE: row.is_fading,
         Condition.REDUNDANCY: row.redundancy < settings.min_redundancy,
         Condition.GAP: row.is_after_gap,
-        Condition.HAND_OVER: not greater_angle_deg(attitude_deg) <= settings.hand_over_deg,
-        Condition.SIGMA_YAW: not sigma_deg.yaw <= settings.yaw_sigma_limit_deg,
-        Condition.YAW_BEYOND: not abs(attitude_deg.yaw) <= settings.recovery_deg,
+        Condition.HAND_OVER: not greater_angle_deg(row.attitude_deg) <= settings.hand_over_deg,
+        Condition.YAW_UNCERTAIN: not (row.is_yaw_allowed or row.inhibitions),
     }
 
 
@@ -284,15 +268,10 @@ def row_values(row: InterlockRow | None, now_us: int) -> dict[Condition, float]:
     """Return the values of `MEASURES` that lie in the newest row; NaN: not known."""
     if row is None:
         return {}
-    attitude_deg, sigma_deg = row.attitude_deg, row.sigma_deg
     return {
         Condition.ESTIMATE_OLD: abs(now_us - row.epoch_us) / US_PER_S,
-        Condition.SIGMA_ROLL: sigma_deg.roll,
-        Condition.SIGMA_PITCH: sigma_deg.pitch,
         Condition.REDUNDANCY: row.redundancy,
-        Condition.HAND_OVER: greater_angle_deg(attitude_deg),
-        Condition.SIGMA_YAW: sigma_deg.yaw,
-        Condition.YAW_BEYOND: abs(attitude_deg.yaw),
+        Condition.HAND_OVER: greater_angle_deg(row.attitude_deg),
     }
 
 
@@ -314,8 +293,6 @@ def condition_limits(row: InterlockRow | None, settings: ReleaseSettings) -> dic
     by_row = {} if row is None else {Condition.ESTIMATE_OLD: settings.stale_us(row.period_s) / US_PER_S}
     return {
         **by_row,
-        Condition.SIGMA_ROLL: settings.roll_sigma_limit_deg,
-        Condition.SIGMA_PITCH: settings.pitch_sigma_limit_deg,
         Condition.REDUNDANCY: settings.min_redundancy,
         Condition.EPHEMERIS: settings.ephemeris_ahead_s,
         Condition.INNOVATION: settings.innovation_s,
@@ -326,8 +303,6 @@ def condition_limits(row: InterlockRow | None, settings: ReleaseSettings) -> dic
         Condition.RESPONSE_MISSED: settings.missed_log_ratio,
         Condition.UNREPORTED: settings.max_unreported,
         Condition.LEASE: 1,
-        Condition.SIGMA_YAW: settings.yaw_sigma_limit_deg,
-        Condition.YAW_BEYOND: settings.recovery_deg,
     }
 
 

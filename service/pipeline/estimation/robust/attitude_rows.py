@@ -104,8 +104,7 @@ def filtered_row(
     *,
     is_catch_up: bool,
     has_inhibiting_operation: bool,
-    validity_limit_deg: float,
-    yaw_validity_limit_deg: float,
+    range_deg: float,
     given: dict[str, bool],
 ) -> AttitudeRow:
     """Return the archive's row of one step of the filter."""
@@ -114,7 +113,7 @@ def filtered_row(
         "catch_up": is_catch_up,
         "operation": has_inhibiting_operation,
         "no_ephemeris": fixed.is_without_ephemeris,
-        "beyond_validity": max(map(abs, announced.attitude_deg[1:].tolist())) > validity_limit_deg,
+        "beyond_validity": max(map(abs, announced.attitude_deg[1:].tolist())) > range_deg,
     }
     standing = {*announced.integrity.reasons, *(reason for reason, stands in conditions.items() if stands)}
     # whatever the filter holds against control stands, in the usual order where it has one
@@ -133,9 +132,7 @@ def filtered_row(
         rates_deg_s=named_axes(fixed.rates_deg_s),
         status=Status.ACQUIRED if len(announced.used) >= MIN_CARRIERS else Status.EXPIRED,
         control_allowed=not inhibitions,
-        control_allowed_axes=_allowed_axes(
-            announced, inhibitions, yaw_validity_limit_deg, is_yaw_controllable=model.is_yaw_controllable
-        ),
+        control_allowed_axes=(False, False, False) if inhibitions else announced.integrity.is_axis_allowed,
         inhibitions=inhibitions,
         carriers_used=len(announced.used),
         excluded=_exclusions(model, fixed),
@@ -146,18 +143,10 @@ def filtered_row(
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
         protection_deg=named_axes(announced.protection_deg),
+        nominal_protection_deg=named_axes(announced.nominal_deg),
+        pushed_deg=named_axes(announced.pushed_deg),
         advice=tuple(code for code, is_given in advice.items() if is_given),
     )
-
-
-def _allowed_axes(
-    announced: FilterStep, inhibitions: tuple[str, ...], limit_deg: float, *, is_yaw_controllable: bool
-) -> tuple[bool, bool, bool]:
-    """Return which axes may be controlled: none under an inhibition, yaw of a proven sign within the model's range."""
-    if inhibitions:
-        return False, False, False
-    yaw, roll, pitch = announced.integrity.is_axis_allowed
-    return is_yaw_controllable and yaw and bool(abs(float(announced.attitude_deg[0])) <= limit_deg), roll, pitch
 
 
 def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, is_absent: BoolArray) -> AttitudeRow:

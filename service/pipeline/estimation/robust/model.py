@@ -8,7 +8,6 @@ import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_deviation
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, RateSensorModel
-from service.core.estimation.filtering.model.torque_prior import is_pushed
 from service.core.estimation.filtering.watches.integrity import IntegrityLimits
 from service.core.estimation.snapshot.snapshot_steps import subset_orders
 from service.pipeline.carrier_model.expected_level import (
@@ -24,13 +23,14 @@ from service.pipeline.inputs.declared_operations import CarrierIndices
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import (
     angle_inertia_kg_m2,
+    axis_accelerations_deg_h2,
     constant_share,
     fed_forward,
     is_rate_in_loop,
     is_torque_unknown,
     momentum_model,
     rate_sensor_model,
-    residual_deg_h2,
+    residual_torque_n_m,
 )
 from service.pipeline.inputs.polarization import polarimeter_models, used_polarimeters
 from service.records.calibration import Alignment, Calibration, CalibrationResult
@@ -80,7 +80,6 @@ class RobustModel:
     inertia_kg_m2: tuple[float, float, float] | None
     #: (W, 3) spin axes of the wheels, x roll, y pitch, z yaw; None while no spacecraft is known
     wheel_axes: FloatArray | None
-    is_yaw_controllable: bool
     #: whether the catalogue does not state the size of the torque that is not fed forward
     is_torque_unknown: bool
     #: advice about measured motion that the filter would use if the turns did not contradict it
@@ -138,7 +137,7 @@ def robust_model(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(carriers, grown_db),
         settings=settings,
-        limits=_limits(config.interlock, config.robust, settings, spacecraft),
+        limits=_limits(config.interlock, config.robust),
         response=centred_response(arrays.response, groups),
         orders=subset_orders(len(carrier_ids), _SUBSETS),
         level=ExpectedLevel(arrays, fit, ephemeris),
@@ -150,7 +149,6 @@ def robust_model(
         is_used=is_used,
         is_referenced=np.isfinite(offset_db),
         groups=groups,
-        is_yaw_controllable=calibration.is_yaw_controllable,
         inertia_kg_m2=None if spacecraft is None else angle_inertia_kg_m2(spacecraft),
         wheel_axes=None if spacecraft is None else np.array(spacecraft.wheels.axes),
         is_torque_unknown=is_torque_unknown(spacecraft),
@@ -266,6 +264,10 @@ def _filter_settings(
     """
     is_coupled = True if spacecraft is None else spacecraft.onboard.roll_yaw_coupling
     unknown_per_h = _ORBITAL_RATE_PER_H if is_coupled is None else 0.0
+    momentum = momentum_model(spacecraft, calibration, aligned_us)
+    # where the momentum of the wheels tells a torque, none is none
+    least_n_m = config.least_stated_torque_n_m if momentum is None else 0.0
+    residual_n_m = residual_torque_n_m(spacecraft, config.unknown_torque_n_m, least_n_m)
     return FilterSettings(
         coupling_per_h=_ORBITAL_RATE_PER_H if is_coupled else 0.0,
         drift_deg_h=(
@@ -277,25 +279,21 @@ def _filter_settings(
         correction_scale=config.correction_scale_error,
         torque_scale=config.torque_scale_error,
         chain_walk_db=config.chain_walk_db_sqrt_h,
-        torque_deg_h2=residual_deg_h2(spacecraft, config.unknown_torque_n_m),
+        torque_deg_h2=axis_accelerations_deg_h2(spacecraft, residual_n_m),
+        unknown_torque_deg_h2=axis_accelerations_deg_h2(spacecraft, config.unknown_torque_n_m),
         torque_constant_share=constant_share(spacecraft),
         fed_forward=fed_forward(spacecraft),
-        momentum=momentum_model(spacecraft, calibration, aligned_us),
+        momentum=momentum,
         polarimeters=polarimeter_models(
             spacecraft, used_polarimeters(spacecraft, calibration.contradicted_polarimeters), calibration, aligned_us
         ),
     )
 
 
-def _limits(
-    interlock: InterlockConfig, config: RobustConfig, settings: FilterSettings, spacecraft: Spacecraft | None
-) -> IntegrityLimits:
+def _limits(interlock: InterlockConfig, config: RobustConfig) -> IntegrityLimits:
     """Return when control may use the attitude."""
-    pushed_deg = max(config.yaw_sigma_limit_deg, config.pushed_yaw_sigma_limit_deg)
-    if is_torque_unknown(spacecraft):
-        pushed_deg = max(pushed_deg, config.unknown_torque_yaw_sigma_limit_deg)
     return IntegrityLimits(
-        sigma_yaw_deg=pushed_deg if is_pushed(settings) else config.yaw_sigma_limit_deg,
+        sigma_yaw_deg=config.yaw_sigma_limit_deg,
         sigma_roll_deg=interlock.roll_sigma_limit_deg,
         sigma_pitch_deg=interlock.pitch_sigma_limit_deg,
         alert_deg=interlock.alert_limit_deg,

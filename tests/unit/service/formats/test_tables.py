@@ -380,7 +380,9 @@ def test_columns_of_attitude_are_those_of_the_contract() -> None:
     assert " ".join(column.name for column in ATTITUDE.columns) == (
         "epoch method yaw_deg roll_deg pitch_deg yaw_sigma_deg roll_sigma_deg pitch_sigma_deg control_allowed "
         "downlink_fade downlink_fade_db common_db carriers_used excluded status "
-        "yaw_protection_deg roll_protection_deg pitch_protection_deg lag_s"
+        "yaw_protection_deg roll_protection_deg pitch_protection_deg lag_s "
+        "yaw_nominal_protection_deg roll_nominal_protection_deg pitch_nominal_protection_deg "
+        "yaw_pushed_deg roll_pushed_deg pitch_pushed_deg"
     )
 
 

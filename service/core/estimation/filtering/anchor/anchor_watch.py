@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES, Branches, Mixture, solve_mixture
-from service.core.estimation.filtering.anchor.protection import protection_levels_deg
+from service.core.estimation.filtering.anchor.protection import SIGMAS_OF_RISK, protection_levels_deg
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, AnchorKernels
 from service.core.estimation.filtering.model.filter_model import (
@@ -73,6 +73,8 @@ class AnchorWatch(NamedTuple):
     #: (3,) deg, protection levels by the last answer, NaN = there is none, and sigma of the filter then
     level_deg: FloatArray
     sigma_deg: FloatArray
+    #: (3,) deg, the levels if nothing were wrong with any carrier
+    nominal_deg: FloatArray
     #: (N,) likeliest of `HYPOTHESES`, its probability, NaN before an answer, and since when it is, microseconds UTC
     hypothesis: IntArray
     probability: FloatArray
@@ -101,18 +103,19 @@ def calm_anchor(carriers: int, since_us: int) -> AnchorWatch:
         since_us,
         unknown,
         unknown,
+        unknown,
         likeliest,
         np.full(carriers, np.nan),
         likeliest + since_us,
     )
 
 
-def protection_now_deg(watch: AnchorWatch, epoch_us: int, sigma_deg: FloatArray) -> FloatArray:
-    """Return the protection levels (3,) of yaw, roll and pitch at an epoch, deg, NaN = not known."""
+def protection_now_deg(watch: AnchorWatch, epoch_us: int, sigma_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the protection levels (3,) at an epoch, and the nominal ones, deg, NaN = not known."""
     if epoch_us - watch.answered_us > _VALID_US:
-        return np.full(3, np.nan)
-    level_deg: FloatArray = watch.level_deg + _LEVEL_SIGMAS * np.maximum(sigma_deg - watch.sigma_deg, 0.0)
-    return level_deg
+        return np.full(3, np.nan), np.full(3, np.nan)
+    grown_deg: FloatArray = _LEVEL_SIGMAS * np.maximum(sigma_deg - watch.sigma_deg, 0.0)
+    return watch.level_deg + grown_deg, watch.nominal_deg + grown_deg
 
 
 def push_residuals(watch: AnchorWatch, residual_db: FloatArray, white_db2: FloatArray) -> AnchorWatch:
@@ -135,6 +138,7 @@ def push_residuals(watch: AnchorWatch, residual_db: FloatArray, white_db2: Float
         answered_us=watch.answered_us,
         level_deg=watch.level_deg,
         sigma_deg=watch.sigma_deg,
+        nominal_deg=watch.nominal_deg,
         hypothesis=watch.hypothesis,
         probability=watch.probability,
         hypothesis_since_us=watch.hypothesis_since_us,
@@ -185,22 +189,39 @@ def ask_anchor(
     gradient = pattern_change(model, state.mean[ATTITUDE]).gradient_db_deg
     # what is left of rain over the site stands in the bands as rain does, an error of the chain in all alike
     share = model.rain_share if is_raining else np.ones(model.carriers)
+    jacobian = np.column_stack([gradient, share])
+    residual_db = np.where(count >= min(_LEAST_ROWS, watch.minutes), mean_db, np.nan)
+    dry_db2 = _dry_variance_db2(model, carriers, (epoch_us - watch.since_us) / _HOUR_US)
+    dry_db2 += np.where(is_there, white, 0.0).sum(axis=0) / np.maximum(count, 1) ** 2
+    prior_sigma = np.append(np.hypot(ERROR_SIGMA_DEG, state.attitude_sigma_deg), _RAIN_DB if is_raining else _CHAIN_DB)
     mixture = solve_mixture(
-        np.column_stack([gradient, share]),
-        np.where(count >= min(_LEAST_ROWS, watch.minutes), mean_db, np.nan),
+        jacobian,
+        residual_db,
         _branches(
             carriers,
             state.mean[-model.carriers :],
-            _dry_variance_db2(model, carriers, (epoch_us - watch.since_us) / _HOUR_US)
-            + np.where(is_there, white, 0.0).sum(axis=0) / np.maximum(count, 1) ** 2,
+            dry_db2,
             np.full(model.carriers, np.nan) if reported_wet is None else reported_wet,
         ),
-        np.append(np.hypot(ERROR_SIGMA_DEG, state.attitude_sigma_deg), _RAIN_DB if is_raining else _CHAIN_DB),
+        prior_sigma,
         kernels,
     )
-    levels = protection_levels_deg(mixture, kernels=kernels)
-    watch = watch._replace(answered_us=epoch_us, level_deg=levels, sigma_deg=state.attitude_sigma_deg)
+    watch = watch._replace(
+        answered_us=epoch_us,
+        level_deg=protection_levels_deg(mixture, kernels=kernels),
+        sigma_deg=state.attitude_sigma_deg,
+        nominal_deg=_nominal_levels_deg(jacobian, np.isfinite(residual_db), dry_db2, prior_sigma),
+    )
     return _with_hypotheses(watch, mixture, np.isfinite(mean_db) & (count > 0), epoch_us), mixture
+
+
+def _nominal_levels_deg(
+    jacobian: FloatArray, is_there: BoolArray, dry_db2: FloatArray, prior_sigma: FloatArray
+) -> FloatArray:
+    """Return the protection levels (3,) if nothing were wrong with any carrier (N,) that is there."""
+    weighted = jacobian[is_there] / dry_db2[is_there, None]
+    precision = np.diag(prior_sigma**-2.0) + weighted.T @ jacobian[is_there]
+    return np.asarray(SIGMAS_OF_RISK * np.sqrt(np.diagonal(np.linalg.inv(precision))[:3]))
 
 
 def _with_hypotheses(watch: AnchorWatch, mixture: Mixture, is_there: BoolArray, epoch_us: int) -> AnchorWatch:
@@ -233,14 +254,16 @@ def is_contradicted(mixture: Mixture) -> bool:
     return bool(((error > _CONTRADICTION_SIGMAS * mixture.sigma_deg) & (error > _CONTRADICTION_DEG)).any())
 
 
-def moved_anchor(model: CarrierModel, watch: AnchorWatch, attitude_deg: FloatArray, mixture: Mixture) -> AnchorWatch:
-    """Return the watch of a filter whose attitude (3,) is moved by the error that the anchor found."""
+def moved_anchor(
+    model: CarrierModel, watch: AnchorWatch, attitude_deg: FloatArray, sigma_deg: FloatArray, mixture: Mixture
+) -> AnchorWatch:
+    """Return the watch of a filter whose attitude (3,) is moved by the error that was found, with its sigma (3,)."""
     gradient = pattern_change(model, attitude_deg).gradient_db_deg
     left = mixture._replace(mean_deg=mixture.mean_deg - mixture.error_deg)
     return watch._replace(
         residuals_db=watch.residuals_db - gradient @ mixture.error_deg,
         level_deg=protection_levels_deg(left),
-        sigma_deg=np.array(ERROR_SIGMA_DEG),
+        sigma_deg=sigma_deg,
     )
 
 

@@ -14,6 +14,8 @@ from service.core.estimation.filtering.model.filter_model import FloatArray
 
 #: probability with which the error of a row may pass the level
 RISK = 1e-4
+#: sigmas that a normal error passes with it, on either side
+SIGMAS_OF_RISK = 3.891
 
 
 def protection_levels_deg(mixture: Mixture, risk: float = RISK, kernels: AnchorKernels = ARRAYS) -> FloatArray:

@@ -161,6 +161,8 @@ class FilterSettings(NamedTuple):
     unannounced_walk_deg: tuple[float, float, float] = (0.3, 0.15, 0.15)
     #: size of the torque that is not fed forward, as acceleration, deg/h^2, and how long what is learned of it holds, h
     torque_deg_h2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    #: size of a torque of which nothing is known; motion that nobody announced may be its work
+    unknown_torque_deg_h2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque_tau_h: float = 24_000.0
     #: the constant part of this torque, as a share of the whole; the rest is a wave
     torque_constant_share: float = 0.2

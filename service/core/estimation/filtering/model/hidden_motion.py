@@ -229,18 +229,21 @@ def with_wider_torque(gaussian: Gaussian, positions: slice, variance: FloatArray
 
 
 def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings, axes: BoolArray) -> Gaussian:
-    """Return the state whose torque about some axes (3,) may for a while have been some times what was stated."""
+    """Return the state whose torque about some axes (3,) may be greater than was stated."""
     # shares stand before the torques, other sensors behind them
     sensors = sensor_states(settings)
     shares = max(0, hidden_count(model, len(gaussian.mean)) - TORQUES - sensors)
     positions = torque_states(model, gaussian, shares, sensors)
     if positions is None:
         return gaussian
-    covariance, size = gaussian.covariance.copy(), torque_size_deg_h2(settings)
+    covariance = gaussian.covariance.copy()
+    size = np.maximum(_DOUBT * torque_size_deg_h2(settings), settings.unknown_torque_deg_h2)
     for axis in np.flatnonzero(axes).tolist():
         together = np.array([RATE.start + axis, positions.start + axis])
-        gained = _DOUBT * size[axis] * np.array([_DOUBTED_H, 1.0])
+        gained = size[axis] * np.array([_DOUBTED_H, 1.0])
         covariance[np.ix_(together, together)] += np.multiply.outer(gained, gained)
+        wave = positions.start + 3 + axis, positions.start + 6 + axis
+        covariance[wave, wave] = np.maximum(covariance[wave, wave], 0.5 * settings.unknown_torque_deg_h2[axis] ** 2)
     return Gaussian(gaussian.mean, covariance)
 
 

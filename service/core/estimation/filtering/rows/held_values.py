@@ -38,7 +38,7 @@ def held(value: Any) -> Any:
 def row_of_held(digest: str) -> Callable[..., Any]:
     """Return, to be compiled, `ordinary_row` of a model and a state that are held; it also returns a handle after it.
 
-    What records of other sensors change of a state, Gaussian and drift, is given beside it, like the watch on commands.
+    What changes of a state between rows, Gaussian, drift and figures, is given beside it, like the watch on commands.
     The digest of the sources counts among the marks of kept machine code. Arguments are named one by one: in a tuple
     of all a handle would have the types of the others found out in Python, at every call.
     """
@@ -48,6 +48,7 @@ def row_of_held(digest: str) -> Callable[..., Any]:
         state: Any,
         gaussian: Any,
         drift: Any,
+        beyond_until_us: Any,
         step: Any,
         command: Any,
         drift_deg_h: Any,
@@ -69,6 +70,7 @@ def row_of_held(digest: str) -> Callable[..., Any]:
             kept.anchor,
             drift,
             command,
+            beyond_until_us,
         )
         row = ordinary_row(model.value, sensed, step, command, drift_deg_h, deviation_db, present)
         return row, Held(row.state)

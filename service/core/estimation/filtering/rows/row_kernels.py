@@ -158,7 +158,8 @@ class _HeldRows:
         is_newest = found is not None and _is_followed(found[2], state)
         held_state = found[3] if found is not None and is_newest else self._hold_state(state)
         row: row_stages.OrdinaryRow
-        row, handle = self._taken(held_model, held_state, state.gaussian, state.drift, step, *rest)
+        changed = state.gaussian, state.drift, state.beyond_until_us
+        row, handle = self._taken(held_model, held_state, *changed, step, *rest)
         if found is None and len(self._kept) >= _MOST_MODELS:
             self._kept.clear()
         self._kept[id(model)] = model, held_model, row.state, handle
@@ -169,7 +170,9 @@ def _is_followed(held: FilterState, state: FilterState) -> bool:
     """Return whether a state is the one held, but for what is given beside it."""
     if held is state:
         return True
-    given = state._replace(gaussian=held.gaussian, drift=held.drift, command=held.command)
+    given = state._replace(
+        gaussian=held.gaussian, drift=held.drift, command=held.command, beyond_until_us=held.beyond_until_us
+    )
     return all(map(operator.is_, given, held))
 
 

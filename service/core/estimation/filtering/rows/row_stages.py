@@ -222,6 +222,7 @@ def state_ahead(
         state.anchor,
         state.drift,
         command,
+        state.beyond_until_us,
     )
 
 
@@ -260,6 +261,7 @@ def ordinary_row(
         closed.anchor,
         closed.drift,
         used.command,
+        ahead.beyond_until_us,
     )
     is_ordinary = screened.suspicion == NOTHING and not (used.is_moving or used.is_doubted or used.is_failed)
     innovation_db = np.full(len(deviation_db), np.nan)

@@ -25,7 +25,7 @@ from service.core.estimation.filtering.model.filter_model import (
 )
 from service.core.estimation.filtering.model.filter_state import CHAIN
 from service.core.estimation.filtering.model.hidden_motion import with_doubted_torque
-from service.core.estimation.filtering.model.torque_prior import is_pushed
+from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_size_deg_h2
 from service.core.estimation.filtering.rows.row_stages import (
     ClosedRow,
     OrdinaryRow,
@@ -37,13 +37,16 @@ from service.core.estimation.filtering.rows.row_stages import (
 )
 from service.core.estimation.filtering.watches.command_watch import (
     judge_commands,
+    likelier_share,
     push_row,
+    without_evidence,
 )
 from service.core.estimation.filtering.watches.minute_sums import empty_minute
 from service.core.estimation.filtering.watches.motion_watch import (
     follow_all,
     newly_explained,
     with_alarms,
+    with_explained,
 )
 
 
@@ -147,13 +150,24 @@ def _with_findings(
 ) -> UsedRow:
     """Return the used row after what it found: motion of its own, commands that are not obeyed, failed carriers."""
     gaussian, motion, command = used.gaussian, used.motion, used.command
+    # a torque that was called small, about a spacecraft that is turned by torques, explains motion as one that was not
+    is_small = torque_size_deg_h2(settings) < np.array(settings.unknown_torque_deg_h2)
+    is_explained = is_pushed(settings) and (not is_small.any() or command.is_by_torque)
+    unproven = is_small & is_explained & (not motion.alarms.any())
     if used.is_moving:
-        motion = with_alarms(motion, is_pushed=is_pushed(settings))
+        motion = with_alarms(motion, is_pushed=is_explained)
         axes = newly_explained(freed.motion, motion)
-        if is_pushed(settings) and axes.any():
-            gaussian = with_doubted_torque(model, gaussian, settings, axes)
+        if is_explained and axes.any():
+            # what is wrong about one axis is so about all
+            axes, unproven = axes | unproven, unproven & False
+            gaussian, command = with_doubted_torque(model, gaussian, settings, axes), without_evidence(command)
         command = push_row(model, command, used.kept, gaussian.covariance, is_shared=False)
     if used.degrees:
+        share = likelier_share(command) if unproven.any() else None
+        if share is not None and share >= 0.0:
+            # a torque explains as much as a command that is not obeyed, and is the likelier; not so a reversed one
+            motion = with_explained(motion, unproven)
+            gaussian, command = with_doubted_torque(model, gaussian, settings, unproven), without_evidence(command)
         command, gaussian = judge_commands(command, gaussian)
     gaussian, carriers = flag_failed(model, gaussian, used.carriers, ahead.gaussian)
     return used._replace(gaussian=gaussian, motion=motion, command=command, carriers=carriers)

@@ -66,6 +66,8 @@ class CommandWatch(NamedTuple):
     share: float
     #: minutes for which control is still warned that commands are doubted
     minutes_left: float
+    #: whether torques were commanded, not corrections of angles alone
+    is_by_torque: bool = False
 
     @property
     def is_doubted(self) -> bool:
@@ -76,6 +78,11 @@ class CommandWatch(NamedTuple):
 def executed_commands() -> CommandWatch:
     """Return the watch of a spacecraft that does what it is told."""
     return CommandWatch(np.empty((0, 2)), np.zeros(2), np.zeros((2, 2)), 1.0, 0.0)
+
+
+def without_evidence(watch: CommandWatch) -> CommandWatch:
+    """Return the watch after something else was found that may have moved what was seen."""
+    return watch._replace(score=np.zeros(2), information=np.zeros((2, 2)))
 
 
 def doubting_settings(settings: FilterSettings, watch: CommandWatch) -> FilterSettings:
@@ -134,7 +141,8 @@ def pass_commands(
     is_commanded = known is not no_motion() and bool(known.correction_deg.any() or known.rate_change_deg_h.any())
     if not is_commanded and _is_quiet(watch, size):
         return watch
-    watch = watch._replace(minutes_left=left, share=watch.share if left > 0.0 else 1.0)
+    is_by_torque = watch.is_by_torque or bool(known.rate_change_deg_h.any())
+    watch = watch._replace(minutes_left=left, share=watch.share if left > 0.0 else 1.0, is_by_torque=is_by_torque)
     if len(watch.sensitivity) != size:
         watch = watch._replace(sensitivity=np.zeros((size, 2)))
         if not is_commanded:
@@ -209,10 +217,11 @@ def push_row(
     removed = covariance @ spread
     left = sensitivity - removed
     if is_shared:
-        return CommandWatch(left, watch.score, watch.information, watch.share, watch.minutes_left)
+        return CommandWatch(left, watch.score, watch.information, watch.share, watch.minutes_left, watch.is_by_torque)
     whitened = (expected_db - _seen(model, used, removed)) / used.white_db2.reshape(-1, 1)
     score = watch.score + whitened.T @ used.innovation_db
-    return CommandWatch(left, score, watch.information + whitened.T @ expected_db, watch.share, watch.minutes_left)
+    information = watch.information + whitened.T @ expected_db
+    return CommandWatch(left, score, information, watch.share, watch.minutes_left, watch.is_by_torque)
 
 
 def _seen(model: CarrierModel, used: Innovation, change: FloatArray) -> FloatArray:
@@ -291,7 +300,9 @@ def judge_commands(watch: CommandWatch, state: Gaussian) -> tuple[CommandWatch, 
     if share is None:
         return watch, state
     change = watch.sensitivity[:, 0]
-    nothing = executed_commands()._replace(sensitivity=np.zeros_like(watch.sensitivity))
+    nothing = executed_commands()._replace(
+        sensitivity=np.zeros_like(watch.sensitivity), is_by_torque=watch.is_by_torque
+    )
     if abs(share - watch.share) * float(np.abs(change[ATTITUDE]).max()) > _MOST_DEG:
         return nothing._replace(share=watch.share, minutes_left=DOUBTED_MINUTES), state
     moved = state.mean + (share - watch.share) * change

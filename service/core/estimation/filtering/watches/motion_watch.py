@@ -42,6 +42,8 @@ class MotionWatch(NamedTuple):
     reported_minutes: FloatArray
     #: (3,) alarms of each axis since it was last still
     alarms: FloatArray
+    #: minutes for which a jump of all axes together is still reported
+    jump_minutes: float = 0.0
 
     @property
     def is_followed(self) -> tuple[bool, bool, bool]:
@@ -65,7 +67,7 @@ def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray) -> MotionWa
     """Return the watch with the shifts (3,) of one row, in sigmas."""
     sums, is_over, values = push_minute(watch.minute, epoch_us, shift)
     cusum = push_cusum(watch.cusum, values) if is_over else watch.cusum
-    return MotionWatch(sums, cusum, watch.minutes_left, watch.reported_minutes, watch.alarms)
+    return MotionWatch(sums, cusum, watch.minutes_left, watch.reported_minutes, watch.alarms, watch.jump_minutes)
 
 
 def alarmed_axes(watch: MotionWatch) -> BoolArray:
@@ -85,7 +87,15 @@ def with_alarms(watch: MotionWatch, *, is_pushed: bool) -> MotionWatch:
             [alarms < _EXPLAINED_ALARMS, alarms == _EXPLAINED_ALARMS], [0.0, EXPLAINED_MINUTES], minutes
         )
     reported = np.where(is_alarm, np.maximum(minutes, watch.reported_minutes), watch.reported_minutes)
-    return MotionWatch(watch.minute, reset_cusum(watch.cusum, is_alarm), left, reported, alarms)
+    return watch._replace(
+        cusum=reset_cusum(watch.cusum, is_alarm), minutes_left=left, reported_minutes=reported, alarms=alarms
+    )
+
+
+def with_explained(watch: MotionWatch, axes: BoolArray) -> MotionWatch:
+    """Return the watch after motion about some axes (3,) that a torque is to explain."""
+    left = np.where(axes, FOLLOWED_MINUTES, watch.minutes_left)
+    return watch._replace(cusum=reset_cusum(watch.cusum, axes), minutes_left=left, alarms=watch.alarms + axes)
 
 
 def newly_explained(before: MotionWatch, after: MotionWatch) -> BoolArray:
@@ -95,14 +105,14 @@ def newly_explained(before: MotionWatch, after: MotionWatch) -> BoolArray:
 
 def forget_shifts(watch: MotionWatch, epoch_us: int) -> MotionWatch:
     """Return the watch with sums of nothing: what moved the row is known and was no motion."""
-    left, reported = watch.minutes_left, watch.reported_minutes
-    return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), left, reported, watch.alarms)
+    minutes = watch.minutes_left, watch.reported_minutes
+    return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), *minutes, watch.alarms, watch.jump_minutes)
 
 
 def follow_all(watch: MotionWatch) -> MotionWatch:
     """Return the watch of a spacecraft that has jumped: all axes are followed, and no torque explains it."""
     left, alarms = np.full(3, FOLLOWED_MINUTES), watch.alarms + _EXPLAINED_ALARMS
-    return watch._replace(cusum=quiet_cusum(3), minutes_left=left, reported_minutes=left, alarms=alarms)
+    return MotionWatch(watch.minute, quiet_cusum(3), left, left, alarms, FOLLOWED_MINUTES)
 
 
 def pass_motion(watch: MotionWatch, minutes: float) -> MotionWatch:
@@ -111,4 +121,5 @@ def pass_motion(watch: MotionWatch, minutes: float) -> MotionWatch:
         return watch
     left = np.maximum(0.0, watch.minutes_left - minutes)
     reported = np.maximum(0.0, watch.reported_minutes - minutes)
-    return MotionWatch(watch.minute, watch.cusum, left, reported, np.where(left > 0.0, watch.alarms, 0.0))
+    alarms = np.where(left > 0.0, watch.alarms, 0.0)
+    return MotionWatch(watch.minute, watch.cusum, left, reported, alarms, max(0.0, watch.jump_minutes - minutes))

@@ -30,7 +30,7 @@ def condition(code: str, limit: float, **changes: Any) -> dict[str, Any]:
 
 
 NOTHING_OWED: dict[str, list[int]] = {"open_commands": [], "unreported_commands": []}
-CONDITIONS = [condition("yaw_beyond", 0.4), condition("beyond_validity", 0.4), condition("protection_level", 0.22)]
+CONDITIONS = [condition("beyond_validity", 2.0), condition("protection_level", 0.22)]
 
 
 def alarm(number: int = 1, **changes: Any) -> dict[str, Any]:
@@ -75,7 +75,8 @@ class FakeService:
         self.alarms = [alarm()]
         self.rows = {"robust": attitude(), "paper": attitude("paper")}
         self.command_document = command()
-        self.control_document = {"state": "TRIPPED", "since": NOW, "conditions": CONDITIONS, **NOTHING_OWED}
+        limits = {"angle_limit_deg": 0.4, "conditions": CONDITIONS}
+        self.control_document = {"state": "TRIPPED", "since": NOW, **limits, **NOTHING_OWED}
 
     def spacecraft(self, name: str) -> Any:
         return {"id": name, "simulated": True}

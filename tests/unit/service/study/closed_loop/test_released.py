@@ -279,7 +279,7 @@ def test_a_flight_comes_back_as_it_was_kept(tmp_path):
     assert not list((tmp_path / "new").glob("*.half"))
 
 
-@pytest.mark.parametrize("changes", [{"operation_days": 1.0}, {"yaw_sigma_deg": 0.2}, {"drift_deg_h": None}])
+@pytest.mark.parametrize("changes", [{"operation_days": 1.0}, {"uplink": "ideal"}, {"drift_deg_h": None}])
 def test_a_unit_of_another_setting_is_not_there(tmp_path, changes):
     keep(tmp_path, LoopResult(UNIT, 1.0, "no calibration"))
     assert kept(tmp_path, UNIT._replace(**changes)) is None

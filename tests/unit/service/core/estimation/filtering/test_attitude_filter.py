@@ -357,7 +357,8 @@ def mixture(likeliest=("dry", "dry", "learned", "rain", "dry", "dry")):
 def test_the_attitude_moves_by_the_error_and_is_free(few, state):
     after = start_again(few, state, mixture()).gaussian
     np.testing.assert_allclose(after.mean[ATTITUDE], state.gaussian.mean[ATTITUDE] + ERROR_DEG)
-    np.testing.assert_allclose(after.covariance[ATTITUDE, ATTITUDE], np.diag(np.square(ERROR_SIGMA_DEG)))
+    sigma_deg = np.hypot(ERROR_SIGMA_DEG, state.gaussian.attitude_sigma_deg)
+    np.testing.assert_allclose(after.covariance[ATTITUDE, ATTITUDE], np.diag(sigma_deg**2))
     assert not after.covariance[ATTITUDE, 3:].any()
     np.testing.assert_array_equal(after.mean[DRIFT], state.gaussian.mean[DRIFT])
 

@@ -467,7 +467,7 @@ def test_what_cannot_be_read_is_not_judged():
     verdict = control_verdict(None, GOOD)
     found = {each.code: each for each in control_conditions(None, GOOD, verdict, InterlockConfig())}
     assert found["release_unreadable"].is_met is False
-    assert (found["stop"].is_met, found["sigma_roll"].value, found["good_minutes"].limit) == (None, None, None)
+    assert (found["stop"].is_met, found["sigma_roll"].value, found["good_minutes"].limit) == (None, 0.02, None)
     assert found["downlink_fade"].is_met
 
 
@@ -483,8 +483,8 @@ def test_values_stand_beside_their_limits():
     assert told["sigma_pitch"] == (0.03, 0.10, "greatest", "deg")
     assert told["redundancy"] == (9, 2, "least", "")
     assert told["ephemeris"] == (7 * 3600.0, 6 * 3600.0, "least", "s")
-    assert told["hand_over"] == (0.3, 0.6, "greatest", "deg")
-    assert told["beyond_validity"] == (0.3, 0.4, "greatest", "deg")
+    assert told["hand_over"] == (0.3, 2.0, "greatest", "deg")
+    assert told["beyond_validity"] == (0.3, 2.0, "greatest", "deg")
     assert told["protection_level"] == (0.3, 0.25, "greatest", "deg")
     assert told["momentum"] == (pytest.approx(50.0), 80.0, "greatest", "%")
     assert told["innovation"] == (0.0, 1800.0, "greatest", "s")
@@ -547,7 +547,7 @@ def test_angles_that_are_not_numbers_have_no_value():
 
 def test_limits_hold_before_the_first_row_and_an_ephemeris_is_not_counted_from_a_clock_that_has_no_time():
     found = {each.code: each for each in control_conditions(None, None, control_verdict(None, None), InterlockConfig())}
-    limits = (InterlockConfig().validity_limit_deg, InterlockConfig().alert_limit_deg)
+    limits = (InterlockConfig().robust_range_deg, InterlockConfig().alert_limit_deg)
     assert (found["beyond_validity"].limit, found["protection_level"].limit) == limits
     assert (found["beyond_validity"].value, found["protection_level"].value) == (None, None)
     inputs = InterlockInputs(ephemeris_stop_us=1_800_000_000 * US)

@@ -375,6 +375,8 @@ def test_a_twentieth_too_little_fed_forward_is_learned_about_pitch_and_known_abo
     assert unshaped.chain._runners[0].disturbance().sigma_n_m.yaw > announced.sigma_n_m.yaw
 
 
-def test_without_a_statement_no_disturbance_is_told(flight):
+def test_a_torque_that_was_called_none_is_told_as_none(flight):
     flown(flight, {}, last=3)
-    assert flight.chain._runners[0].disturbance() is None
+    told = flight.chain._runners[0].disturbance()
+    assert np.abs([told.constant_n_m, told.cosine_n_m, told.sine_n_m]).max() < 1e-10
+    assert max(told.sigma_n_m) <= 1e-8

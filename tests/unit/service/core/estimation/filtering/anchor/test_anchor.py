@@ -90,8 +90,11 @@ def test_the_level_grows_with_sigma_and_ends_after_half_an_hour(model):
     watch, _ = run(model, 20)
     sigma = filter_models.aligned(model).attitude_sigma_deg
     now = 20 * MINUTE_US
-    np.testing.assert_array_equal(protection_now_deg(watch, now, 0.5 * sigma), watch.level_deg)
-    np.testing.assert_allclose(protection_now_deg(watch, now, sigma + 0.01), watch.level_deg + 0.04)
+    both = np.array([watch.level_deg, watch.nominal_deg])
+    np.testing.assert_array_equal(protection_now_deg(watch, now, 0.5 * sigma), both)
+    np.testing.assert_allclose(protection_now_deg(watch, now, sigma + 0.01), both + 0.04)
+    # with every carrier dry little is left of the hypotheses but their priors
+    assert ((both[1] < both[0]) & (both[0] < 3.0 * both[1])).all()
     assert np.isfinite(protection_now_deg(watch, now + 30 * MINUTE_US, sigma)).all()
     assert np.isnan(protection_now_deg(watch, now + 30 * MINUTE_US + 1, sigma)).all()
     assert np.isnan(protection_now_deg(calm_anchor(12, 0), MINUTE_US, sigma)).all()

@@ -24,7 +24,7 @@ from service.core.estimation.filtering.watches.command_watch import (
     pass_commands,
     push_row,
 )
-from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess
+from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess, good_figures
 from service.core.estimation.filtering.watches.noise_watch import SLOW_LIMITS, calm_watch, push_values
 from service.core.estimation.filtering.watches.polarimeter_watch import (
     AngleBlock,
@@ -357,12 +357,18 @@ def test_absent_carriers_teach_nothing():
     assert (watch.white_scale == 1.0).all()
 
 
-SIGMA, LEVEL = np.array([0.09, 0.01, 0.02]), np.array([0.4, 0.08, 0.12])
-CALM = IntegrityInputs(SIGMA, LEVEL, 16, False, False, 1.0, (False, False, False), 0, 16)
+SIGMA, LEVEL, STILL = np.array([0.09, 0.01, 0.02]), np.array([0.4, 0.08, 0.12]), np.array([0.1, 0.1, 0.1])
+CALM = IntegrityInputs(0, SIGMA, LEVEL, LEVEL, STILL, 16, False, False, 1.0, (False, False, False), 0, 16)
+#: a torque turns yaw and pitch
+PUSHED = CALM._replace(pushed_deg=np.array([0.9, 0.1, 0.11]))
+
+
+def judged(evidence):
+    return assess(evidence, IntegrityLimits(), good_figures())[0]
 
 
 def test_a_calm_row_allows_all_axes():
-    verdict = assess(CALM, IntegrityLimits())
+    verdict = judged(CALM)
     assert verdict.is_control_allowed
     assert verdict.is_axis_allowed == (True, True, True)
     assert verdict.reasons == ()
@@ -374,8 +380,8 @@ def test_a_calm_row_allows_all_axes():
     [
         ({"is_raining": True}, "downlink_fade"),
         ({"is_chain_held": True}, "chain_step"),
-        ({"sigma_deg": np.array([0.09, 0.06, 0.02])}, "sigma_roll"),
-        ({"sigma_deg": np.array([0.09, 0.01, 0.1])}, "sigma_pitch"),
+        ({"sigma_deg": np.array([0.09, 0.061, 0.02])}, "sigma_roll"),
+        ({"sigma_deg": np.array([0.09, 0.01, 0.101])}, "sigma_pitch"),
         ({"sigma_deg": np.array([0.09, 0.01, np.nan])}, "sigma_pitch"),
         ({"protection_deg": np.array([0.4, 0.08, 0.23])}, "protection_level"),
         ({"protection_deg": np.array([0.4, 0.23, 0.12])}, "protection_level"),
@@ -384,23 +390,66 @@ def test_a_calm_row_allows_all_axes():
         ({"nis_ratio": 2.1}, "innovations"),
         ({"is_unannounced": (False, True, False)}, "unannounced_motion"),
         ({"is_command_doubted": True}, "unannounced_motion"),
+        ({"has_jumped": True}, "unannounced_motion"),
     ],
 )
 def test_each_condition_withholds_control_and_says_so(change, reason):
-    verdict = assess(CALM._replace(**change), IntegrityLimits())
+    verdict = judged(CALM._replace(**change))
     assert verdict.reasons == (reason,)
     assert verdict.is_axis_allowed == (False, False, False)
+
+
+LESS_CERTAIN = [
+    {"sigma_deg": np.array([0.5, 0.2, 0.3])},
+    {"protection_deg": np.array([0.4, 0.08, 0.23]), "nominal_deg": np.array([0.4, 0.08, 0.16])},
+    {"is_unannounced": (True, True, True)},
+]
+WRONG_IN_KIND = [
+    {"is_raining": True},
+    {"is_chain_held": True},
+    {"protection_deg": np.array([0.4, 0.08, 0.25]), "nominal_deg": np.array([0.4, 0.08, 0.16])},
+    {"protection_deg": np.array([0.4, np.nan, 0.12])},
+    {"carriers_used": 5},
+    {"nis_ratio": 2.1},
+    {"is_command_doubted": True},
+    {"has_jumped": True},
+]
+
+
+@pytest.mark.parametrize("change", LESS_CERTAIN)
+def test_less_certain_is_used_where_something_is_lost_by_waiting(change):
+    assert judged(PUSHED._replace(**change)).is_axis_allowed == (True, True, True)
+
+
+@pytest.mark.parametrize("change", WRONG_IN_KIND)
+def test_wrong_in_kind_is_not_used_whatever_is_lost(change):
+    assert judged(PUSHED._replace(**change)).is_axis_allowed == (False, False, False)
+
+
+def test_a_figure_that_passed_its_limit_inhibits_for_ten_minutes():
+    def of_levels(levels_deg):
+        until, allowed = good_figures(), []
+        for minute, level in enumerate(levels_deg):
+            row = CALM._replace(epoch_us=minute * MINUTE_US, protection_deg=np.array([0.4, 0.08, level]))
+            verdict, until = assess(row, IntegrityLimits(), until)
+            allowed.append(verdict.is_control_allowed)
+        return allowed
+
+    assert of_levels([0.21, 0.23, *[0.17] * 12]) == [True] + [False] * 10 + [True] * 3
+    # what flickers about its limit changes once
+    assert of_levels([0.23, 0.21] * 20) == [False] * 40
 
 
 @pytest.mark.parametrize(
     "change", [{"sigma_deg": np.array([0.14, 0.01, 0.02])}, {"is_unannounced": (True, False, False)}]
 )
 def test_yaw_alone_may_be_withheld(change):
-    verdict = assess(CALM._replace(**change), IntegrityLimits())
+    verdict = judged(CALM._replace(**change))
     assert verdict.is_control_allowed
     assert verdict.is_axis_allowed == (False, True, True)
+    assert judged(PUSHED._replace(**change)).is_axis_allowed == (True, True, True)
 
 
 def test_a_third_of_the_references_learned_anew_advises_an_alignment():
-    assert not assess(CALM._replace(relearned=5), IntegrityLimits()).is_realignment_advised
-    assert assess(CALM._replace(relearned=6), IntegrityLimits()).is_realignment_advised
+    assert not judged(CALM._replace(relearned=5)).is_realignment_advised
+    assert judged(CALM._replace(relearned=6)).is_realignment_advised
