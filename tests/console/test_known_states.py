@@ -64,7 +64,7 @@ def stopped(ground: ReleaseGround) -> None:
     ground.post("/control:stop")
 
 
-def roll_beyond(ground: ReleaseGround) -> None:
+def roll_drift(ground: ReleaseGround) -> None:
     """Let roll drift to half a degree."""
     armed(ground)
     drift = np.zeros((30, 3))
@@ -115,7 +115,7 @@ STATES: dict[str, tuple[Callable[[ReleaseGround], None], str]] = {
     "h": (uplink_fade, "torques may go"),
     "i": (no_calibration, "no calibration"),
     "j": (operation, "a declared operation forbids torques"),
-    "k": (roll_beyond, "roll or pitch beyond"),
+    "k": (roll_drift, "roll or pitch moves without"),
 }
 CRAFTS = (record("yamal-202"), *(record(f"sat-{name}") for name in (*STATES, "m") if name != "i"))
 

@@ -264,7 +264,7 @@ def _filter_settings(
     """
     is_coupled = True if spacecraft is None else spacecraft.onboard.roll_yaw_coupling
     unknown_per_h = _ORBITAL_RATE_PER_H if is_coupled is None else 0.0
-    momentum = momentum_model(spacecraft, calibration, aligned_us)
+    momentum, fed = momentum_model(spacecraft, calibration, aligned_us), fed_forward(spacecraft)
     # where the momentum of the wheels tells a torque, none is none
     least_n_m = config.least_stated_torque_n_m if momentum is None else 0.0
     residual_n_m = residual_torque_n_m(spacecraft, config.unknown_torque_n_m, least_n_m)
@@ -280,9 +280,10 @@ def _filter_settings(
         torque_scale=config.torque_scale_error,
         chain_walk_db=config.chain_walk_db_sqrt_h,
         torque_deg_h2=axis_accelerations_deg_h2(spacecraft, residual_n_m),
-        unknown_torque_deg_h2=axis_accelerations_deg_h2(spacecraft, config.unknown_torque_n_m),
+        # a profile that is fed forward has an error of its own, which is known
+        unknown_torque_deg_h2=axis_accelerations_deg_h2(spacecraft, config.unknown_torque_n_m if fed is None else 0.0),
         torque_constant_share=constant_share(spacecraft),
-        fed_forward=fed_forward(spacecraft),
+        fed_forward=fed,
         momentum=momentum,
         polarimeters=polarimeter_models(
             spacecraft, used_polarimeters(spacecraft, calibration.contradicted_polarimeters), calibration, aligned_us
