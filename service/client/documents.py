@@ -204,7 +204,7 @@ class Attitude(TypedDict):
     lag_s: float | None
     #: Protection level if nothing were wrong with any carrier; deg.
     nominal_protection_deg: Angles
-    #: Size that the angle gains within two hours by the torque that acts, two sigmas of it among it; deg.
+    #: Angle by which the torque that acts turns the axis within two hours: mean and two sigmas; deg.
     pushed_deg: Angles
     #: `live`, `smoothed`, or the replay that made the row.
     version: str

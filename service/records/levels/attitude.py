@@ -119,7 +119,7 @@ class AttitudeRow:
     ] = math.nan
     nominal_protection_deg: Annotated[Axes, "Protection level if nothing were wrong with any carrier."] = NO_ANGLES
     pushed_deg: Annotated[
-        Axes, "Size that the angle gains within two hours by the torque that acts, two sigmas of it among it."
+        Axes, "Angle by which the torque that acts turns the axis within two hours: mean and two sigmas."
     ] = NO_ANGLES
 
 

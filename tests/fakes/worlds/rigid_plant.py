@@ -25,7 +25,7 @@ _CENTRE_DEG, _WIDTH_DEG = np.array([0.3, 6.6]), np.array([6.0, 2.2])
 
 @dataclass(frozen=True)
 class Torque:
-    """What acts on the body from outside, N m; (3,) yaw, roll, pitch."""
+    """Torque on the body from outside, N m; (3,) yaw, roll, pitch."""
 
     constant: np.ndarray
     cosine: np.ndarray

@@ -21,7 +21,7 @@ BATCH = 240
 
 
 class Flight(NamedTuple):
-    """What was flown; T rows."""
+    """True angles of a flight and whether the ground steered; T rows."""
 
     #: (T, 3) deg
     truth_deg: np.ndarray
@@ -34,7 +34,7 @@ class Flight(NamedTuple):
 
 
 class Ground:
-    """What the operator's workstation does, over REST."""
+    """Operator's workstation of one spacecraft, over REST."""
 
     def __init__(self, client: httpx.Client, identifier: str) -> None:
         self.client, self.path, self.seq = client, f"/api/v1/spacecraft/{identifier}", 0
@@ -54,14 +54,14 @@ class Ground:
 
     def torque_of(self, epoch: datetime) -> np.ndarray | None:
         """Return the torque that follows from a row, None where control is not allowed."""
-        told = {}
+        command = {}
 
         def is_there() -> bool:
-            told.update(self.ask("GET", "/torques"))
-            return told.get("attitude_epoch") == stamp(epoch)
+            command.update(self.ask("GET", "/torques"))
+            return command.get("attitude_epoch") == stamp(epoch)
 
         wait_until(is_there)
-        return np.array([told[name] for name in TORQUES]) if told["control_allowed"] else None
+        return np.array([command[name] for name in TORQUES]) if command["control_allowed"] else None
 
 
 def stamp(epoch: datetime) -> str:

@@ -24,6 +24,7 @@ from service.core.estimation.filtering.model.filter_model import (
     KnownMotion,
 )
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
+from service.core.estimation.filtering.model.hidden_motion import pushed_deg
 from service.core.estimation.filtering.model.step_inputs import StepInputs, step_inputs
 from service.core.estimation.filtering.new_start import start_again
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, RowKernels
@@ -41,7 +42,6 @@ from service.core.estimation.filtering.watches.command_watch import (
 )
 from service.core.estimation.filtering.watches.drift_watch import scaled_settings
 from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess
-from service.core.estimation.filtering.watches.pushed_motion import pushed_deg
 
 __all__ = ["MIN_CARRIERS", "FilterState", "FilterStep", "start", "step"]
 

@@ -159,7 +159,7 @@ def _with_findings(
         axes = newly_explained(freed.motion, motion)
         if is_explained and axes.any():
             # what is wrong about one axis is so about all
-            axes, unproven = axes | unproven, unproven & False
+            axes, unproven = axes | unproven, np.zeros(3, dtype=np.bool_)
             gaussian, command = with_doubted_torque(model, gaussian, settings, axes), without_evidence(command)
         command = push_row(model, command, used.kept, gaussian.covariance, is_shared=False)
     if used.degrees:

@@ -14,6 +14,7 @@ from service.core.estimation.filtering.model.hidden_motion import (
     dropped,
     hidden_transition,
     inserted,
+    pushed_deg,
     torque_states,
     with_doubted_torque,
 )
@@ -88,6 +89,24 @@ def test_the_torque_has_the_stated_size_at_every_hour(model, hour):
     now = np.kron([1.0, np.cos(phase), np.sin(phase)], np.eye(3))
     variance = np.diag(now @ state.covariance[positions, positions] @ now.T)
     np.testing.assert_allclose(np.sqrt(variance), PUSHED.torque_deg_h2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shares", [0, 1])
+def test_waiting_two_hours_costs_what_the_torque_turns(model, shares):
+    settings = PUSHED._replace(coupling_per_h=0.0)
+    state = aligned(model, settings)
+    state = inserted(state, core_size(model), np.eye(shares))
+    torque = torque_states(model, state, shares)
+    known = np.zeros_like(state.covariance)
+    state.mean[torque.start + 2] = -0.1
+    state.mean[:9] = 1.0
+    # half of the acceleration by the square of the hours, whatever angles and rates are
+    found = pushed_deg(model, settings, state._replace(covariance=known), 0)
+    np.testing.assert_allclose(found, [0.0, 0.0, 0.2], atol=1e-12)
+    known[torque.start, torque.start] = 0.05**2
+    found = pushed_deg(model, settings, state._replace(covariance=known), 0)
+    np.testing.assert_allclose(found, [0.2, 0.0, 0.2], atol=1e-12)
+    np.testing.assert_array_equal(pushed_deg(model, CALM, state, 0), ZEROS)
 
 
 def test_what_is_learned_holds_for_weeks(model):
