@@ -36,8 +36,8 @@ from service.core.estimation.filtering.rows.row_stages import (
     use_row,
 )
 from service.core.estimation.filtering.watches.command_watch import (
+    is_share_likelier,
     judge_commands,
-    likelier_share,
     push_row,
     without_evidence,
 )
@@ -163,9 +163,8 @@ def _with_findings(
             gaussian, command = with_doubted_torque(model, gaussian, settings, axes), without_evidence(command)
         command = push_row(model, command, used.kept, gaussian.covariance, is_shared=False)
     if used.degrees:
-        share = likelier_share(command) if unproven.any() else None
-        if share is not None and share >= 0.0:
-            # a torque explains as much as a command that is not obeyed, and is the likelier; not so a reversed one
+        if unproven.any() and is_share_likelier(command):
+            # a torque explains as much as a command that is not obeyed, and is the likelier
             motion = with_explained(motion, unproven)
             gaussian, command = with_doubted_torque(model, gaussian, settings, unproven), without_evidence(command)
         command, gaussian = judge_commands(command, gaussian)

@@ -19,14 +19,14 @@ from service.core.estimation.filtering.model.filter_model import FloatArray, Int
 
 #: unknowns of a row beside the carriers' own: three angles and the common level
 _UNKNOWNS = 4
-#: a torque that turns roll, pitch or yaw by more within two hours makes waiting a loss, deg
+#: a torque that turns any axis by more within two hours makes waiting a loss, deg: what is pushed is steered
 PUSHED_DEG = 0.1
 #: how many times the nominal protection level the level must be to say that the angle may be wrong in kind
 DOUBT_RATIO = 1.5
 #: for how long a figure that passed its limit inhibits at least
 _LEAST_US = 600 * 10**6
 #: figures that are held against limits
-_FIGURES = ("roll", "pitch", "level", "doubt", "innovations", "yaw", "pushed", "pushed_yaw")
+_FIGURES = ("roll", "pitch", "level", "doubt", "innovations", "yaw", "pushed")
 
 
 class IntegrityLimits(NamedTuple):
@@ -130,7 +130,7 @@ def assess(evidence: IntegrityInputs, limits: IntegrityLimits, beyond_until_us: 
     is_yaw_uncertain = stands["yaw"] or evidence.is_unannounced[0]
     integrity = Integrity(
         is_allowed,
-        (is_allowed and (stands["pushed_yaw"] or not is_yaw_uncertain), is_allowed, is_allowed),
+        (is_allowed and (stands["pushed"] or not is_yaw_uncertain), is_allowed, is_allowed),
         reasons,
         evidence.relearned > limits.relearned_share * evidence.carriers,
     )
@@ -142,7 +142,6 @@ def _shares(evidence: IntegrityInputs, limits: IntegrityLimits) -> FloatArray:
     yaw, roll, pitch = evidence.sigma_deg.tolist()
     _, *levels_deg = evidence.protection_deg.tolist()
     _, *nominal_deg = evidence.nominal_deg.tolist()
-    pushed_yaw, *pushed_deg = evidence.pushed_deg.tolist()
     # levels that are not known are a reason of their own
     levels_deg = [0.0 if math.isnan(level) else level for level in levels_deg]
     doubted = (
@@ -157,8 +156,7 @@ def _shares(evidence: IntegrityInputs, limits: IntegrityLimits) -> FloatArray:
             max(doubted),
             evidence.nis_ratio / limits.nis_ratio,
             yaw / limits.sigma_yaw_deg,
-            max(pushed_deg) / PUSHED_DEG,
-            pushed_yaw / PUSHED_DEG,
+            max(evidence.pushed_deg.tolist()) / PUSHED_DEG,
         ]
     )
 
