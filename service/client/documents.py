@@ -204,8 +204,8 @@ class Attitude(TypedDict):
     lag_s: float | None
     #: Protection level if nothing were wrong with any carrier; deg.
     nominal_protection_deg: Angles
-    #: Angle by which the torque that acts turns the axis within two hours: mean and two sigmas; deg.
-    pushed_deg: Angles
+    #: Loss by two hours without control: what the torque turns, or the angle that there surely is; deg.
+    waiting_loss_deg: Angles
     #: `live`, `smoothed`, or the replay that made the row.
     version: str
     #: Verdict on control: whether a torque may go now, and every reason against it.

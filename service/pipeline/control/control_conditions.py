@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from service.core.estimation.filtering.watches.integrity import DOUBT_RATIO, PUSHED_DEG
+from service.core.estimation.filtering.watches.integrity import DOUBT_RATIO, WAITING_LOSS_DEG
 from service.pipeline.config import InterlockConfig
 from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS
 from service.pipeline.control.release.control_verdict import (
@@ -112,7 +112,7 @@ def _values_of(view: ControlView | None, row: AttitudeRow | None, limits: Interl
     # limits hold before the first row too
     row = row or row_without_attitude(0, 0, 0, Method.ROBUST, ())
     level_deg, nominal_deg = greater_angle_deg(row.protection_deg), greater_angle_deg(row.nominal_protection_deg)
-    is_urgent = max(row.pushed_deg) > PUSHED_DEG
+    is_urgent = greater_angle_deg(row.waiting_loss_deg) > WAITING_LOSS_DEG
     alert_deg = limits.alert_limit_deg
     range_deg = limits.robust_range_deg if row.method is Method.ROBUST else limits.validity_limit_deg
     found["beyond_validity"] = ConditionValue(

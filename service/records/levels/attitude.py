@@ -118,8 +118,8 @@ class AttitudeRow:
         float, "Smoothed rows: time from the row to the last one by which it was smoothed; null for other methods."
     ] = math.nan
     nominal_protection_deg: Annotated[Axes, "Protection level if nothing were wrong with any carrier."] = NO_ANGLES
-    pushed_deg: Annotated[
-        Axes, "Angle by which the torque that acts turns the axis within two hours: mean and two sigmas."
+    waiting_loss_deg: Annotated[
+        Axes, "Loss by two hours without control: what the torque turns, or the angle that there surely is."
     ] = NO_ANGLES
 
 

@@ -185,7 +185,10 @@ class Station:
 
 
 def morning(station):
-    """Yield after each of some pieces of a morning; all that a piece tells stands in the journal."""
+    """Yield after each of some pieces of a morning; all that a piece tells stands in the journal.
+
+    Rows that may be commanded come last in their piece: a service that looks meanwhile writes its commands behind them.
+    """
     station.align(-30, 0)
     station.tell(Correction(at(10), at(30), Axes(0.0, 0.0, 0.0)), Correction(at(-20), at(20), Axes(0.02, 0.0, 0.0)))
     station.send([minute for minute in range(1, 25) if minute not in (7, 12)])
@@ -200,6 +203,7 @@ def morning(station):
     faded[:, 2] -= 5.0
     faded[4:7] = np.nan
     station.send(range(40, 56), faded)
+    yield
     station.storage.archive.add_operation(SC, Operation(0, "momentum_unloading", at(58), at(64), inhibit_control=True))
     station.send(range(56, 70))
     yield
@@ -212,6 +216,7 @@ def morning(station):
     yield
     plan = station.storage.catalogue.put_plan(SC, PAYLOAD.carriers()[::-1], "turned round")
     station.send(range(80, 95), station.powers(range(80, 95))[:, ::-1], plan_id=plan.id)
+    yield
     station.send(range(95, 97), source="sa-2")
     station.storage.archive.select_source(SC, "sa-2")
     station.send(range(97, 110), source="sa-2")

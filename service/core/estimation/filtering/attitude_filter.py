@@ -13,7 +13,7 @@ from service.core.estimation.filtering.anchor.anchor_watch import ask_anchor, is
 from service.core.estimation.filtering.causes.carrier_return import release_quiet
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Chooser, choose_cause
 from service.core.estimation.filtering.declared_effects import with_declared
-from service.core.estimation.filtering.filter_predict import Weather, predict
+from service.core.estimation.filtering.filter_predict import Weather, predict, waiting_loss_deg
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.model.declared import Declared
@@ -24,7 +24,6 @@ from service.core.estimation.filtering.model.filter_model import (
     KnownMotion,
 )
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
-from service.core.estimation.filtering.model.hidden_motion import pushed_deg
 from service.core.estimation.filtering.model.step_inputs import StepInputs, step_inputs
 from service.core.estimation.filtering.new_start import start_again
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, RowKernels
@@ -257,13 +256,13 @@ def _reported(
     gaussian = state.gaussian
     sigma_deg = gaussian.attitude_sigma_deg
     protection_deg, nominal_deg = protection_now_deg(state.anchor, state.epoch_us, sigma_deg)
-    gained_deg = pushed_deg(model, settings, gaussian, state.epoch_us)
+    loss_deg = waiting_loss_deg(model, settings, gaussian, state.epoch_us)
     evidence = IntegrityInputs(
         state.epoch_us,
         sigma_deg,
         protection_deg,
         nominal_deg,
-        gained_deg,
+        loss_deg,
         len(found.used),
         state.rain.is_raining,
         state.rain.hold_minutes > 0.0,
@@ -281,7 +280,7 @@ def _reported(
         gaussian.covariance[ATTITUDE, ATTITUDE],
         protection_deg,
         nominal_deg,
-        gained_deg,
+        loss_deg,
         found.innovation_db,
         found.used,
         cause,

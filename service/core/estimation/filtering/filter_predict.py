@@ -11,21 +11,30 @@ from service.core.estimation.filtering.model.filter_model import (
     CarrierModel,
     FilterSettings,
     FloatArray,
+    IntArray,
     KnownMotion,
     model_variance_db2,
+    no_motion,
 )
 from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     CHAIN,
+    RATE,
     Gaussian,
     core_size,
     hidden_count,
     reference_states,
 )
-from service.core.estimation.filtering.model.step_inputs import StepInputs, step_inputs
+from service.core.estimation.filtering.model.hidden_motion import hidden_transition, sensor_states, sensors_first
+from service.core.estimation.filtering.model.step_inputs import StepInputs, motion_over, step_inputs
+from service.core.estimation.filtering.model.torque_prior import TORQUES, is_pushed
 
 _S_PER_H = 3600.0
-
+#: the period of the control law, for which the spacecraft may be left alone
+_ALONE_US = 7200 * 10**6
+#: how much worse than its mean a torque is taken, and how sure an angle must be, in sigmas: two of an angle would bring
+#: `flicker_hard` 9 min of wrong torque for 4
+_TORQUE_SIGMAS, _ANGLE_SIGMAS = 2.0, 3.0
 
 #: `move_state`, compiled or not
 Mover = Callable[..., tuple[Gaussian, FloatArray]]
@@ -118,6 +127,35 @@ def predict(
         moved.covariance.ravel()[:: size + 1] += _declared_variance(model, weather.declared, hours, size)
         _move_together(model, moved.covariance, weather.declared.group_step_db)
     return moved, variance
+
+
+def waiting_loss_deg(model: CarrierModel, settings: FilterSettings, state: Gaussian, epoch_us: int) -> FloatArray:
+    """Return what is lost about yaw, roll and pitch (3,) in two hours without control, deg.
+
+    The greater of two angles: by how much the torque may turn the axis, mean and two sigmas, and how far from zero the
+    axis will surely be, mean less three sigmas. An angle that may as well be an error of the estimate is none of them:
+    control would not remove it.
+    """
+    places = np.arange(RATE.stop)
+    turns = motion_over(_ALONE_US, settings).transition[ATTITUDE]
+    pushed = np.zeros(3)
+    if is_pushed(settings):
+        stop, hidden = sensors_first(model, state, settings), TORQUES + sensor_states(settings)
+        torque = np.arange(stop - TORQUES, stop)
+        by_torque = hidden_transition(hidden, epoch_us, _ALONE_US, settings, no_motion())[ATTITUDE, :TORQUES]
+        mean_deg, sigma_deg = _combined(by_torque, state, torque)
+        pushed = np.abs(mean_deg) + _TORQUE_SIGMAS * sigma_deg
+        places, turns = np.append(places, torque), np.hstack([turns, by_torque])
+    mean_deg, sigma_deg = _combined(turns, state, places)
+    return np.maximum(pushed, np.abs(mean_deg) - _ANGLE_SIGMAS * sigma_deg)
+
+
+def _combined(matrix: FloatArray, state: Gaussian, places: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and sigma (3,) of combinations (3, P) of some states."""
+    # in one order of memory: a state that was restored gives the same bits
+    covariance = np.ascontiguousarray(state.covariance[np.ix_(places, places)])
+    variance = np.diagonal(matrix @ covariance @ matrix.T)
+    return matrix @ state.mean[places], np.sqrt(np.maximum(variance, 0.0))
 
 
 def _declared_variance(model: CarrierModel, declared: Declared, hours: float, states: int) -> FloatArray:

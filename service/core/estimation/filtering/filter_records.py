@@ -53,7 +53,7 @@ class FilterStep(NamedTuple):
     #: (3,) deg, those levels if nothing were wrong with any carrier
     nominal_deg: FloatArray
     #: (3,) deg, what the angles gain by the torque within two hours
-    pushed_deg: FloatArray
+    waiting_loss_deg: FloatArray
     #: (N,) dB, NaN = absent or flagged
     innovation_db: FloatArray
     #: (n,) carriers used

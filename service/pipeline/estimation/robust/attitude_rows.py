@@ -144,7 +144,7 @@ def filtered_row(
         alignment_id=model.alignment_id,
         protection_deg=named_axes(announced.protection_deg),
         nominal_protection_deg=named_axes(announced.nominal_deg),
-        pushed_deg=named_axes(announced.pushed_deg),
+        waiting_loss_deg=named_axes(announced.waiting_loss_deg),
         advice=tuple(code for code, is_given in advice.items() if is_given),
     )
 

@@ -24,10 +24,8 @@ from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
     FloatArray,
     KnownMotion,
-    no_motion,
 )
 from service.core.estimation.filtering.model.filter_state import (
-    ATTITUDE,
     RATE,
     Gaussian,
     common_states,
@@ -55,8 +53,6 @@ _US_PER_H = 3.6e9
 #: a torque that motion makes doubtful may be this many times what was stated, and have been so for this long, h
 _DOUBT = 5.0
 _DOUBTED_H = 2.0
-#: the period of the control law, for which a torque may act alone
-_PUSHED_US, _PUSHED_SIGMAS = 7200 * 10**6, 2.0
 #: chi-square of three degrees of freedom that chance exceeds once in a thousand
 _SEEN_CHI_SQUARE = 16.27
 #: longest span that ten nodes integrate, h
@@ -259,18 +255,3 @@ def is_torque_seen(gaussian: Gaussian, positions: slice) -> bool:
         if float(mean @ np.linalg.solve(gaussian.covariance[np.ix_(own, own)], mean)) > _SEEN_CHI_SQUARE:
             return True
     return False
-
-
-def pushed_deg(model: CarrierModel, settings: FilterSettings, state: Gaussian, epoch_us: int) -> FloatArray:
-    """Return the angle (3,) by which the torque turns yaw, roll and pitch within two hours, mean and two sigmas, deg.
-
-    It is the price of commanding nothing. The error that the estimate has now is no part of it, for control would not
-    remove that either, nor is what would happen without the torque: it comes slowly, and while it does nothing is lost.
-    """
-    if not is_pushed(settings):
-        return np.zeros(3)
-    stop, hidden = sensors_first(model, state, settings), TORQUES + sensor_states(settings)
-    response = hidden_transition(hidden, epoch_us, _PUSHED_US, settings, no_motion())[ATTITUDE, :TORQUES]
-    torque = slice(stop - TORQUES, stop)
-    variance = np.diagonal(response @ state.covariance[torque, torque] @ response.T)
-    return np.asarray(np.abs(response @ state.mean[torque]) + _PUSHED_SIGMAS * np.sqrt(np.maximum(variance, 0.0)))

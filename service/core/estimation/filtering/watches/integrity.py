@@ -2,7 +2,8 @@
 
 Two kinds of reasons. An estimate that may be *wrong in kind* is not used. One that is *less certain* than usual is, as
 soon as something is lost by waiting: a linear loop steers best by its estimate, however uncertain, and to do nothing
-leaves the spacecraft to the torque that acts. Nothing is lost while no torque turns it far within two hours.
+leaves the spacecraft to the torque that acts. Nothing is lost while no torque turns it far within two hours and no
+angle surely is far.
 
 The law of this file: every condition that inhibits is named. One that is judged by a figure stands for ten minutes at
 least, so that a figure near its limit does not switch control on and off; every other one stands as long as its cause.
@@ -19,14 +20,14 @@ from service.core.estimation.filtering.model.filter_model import FloatArray, Int
 
 #: unknowns of a row beside the carriers' own: three angles and the common level
 _UNKNOWNS = 4
-#: a torque that turns any axis by more within two hours makes waiting a loss, deg: what is pushed is steered
-PUSHED_DEG = 0.1
+#: loss by two hours without control from which an uncertain angle is steered by, deg
+WAITING_LOSS_DEG = 0.1
 #: how many times the nominal protection level the level must be to say that the angle may be wrong in kind
 DOUBT_RATIO = 1.5
 #: for how long a figure that passed its limit inhibits at least
 _LEAST_US = 600 * 10**6
 #: figures that are held against limits
-_FIGURES = ("roll", "pitch", "level", "doubt", "innovations", "yaw", "pushed")
+_FIGURES = ("roll", "pitch", "level", "doubt", "innovations", "yaw", "waiting", "waiting_yaw")
 
 
 class IntegrityLimits(NamedTuple):
@@ -57,8 +58,8 @@ class IntegrityInputs(NamedTuple):
     protection_deg: FloatArray
     #: (3,) those if nothing were wrong with any carrier
     nominal_deg: FloatArray
-    #: (3,) what the angles gain by the torque within two hours
-    pushed_deg: FloatArray
+    #: (3,) what two hours without control would cost
+    waiting_loss_deg: FloatArray
     carriers_used: int
     is_raining: bool
     is_chain_held: bool
@@ -109,11 +110,11 @@ def assess(evidence: IntegrityInputs, limits: IntegrityLimits, beyond_until_us: 
 
     Examples
     --------
-    >>> sigma, level, pushed = np.array([0.3, 0.01, 0.02]), np.array([1.2, 0.09, 0.12]), np.array([0.05, 0.05, 0.05])
-    >>> calm = IntegrityInputs(0, sigma, level, level, pushed, 16, False, False, 1.0, (False, False, False), 0, 16)
+    >>> sigma, level, loss = np.array([0.3, 0.01, 0.02]), np.array([1.2, 0.09, 0.12]), np.array([0.05, 0.05, 0.05])
+    >>> calm = IntegrityInputs(0, sigma, level, level, loss, 16, False, False, 1.0, (False, False, False), 0, 16)
     >>> assess(calm, IntegrityLimits(), good_figures())[0].is_axis_allowed
     (False, True, True)
-    >>> assess(calm._replace(pushed_deg=4.0 * pushed), IntegrityLimits(), good_figures())[0].is_axis_allowed
+    >>> assess(calm._replace(waiting_loss_deg=4.0 * loss), IntegrityLimits(), good_figures())[0].is_axis_allowed
     (True, True, True)
     """
     shares = _shares(evidence, limits)
@@ -130,7 +131,7 @@ def assess(evidence: IntegrityInputs, limits: IntegrityLimits, beyond_until_us: 
     is_yaw_uncertain = stands["yaw"] or evidence.is_unannounced[0]
     integrity = Integrity(
         is_allowed,
-        (is_allowed and (stands["pushed"] or not is_yaw_uncertain), is_allowed, is_allowed),
+        (is_allowed and (stands["waiting_yaw"] or not is_yaw_uncertain), is_allowed, is_allowed),
         reasons,
         evidence.relearned > limits.relearned_share * evidence.carriers,
     )
@@ -142,6 +143,7 @@ def _shares(evidence: IntegrityInputs, limits: IntegrityLimits) -> FloatArray:
     yaw, roll, pitch = evidence.sigma_deg.tolist()
     _, *levels_deg = evidence.protection_deg.tolist()
     _, *nominal_deg = evidence.nominal_deg.tolist()
+    yaw_loss_deg, *loss_deg = evidence.waiting_loss_deg.tolist()
     # levels that are not known are a reason of their own
     levels_deg = [0.0 if math.isnan(level) else level for level in levels_deg]
     doubted = (
@@ -156,7 +158,8 @@ def _shares(evidence: IntegrityInputs, limits: IntegrityLimits) -> FloatArray:
             max(doubted),
             evidence.nis_ratio / limits.nis_ratio,
             yaw / limits.sigma_yaw_deg,
-            max(evidence.pushed_deg.tolist()) / PUSHED_DEG,
+            max(loss_deg) / WAITING_LOSS_DEG,
+            yaw_loss_deg / WAITING_LOSS_DEG,
         ]
     )
 
@@ -181,6 +184,6 @@ def _reasons(evidence: IntegrityInputs, limits: IntegrityLimits, stands: dict[st
         "unannounced_motion": any(evidence.is_unannounced[1:]),
     }
     found = [name for name, fails in wrong_in_kind.items() if fails]
-    if not stands["pushed"]:
+    if not stands["waiting"]:
         found += [name for name, fails in less_certain.items() if fails and name not in found]
     return tuple(found)

@@ -497,11 +497,11 @@ def test_values_stand_beside_their_limits():
 def test_where_a_torque_acts_the_level_is_held_against_the_nominal_one_and_sigma_against_nothing():
     driver = ReleaseServiceDriver()
     levels = {"protection_deg": Axes(0.5, 0.1, 0.28), "nominal_protection_deg": Axes(0.4, 0.1, 0.2)}
-    driver.rows(1, **levels, pushed_deg=Axes(0.05, 0.05, 0.11))
+    driver.rows(1, **levels, waiting_loss_deg=Axes(0.9, 0.05, 0.11))
     found = conditions_of(driver)
     assert (found["protection_level"].value, found["protection_level"].limit) == (0.28, pytest.approx(0.3))
     assert (found["sigma_pitch"].value, found["sigma_pitch"].limit) == (0.03, None)
-    driver.rows(1, **levels, pushed_deg=Axes(0.05, 0.1, 0.09))
+    driver.rows(1, **levels, waiting_loss_deg=Axes(0.9, 0.05, 0.09))
     found = conditions_of(driver)
     assert (found["protection_level"].limit, found["sigma_pitch"].limit) == (0.22, 0.1)
 

@@ -6,15 +6,20 @@ import pytest
 from scipy.linalg import expm
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.filter_predict import Weather, predict
+from service.core.estimation.filtering.filter_predict import Weather, predict, waiting_loss_deg
 from service.core.estimation.filtering.hidden_shares import with_share, with_stated_torque, with_torque, without_shares
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
-from service.core.estimation.filtering.model.filter_state import core_size, hidden_count, initial_gaussian
+from service.core.estimation.filtering.model.filter_state import (
+    ATTITUDE,
+    RATE,
+    core_size,
+    hidden_count,
+    initial_gaussian,
+)
 from service.core.estimation.filtering.model.hidden_motion import (
     dropped,
     hidden_transition,
     inserted,
-    pushed_deg,
     torque_states,
     with_doubted_torque,
 )
@@ -98,15 +103,31 @@ def test_waiting_two_hours_costs_what_the_torque_turns(model, shares):
     state = inserted(state, core_size(model), np.eye(shares))
     torque = torque_states(model, state, shares)
     known = np.zeros_like(state.covariance)
+    # angles that may as well be none
+    known[:9, :9] = np.eye(9)
+    state.mean[:9] = 0.2
+    # half of the acceleration by the square of the hours
     state.mean[torque.start + 2] = -0.1
-    state.mean[:9] = 1.0
-    # half of the acceleration by the square of the hours, whatever angles and rates are
-    found = pushed_deg(model, settings, state._replace(covariance=known), 0)
+    found = waiting_loss_deg(model, settings, state._replace(covariance=known), 0)
     np.testing.assert_allclose(found, [0.0, 0.0, 0.2], atol=1e-12)
     known[torque.start, torque.start] = 0.05**2
-    found = pushed_deg(model, settings, state._replace(covariance=known), 0)
+    found = waiting_loss_deg(model, settings, state._replace(covariance=known), 0)
     np.testing.assert_allclose(found, [0.2, 0.0, 0.2], atol=1e-12)
-    np.testing.assert_array_equal(pushed_deg(model, CALM, state, 0), ZEROS)
+    np.testing.assert_array_equal(waiting_loss_deg(model, CALM, aligned(model, CALM), 0), ZEROS)
+
+
+@pytest.mark.parametrize("settings", [CALM, PUSHED], ids=["calm", "pushed"])
+def test_waiting_two_hours_costs_the_angle_that_surely_is_there_then(model, settings):
+    settings = settings._replace(coupling_per_h=0.0)
+    state = aligned(model, settings)
+    known = np.zeros_like(state.covariance)
+    state.mean[ATTITUDE] = 1.0, -0.3, 0.3
+    state.mean[RATE] = 0.0, -0.25, -0.15
+    known[0, 0] = 0.2**2
+    known[RATE.start + 1, RATE.start + 1] = 0.05**2
+    found = waiting_loss_deg(model, settings, state._replace(covariance=known), 0)
+    # less three sigmas
+    np.testing.assert_allclose(found, [0.4, 0.5, 0.0], atol=1e-12)
 
 
 def test_what_is_learned_holds_for_weeks(model):
