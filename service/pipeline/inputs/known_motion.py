@@ -240,8 +240,6 @@ _CHANGED_SHARES = (0.1, 0.01)
 _CHANGED_SHARE_DAY = 0.01
 #: size of the wander of a torque that was learned, as a share of it: 1 % in two days, what the Sun's seasons make
 _WANDER_SHARE = 0.2
-#: of a torque whose size is stated; it is that of the Sun's light, nearly all wave
-_STATED_CONSTANT_SHARE = 0.2
 
 
 def residual_torque_n_m(spacecraft: Spacecraft | None, unknown_n_m: float, least_n_m: float) -> float:
@@ -262,11 +260,6 @@ def axis_accelerations_deg_h2(spacecraft: Spacecraft | None, torque_n_m: float) 
         return (0.0, 0.0, 0.0)
     yaw, roll, pitch = (torque_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft))
     return yaw, roll, pitch
-
-
-def constant_share(spacecraft: Spacecraft | None) -> float:
-    """Return the constant part of this torque as a share of the whole: a torque that nobody knows is half constant."""
-    return math.sqrt(0.5) if is_torque_unknown(spacecraft) else _STATED_CONSTANT_SHARE
 
 
 def is_torque_unknown(spacecraft: Spacecraft | None) -> bool:

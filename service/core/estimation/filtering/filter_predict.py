@@ -33,8 +33,8 @@ _S_PER_H = 3600.0
 #: the period of the control law, for which the spacecraft may be left alone
 _ALONE_US = 7200 * 10**6
 #: how much worse than its mean a torque is taken, and how sure an angle must be, in sigmas: two of an angle would bring
-#: `flicker_hard` 9 min of wrong torque for 4
-_TORQUE_SIGMAS, _ANGLE_SIGMAS = 2.0, 3.0
+#: `flicker_hard` 9 min of wrong torque for 4, three `transponder` 1 min for none
+_TORQUE_SIGMAS, _ANGLE_SIGMAS = 2.0, 4.0
 
 #: `move_state`, compiled or not
 Mover = Callable[..., tuple[Gaussian, FloatArray]]
@@ -133,7 +133,7 @@ def waiting_loss_deg(model: CarrierModel, settings: FilterSettings, state: Gauss
     """Return what is lost about yaw, roll and pitch (3,) in two hours without control, deg.
 
     The greater of two angles: by how much the torque may turn the axis, mean and two sigmas, and how far from zero the
-    axis will surely be, mean less three sigmas. An angle that may as well be an error of the estimate is none of them:
+    axis will surely be, mean less four sigmas. An angle that may as well be an error of the estimate is none of them:
     control would not remove it.
     """
     places = np.arange(RATE.stop)

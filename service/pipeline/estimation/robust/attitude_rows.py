@@ -306,7 +306,7 @@ def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Di
 
 def torque_of(settings: FilterSettings) -> tuple[object, ...]:
     """Return what the states of torque and sensors begin with."""
-    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward, *sensors_of(settings)
+    return settings.torque_deg_h2, settings.fed_forward, *sensors_of(settings)
 
 
 def telemetry_advice(

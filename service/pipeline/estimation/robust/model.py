@@ -24,7 +24,6 @@ from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import (
     angle_inertia_kg_m2,
     axis_accelerations_deg_h2,
-    constant_share,
     fed_forward,
     is_rate_in_loop,
     is_torque_unknown,
@@ -282,7 +281,6 @@ def _filter_settings(
         torque_deg_h2=axis_accelerations_deg_h2(spacecraft, residual_n_m),
         # a profile that is fed forward has an error of its own, which is known
         unknown_torque_deg_h2=axis_accelerations_deg_h2(spacecraft, config.unknown_torque_n_m if fed is None else 0.0),
-        torque_constant_share=constant_share(spacecraft),
         fed_forward=fed,
         momentum=momentum,
         polarimeters=polarimeter_models(

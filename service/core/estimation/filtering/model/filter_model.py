@@ -164,8 +164,6 @@ class FilterSettings(NamedTuple):
     #: size of a torque of which nothing is known; motion that nobody announced may be its work
     unknown_torque_deg_h2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque_tau_h: float = 24_000.0
-    #: the constant part of this torque, as a share of the whole; the rest is a wave
-    torque_constant_share: float = 0.2
     #: what the loop on board feeds forward; None = no profile is known
     fed_forward: FedForward | None = None
     #: telemetry of the wheels; None = it is not used
