@@ -21,6 +21,7 @@ TYPES = {
     "MeasurementAnswer": "MeasurementReply",
     "ExclusionAnswer": "ExclusionReply",
     "ControlReasonAnswer": "ControlReasonReply",
+    "SpacecraftSituationAnswer": "SpacecraftSituation",
     "VerdictAnswer": "Verdict",
     "NewestAttitudeAnswer": "Attitude",
     "JobAnswer": "JobReply",

@@ -142,6 +142,31 @@ class ControlReasonReply(TypedDict):
     next_step: str
 
 
+class SpacecraftSituation(TypedDict):
+    """The worst that is true of a spacecraft now, which every view says first."""
+
+    #: Dark: no carrier is on the air; no_angles: of a first row; old: the newest row is.
+    code: Literal[
+        "estimator_failed", "no_attitude", "old", "dark", "lost", "no_angles", "beyond_and_growing", "beyond_limit", "towards_limit", "known"
+    ]
+    #: critical, serious, caution or normal; that of every view.
+    severity: Literal["critical", "serious", "caution", "normal"]
+    #: Of dark, lost and what is said of a limit.
+    axis: Literal["yaw", "roll", "pitch"] | None
+    #: Of this axis; the last known where it is lost; deg.
+    angle_deg: float | None
+    #: An angle is to stay within it; deg.
+    limit_deg: float | None
+    #: Positive: the angle leaves zero; deg/h.
+    rate_deg_h: float | None
+    #: At this rate; null: it does not go there.
+    hours_to_limit: float | None
+    #: Roll and pitch are known to it: the greater protection level, of a method without one two sigma; deg.
+    known_deg: float | None
+    #: The same of yaw; deg.
+    yaw_known_deg: float | None
+
+
 class Verdict(TypedDict):
     """Permission to apply a torque now; the same object in every answer about the present."""
 
@@ -149,6 +174,8 @@ class Verdict(TypedDict):
     allowed: bool
     #: ENGAGED under release automatic: computed commands count as applied.
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    #: What to say first.
+    situation: SpacecraftSituation
     #: All active reasons, the one to act on first; while allowed, those that withhold yaw alone.
     reasons: list[ControlReasonReply]
 

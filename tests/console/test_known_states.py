@@ -115,7 +115,7 @@ STATES: dict[str, tuple[Callable[[ReleaseGround], None], str]] = {
     "h": (uplink_fade, "torques may go"),
     "i": (no_calibration, "no calibration"),
     "j": (operation, "a declared operation forbids torques"),
-    "k": (roll_drift, "roll or pitch moves without"),
+    "k": (roll_drift, "is beyond its limit of 0.40 deg and grows by"),
 }
 CRAFTS = (record("yamal-202"), *(record(f"sat-{name}") for name in (*STATES, "m") if name != "i"))
 

@@ -39,7 +39,6 @@ from service.api.schemas.control import (
     TorqueAnswer,
     TorquePage,
     UplinkAnswer,
-    VerdictAnswer,
 )
 from service.api.schemas.measurements import CarrierResultAnswer, CarrierResultPage
 from service.api.schemas.shift import StatusAnswer
@@ -62,10 +61,10 @@ def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Con
     """Return the newest attitude; status NOT_RECEIVED before the first row, EXPIRED when the newest is too old."""
     check_method(method, LIVE)
     spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
-    row, _, verdict = present_of(context, spacecraft)
+    present = present_of(context, spacecraft)
+    row, control = present.row, present.control
     if method is not spacecraft.control.method:
         row = newest_attitude(context, spacecraft_id, method)
-    control = VerdictAnswer.of(verdict)
     if row is None:
         return NewestAttitudeAnswer.not_received(method, LIVE, control=control)
     return NewestAttitudeAnswer.of(row, LIVE, control=control)
@@ -221,7 +220,7 @@ def _answer(context: ApiContext, spacecraft_id: str, view: ControlView) -> Contr
     """Return the answer of a view of the interlock, with the verdict."""
     present = present_of(context, context.storage.catalogue.spacecraft(spacecraft_id), view)
     conditions = control_conditions(view, present.row, present.verdict, context.interlock)
-    return ControlAnswer.of(view, present.verdict, conditions, context.interlock.validity_limit_deg)
+    return ControlAnswer.of(view, present.control, conditions, context.interlock.validity_limit_deg)
 
 
 status_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/status", tags=["status"])
@@ -350,12 +349,13 @@ torques_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/torques", tags=["
 def get_torques(spacecraft_id: SpacecraftId, context: Context) -> NewestTorqueAnswer:
     """Return the newest command: zero with its reasons while control is inhibited, null before the first."""
     spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
-    row, command, verdict = present_of(context, spacecraft)
+    present = present_of(context, spacecraft)
+    row, command = present.row, present.command
     if command is None:
         answer = TorqueAnswer.before_the_first(spacecraft.control.mode, None if row is None else row.epoch_us)
     else:
         answer = TorqueAnswer.of(command)
-    return NewestTorqueAnswer(**dict(answer), control=VerdictAnswer.of(verdict))
+    return NewestTorqueAnswer(**dict(answer), control=present.control)
 
 
 @torques_router.get("/history")

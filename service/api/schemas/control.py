@@ -23,6 +23,7 @@ from service.api.schemas.base import (
 from service.core.control.slew_schedule import Envelope
 from service.pipeline.control.control_conditions import ControlCondition
 from service.pipeline.control.release.control_verdict import ControlReason, ControlVerdict, ControlView, GoodMinutes
+from service.pipeline.control.situation import SITUATIONS, SpacecraftSituation
 from service.records.catalogue import ControlMode, Method
 from service.records.levels.attitude import (
     CARRIER_STATES,
@@ -84,7 +85,28 @@ class ControlReasonAnswer(members_of(ControlReason), Answer):
     """A reason why no torque may go, or why yaw is withheld."""
 
 
-class VerdictAnswer(members_of(ControlVerdict, types={"state": ControlState, "reasons": ControlReasonAnswer}), Answer):
+class SpacecraftSituationAnswer(
+    members_of(
+        SpacecraftSituation,
+        types={
+            "code": Literal[*SITUATIONS],
+            "severity": Literal["critical", "serious", "caution", "normal"],
+            "axis": _Axis | None,
+        },
+    ),
+    Answer,
+):
+    """The worst that is true of a spacecraft now, which every view says first."""
+
+
+class VerdictAnswer(
+    members_of(
+        ControlVerdict,
+        types={"state": ControlState, "reasons": ControlReasonAnswer},
+        others={"situation": ("reasons", SpacecraftSituationAnswer, "What to say first.")},
+    ),
+    Answer,
+):
     """Permission to apply a torque now; the same object in every answer about the present."""
 
 
@@ -154,14 +176,14 @@ class ControlAnswer(
     def of(
         cls,
         view: ControlView,
-        verdict: ControlVerdict,
+        verdict: VerdictAnswer,
         conditions: Sequence[ControlCondition],
         angle_limit_deg: float,
     ) -> Self:
         """Return the answer for the state of the interlock."""
         return super().of(
             view,
-            control=VerdictAnswer.of(verdict),
+            control=verdict,
             angle_limit_deg=angle_limit_deg,
             conditions=[ControlConditionAnswer.of(each) for each in conditions],
             state=verdict.state,

@@ -22,6 +22,7 @@ from service.api.schemas.shift import (
 from service.errors import NotFoundError, StorageError
 from service.pipeline.control.command.compute_command import ended_command
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
+from service.pipeline.control.situation import SpacecraftSituation, situation_of
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.ports import LIVE
 from service.records.calibration import CalibrationState, Window
@@ -162,6 +163,12 @@ class Present(NamedTuple):
     row: AttitudeRow | None
     command: TorqueCommand | None
     verdict: ControlVerdict
+    situation: SpacecraftSituation
+
+    @property
+    def control(self) -> VerdictAnswer:
+        """The verdict as every answer about the present has it."""
+        return VerdictAnswer.of(self.verdict, situation=self.situation)
 
 
 def present_of(context: ApiContext, spacecraft: Spacecraft, view: ControlView | None = None) -> Present:
@@ -178,7 +185,8 @@ def present_of(context: ApiContext, spacecraft: Spacecraft, view: ControlView | 
     failure = failing[0].error if failing else None
     now_us = context.clock.now_us(spacecraft.id)
     age_s = None if row is None or now_us is None else _age_s(now_us, row.epoch_us)
-    return Present(row, command, control_verdict(view, row if command is None else command, failure, age_s))
+    verdict = control_verdict(view, row if command is None else command, failure, age_s)
+    return Present(row, command, verdict, situation_of(row, verdict, context.interlock.validity_limit_deg))
 
 
 def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
@@ -189,7 +197,8 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
     newest_us = storage.archive.head(spacecraft_id).newest_epoch_us
     methods = _readable(lambda: runnable_methods(storage, spacecraft_id))
     pending = storage.results.pending(spacecraft_id, methods)
-    row, _, verdict = present_of(context, spacecraft)
+    present = present_of(context, spacecraft)
+    row, verdict = present.row, present.verdict
     alignments = _readable(lambda: storage.results.alignments(spacecraft_id))
     active = _readable(lambda: storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE))
     advice = newest_advice(storage, spacecraft_id)
@@ -205,7 +214,7 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
             "clock": "data" if clock.is_data(spacecraft_id) else "system",
             "now": clock.now_us(spacecraft_id),
             "links": _links_of_sources(context, spacecraft_id),
-            "control": VerdictAnswer.of(verdict),
+            "control": present.control,
             "interlock": {"state": verdict.state, "reasons": [reason.code for reason in verdict.reasons]},
             "method": spacecraft.control.method,
             "calibration_id": active[0].id if active else None,

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from service.cli.demonstration.invitation import commands_to_try
 from service.cli.demonstration.persons import Person
-from service.cli.shift.tables import sentence
+from service.cli.shift.tables import SEVERITY_STYLES, sentence
 from service.client.documents import Attitude, Json
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
 from service.study.demonstration.archive_check import METHODS
@@ -67,7 +67,7 @@ def _verdict(scene: Scene, attitude: Attitude) -> Text:
     client, spacecraft_id = scene.client, scene.story.spacecraft_id
     status = Json(client.status(spacecraft_id))
     said = sentence(status, Json(attitude), Json(client.control(spacecraft_id)))
-    return Text(said, style="bold green" if status["control"]["allowed"] else "bold red")
+    return Text(said, style=SEVERITY_STYLES[status["control"]["situation"]["severity"]])
 
 
 def _bounds_lines(scene: Scene, alone: FlightAlone | None, hours: float) -> list[Text]:

@@ -2,7 +2,6 @@
 
 import io
 import json
-import math
 import re
 import sys
 import unicodedata
@@ -24,11 +23,15 @@ if TYPE_CHECKING:
 
 
 AXES = ("yaw", "roll", "pitch")
+#: style of each severity of a situation
+SEVERITY_STYLES = {"critical": "bold red", "serious": "bold red", "caution": "bold yellow", "normal": "bold green"}
 MISSING = "–"
 #: control, format and surrogate characters: a terminal executes some of them
 _OBEYED = frozenset({"Cc", "Cf", "Cs"})
 #: commands that a person has to act on, in this order
 _OWED = ("open_commands", "unreported_commands")
+#: of a situation
+_FIGURES = ("angle_deg", "limit_deg", "rate_deg_h", "hours_to_limit", "known_deg", "yaw_known_deg")
 #: word of the unit and digits of a condition's value
 _UNITS = {"deg": ("deg", 2), "dB": ("db", 1), "%": ("percent", 0)}
 
@@ -49,11 +52,13 @@ def words(key: str, **values: object) -> str:
     return _composed(found, values) if found else clean(last)
 
 
-def meaning(group: str, code: str, part: str = "name", default: str | None = None) -> str:
+def meaning(
+    group: str, code: str, part: str = "name", default: str | None = None, values: Mapping[str, object] | None = None
+) -> str:
     """Return the name of a code of the service, or its next step; an unknown code stands for itself."""
     found = _table()[group].get(code, {}).get(part)
     unknown = default if default is not None else code if part == "name" else ""
-    return clean(unknown) if found is None else _composed(found, {})
+    return clean(unknown) if found is None else _composed(found, values or {})
 
 
 def clean(text: object) -> str:
@@ -84,11 +89,15 @@ def axes(values: Mapping[str, float | None], digits: int, unit: str) -> str:
 
 
 def sentence(status: Json, row: Json, control: Json) -> str:
-    """Return what is known, whether torques may go, the reason to act on and its next step, as the console says it."""
-    verdict, conditions, known = status["control"], control["conditions"], _known(row)
+    """Return the situation, whether torques may go, the reason to act on and its next step, as the console says it."""
+    verdict, conditions = status["control"], control["conditions"]
+    situation = verdict["situation"]
+    known = _situation(situation)
     owed = next((name for name in _OWED if control[name]), None)
     if verdict["allowed"] and owed:
         return words(f"views.now.sentence.{owed}", known=known, number=", ".join(map(str, control[owed])))
+    if not verdict["allowed"] and (step := meaning("situations", situation["code"], "next")):
+        return words("views.now.sentence.plain", known=known, next=step)
     # before the first row nothing else can be mended
     is_empty = status["newest_measurement"] is None
     reasons = sorted(verdict["reasons"], key=lambda each: is_empty and each["code"] != "no_attitude")
@@ -101,14 +110,11 @@ def sentence(status: Json, row: Json, control: Json) -> str:
     return words(f"views.now.sentence.{key}", known=known, reason=reason, next=next_step)
 
 
-def _known(row: Json) -> str:
-    """Return what is known of roll and pitch; sigma is rounded up: never better than it is."""
-    sigmas = [row["sigma_deg"][axis] for axis in ("roll", "pitch")]
-    if row["status"] == "INVALID":
-        return words("views.now.unknown")
-    if row["status"] != "ACQUIRED" or None in sigmas:
-        return meaning("statuses", row["status"])
-    return words("views.now.known", sigma=number(math.ceil(200 * max(sigmas)) / 100, 2))
+def _situation(situation: Json) -> str:
+    """Return the words of the worst that is true now, as the service found it."""
+    values = {name: number(situation[name], 2) for name in _FIGURES}
+    axis = "" if situation["axis"] is None else words(f"app.axis.{situation['axis']}").lower()
+    return meaning("situations", situation["code"], values={**values, "axis": axis})
 
 
 def _reason(reason: Json, row: Json, conditions: list[Json]) -> str:

@@ -25,6 +25,7 @@ from service.cli.operation.connection import (
 )
 from service.cli.shift.tables import (
     AXES,
+    SEVERITY_STYLES,
     alarm_line,
     axes_table,
     clean,
@@ -97,7 +98,7 @@ def _above(state: LiveState, cut: str, blocks: str, width: int) -> "Iterator[Ren
     if cut:
         yield _line(cut, "bold reverse", is_cut=False)
         yield _line("below is what was last read; what holds now is not known", "bold")
-    style = "bold" if cut else "bold green" if verdict["allowed"] else "bold red"
+    style = "bold" if cut else SEVERITY_STYLES[verdict["situation"]["severity"]]
     yield _line(sentence(status, row, state.control), style, is_cut=False)
     simulated = f" {words('app.simulated')}" if state.spacecraft["simulated"] else ""
     title = f"{clean(state.spacecraft['id'])}{simulated}, {utc(status['now'])} UTC"

@@ -26,6 +26,7 @@ from service.pipeline.control.release import release_checks
 from service.pipeline.control.release.command_states import TRANSITIONS, State
 from service.pipeline.control.release.control_verdict import CODES
 from service.pipeline.control.release.interlock_conditions import MEASURES
+from service.pipeline.control.situation import SITUATIONS
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.pipeline.planning.planning import Rule
@@ -186,6 +187,7 @@ TABLES = {
     "severities": {each.word for each in Severity},
     "states": {each.name for each in State},
     "statuses": {each.value for each in Status},
+    "situations": set(SITUATIONS),
 }
 
 

@@ -1,4 +1,4 @@
-/** @file The one sentence: what is known, whether torques may go, the worst reason, the next step. */
+/** @file The one sentence: the situation as the service found it, whether torques may go, the reason, the next step. */
 
 import { meaning, number, utc, words } from "../words.js";
 
@@ -13,10 +13,13 @@ const UNITS = { deg: ["deg", 2], dB: ["db", 1], "%": ["percent", 0] };
  * @param {any} control Answer of `GET …/control`, null: not there yet.
  */
 export function sentence(status, row, control) {
-  const { allowed, reasons } = status.control;
+  const { allowed, reasons, situation } = status.control;
   const conditions = control?.conditions ?? [];
+  const known = situationWords(situation ?? {});
   const owed = OWED.find((each) => control?.[each]?.length);
-  if (allowed && owed) return words(`views.now.sentence.${owed}`, { known: knowledge(row), number: control[owed].join(", ") });
+  if (allowed && owed) return words(`views.now.sentence.${owed}`, { known, number: control[owed].join(", ") });
+  const step = meaning("situations", situation?.code, "next");
+  if (!allowed && step) return words("views.now.sentence.plain", { known, next: step });
   // before the first row nothing else can be mended
   const first = status.newest_measurement === null ? reasons.find((each) => each.code === "no_attitude") : null;
   const [worst, ...others] = first ? [first, ...reasons.filter((each) => each !== first)] : reasons;
@@ -24,17 +27,13 @@ export function sentence(status, row, control) {
   const reason = worst && [reasonText(worst, conditions, row), more].filter(Boolean).join(" ");
   const next = worst && meaning("reasons", worst.code, "next");
   const key = allowed ? (worst ? "allowedBut" : "allowed") : "forbidden";
-  return words(`views.now.sentence.${key}`, { known: knowledge(row), reason, next });
+  return words(`views.now.sentence.${key}`, { known, reason, next });
 }
 
-/** Return what is known of the angles. */
-function knowledge(row) {
-  if (!row) return meaning("statuses", "NOT_RECEIVED");
-  if (row.status === "INVALID") return words("views.now.unknown");
-  const sigma = Math.max(row.sigma_deg.roll ?? NaN, row.sigma_deg.pitch ?? NaN);
-  if (row.status !== "ACQUIRED" || !Number.isFinite(sigma)) return meaning("statuses", row.status);
-  // rounded up: never better than it is
-  return words("views.now.known", { sigma: number(Math.ceil(200 * sigma) / 100, 2) });
+/** Return the words of the worst that is true now, as the service found it. */
+function situationWords({ code, axis, severity, ...figures }) {
+  const values = Object.fromEntries(Object.entries(figures).map(([name, value]) => [name, number(value, 2)]));
+  return meaning("situations", code, "name", { ...values, axis: axis && words(`app.axis.${axis}`).toLowerCase() });
 }
 
 function reasonText(reason, conditions, row) {

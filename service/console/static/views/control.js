@@ -82,7 +82,7 @@ export function show({ store, spacecraft, session }) {
     const { allowed, reasons } = control.control;
     const worst = control.conditions.find(({ met, consequence }) => met === false && consequence !== "yaw");
     const why = allowed || !worst ? meaning("states", control.state) : `${meaning("reasons", worst.code)}; ${meaning("reasons", worst.code, "next")}`;
-    fill(verdict, element("h1", {}, symbol(allowed ? "normal" : "critical"), " ", words(allowed ? "views.control.allowed" : "views.control.forbidden"), " – ", why));
+    fill(verdict, element("h1", {}, symbol(control.control.situation?.severity ?? "off"), " ", words(allowed ? "views.control.allowed" : "views.control.forbidden"), " – ", why));
     const others = reasons.filter(({ code }) => code !== worst?.code).map(({ code }) => meaning("reasons", code));
     const since = control.since && words("views.control.sinceState", { at: utc(control.since) });
     verdict.append(element("p", { class: "detail" }, [since, ...others].filter(Boolean).join("; ")));

@@ -133,7 +133,7 @@ function card(title) {
 function drawVerdict(node, { status, control, link, offsetMs }, row) {
   const isCut = link.state === "cut";
   const text = isCut ? words("views.now.cut", { at: utc(link.since + offsetMs, "minute"), next: meaning("faults", "network", "next") }) : status ? sentence(status, row, control) : words("views.now.waiting");
-  const level = !status ? "off" : !isCut && status.control.allowed ? "normal" : status.control.state === "TRIPPED" ? "critical" : "serious";
+  const level = !status ? "off" : isCut ? "serious" : (status.control.situation?.severity ?? "off");
   const key = `${level} ${text}`;
   if (node.dataset.shown === key) return;
   node.dataset.shown = key;

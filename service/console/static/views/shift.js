@@ -120,7 +120,7 @@ function handoverOf(answer) {
   const list = (key, rows) => [element("h2", {}, words(`views.shift.${key}`)), rows.length ? element("ul", {}, rows.map((each) => element("li", {}, each))) : element("p", { class: "detail" }, words("views.shift.none"))];
   const alarm = (each) => [symbol(SEVERITY_LEVEL[each.severity]), " ", meaning("alarms", each.condition), " ", foreign(each.thing), ` ${utc(each.raised_at)} ${words(`views.alarms.state.${each.state}`)}`];
   const { control } = answer;
-  const verdict = [symbol(control.allowed ? "normal" : "critical"), " ", words(control.allowed ? "views.now.allowed" : "views.now.forbidden"), ...control.reasons.map((each) => `; ${meaning("reasons", each.code)}`)];
+  const verdict = [symbol(control.situation?.severity ?? "off"), " ", words(control.allowed ? "views.now.allowed" : "views.now.forbidden"), ...control.reasons.map((each) => `; ${meaning("reasons", each.code)}`)];
   const link = (each) => [foreign(each.id), ` ${linkStateWords(each.state)}${each.enabled ? "" : `, ${words("views.shift.disabled")}`}`, each.warnings.map(({ code, detail }) => [`; ${meaning("problems", code)} `, element("span", { lang: "en" }, foreign(detail))])];
   const source = (each) => [foreign(each.source), ` ${utc(each.newest_epoch)}; ${words("views.shift.missing", { count: each.rows_missing ?? 0 })}`];
   const ending = [

@@ -169,7 +169,15 @@ def test_no_bar_stays_above_the_operation(monkeypatch):
 START = "2026-11-05T10:00:00.000000Z"
 EPOCH = "2026-11-05T11:00:00.000000Z"
 REASON = {"code": "yaw_sign", "text": "the sign of yaw is not proven", "since": None, "next_step": "prove it"}
-ALLOWED = {"allowed": True, "state": "ENGAGED", "reasons": []}
+SITUATION = {
+    "code": "known",
+    "severity": "normal",
+    "axis": None,
+    "known_deg": 0.04,
+    "yaw_known_deg": 0.41,
+    **dict.fromkeys(("angle_deg", "limit_deg", "rate_deg_h", "hours_to_limit")),
+}
+ALLOWED = {"allowed": True, "state": "ENGAGED", "reasons": [], "situation": SITUATION}
 ANGLES = {"yaw": 0.1, "roll": 0.02, "pitch": 0.02}
 
 
@@ -221,7 +229,7 @@ def test_it_says_where_how_sure_since_when_the_torque_and_what_happens_without_c
     lines = printed(scene(), alone(2.0))
     text = "\n".join(lines)
     assert len(lines) <= 24
-    assert lines[0].startswith("roll, pitch known to 0.04 deg; ")
+    assert lines[0].startswith("roll, pitch known to 0.04 deg, yaw to 0.41 deg; ")
     assert "4 Operation, 1.0 h" in lines[1]
     assert "within its bounds since 2026-11-05T10:00Z, 1.0 h" in text
     assert "Without control it leaves them after 1.0 h" in text
@@ -263,7 +271,10 @@ def test_a_story_that_is_only_followed_has_neither_bounds_nor_another_flight():
     ("verdict", "words"),
     [
         ({**ALLOWED, "reasons": [REASON]}, "torques may go, but the sign of yaw is not proven: run the sign check"),
-        ({"allowed": False, "state": "TRIPPED", "reasons": [REASON]}, "no torque: the sign of yaw is not proven"),
+        (
+            {**ALLOWED, "allowed": False, "state": "TRIPPED", "reasons": [REASON]},
+            "no torque: the sign of yaw is not proven",
+        ),
     ],
 )
 def test_the_verdict_comes_first_in_the_words_of_the_console(verdict, words):

@@ -20,8 +20,10 @@ from service.core.estimation.filtering.model.filter_model import FloatArray, Int
 
 #: unknowns of a row beside the carriers' own: three angles and the common level
 _UNKNOWNS = 4
-#: loss by two hours without control from which an uncertain angle is steered by, deg
+#: loss of roll or pitch by two hours without control from which an uncertain angle is steered by, deg
 WAITING_LOSS_DEG = 0.1
+#: the same of yaw, which is less certain for hours: from 0.1 deg on yaw left 0.97 deg where it now leaves 0.53
+_YAW_LOSS_DEG = 0.05
 #: how many times the nominal protection level the level must be to say that the angle may be wrong in kind
 DOUBT_RATIO = 1.5
 #: for how long a figure that passed its limit inhibits at least
@@ -159,7 +161,7 @@ def _shares(evidence: IntegrityInputs, limits: IntegrityLimits) -> FloatArray:
             evidence.nis_ratio / limits.nis_ratio,
             yaw / limits.sigma_yaw_deg,
             max(loss_deg) / WAITING_LOSS_DEG,
-            yaw_loss_deg / WAITING_LOSS_DEG,
+            yaw_loss_deg / _YAW_LOSS_DEG,
         ]
     )
 

@@ -6,6 +6,8 @@ import pytest
 
 AXES = ("yaw", "roll", "pitch")
 NOW = "2027-01-15T10:30:00.000000Z"
+NO_LIMIT = dict.fromkeys(("angle_deg", "limit_deg", "rate_deg_h", "hours_to_limit"))
+SITUATION = {"code": "known", "severity": "normal", "axis": None, "known_deg": 0.04, "yaw_known_deg": 0.41, **NO_LIMIT}
 
 
 def attitude(method: str = "robust", **changes: Any) -> dict[str, Any]:
@@ -22,7 +24,7 @@ def reason(code: str, **changes: Any) -> dict[str, Any]:
 
 
 def verdict(*reasons: dict[str, Any], allowed: bool = False, state: str = "INHIBITED") -> dict[str, Any]:
-    return {"allowed": allowed, "state": state, "reasons": list(reasons)}
+    return {"allowed": allowed, "state": state, "reasons": list(reasons), "situation": SITUATION}
 
 
 def condition(code: str, limit: float, **changes: Any) -> dict[str, Any]:

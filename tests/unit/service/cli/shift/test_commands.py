@@ -35,10 +35,10 @@ def run(*command: str, **environment: str) -> Any:
 def test_the_exit_code_of_status_says_whether_torques_may_go(
     service: Any, is_allowed: bool, state: str, code: int
 ) -> None:
-    service.verdict = {"allowed": is_allowed, "state": state, "reasons": []}
+    service.verdict |= {"allowed": is_allowed, "state": state, "reasons": []}
     done = run("status")
     assert done.exit_code == code
-    assert done.stdout.startswith("yamal-202: roll, pitch known to 0.02 deg;")
+    assert done.stdout.startswith("yamal-202: roll, pitch known to 0.04 deg, yaw to 0.41 deg;")
     assert json.loads(run("status", "--json").stdout) == service.status("")
 
 

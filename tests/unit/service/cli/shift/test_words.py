@@ -8,19 +8,27 @@ from hypothesis import strategies as st
 
 from service.cli.shift.tables import MISSING, axes, clean, meaning, number, sentence, utc, words
 
-ROW = {"status": "ACQUIRED", "sigma_deg": {"yaw": 0.1, "roll": 0.01, "pitch": 0.02}, "downlink_fade_db": 2.5}
+ROW = {"downlink_fade_db": 2.5}
+FIGURES = dict.fromkeys(("angle_deg", "limit_deg", "rate_deg_h", "hours_to_limit", "known_deg", "yaw_known_deg"))
+
+
+def situation(code: str = "known", axis: str | None = None, **figures: float) -> dict[str, object]:
+    known = {"known_deg": 0.04, "yaw_known_deg": 0.41} if code == "known" else {}
+    return {"code": code, "severity": "normal", "axis": axis, **FIGURES, **known, **figures}
 
 
 def reason(code: str, since: str | None = None) -> dict[str, object]:
     return {"code": code, "text": "its text", "next_step": "its step", "since": since}
 
 
-def said(*reasons: dict[str, object], allowed: bool = False, row: dict[str, object] = ROW, **control: object) -> str:
+def said(
+    *reasons: dict[str, object], allowed: bool = False, found: dict[str, object] | None = None, **control: object
+) -> str:
     status = {
-        "control": {"allowed": allowed, "reasons": list(reasons)},
+        "control": {"allowed": allowed, "reasons": list(reasons), "situation": found or situation()},
         "newest_measurement": control.pop("newest", "t"),
     }
-    return sentence(status, row, {"conditions": [], "open_commands": [], "unreported_commands": [], **control})
+    return sentence(status, ROW, {"conditions": [], "open_commands": [], "unreported_commands": [], **control})
 
 
 @given(text=st.text())
@@ -37,13 +45,27 @@ def test_a_harmless_word_stays_as_it_is(text: str) -> None:
 
 
 def test_the_sentence_says_what_is_known_the_first_reason_and_its_next_step() -> None:
-    assert said(allowed=True) == "roll, pitch known to 0.04 deg; torques may go"
+    assert said(allowed=True) == "roll, pitch known to 0.04 deg, yaw to 0.41 deg; torques may go"
     two = said(reason("stop", "2027-01-15T10:30:00Z"), reason("not_armed"))
     assert two.endswith(
         "no torque: an operator stopped control since 10:30 (and 1 more); find the cause, then reset control"
     )
     assert "but the sign of yaw is not proven" in said(reason("yaw_sign"), allowed=True)
-    assert said(row={**ROW, "status": "NOT_RECEIVED"}, allowed=True).startswith("no row has come yet;")
+
+
+def test_the_worst_is_said_first_with_its_figures() -> None:
+    assert said(reason("not_armed"), found=situation("no_attitude")).startswith("no row has come yet;")
+    growing = situation("beyond_and_growing", "pitch", angle_deg=2.56, limit_deg=0.4, rate_deg_h=0.31)
+    text = (
+        "pitch 2.56 deg is beyond its limit of 0.40 deg and grows by 0.31 deg/h; no torque: an operator stopped control"
+    )
+    assert said(reason("stop"), found=growing).startswith(text)
+    soon = situation("towards_limit", "roll", angle_deg=-0.3, limit_deg=0.4, hours_to_limit=0.5)
+    assert said(allowed=True, found=soon) == "roll -0.30 deg meets its limit of 0.40 deg in 0.50 h; torques may go"
+    dark = said(reason("sigma_roll"), reason("redundancy"), found=situation("dark", "roll", angle_deg=4.95))
+    assert dark == (
+        "no carrier is on the air, roll was 4.95 deg; no torque; look at the receiving chain and the satellite first"
+    )
 
 
 def test_a_reason_has_the_value_of_its_condition() -> None:
@@ -77,9 +99,7 @@ def test_what_waits_for_a_person_and_what_must_be_mended_first() -> None:
     assert "no torque" in said(reason("stop"), open_commands=[3])
     empty = said(reason("not_aligned"), reason("no_attitude"), newest=None)
     assert "no attitude has been computed yet (and 1 more); check the links" in empty
-    assert said(reason("not_aligned"), row={**ROW, "status": "INVALID"}).startswith("the attitude is not known;")
-    precise = {**ROW, "sigma_deg": {"yaw": 0.1, "roll": 0.0101, "pitch": 0.01}}
-    assert "known to 0.03 deg" in said(allowed=True, row=precise), "never better than it is"
+    assert said(reason("not_aligned"), found=situation("no_angles")).startswith("the attitude is not known;")
 
 
 @pytest.mark.parametrize(("value", "shown"), [(None, MISSING), (-0.25, "-0.250"), (1.0, "1.000")])

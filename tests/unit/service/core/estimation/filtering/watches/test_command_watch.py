@@ -357,7 +357,7 @@ def test_absent_carriers_teach_nothing():
     assert (watch.white_scale == 1.0).all()
 
 
-SIGMA, LEVEL, STILL = np.array([0.09, 0.01, 0.02]), np.array([0.4, 0.08, 0.12]), np.array([0.1, 0.1, 0.1])
+SIGMA, LEVEL, STILL = np.array([0.09, 0.01, 0.02]), np.array([0.4, 0.08, 0.12]), np.array([0.05, 0.1, 0.1])
 CALM = IntegrityInputs(0, SIGMA, LEVEL, LEVEL, STILL, 16, False, False, 1.0, (False, False, False), 0, 16)
 #: a torque turns yaw and pitch
 PUSHED = CALM._replace(waiting_loss_deg=np.array([0.9, 0.1, 0.11]))
