@@ -21,7 +21,7 @@ TYPES = {
     "MeasurementAnswer": "MeasurementReply",
     "ExclusionAnswer": "ExclusionReply",
     "ControlReasonAnswer": "ControlReasonReply",
-    "SpacecraftSituationAnswer": "SpacecraftSituation",
+    "SpacecraftSituationAnswer": "SituationReply",
     "VerdictAnswer": "Verdict",
     "NewestAttitudeAnswer": "Attitude",
     "JobAnswer": "JobReply",
@@ -48,9 +48,18 @@ def _class(name: str, schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> 
     for field in dict.fromkeys((*schema["required"], *properties)):
         content = properties[field]
         lines += (f"    #: {line}" for line in wrap(content.get("description", ""), _LINE - len("    #: ")))
-        line = f"    {field}: {_type(content, schemas)}"
-        lines += [line] if len(line) <= _LINE else [line.replace("[", "[\n        ").removesuffix("]"), "    ]"]
+        lines += _broken(f"    {field}: {_type(content, schemas)}")
     return "\n".join(lines) + "\n"
+
+
+def _broken(line: str) -> list[str]:
+    """Return a member on one line, else what is in brackets on one of its own, else each of these on its own."""
+    if len(line) <= _LINE:
+        return [line]
+    head, _, inner = line.removesuffix("]").partition("[")
+    inside = f"        {inner}"
+    each = [inside] if len(inside) <= _LINE else [f"        {one}," for one in inner.split(", ")]
+    return [f"{head}[", *each, "    ]"]
 
 
 def _type(schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:

@@ -142,12 +142,21 @@ class ControlReasonReply(TypedDict):
     next_step: str
 
 
-class SpacecraftSituation(TypedDict):
+class SituationReply(TypedDict):
     """The worst that is true of a spacecraft now, which every view says first."""
 
     #: Dark: no carrier is on the air; no_angles: of a first row; old: the newest row is.
     code: Literal[
-        "estimator_failed", "no_attitude", "old", "dark", "lost", "no_angles", "beyond_and_growing", "beyond_limit", "towards_limit", "known"
+        "estimator_failed",
+        "no_attitude",
+        "old",
+        "dark",
+        "lost",
+        "no_angles",
+        "beyond_and_growing",
+        "beyond_limit",
+        "towards_limit",
+        "known",
     ]
     #: critical, serious, caution or normal; that of every view.
     severity: Literal["critical", "serious", "caution", "normal"]
@@ -175,7 +184,7 @@ class Verdict(TypedDict):
     #: ENGAGED under release automatic: computed commands count as applied.
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
     #: What to say first.
-    situation: SpacecraftSituation
+    situation: SituationReply
     #: All active reasons, the one to act on first; while allowed, those that withhold yaw alone.
     reasons: list[ControlReasonReply]
 

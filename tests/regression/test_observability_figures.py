@@ -264,7 +264,8 @@ def test_a_torque_is_learned_within_a_day_and_yaw_is_what_it_costs(model):
     angles, torques = sigmas(model, PUSHED)
     print("angles", angles.round(3).tolist(), "torque", torques.round(3).tolist())
     assert (torques[0] < [0.7, 0.3, 0.15]).all()
-    assert (torques[1] < [0.35, 0.25, 0.1]).all()
+    # half of the torque is constant: until noon a constant and a wave look alike
+    assert (torques[1] < [0.5, 0.3, 0.1]).all()
     assert (torques[2] < [0.12, 0.1, 0.05]).all()
     assert (angles[:, 1] < 0.02).all()
     assert (angles[:, 2] < 0.06).all()
@@ -280,12 +281,12 @@ def test_without_a_torque_yaw_is_known(model):
 
 
 def test_what_limits_yaw_is_the_torque_about_roll(model):
-    """A wave about roll looks as a wave of yaw does; were it known, yaw would be."""
+    """A wave about roll looks as a wave of yaw does for half a day; were it known, yaw would be."""
     free, _ = sigmas(model, PUSHED)
     roll_known, _ = sigmas(model, PUSHED, known=(1,))
     pitch_known, _ = sigmas(model, PUSHED, known=(2,))
     print("roll", roll_known[:, 0].round(3).tolist(), "pitch", pitch_known[:, 0].round(3).tolist())
-    assert (roll_known[:3, 0] < 0.65 * free[:3, 0]).all()
+    assert (roll_known[:3, 0] < [0.45, 0.55, 0.8] * free[:3, 0]).all()
     assert (pitch_known[:, 0] > 0.8 * free[:, 0]).all()
 
 
