@@ -166,7 +166,7 @@ class SituationReply(TypedDict):
     angle_deg: float | None
     #: An angle is to stay within it; deg.
     limit_deg: float | None
-    #: Positive: the angle leaves zero; deg/h.
+    #: Positive: away from zero; deg/h.
     rate_deg_h: float | None
     #: At this rate; null: it does not go there.
     hours_to_limit: float | None
@@ -240,7 +240,7 @@ class Attitude(TypedDict):
     lag_s: float | None
     #: Protection level if nothing were wrong with any carrier; deg.
     nominal_protection_deg: Angles
-    #: Loss by two hours without control: what the torque turns, or the angle that there surely is; deg.
+    #: Loss by two hours without control: turn by the torque, or an angle that is certain, the greater one; deg.
     waiting_loss_deg: Angles
     #: `live`, `smoothed`, or the replay that made the row.
     version: str

@@ -39,7 +39,7 @@ class SpacecraftSituation:
     axis: Annotated[str | None, "Of dark, lost and what is said of a limit."] = None
     angle_deg: Annotated[float, "Of this axis; the last known where it is lost."] = math.nan
     limit_deg: Annotated[float, "An angle is to stay within it."] = math.nan
-    rate_deg_h: Annotated[float, "Positive: the angle leaves zero."] = math.nan
+    rate_deg_h: Annotated[float, "Positive: away from zero."] = math.nan
     hours_to_limit: Annotated[float, "At this rate; null: it does not go there."] = math.nan
     known_deg: Annotated[
         float, "Roll and pitch are known to it: the greater protection level, of a method without one two sigma."

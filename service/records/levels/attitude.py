@@ -119,7 +119,7 @@ class AttitudeRow:
     ] = math.nan
     nominal_protection_deg: Annotated[Axes, "Protection level if nothing were wrong with any carrier."] = NO_ANGLES
     waiting_loss_deg: Annotated[
-        Axes, "Loss by two hours without control: what the torque turns, or the angle that there surely is."
+        Axes, "Loss by two hours without control: turn by the torque, or an angle that is certain, the greater one."
     ] = NO_ANGLES
 
 

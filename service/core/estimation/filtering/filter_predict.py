@@ -152,9 +152,7 @@ def waiting_loss_deg(model: CarrierModel, settings: FilterSettings, state: Gauss
 
 def _combined(matrix: FloatArray, state: Gaussian, places: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and sigma (3,) of combinations (3, P) of some states."""
-    # in one order of memory: a state that was restored gives the same bits
-    covariance = np.ascontiguousarray(state.covariance[np.ix_(places, places)])
-    variance = np.diagonal(matrix @ covariance @ matrix.T)
+    variance = np.diagonal(matrix @ state.covariance[np.ix_(places, places)] @ matrix.T)
     return matrix @ state.mean[places], np.sqrt(np.maximum(variance, 0.0))
 
 

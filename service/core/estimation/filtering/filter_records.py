@@ -52,7 +52,7 @@ class FilterStep(NamedTuple):
     protection_deg: FloatArray
     #: (3,) deg, those levels if nothing were wrong with any carrier
     nominal_deg: FloatArray
-    #: (3,) deg, what the angles gain by the torque within two hours
+    #: (3,) deg, loss by two hours without control
     waiting_loss_deg: FloatArray
     #: (N,) dB, NaN = absent or flagged
     innovation_db: FloatArray

@@ -60,7 +60,7 @@ class IntegrityInputs(NamedTuple):
     protection_deg: FloatArray
     #: (3,) those if nothing were wrong with any carrier
     nominal_deg: FloatArray
-    #: (3,) what two hours without control would cost
+    #: (3,) loss by two hours without control, deg
     waiting_loss_deg: FloatArray
     carriers_used: int
     is_raining: bool
