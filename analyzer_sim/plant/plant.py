@@ -94,11 +94,11 @@ def _angles(item: object) -> Angles:
     """Return the angles of a line, fields as in `attitude/uplink`."""
     if not isinstance(item, dict) or not set(item) >= _ANGLE_FIELDS or not isinstance(item["attitude_deg"], dict):
         raise ScheduleError(f"an attitude has {', '.join(sorted(_ANGLE_FIELDS))}")
-    reported = [item["attitude_deg"].get(axis) for axis in ("yaw", "roll", "pitch")]
-    yaw, roll, pitch = (angle if isinstance(angle, float) else math.nan for angle in reported)
-    # NaN is not within either
-    if not all(abs(angle) <= MAX_ANGLE_DEG for angle in (yaw, roll, pitch)):
-        raise ScheduleError(f"attitude_deg holds yaw, roll and pitch within {MAX_ANGLE_DEG:g} deg")
+    reported = [item["attitude_deg"].get(axis, math.nan) for axis in ("yaw", "roll", "pitch")]
+    # null says that the ground withholds the axis
+    if not all(angle is None or (isinstance(angle, float) and abs(angle) <= MAX_ANGLE_DEG) for angle in reported):
+        raise ScheduleError(f"attitude_deg holds yaw, roll and pitch within {MAX_ANGLE_DEG:g} deg, or null")
+    yaw, roll, pitch = (math.nan if angle is None else angle for angle in reported)
     epoch_us, until_us = (_epoch_us("attitude", name, item[name]) for name in ("attitude_epoch", "valid_until"))
     return Angles(_counter(item["counter"]), epoch_us, until_us, (yaw, roll, pitch))
 

@@ -242,6 +242,8 @@ class Attitude(TypedDict):
     nominal_protection_deg: Angles
     #: Loss by two hours without control: turn by the torque, or an angle that is certain, the greater one; deg.
     waiting_loss_deg: Angles
+    #: Angles that control steers by: of paper its fixes carried on by the dynamics; null: those of the row; deg.
+    steering_deg: Angles
     #: `live`, `smoothed`, or the replay that made the row.
     version: str
     #: Verdict on control: whether a torque may go now, and every reason against it.

@@ -97,7 +97,6 @@ class EstimationConfig:
     uplink_gate_db: float = setting(1.5, "uplink rain: a carrier this far below the others is left out, dB", TUNED)
     gate_sigma: float = setting(3.0, "a carrier is used while its residual is within this many sigma", PUBLISHED)
     min_carriers: int = setting(4, "fewest carriers of a fix", TUNED)
-    rate_window_s: float = setting(1800.0, "rates are the slope of the fixes over this time, s", TUNED)
     max_gap_s: float = setting(1800.0, "a row later than this after its predecessor starts the means again, s", TUNED)
 
 

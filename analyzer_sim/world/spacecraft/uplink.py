@@ -19,7 +19,7 @@ _AXES = 3
 
 
 class Angles(NamedTuple):
-    """A product of the ground; yaw, roll, pitch."""
+    """A product of the ground; yaw, roll, pitch, NaN about an axis that the ground withholds."""
 
     counter: int
     epoch_us: int
@@ -49,9 +49,11 @@ class AnglesLoop:
         if before is None:
             return
         if self.newest is None:
-            self.angles_deg = list(reported.attitude_deg)
+            self.angles_deg = [0.0 if math.isnan(angle) else angle for angle in reported.attitude_deg]
         self.newest = reported
         for k in range(_AXES):
+            if math.isnan(reported.attitude_deg[k]):
+                continue
             missed = reported.attitude_deg[k] - before[k]
             self.angles_deg[k] += _ANGLE_GAIN * missed
             self.bias_deg_s[k] += _BIAS_GAIN_1_S * missed
@@ -70,8 +72,10 @@ class AnglesLoop:
         rates = [r + b + x for r, b, x in zip(rate_deg_s, self.bias_deg_s, exchange, strict=True)]
         pulses: list[TorqueElement] = []
         if self.newest is not None:
-            stiffness = 0.0 if self.is_holding(start_us) else _LOOP_RAD_S**2
+            is_holding = self.is_holding(start_us)
             for k, (angle, rate, inertia) in enumerate(zip(self.angles_deg, rates, self.inertia_kg_m2, strict=True)):
+                # what the ground withholds is not turned anywhere, but kept from turning
+                stiffness = 0.0 if is_holding or math.isnan(self.newest.attitude_deg[k]) else _LOOP_RAD_S**2
                 wanted = stiffness * angle + 2.0 * _DAMPING * _LOOP_RAD_S * rate
                 pulses += _pulse(start_us, span_s, k, -inertia * math.radians(wanted))
         self._past[start_us] = tuple(self.angles_deg)

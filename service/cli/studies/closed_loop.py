@@ -64,6 +64,7 @@ def closed_loop(
     mode: Annotated[
         str, typer.Option(help="ground: torques go up; onboard: angles do, for a loop on board.")
     ] = "ground",
+    method: Annotated[str, typer.Option(help="Method that drives control: robust or paper.")] = "robust",
     silence_h: Annotated[
         tuple[float, float], typer.Option(help="Begin and length of a time without uplink; mode onboard.")
     ] = (0.0, 0.0),
@@ -78,6 +79,7 @@ def closed_loop(
     """Close the loop with the chain, beside perfect sensing and beside no control, which must fail."""
     from concurrent.futures import BrokenExecutor
 
+    from service.records.catalogue import Method
     from service.study.closed_loop.campaign import LoopPlan, run_loops
     from service.study.closed_loop.controllers import Sensing
     from service.study.closed_loop.plant_process import PlantFailedError
@@ -89,9 +91,10 @@ def closed_loop(
     scenarios = tuple(dict.fromkeys(scenario or SCENARIOS))
     sensings = tuple(one for one in Sensing if not sensing or one.value in sensing)
     _require("mode", [mode], ("ground", "onboard"))
+    _require("method", [method], [one.value for one in Method])
     if silence_h[1] and mode != "onboard":
         end("--silence-h is for --mode onboard; over a link commands are lost as it is")
-    settings = (uplink, operation_days, drift_deg_h, mode, silence_h)
+    settings = (uplink, operation_days, drift_deg_h, mode, silence_h, Method(method))
     plan = LoopPlan(scenarios, runs, WorkerChoice(workers, scheduler), sensings, *settings)
     with failures_shown(PlantFailedError, BrokenExecutor, ClusterError, OSError), counted("loops") as show:
         campaign = run_loops(plan, show, flights)
@@ -121,7 +124,7 @@ def _command(plan: "LoopPlan") -> str:
     words += [word for name in plan.scenarios for word in ("--scenario", name)]
     words += ["--operation-days", f"{plan.operation_days:g}"] if plan.operation_days else []
     words += ["--drift-deg-h", *(f"{drift:g}" for drift in plan.drift_deg_h)] if plan.drift_deg_h else []
-    words += ["--mode", plan.mode]
+    words += ["--mode", plan.mode, "--method", plan.method.value]
     words += ["--silence-h", *(f"{hours:g}" for hours in plan.silence_h)] if plan.silence_h[1] else []
     words += [word for sensing in plan.sensings for word in ("--sensing", sensing.value)]
     return shlex.join(words)

@@ -46,6 +46,8 @@ INHIBITIONS: dict[str, str] = {
     "no_fix": "too few carriers present for an attitude",
     "redundancy": "too few carriers beyond the unknowns to detect a wrong one",
     "downlink_fade": "rain on the downlink or a change of the receiving chain could appear as attitude",
+    "common_change": "all levels have risen alike, which looks like attitude: the gain of the receiving chain or the "
+    "powers of all users changed; look at the receiving chain, and align again if the change stays",
     "chain_step": "the level of all carriers has just changed; the gain of the receiving chain is estimated again",
     "innovations": "the powers contradict the model more than its noise allows",
     "unannounced_motion": "roll or pitch moves without an announced cause",
@@ -70,6 +72,7 @@ class RowContext:
     is_catch_up: bool
     is_settled: bool
     is_fading: bool
+    is_risen: bool
     has_inhibiting_operation: bool
     is_yaw_controllable: bool = True
 
@@ -106,6 +109,7 @@ def _circumstantial(context: RowContext) -> set[str]:
         "catch_up": context.is_catch_up,
         "settling": not context.is_settled,
         "downlink_fade": context.is_fading,
+        "common_change": context.is_risen,
         "operation": context.has_inhibiting_operation,
     }
     return {reason for reason, stands in conditions.items() if stands}

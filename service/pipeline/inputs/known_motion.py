@@ -9,21 +9,36 @@ import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
     FedForward,
+    FilterSettings,
     KnownMotion,
     LearnedMomentum,
     MomentumModel,
     RateSensorModel,
     no_motion,
 )
-from service.core.estimation.filtering.model.torque_prior import DAY_US, TORQUES, scale_covariance
+from service.core.estimation.filtering.model.torque_prior import DAY_US, TORQUES, scale_covariance, wave_period_us
+from service.pipeline.config import RobustConfig
 from service.records.calibration import Calibration, GatheredTorque
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
-from service.records.levels.attitude import AppliedCommand, FloatArray, Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import (
+    AppliedCommand,
+    Disturbance,
+    FloatArray,
+    Pulse,
+    ReleasedCommand,
+    ReportedCommand,
+    named_axes,
+)
 
 _US_PER_H = 3600 * US_PER_S
 _NEVER_US = 1 << 62
+#: exchange of roll and yaw at the orbital rate, 1/h
+_ORBITAL_RATE_PER_H = 0.2625162
+#: angles that an exchange of roll and yaw turns into drift where nobody knows of it, deg
+_USUAL_ROLL_DEG = 0.05
+_USUAL_YAW_DEG = 0.2
 #: torque that gives 1 kg m^2 an acceleration of 1 deg/h^2
 DEG_H2_N_M = math.radians(1.0) / 3600.0**2
 
@@ -260,6 +275,55 @@ def axis_accelerations_deg_h2(spacecraft: Spacecraft | None, torque_n_m: float) 
         return (0.0, 0.0, 0.0)
     yaw, roll, pitch = (torque_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft))
     return yaw, roll, pitch
+
+
+def motion_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
+    """Return how the spacecraft moves, sensors beside the powers left out.
+
+    An exchange of roll and yaw that nobody knows of is drift of either by what the usual angle of the other makes.
+    """
+    is_coupled = True if spacecraft is None else spacecraft.onboard.roll_yaw_coupling
+    unknown_per_h = _ORBITAL_RATE_PER_H if is_coupled is None else 0.0
+    fed = fed_forward(spacecraft)
+    residual_n_m = residual_torque_n_m(spacecraft, config.unknown_torque_n_m, config.least_stated_torque_n_m)
+    return FilterSettings(
+        coupling_per_h=_ORBITAL_RATE_PER_H if is_coupled else 0.0,
+        drift_deg_h=(
+            math.hypot(config.yaw_drift_deg_h, unknown_per_h * _USUAL_ROLL_DEG),
+            math.hypot(config.roll_drift_deg_h, unknown_per_h * _USUAL_YAW_DEG),
+            config.pitch_drift_deg_h,
+        ),
+        drift_tau_h=config.drift_time_h,
+        correction_scale=config.correction_scale_error,
+        torque_scale=config.torque_scale_error,
+        torque_deg_h2=axis_accelerations_deg_h2(spacecraft, residual_n_m),
+        # a profile that is fed forward has an error of its own, which is known
+        unknown_torque_deg_h2=axis_accelerations_deg_h2(spacecraft, config.unknown_torque_n_m if fed is None else 0.0),
+        fed_forward=fed,
+    )
+
+
+def disturbance_of(
+    mean: FloatArray,
+    covariance: FloatArray,
+    settings: FilterSettings,
+    inertia_kg_m2: tuple[float, float, float],
+    epoch_us: int,
+) -> Disturbance:
+    """Return torque states (9,) and their covariance (9, 9) as a torque whose phase is zero at an epoch."""
+    period_us = wave_period_us(settings)
+    phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
+    cos, sin = math.cos(phase), math.sin(phase)
+    # what was a cosine since phase zero is a cosine and a sine since the epoch
+    turn = np.kron(np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]), np.eye(3))
+    unit = np.array(inertia_kg_m2) * DEG_H2_N_M
+    constant, cosine, sine = (turn @ mean).reshape(3, 3) * unit
+    now = np.kron(np.array([1.0, 1.0, 0.0]), np.eye(3)) @ turn
+    # the covariance of a profile has no full rank: rounding may leave less than nothing of a variance
+    sigma = np.sqrt(np.maximum(0.0, np.diag(now @ covariance @ now.T))) * unit
+    return Disturbance(
+        epoch_us, period_us / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
+    )
 
 
 def is_torque_unknown(spacecraft: Spacecraft | None) -> bool:

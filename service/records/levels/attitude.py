@@ -121,6 +121,20 @@ class AttitudeRow:
     waiting_loss_deg: Annotated[
         Axes, "Loss by two hours without control: turn by the torque, or an angle that is certain, the greater one."
     ] = NO_ANGLES
+    steering_deg: Annotated[
+        Axes, "Angles that control steers by: of paper its fixes carried on by the dynamics; null: those of the row."
+    ] = NO_ANGLES
+
+    @property
+    def steered_deg(self) -> Axes:
+        """Angles that control steers by, which are the row's own where no others are told."""
+        return self.attitude_deg if any(map(math.isnan, self.steering_deg)) else self.steering_deg
+
+
+def fit_angles_deg(row: AttitudeRow) -> Axes:
+    """Return the angles of a row that a loop on board may use, NaN about a withheld axis."""
+    angles = zip(row.steered_deg, row.control_allowed_axes, strict=True)
+    return Axes(*(angle if is_allowed else math.nan for angle, is_allowed in angles))
 
 
 def row_without_attitude(

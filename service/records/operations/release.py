@@ -186,7 +186,7 @@ class UplinkProduct:
     #: of the command
     digest: str = ""
     schedule: Annotated[tuple[Pulse, ...], "Torque on the body; every element ends by itself."] = ()
-    attitude_deg: Axes | None = None
+    attitude_deg: Annotated[Axes | None, "Null about an axis that must not be controlled by it."] = None
     sigma_deg: Axes | None = None
 
 

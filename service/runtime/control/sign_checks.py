@@ -42,7 +42,7 @@ from service.ports import Releases
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, TorqueCommand
+from service.records.levels.attitude import AttitudeRow, TorqueCommand, fit_angles_deg
 from service.records.operations.release import (
     Command,
     CommandRequest,
@@ -321,7 +321,7 @@ def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None
         valid_until_us=row.epoch_us + context.stale_us,
         attitude_epoch_us=row.epoch_us,
         is_simulated=spacecraft.simulated,
-        attitude_deg=row.attitude_deg,
+        attitude_deg=fit_angles_deg(row),
         sigma_deg=row.sigma_deg,
     )
     context.release.handle(AnglesFit(at, product))

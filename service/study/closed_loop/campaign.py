@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from service.records.catalogue import Method
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.flight_store import keep, kept
 from service.study.closed_loop.merit import GroupMerit, group_merit
@@ -32,6 +33,8 @@ class LoopPlan(NamedTuple):
     mode: str = "ground"
     #: begin and length of a time in which nothing is sent up, h
     silence_h: tuple[float, float] = (0.0, 0.0)
+    #: that drives control
+    method: Method = Method.ROBUST
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from service.records.levels.attitude import (
     Pulse,
     Status,
     TorqueCommand,
+    fit_angles_deg,
     row_without_attitude,
 )
 from service.records.levels.measurement import Measurement
@@ -92,8 +93,8 @@ class ByChain:
         outcome = self.chain.step(measurement)
         if outcome is None or outcome.command is None:
             return ControllerOutput(is_inhibited=True)
-        driving = next((row for row in outcome.rows if row.method is Method.ROBUST), None)
-        angles = None if driving is None else driving.attitude_deg
+        driving = next(iter(outcome.rows), None)
+        angles = None if driving is None else driving.steered_deg
         command, schedule = outcome.command, outcome.command.schedule
         if self.release is not None and driving is not None:
             schedule = self.release.wanted(outcome, driving, measurement, counter)
@@ -117,11 +118,11 @@ class ByAngles:
     def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return the angles of the row, inhibited where they are not fit for use."""
         outcome = self.chain.step(measurement)
-        driving = None if outcome is None else next((r for r in outcome.rows if r.method is Method.ROBUST), None)
+        driving = None if outcome is None else next(iter(outcome.rows), None)
         if outcome is None or driving is None:
             return ControllerOutput(is_inhibited=True)
         self._command = outcome.command or self._command
-        return ControllerOutput((), not driving.control_allowed, driving.attitude_deg)
+        return ControllerOutput((), not driving.control_allowed, fit_angles_deg(driving))
 
     def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Tell the chain the mean torque of the pulses that were executed."""

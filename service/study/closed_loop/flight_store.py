@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from service.records.catalogue import Method
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.run import FlownRun, LoopResult, LoopUnit
 
@@ -51,8 +52,9 @@ def kept(folder: Path, unit: LoopUnit) -> LoopResult | None:
 def _unit(announced: dict[str, object]) -> LoopUnit:
     """Return the unit of a file."""
     named = {name: tuple(value) if isinstance(value, list) else value for name, value in announced.items()}
-    return LoopUnit(**{**named, "sensing": Sensing(named["sensing"])})  # type: ignore[arg-type]
+    enums = {"sensing": Sensing(str(named["sensing"])), "method": Method(str(named["method"]))}
+    return LoopUnit(**{**named, **enums})  # type: ignore[arg-type]
 
 
 def _path(folder: Path, unit: LoopUnit) -> Path:
-    return folder / f"{unit.scenario}-{unit.sensing.value}-{unit.seed}.npz"
+    return folder / f"{unit.scenario}-{unit.method.value}-{unit.sensing.value}-{unit.seed}.npz"

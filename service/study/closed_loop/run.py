@@ -1,5 +1,6 @@
 """One closed loop: the plant in its process, the chain in this one, row by row."""
 
+import math
 import time
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ import numpy as np
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.inputs.knowledge import JournalDocuments
+from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method, Release, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChange, SpacecraftChange
@@ -55,6 +57,8 @@ class LoopUnit(NamedTuple):
     mode: str = "ground"
     #: begin and length of a time in which nothing is sent up, h of operation
     silence_h: tuple[float, float] = (0.0, 0.0)
+    #: that drives control
+    method: Method = Method.ROBUST
 
 
 @dataclass(frozen=True)
@@ -120,11 +124,13 @@ def controller_of(unit: LoopUnit, ground: Ground, documents: JournalDocuments, p
     if unit.sensing is Sensing.TRUTH:
         automatic = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC)
         return ByTruth(automatic, 0.0 if is_ideal else LEAD_S, float(np.median(np.diff(ground.epochs_us))) / 1e6)
+    spacecraft = replace(spacecraft, control=replace(spacecraft.control, method=unit.method))
     opening = (SpacecraftChange(spacecraft, 1), plan, documents.add_ephemeris(ground.ephemeris))
-    documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1])
+    by = CalibrationMethod.PAPER if unit.method is Method.PAPER else CalibrationMethod.GEOMETRY
+    documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1], by)
     documents.alignments[1] = align(ground, documents)
     config = _config(unit)
-    chain = Chain(documents, config, methods=(Method.ROBUST,))
+    chain = Chain(documents, config, methods=(unit.method,))
     for content in (*opening, CalibrationActivation(1, 1), AlignmentSet(1)):
         chain.update(content)
     if unit.mode == "onboard":
@@ -186,7 +192,9 @@ def _product(epoch_us: int, counter: int, decision: ControllerOutput) -> dict[st
         return None
     until_us = epoch_us + round(VALID_S * US_PER_S)
     epochs = {"attitude_epoch": format_epoch(epoch_us), "valid_until": format_epoch(until_us)}
-    return {"counter": counter, **epochs, "attitude_deg": decision.attitude_deg._asdict()}
+    angles = decision.attitude_deg._asdict().items()
+    told = {axis: None if math.isnan(angle) else angle for axis, angle in angles}
+    return {"counter": counter, **epochs, "attitude_deg": told}
 
 
 def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> FlownRun:

@@ -232,7 +232,7 @@ def _situation_at(row: AttitudeRow, start_us: int, design: ControlDesign, distur
         middle_us = (row.epoch_us + start_us) // 2
         pushed_deg_s2 = np.degrees(np.linalg.solve(design.gains.inertia_kg_m2, disturbance.torque_n_m(middle_us)))
     rates = _rates(row)
-    attitude = np.array(row.attitude_deg) + rates * ahead_s + 0.5 * pushed_deg_s2 * ahead_s**2
+    attitude = np.array(row.steered_deg) + rates * ahead_s + 0.5 * pushed_deg_s2 * ahead_s**2
     return Situation(attitude, rates + pushed_deg_s2 * ahead_s, np.array(row.control_allowed_axes))
 
 

@@ -295,9 +295,9 @@ def _wanted(
     if is_gyro_orbitant(spacecraft):
         law = gyro_design(spacecraft, config, span.period_s)
         rate = np.array(body_rate_deg_s, dtype=np.float64)
-        return gyro_orbitant_torque(row.attitude_deg.roll, row.attitude_deg.pitch, rate, law, math.inf) - pushed
+        return gyro_orbitant_torque(row.steered_deg.roll, row.steered_deg.pitch, rate, law, math.inf) - pushed
     rates = np.zeros(3) if row.rates_deg_s is None else np.array(row.rates_deg_s)
-    return feedback_torque(design.gains, row.attitude_deg, rates, disturbance_n_m=pushed)
+    return feedback_torque(design.gains, row.steered_deg, rates, disturbance_n_m=pushed)
 
 
 def _share_within_envelope(torque_n_m: FloatArray, design: ControlDesign, period_s: float, of_envelope: float) -> float:
@@ -315,7 +315,7 @@ CONTROL_INHIBITIONS: dict[str, str] = {
     "mode_onboard": "torques are computed on board",
     "mode_off": "attitude control is switched off",
     "no_fast_loop": "the catalogue states no fast loop or no Forecast mode on board",
-    "no_rate": "too few fixes yet for an angular rate",
+    "no_rate": "the row has no angular rate, as a late one",
     "no_law": "inertia, wheels, period and damping of the catalogue give no control law; see the service log",
     "no_body_rate": "the law gyro_orbitant needs body rates about all axes in telemetry that is not too old",
     "law_beyond": "the roll rate exceeds the orbital rate, or the spacecraft turns against its orbit: no yaw follows",

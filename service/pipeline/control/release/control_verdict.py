@@ -58,6 +58,7 @@ _NEXT_STEPS = {
     "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": "yaw_uncertain",
     "Check the inhibitions of GET .../attitude.": "estimator",
     "Wait for the end of the rain; without rain check the receiving chain.": "fade downlink_fade",
+    "Look at the receiving chain; POST .../alignments if the change stays.": "common_change",
     "Compare with another sensor; align again if the estimate is wrong.": "innovations innovation",
     "Find out what moves the spacecraft; declare it as an operation or a correction.": "unannounced_motion",
     "Calibrate, then POST .../calibrations/{id}:activate.": "no_calibration",

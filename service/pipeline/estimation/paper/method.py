@@ -20,17 +20,39 @@ from service.core.estimation.paper.downlink_fade import (
     fade_sign_test,
     step_fade_watch,
 )
+from service.core.estimation.paper.loop_observer import LoopModel, loop_model
 from service.core.estimation.paper.rejection import reject_faded_carriers
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
-from service.pipeline.estimation.paper.rate_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
-from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, sensitivity_model, solve_attitude
+from service.pipeline.estimation.paper.loop_state import (
+    LoopState,
+    RowsOfMean,
+    Steering,
+    loop_with_fade,
+    loop_with_fix,
+    steering,
+)
+from service.pipeline.estimation.paper.snapshot_fix import (
+    SensitivityModel,
+    linear_solution,
+    sensitivity_model,
+    solve_attitude,
+)
 from service.pipeline.estimation.row_inhibitions import RowContext, RowPermission, judge
 from service.pipeline.inputs.knowledge import Knowledge
+from service.pipeline.inputs.known_motion import angle_inertia_kg_m2, motion_settings
 from service.records.calibration import Calibration
 from service.records.catalogue import Ephemeris, Method
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeFix, AttitudeRow, Deviation, FloatArray, Status, named_axes
+from service.records.levels.attitude import (
+    NO_ANGLES,
+    AttitudeFix,
+    AttitudeRow,
+    Deviation,
+    FloatArray,
+    Status,
+    named_axes,
+)
 from service.records.levels.measurement import Measurement
 
 
@@ -40,7 +62,9 @@ class PaperState(NamedTuple):
     #: deviations of the averaging window
     window: TrailingMean
     fade_watch: FadeWatch
-    fixes: FixHistory
+    #: the same for levels that have risen
+    rise_watch: FadeWatch
+    loop: LoopState
     #: epoch of the newest row, None before the first
     newest_us: int | None
 
@@ -52,6 +76,8 @@ class PaperModel:
     expected: ExpectedPower
     sensitivity: SensitivityModel
     is_yaw_controllable: bool
+    loop: LoopModel
+    inertia_kg_m2: tuple[float, float, float] | None
     calibration_id: int
     alignment_id: int
 
@@ -65,24 +91,33 @@ class PaperStep(NamedTuple):
     state: PaperState
 
 
-def paper_model(knowledge: Knowledge, aligned_with: Calibration) -> PaperModel | None:
+def paper_model(knowledge: Knowledge, aligned_with: Calibration, config: ChainConfig) -> PaperModel | None:
     """Return the model that holds, or None while calibration, ephemeris or alignment is missing."""
     calibration = knowledge.calibration_for(Method.PAPER)
     if calibration is None or knowledge.ephemeris is None or knowledge.alignment is None:
         return None
+    spacecraft = knowledge.spacecraft
+    sensitivity = sensitivity_model(calibration)
     expected = expected_power(calibration, knowledge.alignment, Method.PAPER, knowledge.ephemeris, aligned_with)
     return PaperModel(
         expected,
-        sensitivity_model(calibration),
+        sensitivity,
         calibration.is_yaw_controllable,
+        loop_model(
+            motion_settings(spacecraft, config.robust),
+            sensitivity.plus_db_per_deg,
+            sensitivity.minus_db_per_deg,
+            sensitivity.is_selected,
+        ),
+        None if spacecraft is None else angle_inertia_kg_m2(spacecraft),
         calibration.id,
         knowledge.alignment.id,
     )
 
 
-def initial_state(carriers: int, config: ChainConfig) -> PaperState:
+def initial_state(carriers: int, config: ChainConfig, loop: LoopState) -> PaperState:
     """Return the state at an alignment."""
-    return PaperState(_empty_window(carriers, config), FadeWatch(), NO_FIXES, None)
+    return PaperState(_empty_window(carriers, config), FadeWatch(), FadeWatch(), loop, None)
 
 
 def _empty_window(carriers: int, config: ChainConfig) -> TrailingMean:
@@ -111,18 +146,24 @@ def step_paper(
     else:
         after = _remember_row(state, model, deviation, config)
         fix = _averaged_fix(after, model, deviation.epoch_us, config)
-        after = _remember_fix(after, fix, config)
     context = RowContext(
         is_late=is_late,
         is_catch_up=is_catch_up,
         is_settled=is_late or _rows_in_window(after, config) >= config.estimation.min_rows,
         is_fading=after.fade_watch.is_stopped,
+        is_risen=after.rise_watch.is_stopped,
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         is_yaw_controllable=model.is_yaw_controllable,
     )
     verdict = judge(fix, context, config.interlock)
-    rates = None if is_late else rate_deg_s(after.fixes, config.estimation.rate_window_s)
-    row = _row(measurement, model, fix, verdict, rates, _fade_db(after, model, config))
+    steered = None
+    if not is_late:
+        after = after._replace(loop=_step_loop(after, model, fix, config))
+        steered = steering(after.loop, model.loop, fix.epoch_us)
+        if verdict.is_allowed:
+            # yaw follows from roll and from what was commanded, whatever the fix says of it
+            verdict = RowPermission((), (True, True, True))
+    row = _row(measurement, model, fix, verdict, steered, _fade_db(after, model, config))
     return PaperStep(row, deviation, fix, after)
 
 
@@ -132,21 +173,26 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
     is_fresh = gap_us > config.estimation.max_gap_s * US_PER_S
     window = _empty_window(len(deviation.deviation_db), config) if is_fresh else state.window
     window = downlink_fade.push(window, deviation.epoch_us, deviation.deviation_db)
-    test = _test_fade(_fade_deviation_db(window, model, config), model, config)
-    watch = step_fade_watch(
-        state.fade_watch,
-        gap_us / US_PER_S,
-        test,
+    change_db = _common_change_db(window, model, config)
+    step = partial(
+        step_fade_watch,
+        dt_s=gap_us / US_PER_S,
         depth_db=config.fade.depth_db,
         stop_after_s=config.fade.entry_s,
         return_after_s=config.fade.exit_s,
         max_gap_s=config.fade.max_gap_s,
     )
-    return PaperState(window, watch, NO_FIXES if is_fresh else state.fixes, deviation.epoch_us)
+    fade = step(state.fade_watch, test=_test_fade(change_db, model, 1.0, config))
+    rise = step(state.rise_watch, test=_test_fade(change_db, model, -1.0, config))
+    return PaperState(window, fade, rise, state.loop, deviation.epoch_us)
 
 
-def _test_fade(deviation_db: FloatArray, model: PaperModel, config: ChainConfig) -> FadeTest:
-    """Apply the rule of one sign and near size, and ask whether a turn would not explain the row better."""
+def _test_fade(change_db: FloatArray, model: PaperModel, sign: float, config: ChainConfig) -> FadeTest:
+    """Apply the rule of one sign and near size, and ask whether a turn would not explain the row better.
+
+    The print has the rule for fades alone, sign 1; a rise of all levels (-1) looks like attitude as well.
+    """
+    deviation_db = sign * change_db
     rule = partial(
         fade_sign_test,
         deviation_db,
@@ -161,7 +207,7 @@ def _test_fade(deviation_db: FloatArray, model: PaperModel, config: ChainConfig)
     turn = reject_faded_carriers(
         model.sensitivity.plus_db_per_deg,
         model.sensitivity.minus_db_per_deg,
-        deviation_db,
+        change_db,
         gate_db=config.estimation.uplink_gate_db,
         gate_sigma=config.estimation.gate_sigma,
         min_carriers=config.estimation.min_carriers,
@@ -169,22 +215,30 @@ def _test_fade(deviation_db: FloatArray, model: PaperModel, config: ChainConfig)
     return rule(fix_residual_db=turn.fix.residual_db)
 
 
+def _step_loop(state: PaperState, model: PaperModel, fix: AttitudeFix, config: ChainConfig) -> LoopState:
+    """Return the loop after a row and its fix; a row in a fade tells nothing."""
+    if state.fade_watch.is_stopped or state.rise_watch.is_stopped:
+        return loop_with_fade(state.loop, fix.epoch_us, config)
+    epochs_us = state.window.epoch_us[-_rows_in_window(state, config) :]
+    span_s = float(epochs_us[-1] - epochs_us[0]) / US_PER_S
+    rows = RowsOfMean(fix.epoch_us, span_s, max(1.0, span_s / max(1, len(epochs_us) - 1)))
+    is_enough = len(epochs_us) >= config.estimation.min_rows
+    linear = linear_solution(_mean_db(state, config), fix, model.sensitivity) if is_enough else None
+    return loop_with_fix(state.loop, linear, rows, model.loop, config)
+
+
+def _mean_db(state: PaperState, config: ChainConfig) -> FloatArray:
+    """Return the trailing mean."""
+    estimation = config.estimation
+    return downlink_fade.mean(state.window, window_s=estimation.averaging_window_s, min_rows=estimation.min_rows)
+
+
 def _averaged_fix(state: PaperState, model: PaperModel, epoch_us: int, config: ChainConfig) -> AttitudeFix:
     """Solve the trailing mean."""
-    estimation = config.estimation
-    mean_db = downlink_fade.mean(state.window, window_s=estimation.averaging_window_s, min_rows=estimation.min_rows)
     rows = _rows_in_window(state, config)
     epochs_us = state.window.epoch_us
     span_s = float(epochs_us[-1] - epochs_us[-rows]) / US_PER_S
-    return solve_attitude(epoch_us, mean_db, rows, span_s, model.sensitivity, estimation)
-
-
-def _remember_fix(state: PaperState, fix: AttitudeFix, config: ChainConfig) -> PaperState:
-    """Add a fix to the history that rates are taken from."""
-    if not all(map(math.isfinite, fix.attitude_deg.tolist())):
-        return state
-    fixes = remember_fix(state.fixes, fix.epoch_us, fix.attitude_deg, config.estimation.rate_window_s)
-    return state._replace(fixes=fixes)
+    return solve_attitude(epoch_us, _mean_db(state, config), rows, span_s, model.sensitivity, config.estimation)
 
 
 def _rows_in_window(state: PaperState, config: ChainConfig) -> int:
@@ -194,8 +248,8 @@ def _rows_in_window(state: PaperState, config: ChainConfig) -> int:
     return len(epochs_us) - downlink_fade.rows_until(epochs_us, oldest_us)
 
 
-def _fade_deviation_db(window: TrailingMean, model: PaperModel, config: ChainConfig) -> FloatArray:
-    """Return the short mean of the selected carriers that the fade rule looks at."""
+def _common_change_db(window: TrailingMean, model: PaperModel, config: ChainConfig) -> FloatArray:
+    """Return the short mean of the selected carriers that the rules of fades and rises look at."""
     short_db = downlink_fade.mean(window, window_s=config.fade.averaging_window_s, min_rows=1)
     return np.where(model.sensitivity.is_selected, short_db, np.nan)
 
@@ -204,7 +258,7 @@ def _fade_db(state: PaperState, model: PaperModel, config: ChainConfig) -> float
     """Return the size of a standing fade, 0 while none stands."""
     if not state.fade_watch.is_stopped:
         return 0.0
-    present_db = _fade_deviation_db(state.window, model, config)
+    present_db = _common_change_db(state.window, model, config)
     present_db = present_db[np.isfinite(present_db)]
     return max(0.0, -float(np.median(present_db))) if len(present_db) else 0.0
 
@@ -214,11 +268,13 @@ def _row(
     model: PaperModel,
     fix: AttitudeFix,
     verdict: RowPermission,
-    rates_deg_s: FloatArray | None,
+    steered: Steering | None,
     fade_db: float,
 ) -> AttitudeRow:
     """Return the archive's row of one outcome."""
     angles = named_axes(fix.attitude_deg)
+    # what all levels have in common went into the angles
+    is_told = all(map(math.isfinite, angles)) and "common_change" not in verdict.inhibitions
     used_db = fix.residual_db[np.isfinite(fix.residual_db)]
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
@@ -227,8 +283,8 @@ def _row(
         method=Method.PAPER,
         attitude_deg=angles,
         sigma_deg=named_axes(np.sqrt(fix.covariance_deg2.diagonal())),
-        rates_deg_s=None if rates_deg_s is None else named_axes(rates_deg_s),
-        status=Status.ACQUIRED if all(map(math.isfinite, angles)) else Status.INVALID,
+        rates_deg_s=None if steered is None else named_axes(steered.rates_deg_s),
+        status=Status.ACQUIRED if is_told else Status.INVALID,
         control_allowed=verdict.is_allowed,
         control_allowed_axes=verdict.allowed_axes,
         inhibitions=verdict.inhibitions,
@@ -240,4 +296,5 @@ def _row(
         residual_rms_db=math.sqrt((used_db**2).sum() / len(used_db)) if len(used_db) else float("nan"),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
+        steering_deg=NO_ANGLES if steered is None else named_axes(steered.attitude_deg),
     )

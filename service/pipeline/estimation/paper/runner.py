@@ -6,6 +6,12 @@ import numpy as np
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
+from service.pipeline.estimation.paper.loop_state import (
+    initial_loop,
+    loop_disturbance,
+    loop_with_input,
+    loop_with_torque,
+)
 from service.pipeline.estimation.paper.method import (
     PaperModel,
     PaperState,
@@ -16,8 +22,17 @@ from service.pipeline.estimation.paper.method import (
 )
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
 from service.records.catalogue import CarrierPlan, Method
+from service.records.inputs import Correction
 from service.records.journal import SlowInput
-from service.records.levels.attitude import AttitudeFix, AttitudeRow, CarrierState, Deviation
+from service.records.levels.attitude import (
+    AppliedCommand,
+    AttitudeFix,
+    AttitudeRow,
+    CarrierState,
+    Deviation,
+    Disturbance,
+    ReportedCommand,
+)
 from service.records.levels.measurement import Measurement
 
 
@@ -49,14 +64,18 @@ class PaperRunner:
         return self._model is not None
 
     def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:
-        """Commanded motion does not enter this method."""
+        """Take in what moves the spacecraft."""
+        if isinstance(content, Correction | AppliedCommand | ReportedCommand) and self._state is not None:
+            loop = loop_with_input(self._state.loop, content, knowledge.spacecraft)
+            self._state = self._state._replace(loop=loop)
 
     def start(self, knowledge: Knowledge) -> None:
         """Begin at the alignment that holds."""
         self._model, self._columns = self._model_of(knowledge)
-        self._state = (
-            None if self._model is None else initial_state(len(self._model.expected.carrier_ids), self._config)
-        )
+        self._state = None
+        if self._model is not None and knowledge.alignment is not None:
+            loop = initial_loop(knowledge.alignment, self._model.loop)
+            self._state = initial_state(len(self._model.expected.carrier_ids), self._config, loop)
         self._last = None
 
     def rebuild(self, knowledge: Knowledge) -> None:
@@ -66,8 +85,13 @@ class PaperRunner:
         if self._model is None:
             return
         carrier_ids = self._model.expected.carrier_ids
-        if former is None or former.expected.carrier_ids != carrier_ids:
-            self._state = initial_state(len(carrier_ids), self._config)
+        if former is None or self._state is None:
+            self.start(knowledge)
+            return
+        if former.loop.motion != self._model.loop.motion:
+            self._state = self._state._replace(loop=loop_with_torque(self._state.loop, self._model.loop))
+        if former.expected.carrier_ids != carrier_ids:
+            self._state = initial_state(len(carrier_ids), self._config, self._state.loop)
 
     def step(
         self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
@@ -148,8 +172,11 @@ class PaperRunner:
         """Return None: the method has no model of the noise."""
         return None
 
-    def disturbance(self) -> None:
-        """Know of no torque: the method has no dynamics."""
+    def disturbance(self) -> Disturbance | None:
+        """Return the torque that the loop has learned; None where it knows of none."""
+        if self._model is None or self._model.inertia_kg_m2 is None or self._state is None:
+            return None
+        return loop_disturbance(self._state.loop, self._model.loop, self._model.inertia_kg_m2)
 
     def _model_of(self, knowledge: Knowledge) -> tuple[PaperModel | None, CalibratedColumns | None]:
         """Return the model that holds and the order of its carriers."""
@@ -157,7 +184,7 @@ class PaperRunner:
         if alignment is None or calibration is None:
             return None, None
         aligned_id = alignment.calibration_by_method.get(Method.PAPER.value, alignment.calibration_id)
-        model = paper_model(knowledge, self._lookup.calibration(aligned_id))
+        model = paper_model(knowledge, self._lookup.calibration(aligned_id), self._config)
         if model is None:
             return None, None
         plan = self._lookup.plan(calibration.plan_id)

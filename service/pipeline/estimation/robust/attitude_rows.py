@@ -13,14 +13,14 @@ from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, common_states
 from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
-from service.core.estimation.filtering.model.torque_prior import is_pushed, wave_period_us
+from service.core.estimation.filtering.model.torque_prior import is_pushed
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, momentum_advice
 from service.core.estimation.filtering.watches.rate_watch import RateWatch
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.pipeline.inputs.knowledge import Knowledge
-from service.pipeline.inputs.known_motion import DEG_H2_N_M
+from service.pipeline.inputs.known_motion import disturbance_of
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import (
@@ -288,19 +288,12 @@ def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Di
     positions = torque_states(model.filter, gaussian, shares, sensor_states(model.settings))
     if positions is None or model.inertia_kg_m2 is None or not is_pushed(model.settings):
         return None
-    period_us = wave_period_us(model.settings)
-    phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
-    cos, sin = math.cos(phase), math.sin(phase)
-    # what was a cosine since phase zero is a cosine and a sine since the row
-    turn = np.kron(np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]), np.eye(3))
-    unit = np.array(model.inertia_kg_m2) * DEG_H2_N_M
-    constant, cosine, sine = (turn @ gaussian.mean[positions]).reshape(3, 3) * unit
-    covariance = turn @ gaussian.covariance[positions, positions] @ turn.T
-    now = np.kron(np.array([1.0, 1.0, 0.0]), np.eye(3))
-    # the covariance of a profile has no full rank: rounding may leave less than nothing of a variance
-    sigma = np.sqrt(np.maximum(0.0, np.diag(now @ covariance @ now.T))) * unit
-    return Disturbance(
-        epoch_us, period_us / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
+    return disturbance_of(
+        gaussian.mean[positions],
+        gaussian.covariance[positions, positions],
+        model.settings,
+        model.inertia_kg_m2,
+        epoch_us,
     )
 
 

@@ -1,6 +1,5 @@
 """Model of the robust method from calibration, alignment and ephemeris; fixed until one of them changes."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,10 +23,10 @@ from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import (
     angle_inertia_kg_m2,
     axis_accelerations_deg_h2,
-    fed_forward,
     is_rate_in_loop,
     is_torque_unknown,
     momentum_model,
+    motion_settings,
     rate_sensor_model,
     residual_torque_n_m,
 )
@@ -37,11 +36,6 @@ from service.records.catalogue import Ephemeris, Method, Polarimeter, Spacecraft
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 
-#: exchange of roll and yaw at the orbital rate, 1/h
-_ORBITAL_RATE_PER_H = 0.2625162
-#: angles that an exchange of roll and yaw turns into drift where nobody knows of it, deg
-_USUAL_ROLL_DEG = 0.05
-_USUAL_YAW_DEG = 0.2
 #: correlation time that stands for a wave of one day, s
 _DAILY_TAU_S = 20_000.0
 #: subsets from which the fix of a late row starts
@@ -257,31 +251,14 @@ def _contradicted(spacecraft: Spacecraft | None, calibration: Calibration) -> fr
 def _filter_settings(
     spacecraft: Spacecraft | None, config: RobustConfig, calibration: Calibration, aligned_us: int
 ) -> FilterSettings:
-    """Return the settings of the filter for the spacecraft.
-
-    An exchange of roll and yaw that nobody knows of is drift of either by what the usual angle of the other makes.
-    """
-    is_coupled = True if spacecraft is None else spacecraft.onboard.roll_yaw_coupling
-    unknown_per_h = _ORBITAL_RATE_PER_H if is_coupled is None else 0.0
-    momentum, fed = momentum_model(spacecraft, calibration, aligned_us), fed_forward(spacecraft)
-    # where the momentum of the wheels tells a torque, none is none
-    least_n_m = config.least_stated_torque_n_m if momentum is None else 0.0
-    residual_n_m = residual_torque_n_m(spacecraft, config.unknown_torque_n_m, least_n_m)
-    return FilterSettings(
-        coupling_per_h=_ORBITAL_RATE_PER_H if is_coupled else 0.0,
-        drift_deg_h=(
-            math.hypot(config.yaw_drift_deg_h, unknown_per_h * _USUAL_ROLL_DEG),
-            math.hypot(config.roll_drift_deg_h, unknown_per_h * _USUAL_YAW_DEG),
-            config.pitch_drift_deg_h,
-        ),
-        drift_tau_h=config.drift_time_h,
-        correction_scale=config.correction_scale_error,
-        torque_scale=config.torque_scale_error,
+    """Return the settings of the filter for the spacecraft."""
+    settings, momentum = motion_settings(spacecraft, config), momentum_model(spacecraft, calibration, aligned_us)
+    if momentum is not None:
+        # the momentum of the wheels tells a torque: none is none
+        residual_n_m = residual_torque_n_m(spacecraft, config.unknown_torque_n_m, 0.0)
+        settings = settings._replace(torque_deg_h2=axis_accelerations_deg_h2(spacecraft, residual_n_m))
+    return settings._replace(
         chain_walk_db=config.chain_walk_db_sqrt_h,
-        torque_deg_h2=axis_accelerations_deg_h2(spacecraft, residual_n_m),
-        # a profile that is fed forward has an error of its own, which is known
-        unknown_torque_deg_h2=axis_accelerations_deg_h2(spacecraft, config.unknown_torque_n_m if fed is None else 0.0),
-        fed_forward=fed,
         momentum=momentum,
         polarimeters=polarimeter_models(
             spacecraft, used_polarimeters(spacecraft, calibration.contradicted_polarimeters), calibration, aligned_us

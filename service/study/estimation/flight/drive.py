@@ -12,6 +12,7 @@ from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
+from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
 from service.pipeline.inputs.knowledge import JournalDocuments
@@ -119,7 +120,9 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     return replace(_operate(chain, ground, documents, entries[len(before) :], past), smoothed=past.series())
 
 
-def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibration:
+def calibrate(
+    ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris, method: CalibrationMethod = CalibrationMethod.GEOMETRY
+) -> Calibration:
     """Return the calibration from the quiet days and the turns.
 
     Raises
@@ -128,7 +131,7 @@ def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibr
         The product refused it.
     """
     quiet, turns = ground.phases["quiet"], ground.phases["turns"]
-    request = CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY, *ground.sensors)
+    request = CalibrationRequest(quiet, turns, method, *ground.sensors)
     edges_us = mean_edges_us(request, ())
     still, turned = (
         minute_rows([ground.series(window, plan.carrier_ids)], plan.carrier_ids, edges_us) for window in (quiet, turns)
@@ -148,7 +151,8 @@ def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibr
         polarization=tuple(e.content for e in ground.events if isinstance(e.content, PolarizationRecord)),
     )
     try:
-        result = calibrate_geometry(data, CalibrationConfig())
+        fit = calibrate_paper if method is CalibrationMethod.PAPER else calibrate_geometry
+        result = fit(data, CalibrationConfig())
     except CalibrationError as error:
         message = f"calibration refused: {error}"
         raise UndrivenError(message) from error

@@ -123,7 +123,9 @@ def test_time_without_angles_does_not_make_it_stand():
 
 
 LIMITS = InterlockConfig()
-CALM = RowContext(is_late=False, is_catch_up=False, is_settled=True, is_fading=False, has_inhibiting_operation=False)
+CALM = RowContext(
+    is_late=False, is_catch_up=False, is_settled=True, is_fading=False, is_risen=False, has_inhibiting_operation=False
+)
 NAN = float("nan")
 
 
@@ -139,6 +141,7 @@ CAUSES = [
     ("no_fix", fix(angles=(NAN, NAN, NAN), sigma=(NAN, NAN, NAN)), CALM),
     ("redundancy", fix(carriers_used=4), CALM),
     ("downlink_fade", fix(), replace(CALM, is_fading=True)),
+    ("common_change", fix(), replace(CALM, is_risen=True)),
     ("beyond_validity", fix(angles=(0.0, 0.41, 0.0)), CALM),
     ("beyond_validity", fix(angles=(0.0, 0.0, -0.41)), CALM),
     ("sigma_roll", fix(sigma=(0.1, 0.061, 0.05)), CALM),
@@ -169,7 +172,12 @@ def test_every_listed_reason_is_reachable_and_says_something():
 def test_several_reasons_are_listed_in_the_order_of_the_table():
     bad = fix(angles=(0.0, 0.5, 0.0), sigma=(0.1, 0.07, 0.2), carriers_used=4)
     all_at_once = RowContext(
-        is_late=True, is_catch_up=True, is_settled=False, is_fading=True, has_inhibiting_operation=True
+        is_late=True,
+        is_catch_up=True,
+        is_settled=False,
+        is_fading=True,
+        is_risen=True,
+        has_inhibiting_operation=True,
     )
     found = judge(bad, all_at_once, LIMITS).inhibitions
     assert found == tuple(reason for reason in INHIBITIONS if reason in found)

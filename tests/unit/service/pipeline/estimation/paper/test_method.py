@@ -15,8 +15,8 @@ from service.pipeline.estimation.paper.harmonic_removal import (
     references_of,
     remove_harmonic,
 )
+from service.pipeline.estimation.paper.loop_state import initial_loop
 from service.pipeline.estimation.paper.method import initial_state, paper_model, step_paper
-from service.pipeline.estimation.paper.rate_filter import NO_FIXES, rate_deg_s, remember_fix
 from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
 from service.pipeline.inputs.knowledge import Knowledge, update
 from service.records.calibration import CarrierReference
@@ -38,8 +38,9 @@ class Bench:
         self.knowledge = Knowledge()
         for content in synthetic.opening(payload.spacecraft()):
             self.knowledge = update(self.knowledge, content, self.documents)
-        self.model = paper_model(self.knowledge, self.documents.calibration(1))
-        self.state = initial_state(len(payload.ids), CONFIG)
+        self.model = paper_model(self.knowledge, self.documents.calibration(1), CONFIG)
+        loop = initial_loop(self.knowledge.alignment, self.model.loop)
+        self.state = initial_state(len(payload.ids), CONFIG, loop)
 
     def step(self, minute, angles=TRUTH, *, common_db=0.0, is_late=False, is_catch_up=False, absent=()):
         measurement = self.payload.measurement(self.start_us + minute * self.minute, angles)
@@ -71,9 +72,9 @@ def bench(payload):
 
 def test_no_model_without_calibration_ephemeris_or_alignment(bench):
     aligned_with = bench.documents.calibration(1)
-    assert paper_model(replace(bench.knowledge, active={}), aligned_with) is None
-    assert paper_model(replace(bench.knowledge, ephemeris=None), aligned_with) is None
-    assert paper_model(replace(bench.knowledge, alignment=None), aligned_with) is None
+    assert paper_model(replace(bench.knowledge, active={}), aligned_with, CONFIG) is None
+    assert paper_model(replace(bench.knowledge, ephemeris=None), aligned_with, CONFIG) is None
+    assert paper_model(replace(bench.knowledge, alignment=None), aligned_with, CONFIG) is None
 
 
 def test_the_method_settles_and_then_tells_the_exact_attitude(bench):
@@ -86,19 +87,17 @@ def test_the_method_settles_and_then_tells_the_exact_attitude(bench):
         assert (row.status, row.control_allowed, row.inhibitions) == (Status.ACQUIRED, True, ())
         assert row.carriers_used == 12
         assert row.residual_rms_db < 1e-9
-    # a third of half an hour of fixes, the first in the eighth row
-    assert [row.rates_deg_s is None for row in rows[:19]] == [True] * 17 + [False] * 2
-    np.testing.assert_allclose(rows[-1].rates_deg_s, 0.0, atol=1e-12)
+    # the loop knows a rate from the alignment on: nothing was commanded
+    assert all(row.rates_deg_s is not None for row in rows)
     assert np.isnan(rows[-1].common_db)
     assert (rows[-1].calibration_id, rows[-1].alignment_id) == (1, 1)
 
 
-def test_a_steady_turn_lags_by_half_the_window_and_has_the_right_rate(bench):
+def test_a_steady_turn_lags_by_half_the_window(bench):
     rate_deg_min = np.array([0.0, 1e-3, -1e-3])
     rows = [bench.step(minute, 0.2 * np.ones(3) + rate_deg_min * minute).row for minute in range(1, 61)]
     # mean of fifteen rows: seven minutes back; linear on one side of zero, so exact
     np.testing.assert_allclose(rows[-1].attitude_deg, 0.2 + rate_deg_min * 53, atol=1e-9)
-    np.testing.assert_allclose(rows[-1].rates_deg_s, rate_deg_min / 60.0, atol=1e-12)
 
 
 def test_a_late_row_gets_a_fix_of_its_own_and_leaves_the_state_bit_for_bit(bench):
@@ -121,19 +120,17 @@ def test_a_late_row_does_not_need_a_settled_state(bench):
 def test_catch_up_is_said_on_the_row_and_moves_the_state(bench):
     rows = bench.run(range(1, 20), is_catch_up=True)
     assert rows[-1].row.inhibitions == ("catch_up",)
-    assert len(bench.state.fixes.epochs_us) == 12
 
 
-def test_a_long_gap_empties_means_and_rates(bench):
+def test_a_long_gap_empties_means(bench):
     bench.run(range(1, 32))
     within = bench.step(31 + 30).row
     assert "settling" in within.inhibitions  # the mean reaches fifteen minutes back, the state stays
-    assert len(bench.state.fixes.epochs_us) == 0 or bench.state.newest_us == bench.start_us + 61 * bench.minute
+    assert bench.state.newest_us == bench.start_us + 61 * bench.minute
     bench.run(range(62, 80))
     after = bench.step(79 + 31).row
     assert after.inhibitions == ("settling", "no_fix")
     assert len(bench.state.window.epoch_us) == 1
-    assert len(bench.state.fixes.epochs_us) == 0
 
 
 def test_a_row_of_only_absent_powers_is_a_row(bench):
@@ -164,6 +161,33 @@ def test_downlink_rain_stops_control_says_how_deep_and_clears_by_itself(bench):
     assert exit_rows <= back + 1 <= exit_rows + mean_rows
     assert dry[-1].inhibitions == ()
     assert dry[-1].downlink_fade_db == 0.0
+
+
+@pytest.mark.parametrize("rise_db", [0.5, 1.5])
+def test_a_rise_of_all_levels_stops_control_and_gives_no_angles(bench, rise_db):
+    bench.run(range(1, 20), angles=(0.0, 0.0, 0.0))
+    risen = [step.row for step in bench.run(range(20, 50), angles=(0.0, 0.0, 0.0), common_db=rise_db)]
+    stopped = next(k for k, row in enumerate(risen) if "common_change" in row.inhibitions)
+    assert all(row.status is Status.INVALID and not row.control_allowed for row in risen[stopped:])
+    # what was measured of it never reached the angles that control steers by
+    np.testing.assert_allclose([row.steering_deg for row in risen], 0.0, atol=1e-3)
+    dry = [step.row for step in bench.run(range(50, 90), angles=(0.0, 0.0, 0.0))]
+    assert dry[-1].inhibitions == ()
+
+
+def test_a_fade_leaves_no_trace_in_what_control_steers_by(bench):
+    bench.run(range(1, 60), angles=(0.0, 0.1, -0.1))
+    rows = [step.row for step in bench.run(range(60, 100), angles=(0.0, 0.1, -0.1), common_db=-2.0)]
+    rows += [step.row for step in bench.run(range(100, 140), angles=(0.0, 0.1, -0.1))]
+    steered = np.array([row.steering_deg for row in rows])
+    assert np.abs(np.array([row.attitude_deg for row in rows])[:, 1:] - [0.1, -0.1]).max() > 0.2  # the fixes do not
+    np.testing.assert_allclose(steered - steered[0], 0.0, atol=0.05)
+    assert all(row.rates_deg_s is not None for row in rows)
+
+
+def test_every_axis_is_steered_whatever_a_fix_says_of_yaw(bench):
+    bench.model = replace(bench.model, is_yaw_controllable=False)
+    assert [step.row.control_allowed_axes for step in bench.run(range(1, 32))][-1] == (True, True, True)
 
 
 def test_a_standing_fade_without_any_carrier_has_no_depth(bench):
@@ -397,37 +421,3 @@ def test_a_method_may_have_references_of_its_own(payload):
     alignment = replace(payload.alignment(synthetic.START_US), references_by_method={"robust": own})
     assert references_of(alignment, Method.ROBUST) == own
     assert references_of(alignment, Method.PAPER) == alignment.references
-
-
-S = 1_000_000
-WINDOW_S = 1800.0
-
-
-def history(count, step_s=60, rate=(1e-5, -2e-5, 3e-5), start_us=10**15):
-    fixes = NO_FIXES
-    for k in range(count):
-        angles = np.array([0.1, 0.2, 0.3]) + np.array(rate) * k * step_s
-        fixes = remember_fix(fixes, start_us + k * step_s * S, angles, WINDOW_S)
-    return fixes
-
-
-def test_a_steady_turn_gives_its_rate():
-    # least squares of a straight line: rounding of angles of 0.3 deg over half an hour
-    np.testing.assert_allclose(rate_deg_s(history(31), WINDOW_S), [1e-5, -2e-5, 3e-5], rtol=1e-9)
-
-
-@pytest.mark.parametrize(("count", "is_known"), [(0, False), (2, False), (10, False), (11, True), (31, True)])
-def test_less_than_a_third_of_the_window_gives_none(count, is_known):
-    assert (rate_deg_s(history(count), WINDOW_S) is not None) == is_known
-
-
-def test_two_fixes_far_apart_are_not_enough():
-    assert rate_deg_s(history(2, step_s=900), WINDOW_S) is None
-    assert np.isfinite(rate_deg_s(history(3, step_s=400), WINDOW_S)).all()
-
-
-def test_old_fixes_are_forgotten_and_the_former_history_is_left_alone():
-    before = history(31)
-    after = remember_fix(before, before.epochs_us[-1] + 600 * S, np.zeros(3), WINDOW_S)
-    assert (len(before.epochs_us), len(after.epochs_us)) == (30, 21)
-    assert after.epochs_us[-1] - after.epochs_us[0] < WINDOW_S * S

@@ -1,0 +1,125 @@
+"""The observer of the published loop against a body that is integrated here."""
+
+import math
+
+import numpy as np
+import pytest
+
+from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion
+from service.core.estimation.paper.loop_observer import (
+    ATTITUDE,
+    TORQUE,
+    initial_estimate,
+    linear_fix,
+    loop_model,
+    predict_estimate,
+    rates_deg_h,
+    update_estimate,
+    with_other_torque,
+)
+
+COUPLING = 0.2625162
+MINUTE_US = 60_000_000
+#: stations from 56 to 68 deg North as the spacecraft sees them: yaw moves them like a tenth of a turn in pitch
+RNG = np.random.default_rng(5)
+SLOPES = np.column_stack([np.zeros(16), RNG.normal(0.0, 1.2, 16), RNG.normal(0.0, 1.0, 16)])
+SLOPES[:, 0] = 0.12 * SLOPES[:, 2] + 0.03 * SLOPES[:, 1]
+ALL = np.ones(16, dtype=bool)
+UNKNOWN = FilterSettings(
+    coupling_per_h=COUPLING, torque_deg_h2=(0.15, 0.15, 0.2), unknown_torque_deg_h2=(0.15, 0.15, 0.2)
+)
+
+
+def motion_of(torque, hours, gained=lambda hour: np.zeros(3), step_h=1.0 / 60.0):
+    """Integrate yaw' = -w roll + r, roll' = w yaw + r, r' = torque + what is commanded; a row a minute."""
+    angles, rates, rows = np.zeros(3), np.zeros(3), []
+    fine = 20
+    for k in range(round(hours / step_h)):
+        gain = gained(k * step_h)
+        for _ in range(fine):
+            rates = rates + (torque * step_h + gain) / fine
+            exchange = COUPLING * np.array([-angles[1], angles[0], 0.0])
+            angles = angles + (rates + exchange) * step_h / fine
+        rows.append((angles.copy(), rates.copy(), gain))
+    return rows
+
+
+def flown(rows, settings, noise_db, *, lasting_db=0.0, seed=1):
+    """Feed rows to an observer that begins at rest; return its estimates."""
+    draw = np.random.default_rng(seed)
+    model = loop_model(settings, SLOPES, SLOPES, ALL)
+    estimate = initial_estimate(0, np.zeros(3), np.full(3, 0.02), model)
+    wrong = lasting_db * draw.standard_normal(16)
+    estimates = []
+    for k, (angles, _, gain) in enumerate(rows):
+        known = KnownMotion(np.zeros(3), np.zeros(3), gain)
+        estimate = predict_estimate(estimate, model, (k + 1) * MINUTE_US, known)
+        levels = SLOPES @ angles + wrong + noise_db * draw.standard_normal(16)
+        estimate = update_estimate(estimate, linear_fix(levels, SLOPES, SLOPES, ALL), noise_db)
+        estimates.append(estimate)
+    return estimates
+
+
+def test_a_fix_says_what_yaw_does_to_roll_and_pitch():
+    fix = linear_fix(SLOPES @ [1.0, 0.2, -0.1], SLOPES, SLOPES, ALL)
+    np.testing.assert_allclose(fix.angles_deg, [0.2 + 0.03, -0.1 + 0.12], atol=1e-12)
+    np.testing.assert_allclose(fix.response, [[0.03, 1.0, 0.0], [0.12, 0.0, 1.0]], atol=1e-12)
+
+
+def test_the_slope_is_the_middle_of_both_signs():
+    bent = 0.4 * np.abs(SLOPES)
+    fix = linear_fix(SLOPES @ [0.0, 0.1, 0.1], SLOPES + bent, SLOPES - bent, ALL)
+    np.testing.assert_allclose(fix.angles_deg, [0.1, 0.1], atol=1e-12)
+
+
+@pytest.mark.parametrize("carriers", [0, 3])
+def test_too_few_carriers_make_no_fix(carriers):
+    levels = np.where(np.arange(16) < carriers, 0.1, math.nan)
+    assert linear_fix(levels, SLOPES, SLOPES, ALL) is None
+    assert not loop_model(UNKNOWN, SLOPES, SLOPES, np.arange(16) < carriers).lasting_deg2.any()
+
+
+def test_yaw_follows_from_roll_within_what_the_observer_says():
+    torque = np.array([0.04, -0.08, 0.05])
+    rows = motion_of(torque, 8.0)
+    last = flown(rows, UNKNOWN, 0.02)[-1]
+    truth, sigma = rows[-1][0], np.sqrt(np.diag(last.covariance))[ATTITUDE]
+    np.testing.assert_array_less(np.abs(last.mean[ATTITUDE] - truth), 2.0 * sigma)
+    # nobody controls, and what yaw does a torque about roll could do too: better than to say zero
+    assert truth[0] > 2.0
+    assert abs(last.mean[0] - truth[0]) < 0.6 * truth[0]
+
+
+def test_what_was_commanded_is_known_at_once_and_turns_as_it_does():
+    rows = motion_of(np.zeros(3), 1.0, lambda hour: np.array([0.3, -0.2, 0.4]) * (hour == 0.0))
+    still = FilterSettings(coupling_per_h=COUPLING)
+    estimates = flown(rows, still, 5.0)  # fixes say next to nothing
+    for (angles, rates, _), estimate in zip(rows[::10], estimates[::10], strict=True):
+        exchange = COUPLING * np.array([-angles[1], angles[0], 0.0])
+        # 20 steps of Euler a minute
+        np.testing.assert_allclose(rates_deg_h(estimate, COUPLING), rates + exchange, atol=0.01)
+        np.testing.assert_allclose(estimate.mean[ATTITUDE], angles, atol=0.01)
+
+
+def test_levels_that_drift_together_keep_the_angles_uncertain():
+    model = loop_model(UNKNOWN, SLOPES, SLOPES, ALL)
+    rows = motion_of(np.zeros(3), 24.0)
+    sigma = np.sqrt(np.diag(flown(rows, UNKNOWN, 0.02)[-1].covariance))[ATTITUDE][1:]
+    # a white noise of 0.02 dB alone would leave 0.001 deg after a day
+    np.testing.assert_array_less(0.5 * np.sqrt(np.diag(model.lasting_deg2)), sigma)
+
+
+def test_another_stated_torque_begins_again_and_leaves_the_motion():
+    rows = motion_of(np.array([0.0, -0.08, 0.05]), 4.0)
+    before = flown(rows, UNKNOWN, 0.02)[-1]
+    larger = UNKNOWN._replace(torque_deg_h2=(0.6, 0.6, 0.6))
+    after = with_other_torque(before, loop_model(larger, SLOPES, SLOPES, ALL))
+    np.testing.assert_array_equal(after.mean[: TORQUE.start], before.mean[: TORQUE.start])
+    assert not after.mean[TORQUE].any()
+    assert (np.linalg.eigvalsh(after.covariance) > -1e-12).all()
+
+
+def test_an_epoch_that_is_not_later_changes_nothing():
+    model = loop_model(UNKNOWN, SLOPES, SLOPES, ALL)
+    estimate = initial_estimate(MINUTE_US, np.zeros(3), np.full(3, 0.02), model)
+    assert predict_estimate(estimate, model, MINUTE_US, KnownMotion(*[np.zeros(3)] * 3)) is estimate
