@@ -20,6 +20,7 @@ from service.pipeline.ingest_screening import EpochBounds, data_bounds, system_b
 from service.ports import LIVE, SMOOTHED, Archive, Catalogue, Clock, Results, Storage
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import Axes
 from service.records.operations.work import JobState, ReplayVersion
 from service.records.setting import SettingEntry
 from service.runtime.alarms.alarm_service import AlarmService
@@ -217,6 +218,8 @@ class ApiContext:
     on_accepted: Callable[..., None] = _ignore
     on_startup: Callable[[], Awaitable[None]] = _nothing
     on_shutdown: Callable[[], Awaitable[None]] = _nothing
+    #: rate of each spacecraft, deg/s, with the row up to which it was found
+    recent_rates: dict[str, tuple[object, Axes | None]] = field(default_factory=dict)
 
 
 async def context_of(request: Request) -> ApiContext:

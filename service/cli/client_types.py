@@ -21,6 +21,7 @@ TYPES = {
     "MeasurementAnswer": "MeasurementReply",
     "ExclusionAnswer": "ExclusionReply",
     "ControlReasonAnswer": "ControlReasonReply",
+    "AxisMotionAnswer": "AxisMotionReply",
     "SpacecraftSituationAnswer": "SituationReply",
     "VerdictAnswer": "Verdict",
     "NewestAttitudeAnswer": "Attitude",

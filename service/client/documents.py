@@ -142,6 +142,21 @@ class ControlReasonReply(TypedDict):
     next_step: str
 
 
+class AxisMotionReply(TypedDict):
+    """An axis and its way to the limit; rate and time of a row that is old or lost are null."""
+
+    #: Axis: yaw, roll or pitch.
+    axis: Literal["yaw", "roll", "pitch"]
+    #: The last known where it is lost; deg.
+    angle_deg: float | None
+    #: It is beyond its limit; yaw: surely, by two sigma.
+    beyond: bool
+    #: Slope of the angle over the last half hour; before there are rows for it, the estimator's rate; deg/h.
+    rate_deg_h: float | None
+    #: At this rate, of either sign; null: not within a day.
+    hours_to_limit: float | None
+
+
 class SituationReply(TypedDict):
     """The worst that is true of a spacecraft now, which every view says first."""
 
@@ -174,6 +189,8 @@ class SituationReply(TypedDict):
     known_deg: float | None
     #: The same of yaw; deg.
     yaw_known_deg: float | None
+    #: Every axis whose angle is known.
+    axes: list[AxisMotionReply]
 
 
 class Verdict(TypedDict):
@@ -393,6 +410,9 @@ class CommandReply(TypedDict):
     reported_by: str | None
     #: Part of the schedule that was carried out, by report.
     executed: list[PulseReply]
+    #: From the start to the horizon, where it is that of `predicted`; null in lists, events and answers of orders, and
+    #: where the catalogue has another inertia since.
+    predicted_angles: list[Json] | None
 
 
 class Control(TypedDict):

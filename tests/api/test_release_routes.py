@@ -1,5 +1,6 @@
 """Release of torques over the interface: what reaches the service, how its answers and refusals leave, who may what."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from service.errors import (
     StorageError,
 )
 from service.pipeline.control.release.control_verdict import reason_of
+from service.records.levels.attitude import Axes
 from service.records.operations.release import CommandRequest
 
 pytestmark = pytest.mark.anyio
@@ -171,6 +173,36 @@ async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(so
         "state": "INHIBITED",
         "reasons": ["release_unreadable", "no_attitude"],
     }
+
+
+async def test_one_command_has_the_angles_of_a_rigid_body_and_a_list_has_none(soo, service, spacecraft):
+    (xx, *_), (_, yy, _), _ = spacecraft["inertia_kg_m2"]
+    assert spacecraft["inertia_kg_m2"] == [
+        [xx, 0.0, 0.0],
+        [0.0, yy, 0.0],
+        [0.0, 0.0, spacecraft["inertia_kg_m2"][2][2]],
+    ]
+    # two pulses of 4 s, 240 s apart: between them roll sails at the rate of the first
+    turned_deg = math.degrees(0.002 * 4.0 * 240.0 / xx)
+    service.command_view = replace(service.command_view, angle_change_deg=Axes(0.0, turned_deg, 0.0))
+    for answer in (
+        await soo.client.get(f"{URL}/torques/7"),
+        await soo.client.post(f"{URL}/torques:prepare", json=PREPARE),
+        await soo.client.post(f"{URL}/torques:prepare", json={**PREPARE, "dry_run": True}),
+    ):
+        reported = answer.json()
+        angles = reported["predicted_angles"]
+        assert (angles[0]["at"], angles[-1]["at"]) == (reported["start"], reported["stop"])
+        assert angles[-1]["angle_change_deg"] == pytest.approx({"yaw": 0.0, "roll": turned_deg, "pitch": 0.0})
+        middle = angles[len(angles) // 2]
+        assert middle["at"] == "2026-11-21T03:03:02.000000Z"
+        assert middle["angle_change_deg"]["roll"] == pytest.approx(math.degrees(0.002 * 4.0 * 120.0 / xx))
+    listed = (await soo.client.get(f"{URL}/torques/commands")).json()["rows"]
+    assert [row["predicted_angles"] for row in listed] == [None] * len(listed)
+    heavier = [[2.0 * value for value in row] for row in spacecraft["inertia_kg_m2"]]
+    changed = await soo.client.patch(URL, json={"inertia_kg_m2": heavier})
+    assert changed.status_code == 200, changed.text
+    assert (await soo.client.get(f"{URL}/torques/7")).json()["predicted_angles"] is None, "not those it was prepared by"
 
 
 async def test_commands_are_listed_page_by_page(soo, service):

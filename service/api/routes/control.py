@@ -255,7 +255,7 @@ def prepare_torques(
         response.status_code = HTTPStatus.OK
     else:
         response.headers["Location"] = f"/api/v1/spacecraft/{caller.spacecraft_id}/torques/{command.counter}"
-    return CommandAnswer.of(command)
+    return CommandAnswer.of(command, caller.context.storage.catalogue.spacecraft(caller.spacecraft_id))
 
 
 @torque_commands_router.get("/torques/commands")
@@ -269,8 +269,9 @@ def list_commands(spacecraft_id: SpacecraftId, page: Page, context: Context) -> 
 
 @torque_commands_router.get("/torques/{command_id}")
 def get_command(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> CommandAnswer:
-    """Return one command as it stands."""
-    return CommandAnswer.of(context.release_service.command(spacecraft_id, command_id))
+    """Return one command as it stands, with the angles that it is predicted to bring about."""
+    command = context.release_service.command(spacecraft_id, command_id)
+    return CommandAnswer.of(command, context.storage.catalogue.spacecraft(spacecraft_id))
 
 
 @torque_commands_router.get("/torques/{command_id}/uplink")

@@ -23,8 +23,9 @@ from service.api.schemas.base import (
 from service.core.control.slew_schedule import Envelope
 from service.pipeline.control.control_conditions import ControlCondition
 from service.pipeline.control.release.control_verdict import ControlReason, ControlVerdict, ControlView, GoodMinutes
-from service.pipeline.control.situation import SITUATIONS, SpacecraftSituation
-from service.records.catalogue import ControlMode, Method
+from service.pipeline.control.release.release_checks import angles_of
+from service.pipeline.control.situation import SITUATIONS, AxisMotion, SpacecraftSituation
+from service.records.catalogue import ControlMode, Method, Spacecraft
 from service.records.levels.attitude import (
     CARRIER_STATES,
     NO_ANGLES,
@@ -85,6 +86,10 @@ class ControlReasonAnswer(members_of(ControlReason), Answer):
     """A reason why no torque may go, or why yaw is withheld."""
 
 
+class AxisMotionAnswer(members_of(AxisMotion, types={"axis": _Axis}), Answer):
+    """An axis and its way to the limit; rate and time of a row that is old or lost are null."""
+
+
 class SpacecraftSituationAnswer(
     members_of(
         SpacecraftSituation,
@@ -92,6 +97,7 @@ class SpacecraftSituationAnswer(
             "code": Literal[*SITUATIONS],
             "severity": Literal["critical", "serious", "caution", "normal"],
             "axis": _Axis | None,
+            "axes": AxisMotionAnswer,
         },
     ),
     Answer,
@@ -419,6 +425,14 @@ class PredictedCommandAnswer(members_of(Command, only=_PREDICTED_OF_COMMAND, num
     """Predicted effect of a command at the end of its last pulse, against no command."""
 
 
+class PredictedAnglesAnswer(Answer):
+    """Predicted effect of a command at one instant, against no command."""
+
+    at: EpochAnswer
+    """Instant of the prediction."""
+    angle_change_deg: AnglesAnswer
+
+
 class CommandAnswer(
     members_of(
         Command,
@@ -435,11 +449,17 @@ class CommandAnswer(
 ):
     """A command that was prepared, as it stands."""
 
+    predicted_angles: list[PredictedAnglesAnswer] | None
+    """From the start to the horizon, where it is that of `predicted`; null in lists, events and answers of orders, and
+    where the catalogue has another inertia since."""
+
     @classmethod
-    def of(cls, command: Command) -> Self:
-        """Return the answer for a command."""
+    def of(cls, command: Command, spacecraft: Spacecraft | None = None) -> Self:
+        """Return the answer for a command; with the spacecraft it has the predicted angles."""
+        angles = None if spacecraft is None else angles_of(command, spacecraft)
         return super().of(
             command,
+            predicted_angles=angles and [{"at": at_us, "angle_change_deg": change} for at_us, change in angles],
             id=command.counter,
             needs_approver=command.state == "PREPARED",
             predicted=command,

@@ -22,14 +22,14 @@ from service.api.schemas.shift import (
 from service.errors import NotFoundError, StorageError
 from service.pipeline.control.command.compute_command import ended_command
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
-from service.pipeline.control.situation import SpacecraftSituation, situation_of
+from service.pipeline.control.situation import RATE_WINDOW_S, SpacecraftSituation, recent_rate, situation_of
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.ports import LIVE
 from service.records.calibration import CalibrationState, Window
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Operation
-from service.records.levels.attitude import AttitudeRow, Status, TorqueCommand
+from service.records.levels.attitude import AttitudeRow, Axes, Status, TorqueCommand
 from service.records.operations.alarms import Alarm, Cover
 from service.records.operations.work import Job, LinkReport, LinkState
 from service.runtime.jobs.archive_maintenance import newest_advice, runnable_methods
@@ -186,7 +186,25 @@ def present_of(context: ApiContext, spacecraft: Spacecraft, view: ControlView | 
     now_us = context.clock.now_us(spacecraft.id)
     age_s = None if row is None or now_us is None else _age_s(now_us, row.epoch_us)
     verdict = control_verdict(view, row if command is None else command, failure, age_s)
-    return Present(row, command, verdict, situation_of(row, verdict, context.interlock.validity_limit_deg))
+    rate = None if row is None else _recent_rate(context, spacecraft.id, row)
+    return Present(row, command, verdict, situation_of(row, verdict, context.interlock.validity_limit_deg, rate))
+
+
+#: rows that a rate is taken from; the newest half hour of them where they come each ten seconds
+_RATE_ROWS = 180
+
+
+def _recent_rate(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> Axes | None:
+    """Return the rate of the angles up to a row; rows are read once, whoever asks."""
+    place = (row.method, row.epoch_us, row.number)
+    known = context.recent_rates.get(spacecraft_id)
+    if known is None or known[0] != place:
+        window = Window(row.epoch_us - round(RATE_WINDOW_S * US_PER_S), row.epoch_us + 1)
+        read = context.storage.results.attitude_rows
+        asked = (spacecraft_id, LIVE, row.method, window, _RATE_ROWS, None)
+        rows = _readable(lambda: tuple(read(*asked, newest_first=True)))
+        known = context.recent_rates[spacecraft_id] = (place, recent_rate(rows[::-1]))
+    return known[1]
 
 
 def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:

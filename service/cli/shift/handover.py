@@ -21,6 +21,7 @@ from service.cli.operation.connection import (
 )
 from service.cli.shift.pages import PageFormat, Section, handover_sections, page
 from service.cli.shift.tables import utc
+from service.client.documents import Json
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
 
 Format = Annotated[PageFormat, typer.Option("--format", help="md or html.")]
@@ -39,11 +40,12 @@ def handover(
     """Write what the next shift must know: alarms, control, operations, links, what ends, notes."""
     with connected(service, key_env) as client:
         found = client.request("GET", f"/spacecraft/{spacecraft}/handover")
+        row, control = Json(client.attitude(spacecraft)), Json(client.control(spacecraft))
     if as_json:
         _deliver(json.dumps(found) + "\n", output)
         return
     title = f"{spacecraft}, {utc(found['at'])} UTC"
-    _deliver(_written(lambda: page(title, handover_sections(found), format_)), output)
+    _deliver(_written(lambda: page(title, handover_sections(found, row, control), format_)), output)
 
 
 def report(
@@ -61,6 +63,7 @@ def report(
 
     with connected(service, key_env) as client:
         found = client.request("GET", f"/spacecraft/{spacecraft}/handover")
+        row, control = Json(client.attitude(spacecraft)), Json(client.control(spacecraft))
         stop_us = parse_epoch(found["at"]) + 1
         window = {"start": format_epoch(stop_us - _HOURS[span] * 3600 * US_PER_S), "stop": format_epoch(stop_us)}
         wanted = window | {"method": found["control"]["method"]}
@@ -70,7 +73,7 @@ def report(
 
     def made() -> str:
         sections = [Section("Figures", figures(samples)), Section("What happened", happened(timeline))]
-        return page(title, sections + handover_sections(found), format_, drawn(samples))
+        return page(title, sections + handover_sections(found, row, control), format_, drawn(samples))
 
     _deliver(_written(made), output)
 

@@ -5,7 +5,7 @@ import html
 import re
 from typing import Literal, NamedTuple
 
-from service.cli.shift.tables import alarm_line, clean, meaning, number, utc, words
+from service.cli.shift.tables import alarm_line, clean, meaning, number, sentence, utc, words
 from service.client.documents import Json
 
 PageFormat = Literal["md", "html"]
@@ -46,11 +46,10 @@ def _markdown(title: str, sections: list[Section], source: str | None) -> str:
     return "\n".join(lines)
 
 
-def handover_sections(handover: Json) -> list[Section]:
+def handover_sections(handover: Json, row: Json, control: Json) -> list[Section]:
     """Return what the next shift must know: alarms, control, operations, links, what ends, notes."""
-    control = handover["control"]
-    verdict = words("views.now.allowed" if control["allowed"] else "views.now.forbidden")
-    reasons = [reason_line(each) for each in control["reasons"]]
+    verdict = handover["control"]
+    said = [sentence(handover["status"], row, control), meaning("states", verdict["state"])]
     covered = [*handover["shelved"], *handover["suppressed"]]
     links = [f"{clean(each['id'])}: {words('views.links.state.' + each['state'])}" for each in handover["links"]]
     sources = [
@@ -60,7 +59,7 @@ def handover_sections(handover: Json) -> list[Section]:
     ]
     notes = [f"{utc(each['epoch'])} {clean(each['author'])}: {clean(each['text'])}" for each in handover["notes"]]
     listed = {
-        "views.control.title": [f"{verdict}; {meaning('states', control['state'])}", *reasons],
+        "views.control.title": [*said, *map(reason_line, verdict["reasons"])],
         "views.shift.alarms": list(map(alarm_line, handover["alarms"])),
         "views.shift.covered": list(map(alarm_line, covered)),
         "views.shift.operations": list(map(operation_line, handover["operations"])),

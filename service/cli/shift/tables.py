@@ -180,10 +180,11 @@ def limit_of(conditions: Iterable[Json], code: str) -> float | None:
 
 
 def axes_table(row: Json, other: Json, control: Json) -> "Table":
-    """Return angle, limit, uncertainty and the other method's angle of each axis."""
+    """Return angle and limit, time to it, uncertainty and the other method's angle of each axis."""
     names = ("axis", "angle", "toLimit", "sigma", "protection", "otherMethod")
     table = columns(*(words(f"views.now.{name}") for name in names))
-    alert = limit_of(control["conditions"], "protection_level")
+    alert, limit = limit_of(control["conditions"], "protection_level"), number(control["angle_limit_deg"], 2)
+    motions = {each["axis"]: each for each in control["control"]["situation"]["axes"]}
     for axis in AXES:
         angle, sigma = row[f"{axis}_deg"], row["sigma_deg"][axis]
         protection = number(row["protection_deg"][axis])
@@ -191,8 +192,8 @@ def axes_table(row: Json, other: Json, control: Json) -> "Table":
             protection += f" {words('views.now.ofAlert', alert=number(alert, 2))}"
         table.add_row(
             words(f"app.axis.{axis}"),
-            number(angle, sign="+"),
-            _room(angle, control["angle_limit_deg"]),
+            f"{number(angle, sign='+')} {words('views.now.ofAlert', alert=limit)}",
+            _way(motions.get(axis)),
             number(None if sigma is None else 2 * sigma),
             protection,
             number(other[f"{axis}_deg"], sign="+"),
@@ -200,12 +201,13 @@ def axes_table(row: Json, other: Json, control: Json) -> "Table":
     return table
 
 
-def _room(angle: float | None, limit: float | None) -> str:
-    """Return the degrees left to a limit, and the limit."""
-    if angle is None or limit is None:
-        return number(None)
-    left = number(limit - abs(angle), 2) if abs(angle) <= limit else words("views.now.beyond")
-    return f"{left} {words('views.now.ofAlert', alert=number(limit, 2))}"
+def _way(motion: Json | None) -> str:
+    """Return the time to the limit as the console says it."""
+    if motion is None or motion["beyond"]:
+        return number(None) if motion is None else words("views.now.beyond")
+    if motion["hours_to_limit"] is None:
+        return number(None) if motion["rate_deg_h"] is None else words("views.now.never")
+    return f"{number(motion['hours_to_limit'], 2)} h"
 
 
 def reasons_table(reasons: list[Json]) -> "Table":

@@ -126,7 +126,7 @@ class Effect(NamedTuple):
     """Effect of a schedule against no command; triples in the order yaw, roll, pitch."""
 
     impulse_n_m_s: Triple
-    #: sum of the sizes of all pulses: a pair that nulls itself counts twice
+    #: sum of the sizes of all pulses: a pair that nulls itself counts lost_rad_s
     gross_impulse_n_m_s: Triple
     #: when the horizon ends
     angle_change_deg: Triple
@@ -255,22 +255,35 @@ def predicted_effect(
     the angle in half an hour it belongs to the filter, not to the command).
     """
     _require_schedule(pulses, horizon_s)
-    inverse: FloatArray = np.asarray(np.linalg.inv(inertia_kg_m2), dtype=np.float64)
+    motion = _motion(pulses, inertia_kg_m2, [0.0, horizon_s])
+    peaks = np.concatenate([motion.angle_rad, _turning_points(motion)])
     impulse, gross = np.zeros(3), np.zeros(3)
     for pulse in pulses:
         impulse[pulse.axis] += pulse.impulse_n_m_s
         gross[pulse.axis] += abs(pulse.impulse_n_m_s)
-    angles, rates = _trajectory(pulses, inverse, horizon_s)
     columns = np.arange(3)
     return Effect(
         impulse_n_m_s=triple_of(impulse),
         gross_impulse_n_m_s=triple_of(gross),
-        angle_change_deg=triple_of(np.degrees(angles[-1])),
-        rate_change_deg_s=triple_of(np.degrees(inverse @ impulse)),
-        peak_angle_deg=triple_of(np.degrees(angles[np.abs(angles).argmax(axis=0), columns])),
-        peak_rate_deg_s=triple_of(np.degrees(rates[np.abs(rates).argmax(axis=0), columns])),
+        angle_change_deg=triple_of(np.degrees(motion.angle_rad[-1])),
+        rate_change_deg_s=triple_of(np.degrees(np.linalg.solve(inertia_kg_m2, impulse))),
+        peak_angle_deg=triple_of(np.degrees(peaks[np.abs(peaks).argmax(axis=0), columns])),
+        peak_rate_deg_s=triple_of(np.degrees(motion.rate_rad_s[np.abs(motion.rate_rad_s).argmax(axis=0), columns])),
         wheel_momentum_n_m_s=tuple((-impulse @ np.linalg.pinv(wheel_axes) + 0.0).tolist()),
     )
+
+
+def predicted_angles(
+    pulses: tuple[AxisPulse, ...], inertia_kg_m2: FloatArray, horizon_s: float, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return instants (count,), s, evenly until the horizon, and the change of the angles there (count, 3), deg.
+
+    Parameters and exceptions are those of `predicted_effect`, whose change of the angles stands at the end.
+    """
+    _require_schedule(pulses, horizon_s)
+    instants_s: FloatArray = np.linspace(0.0, horizon_s, count)
+    motion = _motion(pulses, inertia_kg_m2, instants_s.tolist())
+    return instants_s, np.degrees(motion.angle_rad[np.searchsorted(motion.at_s, instants_s)])
 
 
 def triple_of(values: FloatArray) -> Triple:
@@ -294,27 +307,38 @@ def _require_schedule(pulses: tuple[AxisPulse, ...], horizon_s: float) -> None:
             raise ValueError(f"two pulses about {_AXES[axis]} overlap")
 
 
-def _trajectory(pulses: tuple[AxisPulse, ...], inverse: FloatArray, horizon_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return angles and rates (K, 3), rad, at every edge and every turning point of an angle, the horizon last."""
-    edges_s = sorted({0.0, horizon_s, *(e for pulse in pulses for e in (pulse.start_s, min(pulse.stop_s, horizon_s)))})
-    angle, rate = np.zeros(3), np.zeros(3)
-    angles, rates = [angle], [rate]
-    for start_s, stop_s in pairwise(edges_s):
-        torque, middle_s = np.zeros(3), (start_s + stop_s) / 2.0
-        for pulse in pulses:
-            if pulse.start_s <= middle_s < pulse.stop_s:
-                torque[pulse.axis] += pulse.torque_n_m
-        acceleration = inverse @ torque
-        after = rate + acceleration * (stop_s - start_s)
-        is_turning = rate * after < 0.0
-        # v^2 / 2a further on it turns back
-        turned = angle - 0.5 * rate**2 / np.where(is_turning, acceleration, 1.0)
-        angles.append(np.where(is_turning, turned, angle))
-        angle = angle + 0.5 * (rate + after) * (stop_s - start_s)
-        rates += [rate, after]
-        angles.append(angle)
-        rate = after
-    return np.array(angles), np.array(rates)
+class _Motion(NamedTuple):
+    """Motion that pulses bring about, at K instants in order."""
+
+    #: (K,) from the beginning of the schedule
+    at_s: FloatArray
+    #: (K, 3)
+    angle_rad: FloatArray
+    rate_rad_s: FloatArray
+
+
+def _motion(pulses: tuple[AxisPulse, ...], inertia_kg_m2: FloatArray, instants_s: list[float]) -> _Motion:
+    """Return the motion from rest at some instants, the last of them the horizon, and at every edge of a pulse."""
+    edges_s = (edge for pulse in pulses for edge in (pulse.start_s, min(pulse.stop_s, instants_s[-1])))
+    at_s = np.array(sorted({*instants_s, *edges_s}))
+    middle_s, step_s = 0.5 * (at_s[:-1] + at_s[1:]), np.diff(at_s)[:, None]
+    torque = np.zeros((len(middle_s), 3))
+    for pulse in pulses:
+        torque[(pulse.start_s <= middle_s) & (middle_s < pulse.stop_s), pulse.axis] += pulse.torque_n_m
+    rate, angle = np.zeros((2, len(at_s), 3))
+    rate[1:] = np.cumsum(np.linalg.solve(inertia_kg_m2, torque.T).T * step_s, axis=0)
+    angle[1:] = np.cumsum(0.5 * (rate[:-1] + rate[1:]) * step_s, axis=0)
+    return _Motion(at_s, angle, rate)
+
+
+def _turning_points(motion: _Motion) -> FloatArray:
+    """Return the angle (K - 1, 3) at which each axis turns back between two instants; where it does not, the first."""
+    before, after = motion.rate_rad_s[:-1], motion.rate_rad_s[1:]
+    is_turning = before * after < 0.0
+    # v^2 / 2a further on it turns back
+    lost_rad_s = np.where(is_turning, before - after, 1.0)
+    further: FloatArray = 0.5 * before**2 * np.diff(motion.at_s)[:, None] / lost_rad_s
+    return motion.angle_rad[:-1] + np.where(is_turning, further, 0.0)
 
 
 class Envelope(NamedTuple):

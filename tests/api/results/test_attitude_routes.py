@@ -109,6 +109,35 @@ async def test_row_without_a_fix_has_nulls_and_its_reasons(bench, make):
     assert (robust["status"], robust["inhibitions"]) == ("INVALID", ["no_calibration"]), "what nobody computed"
 
 
+async def test_rate_and_time_to_the_limit_are_the_same_in_every_answer_and_those_of_the_drift(bench, make):
+    epochs_us = [make.now_us + k * 60 * make.s for k in range(41)]
+    rows = bench.append(epochs_us)
+    # pitch begins to turn by 0.6 deg/h when half an hour is left, roll the other way; the estimator shows none of it
+    turned_deg = [0.6 * max(0, k - 10) / 60.0 for k in range(41)]
+    drift = [Axes(0.05, 0.02 - angle, angle) for angle in turned_deg]
+    still = Axes(0.0, 0.0, 0.0)
+    told = [make.row(row, attitude_deg=angles, rates_deg_s=still) for row, angles in zip(rows, drift, strict=True)]
+    bench.consume([Outcome((row,), None) for row in told])
+    bench.clock.system = epochs_us[-1]
+    answers = [(await bench.get(path))["control"] for path in ("/status", "/attitude", "/control", "/torques")]
+    answers.append((await bench.get("/handover"))["control"])
+    axes = answers[0]["situation"]["axes"]
+    assert [answer["situation"] for answer in answers] == [answers[0]["situation"]] * 5
+    yaw, roll, pitch = axes
+    assert (yaw["axis"], yaw["rate_deg_h"], yaw["hours_to_limit"]) == ("yaw", pytest.approx(0.0, abs=1e-9), None)
+    assert (roll["rate_deg_h"], pitch["rate_deg_h"]) == (pytest.approx(-0.6), pytest.approx(0.6))
+    assert roll["hours_to_limit"] == pytest.approx((0.4 - 0.28) / 0.6)
+    assert pitch["hours_to_limit"] == pytest.approx((0.4 - 0.3) / 0.6)
+    worst = answers[0]["situation"]
+    assert (worst["code"], worst["axis"], worst["angle_deg"]) == ("towards_limit", "pitch", pytest.approx(0.3))
+    assert (worst["rate_deg_h"], worst["hours_to_limit"]) == (pitch["rate_deg_h"], pitch["hours_to_limit"])
+    # half an hour later the row is no present: angles stay, rates do not
+    bench.clock.system += 1800 * make.s
+    old = (await bench.get("/status"))["control"]["situation"]
+    assert (old["code"], [each["angle_deg"] for each in old["axes"]]) == ("old", [each["angle_deg"] for each in axes])
+    assert [each["rate_deg_h"] for each in old["axes"] + old["axes"]] == [None] * 6
+
+
 async def test_old_row_expires_under_the_system_clock_only(bench, make):
     (row,) = bench.append([make.now_us])
     bench.consume([Outcome((make.row(row),), None)])

@@ -66,22 +66,38 @@ def test_a_torque_goes_from_dry_run_to_report_in_the_browser(anna, ground, scree
     expect(history).to_contain_text("Anna + Boris")
     history.locator("summary").click()
     expect(history.locator(".digest")).to_have_text(command["digest"])
+    expect(history.locator(".pulses svg")).to_have_count(2)
     assert ground.get(f"/torques/{command['id']}")["state"] == "EXECUTED"
 
 
-def test_predicted_angles_end_where_the_service_says(anna, ground):
+def test_predicted_angles_are_drawn_as_the_service_has_them(anna, ground):
     card = prepare(anna)
-    command = ground.get(f"/torques/{card.get_attribute('data-command')}")
-    change_deg = command["predicted"]["angle_change_deg"]
+    angles = ground.get(f"/torques/{card.get_attribute('data-command')}")["predicted_angles"]
     plot = card.locator(".pulses svg").nth(1)
+    values = {axis: [each["angle_change_deg"][axis] for each in angles] for axis in ("yaw", "roll", "pitch")}
+    size = max(map(max, values.values())) - min(map(min, values.values()))
+    heights = {}
+    for axis, expected in values.items():
+        points = [each.split(",") for each in plot.locator(f"polyline.line-{axis}").get_attribute("points").split()]
+        assert len(points) == len(expected) == 61
+        heights[axis] = [float(y) for _, y in points]
+    # one scale for all axes, up is more; a place is rounded to a tenth of a pixel
+    scale = (heights["roll"][0] - heights["roll"][-1]) / values["roll"][-1]
+    assert scale > 0.0
+    for axis, expected in values.items():
+        drawn = [(heights[axis][0] - height) / scale for height in heights[axis]]
+        assert drawn == pytest.approx(expected, abs=0.01 * size), axis
+    assert f"{values['roll'][-1]:.3f}" in plot.locator("text").all_text_contents()
 
-    def rise(axis):
-        points = plot.locator(f"polyline.line-{axis}").get_attribute("points").split()
-        return float(points[0].split(",")[1]) - float(points[-1].split(",")[1])
 
-    assert rise("roll") / change_deg["roll"] == pytest.approx(rise("pitch") / change_deg["pitch"], rel=0.02)
-    assert rise("roll") * change_deg["roll"] > 0.0, "up is more"
-    assert f"{change_deg['roll']:.3f}" in plot.locator("text").all_text_contents()
+def test_without_predicted_angles_the_pulses_alone_are_drawn(anna, ground):
+    def without(route):
+        route.fulfill(json={**route.fetch().json(), "predicted_angles": None})
+
+    anna.route(re.compile(r"/torques/\d+$"), without)
+    card = prepare(anna)
+    expect(card.locator(".pulses svg")).to_have_count(1)
+    expect(card.locator(".pulses svg")).to_have_attribute("aria-label", re.compile("Torque"))
 
 
 def test_what_confirms_nothing_is_refused_in_words(anna, ground):

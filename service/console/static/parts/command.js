@@ -1,14 +1,14 @@
 /** @file One command: who wants what, its checks and pulses, and what may be done with it by whom. */
 
-import { AXES, address, post } from "../api.js";
+import { AXES, address, get, post } from "../api.js";
 import { element } from "../element.js";
 import { instantInput, instantText } from "../lists/instant_input.js";
 import { meaning, number, utc, words } from "../words.js";
 import { pulsePlots } from "./steps.js";
 import { symbol } from "./symbol.js";
 
-/** Return what a command is. @param {any} command @param {any} spacecraft */
-export function commandFacts(command, spacecraft) {
+/** Return what a command is. @param {any} command */
+export function commandFacts(command) {
   const { predicted, schedule_check: check } = command;
   const impulse = axes(command.gross_impulse_n_m_s, 4, "unit.n_m_s");
   const facts = [
@@ -31,7 +31,7 @@ export function commandFacts(command, spacecraft) {
   return [
     element("dl", { class: "facts" }, facts.map(([name, value]) => [element("dt", {}, words(`views.control.fact.${name}`)), element("dd", {}, value)])),
     checks(command.checks),
-    pulsePlots(command, spacecraft.inertia_kg_m2),
+    pulsePlots(command),
   ];
 }
 
@@ -70,7 +70,7 @@ export function waitingCommand(command, { spacecraft, session }, run) {
   return element("section",
     { class: "card waiting", "data-command": command.id, "aria-label": words("views.control.waiting", { id: command.id }) },
     element("h2", {}, words("views.control.waiting", { id: command.id }), " ", command.simulated && element("strong", { class: "simulated" }, words("app.simulated"))),
-    commandFacts(command, spacecraft),
+    commandFacts(command),
     mayCancel && element("p", { class: "field" }, element("label", { htmlFor: "confirm-comment" }, words("views.control.comment")), comment),
     isSecond && element("p", {}, element("button", { type: "button", class: "primary", onclick: () => run(() => post(`${base}:confirm`, body()), said) }, words("views.control.confirmAs")), " ", element("bdi", {}, session.name)),
     mayCancel &&
@@ -106,7 +106,7 @@ export function owedCommand(command, { spacecraft, session }, run) {
       ),
       element("p", { class: "detail" }, words("views.control.reportExplained")),
     ],
-    said, commandFacts(command, spacecraft),
+    said, commandFacts(command),
   );
 }
 
@@ -123,6 +123,9 @@ export function commandHistory(commands, spacecraft) {
   return rows.length ? rows : element("p", { class: "detail" }, words("views.control.noCommands"));
 }
 
-function open(details, command, spacecraft) {
-  if (details.open && details.childElementCount === 1) details.append(...commandFacts(command, spacecraft).flat());
+async function open(details, command, spacecraft) {
+  if (!details.open || details.childElementCount > 1) return;
+  // a list has no predicted angles
+  const whole = await get(`/spacecraft/${spacecraft.id}/torques/${command.id}`).catch(() => command);
+  if (details.childElementCount === 1) details.append(...commandFacts(whole).flat().filter(Boolean));
 }

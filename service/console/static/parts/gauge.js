@@ -14,8 +14,6 @@ const PLAIN_DEG = 0.5;
 const ROOM = 1.25;
 /** The least height of the curve of the last hour, deg: below it, it shows noise. */
 const LEAST_SPAN_DEG = 0.02;
-/** The slope of the curve: of so many newest bins, and so many with rows at least. */
-const [SLOPE_BINS, SLOPE_ROWS] = [60, 15];
 
 /**
  * @typedef {Object} AxisState
@@ -23,7 +21,7 @@ const [SLOPE_BINS, SLOPE_ROWS] = [60, 15];
  * @property {number | null} sigma deg
  * @property {number | null} protection deg
  * @property {number | null} other Angle of the other method, deg.
- * @property {number | null} rate deg/s
+ * @property {any} motion What the service found of its way to the limit; null: nothing is known of it.
  * @property {number | null} limit Greatest angle, deg.
  * @property {number | null} alert Greatest protection level, deg.
  * @property {boolean} isStale
@@ -65,7 +63,7 @@ export function gauge(axis) {
     const reach = (state.limit ?? PLAIN_DEG) * (state.limit ? ROOM : 1);
     const at = (angle) => WIDTH / 2 + (HALF * Math.max(-reach, Math.min(reach, angle))) / reach;
     const isKnown = Number.isFinite(state.angle);
-    const isBeyond = isKnown && Number.isFinite(state.limit) && Math.abs(state.angle) > state.limit;
+    const isBeyond = isKnown && state.motion?.beyond === true;
     drawScale(state, reach, at);
     show(sigma, isKnown && Number.isFinite(state.sigma));
     if (isKnown && Number.isFinite(state.sigma)) span(sigma, at(state.angle - 2 * state.sigma), at(state.angle + 2 * state.sigma));
@@ -74,12 +72,9 @@ export function gauge(axis) {
     if (isKnown) needle.setAttribute("d", `M${at(state.angle)} 22v32M${at(state.angle) - 8} 8h16l-8 14z`);
     show(other, Number.isFinite(state.other));
     if (Number.isFinite(state.other)) other.setAttribute("d", `M${at(state.other) - 6} 66h12l-6 -11z`);
-    // the filter's rate follows a sudden motion late, the curve of the last half hour does not
-    const times = [state.rate, hour.rate()].map((each) => secondsToLimit({ ...state, rate: each })).filter((each) => !Number.isNaN(each));
-    const time = times.length ? Math.min(...times) : NaN;
     setText(value, number(state.angle, 3));
-    setText(rate, `${number(state.rate === null ? null : state.rate * 3600, 3)} ${words("app.unit.deg_h")}`);
-    setText(toLimit, isBeyond ? words("views.now.beyond") : time === Infinity ? words("views.now.never") : duration(time));
+    setText(rate, `${number(state.motion?.rate_deg_h, 3)} ${words("app.unit.deg_h")}`);
+    setText(toLimit, wayText(state.motion));
     setText(sigmaText, Number.isFinite(state.sigma) ? `±${number(2 * state.sigma, 3)}` : number(null));
     const alert = Number.isFinite(state.alert) ? words("views.now.ofAlert", { alert: number(state.alert, 2) }) : "";
     setText(protection, `${number(state.protection, 3)} ${alert}`);
@@ -117,11 +112,11 @@ export function gauge(axis) {
   return { node, draw, push: hour.push, renew: hour.renew };
 }
 
-/** Return after how many seconds the angle meets its limit at this rate; infinite: not within a day; NaN: not known. */
-function secondsToLimit({ angle, rate, limit }) {
-  if (![angle, rate, limit].every(Number.isFinite)) return NaN;
-  const time = rate === 0 ? Infinity : (Math.sign(rate) * limit - angle) / rate;
-  return time > 0 && time < 86_400 ? time : Infinity;
+/** Return the words of the way to a limit; a rate without a time does not lead there. */
+function wayText(motion) {
+  if (motion?.beyond) return words("views.now.beyond");
+  const isAway = Number.isFinite(motion?.rate_deg_h) && !Number.isFinite(motion.hours_to_limit);
+  return isAway ? words("views.now.never") : duration(3600 * (motion?.hours_to_limit ?? NaN));
 }
 
 /** Return the curve of the last hour: mean of half a minute each, however many rows come. */
@@ -168,16 +163,7 @@ function lastHour() {
     setText(bottom, angles.length ? number(middle - half, 3) : "");
   }
 
-  /** Return the slope of the last half hour, deg/s; NaN: too few rows. */
-  function rate() {
-    const points = [...bins].filter(([bin]) => bin > newest - SLOPE_BINS).map(([bin, { sum, n }]) => [(bin - newest) * (BIN_MS / 1000), sum / n]);
-    if (points.length < SLOPE_ROWS) return NaN;
-    const [time, angle] = [0, 1].map((column) => points.reduce((sum, point) => sum + point[column], 0) / points.length);
-    const square = points.reduce((sum, [at]) => sum + (at - time) ** 2, 0);
-    return points.reduce((sum, [at, value]) => sum + (at - time) * (value - angle), 0) / square;
-  }
-
-  return { node, push, draw, rate, renew };
+  return { node, push, draw, renew };
 }
 
 function hatch(axis) {

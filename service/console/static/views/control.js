@@ -110,7 +110,7 @@ export function show({ store, spacecraft, session }) {
 
   const lost = element("div");
   const node = element("section", { class: "control-view", "aria-label": words("views.control.title") },
-    element("div", { class: "control-state" }, element("div", { role: "status" }, verdict), lost, said, commands, may("operate") && orders(path, may, run, said), may("operate") && prepareForm(path, spacecraft, run), standing),
+    element("div", { class: "control-state" }, element("div", { role: "status" }, verdict), lost, said, commands, may("operate") && orders(path, may, run, said), may("operate") && prepareForm(path, run), standing),
     element("div", { class: "control-conditions" }, diagram, element("h2", {}, words("views.control.conditions")), table),
     element("div", { class: "control-history" }, history),
   );
@@ -178,7 +178,7 @@ function orders(path, may, run, said) {
   );
 }
 
-function prepareForm(path, spacecraft, run) {
+function prepareForm(path, run) {
   const said = element("div", { class: "said" });
   const shown = element("div");
   const reason = element("input", { id: "prepare-reason", required: true, maxLength: 1000, autocomplete: "off" });
@@ -198,7 +198,7 @@ function prepareForm(path, spacecraft, run) {
     fill(shown);
     const act = async () => {
       const command = await post(`${path}/torques:prepare`, body(isDry));
-      if (isDry) fill(shown, element("h3", {}, words("views.control.dryRun")), commandFacts(command, spacecraft));
+      if (isDry) fill(shown, element("h3", {}, words("views.control.dryRun")), commandFacts(command));
       return command;
     };
     await run(act, said);

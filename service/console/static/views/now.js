@@ -37,9 +37,10 @@ export function show({ store, spacecraft }) {
     const [row, other] = [attitude[method], attitude[method === "robust" ? "paper" : "robust"]];
     // a row that was refused is not one that never came
     drawVerdict(verdict, problem && !row ? { ...store.get(), status: null } : store.get(), row);
+    const motions = status?.control.situation?.axes;
     const isStale = !row || link.state === "cut" || row.status === "EXPIRED" || OLD.some((code) => status?.control.reasons.some((each) => each.code === code));
     const age = row ? ageOf(store.get(), row) : NaN;
-    for (const axis of AXES) gauges[axis].draw(axisState(axis, { row, other, control, isStale, age }));
+    for (const axis of AXES) gauges[axis].draw(axisState(axis, { row, other, control, motions, isStale, age }));
     drawTorque(cards.torque, torque);
     drawWheels(cards.wheels, spacecraft, torque, state.telemetry, conditions);
     drawLevel(cards.level, row);
@@ -148,13 +149,13 @@ function ageOf(state, row) {
   return Math.max(0, (presentOf(state) + sinceStatus - oldest) / 1000);
 }
 
-function axisState(axis, { row, other, control, isStale, age }) {
+function axisState(axis, { row, other, control, motions, isStale, age }) {
   return {
     angle: row?.[`${axis}_deg`] ?? null,
     sigma: row?.sigma_deg?.[axis] ?? null,
     protection: row?.protection_deg?.[axis] ?? null,
     other: other?.[`${axis}_deg`] ?? null,
-    rate: row?.rates_deg_s?.[axis] ?? null,
+    motion: motions?.find((each) => each.axis === axis) ?? null,
     limit: control?.angle_limit_deg ?? null,
     alert: axis === "yaw" ? null : (control?.conditions.find((each) => each.code === "protection_level")?.limit ?? null),
     isStale,

@@ -5,6 +5,7 @@ import { element, fill } from "../element.js";
 import { newestFirst, soon } from "../lists/newest_first.js";
 import { failure } from "../parts/problem.js";
 import { SEVERITY_LEVEL, symbol } from "../parts/symbol.js";
+import { sentence } from "../parts/verdict.js";
 import { choice, field, foreign, row, table } from "../lists/table.js";
 import { linkStateWords, meaning, number, utc, words } from "../words.js";
 
@@ -28,8 +29,9 @@ export function show({ store, spacecraft, session }) {
   async function load() {
     let host = handover;
     try {
-      const answer = await get(`${base}/handover`, {}, { signal: ending.signal });
-      fill(handover, handoverOf(answer));
+      const read = (path) => get(`${base}/${path}`, {}, { signal: ending.signal });
+      const [answer, ...present] = await Promise.all(["handover", "attitude", "control"].map(read));
+      fill(handover, handoverOf(answer, ...present));
       host = happened;
       await loadEvents(answer.at);
     } catch (error) {
@@ -116,11 +118,12 @@ export function show({ store, spacecraft, session }) {
 }
 
 /** Return the page of the hand-over: what stands, first what is abnormal. */
-function handoverOf(answer) {
+function handoverOf(answer, newest, interlock) {
   const list = (key, rows) => [element("h2", {}, words(`views.shift.${key}`)), rows.length ? element("ul", {}, rows.map((each) => element("li", {}, each))) : element("p", { class: "detail" }, words("views.shift.none"))];
   const alarm = (each) => [symbol(SEVERITY_LEVEL[each.severity]), " ", meaning("alarms", each.condition), " ", foreign(each.thing), ` ${utc(each.raised_at)} ${words(`views.alarms.state.${each.state}`)}`];
   const { control } = answer;
-  const verdict = [symbol(control.situation?.severity ?? "off"), " ", words(control.allowed ? "views.now.allowed" : "views.now.forbidden"), ...control.reasons.map((each) => `; ${meaning("reasons", each.code)}`)];
+  const said = sentence(answer.status, newest, interlock);
+  const reasons = control.reasons.map((each) => meaning("reasons", each.code)).join("; ");
   const link = (each) => [foreign(each.id), ` ${linkStateWords(each.state)}${each.enabled ? "" : `, ${words("views.shift.disabled")}`}`, each.warnings.map(({ code, detail }) => [`; ${meaning("problems", code)} `, element("span", { lang: "en" }, foreign(detail))])];
   const source = (each) => [foreign(each.source), ` ${utc(each.newest_epoch)}; ${words("views.shift.missing", { count: each.rows_missing ?? 0 })}`];
   const ending = [
@@ -129,7 +132,7 @@ function handoverOf(answer) {
     answer.alignment && words("views.shift.aligned", { hours: number(answer.alignment.age_hours, 0) }),
   ].filter(Boolean);
   return element("div", { class: "columns" },
-    element("div", {}, element("p", {}, utc(answer.at), " UTC"), element("p", {}, verdict), list("alarms", answer.alarms.map(alarm)), list("covered", [...answer.shelved, ...answer.suppressed].map(alarm))),
+    element("div", {}, element("p", {}, utc(answer.at), " UTC"), element("p", {}, symbol(control.situation?.severity ?? "off"), " ", said), control.reasons.length > 1 && element("p", { class: "detail" }, reasons), list("alarms", answer.alarms.map(alarm)), list("covered", [...answer.shelved, ...answer.suppressed].map(alarm))),
     element("div", {}, list("operations", answer.operations.map((each) => [meaning("operations", each.kind), ` ${utc(each.start)} – ${each.stop ? utc(each.stop) : words("views.shift.open")} `, foreign(each.comment)])), list("links", answer.links.map(link)), list("sources", answer.sources.map(source)), list("ending", ending)));
 }
 

@@ -14,6 +14,7 @@ from service.core.control.slew_schedule import (
     FloatArray,
     Triple,
     envelope_excesses,
+    predicted_angles,
     predicted_effect,
 )
 from service.pipeline.control.release.command_states import UNREPORTED, State
@@ -131,6 +132,8 @@ def _interlock_check(interlock: Interlock) -> CommandCheck:
     return _check("interlock", is_ok, code, detail)
 
 
+#: predicted angles of a command
+_ANGLES = 61
 #: parts of an effect with one value an axis
 _BY_AXIS = tuple(name for name in Effect._fields if name != "wheel_momentum_n_m_s")
 #: body axes x roll, y pitch, z yaw in the order yaw, roll, pitch
@@ -183,8 +186,25 @@ def effect_of_law(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:
 def effect_of_pulses(pulses: tuple[AxisPulse, ...], spacecraft: Spacecraft, least_horizon_s: float) -> Effect:
     """Return the effect of pulses until the horizon, or until the last of them ends."""
     inertia, wheels = _mechanics(spacecraft)
-    horizon_s = max([least_horizon_s, *(pulse.stop_s for pulse in pulses)])
-    return predicted_effect(pulses, inertia, wheels, horizon_s)
+    return predicted_effect(pulses, inertia, wheels, _horizon_s(pulses, least_horizon_s))
+
+
+def _horizon_s(pulses: tuple[AxisPulse, ...], least_s: float) -> float:
+    return max([least_s, *(pulse.stop_s for pulse in pulses)])
+
+
+def angles_of(command: Command, spacecraft: Spacecraft) -> list[tuple[int, Axes]] | None:
+    """Return the change of the angles, deg, that a command brings about by its inertia, at instants until its horizon.
+
+    None where it does not end at the change that was stored with the command: the catalogue has another inertia now.
+    """
+    pulses, (inertia, _) = pulses_of(command.schedule, command.start_us), _mechanics(spacecraft)
+    horizon_s = _horizon_s(pulses, 0.0 if command.computed is None else command.computed.command_period_s)
+    at_s, angles_deg = predicted_angles(pulses, inertia, horizon_s, _ANGLES)
+    if not np.allclose(angles_deg[-1], command.angle_change_deg, rtol=1e-6, atol=1e-9):
+        return None
+    instants_us = (command.start_us + np.round(at_s * US_PER_S).astype(np.int64)).tolist()
+    return list(zip(instants_us, map(Axes._make, angles_deg.tolist()), strict=True))
 
 
 def pulses_of(schedule: Sequence[Pulse], start_us: int) -> tuple[AxisPulse, ...]:

@@ -7,7 +7,10 @@ import pytest
 AXES = ("yaw", "roll", "pitch")
 NOW = "2027-01-15T10:30:00.000000Z"
 NO_LIMIT = dict.fromkeys(("angle_deg", "limit_deg", "rate_deg_h", "hours_to_limit"))
-SITUATION = {"code": "known", "severity": "normal", "axis": None, "known_deg": 0.04, "yaw_known_deg": 0.41, **NO_LIMIT}
+WAYS = (("yaw", 0.1, None), ("roll", -0.33, 0.7), ("pitch", None, None))
+MOTIONS = [{"axis": axis, "beyond": False, "rate_deg_h": rate, "hours_to_limit": hours} for axis, rate, hours in WAYS]
+KNOWN = {"code": "known", "severity": "normal", "axis": None, "known_deg": 0.04, "yaw_known_deg": 0.41}
+SITUATION = {**KNOWN, **NO_LIMIT, "axes": MOTIONS}
 
 
 def attitude(method: str = "robust", **changes: Any) -> dict[str, Any]:

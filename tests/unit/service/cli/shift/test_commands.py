@@ -45,11 +45,16 @@ def test_the_exit_code_of_status_says_whether_torques_may_go(
 def test_attitude_has_each_axis_with_its_limit(service: Any) -> None:
     done = run("attitude")
     assert done.exit_code == 0
-    assert "Roll   -0.330      0.07 of 0.40  0.020    0.100 of 0.22     -0.330" in done.stdout
+    rows = [" ".join(line.split()) for line in done.stdout.splitlines()]
+    assert "Roll -0.330 of 0.40 0.70 h 0.020 0.100 of 0.22 -0.330" in rows
+    assert "Yaw +0.100 of 0.40 over a day 0.020 0.100 +0.100" in rows
+    assert "Pitch +0.020 of 0.40 – 0.020 0.100 of 0.22 +0.020" in rows
     assert "c03 (fades on its uplink)" in " ".join(done.stdout.split())
     service.rows["robust"] |= {"status": "EXPIRED", "roll_deg": -0.5}
+    lost = {"axis": "roll", "beyond": True, "rate_deg_h": None, "hours_to_limit": None}
+    service.verdict |= {"situation": {**service.verdict["situation"], "axes": [lost]}}
     done = run("attitude")
-    assert (done.exit_code, "beyond it of 0.40" in done.stdout) == (3, True)
+    assert (done.exit_code, "-0.500 of 0.40  beyond it" in done.stdout) == (3, True)
 
 
 def test_carriers_that_are_left_out_come_first(service: Any) -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.cli.shift.pages import Section, handover_sections, page
-from service.cli.shift.tables import link_line
+from service.cli.shift.tables import link_line, sentence
 
 NOW = "2027-01-15T10:30:00.000000Z"
 HOSTILE = '<img src=x onerror=alert(1)> & "quoted" [x](javascript:y) *bold* \x1b[2J'
@@ -29,21 +29,30 @@ class Tags(HTMLParser):
         self.texts.append(data)
 
 
+ROW: dict[str, Any] = {"downlink_fade_db": 0.0}
+CONTROL: dict[str, Any] = {"conditions": [], "open_commands": [], "unreported_commands": []}
+SOON = {"code": "towards_limit", "axis": "roll", "angle_deg": -0.3, "limit_deg": 0.4, "hours_to_limit": 0.5}
+
+
 def handover(**changes: Any) -> dict[str, Any]:
     reason = {"code": "stop", "text": "", "next_step": "", "since": NOW}
     empty = {
         name: [] for name in ("alarms", "shelved", "suppressed", "operations", "links", "sources", "keys", "notes")
     }
-    control = {"allowed": False, "state": "TRIPPED", "reasons": [reason]}
-    return {**empty, "control": control, "ephemeris": None, "alignment": None, **changes}
+    situation = SOON | dict.fromkeys(("rate_deg_h", "known_deg", "yaw_known_deg"))
+    control = {"allowed": False, "state": "TRIPPED", "reasons": [reason], "situation": situation}
+    status = {"control": control, "newest_measurement": NOW}
+    return {**empty, "control": control, "status": status, "ephemeris": None, "alignment": None, **changes}
 
 
-def test_an_empty_handover_says_none_everywhere_but_in_control() -> None:
-    control, *others = handover_sections(handover())
+def test_an_empty_handover_says_none_everywhere_but_in_control_where_it_says_what_every_view_says() -> None:
+    control, *others = handover_sections(handover(), ROW, CONTROL)
     assert control.lines == [
-        "No torque; tripped: no torque until a person resets",
+        sentence(handover()["status"], ROW, CONTROL),
+        "tripped: no torque until a person resets",
         "an operator stopped control: find the cause, then reset control",
     ]
+    assert control.lines[0].startswith("roll -0.30 deg meets its limit of 0.40 deg in 0.50 h; no torque: an operator")
     assert [each.lines for each in others] == [["none"]] * 7
 
 
@@ -62,7 +71,7 @@ def test_every_list_is_written() -> None:
         alignment={"age_hours": 7.6},
     )
     at = "2027-01-15 10:30:00"
-    lines = [line for each in handover_sections(found)[2:] for line in each.lines]
+    lines = [line for each in handover_sections(found, ROW, CONTROL)[2:] for line in each.lines]
     assert lines[0].startswith(f"3 severe: no new measurements sa-1, shelved, raised {at}; look at the links")
     assert lines[1:] == [
         f"eclipse, {at} – open end: long",
@@ -85,7 +94,7 @@ def test_a_link_line_is_one_sentence() -> None:
 def test_a_hostile_note_is_text_in_html(picture: bytes | None) -> None:
     note = {"epoch": NOW, "author": HOSTILE, "text": HOSTILE}
     parser = Tags()
-    parser.feed(page("a <b> title", handover_sections(handover(notes=[note])), "html", picture))
+    parser.feed(page("a <b> title", handover_sections(handover(notes=[note]), ROW, CONTROL), "html", picture))
     known = {"html", "meta", "title", "style", "h1", "h2", "ul", "li"}
     assert parser.tags == known | ({"img"} if picture else set())
     assert HOSTILE.replace("\x1b", "�") in "".join(parser.texts)

@@ -18,6 +18,7 @@ from service.core.control.slew_schedule import (
     Envelope,
     envelope_excesses,
     plan_slew,
+    predicted_angles,
     predicted_effect,
     shape_pulses,
 )
@@ -378,6 +379,24 @@ def test_an_angle_that_turns_back_inside_a_pulse_is_found():
     # v^2/a with v = a * 10 s: half of it on the way up, half until it stands
     assert found.peak_angle_deg[1] == pytest.approx(-np.degrees(0.01 / 2600.0 * 100.0), rel=1e-12)
     assert found.angle_change_deg[1] == pytest.approx(-np.degrees(0.01 / 2600.0 * 100.0), rel=1e-12)
+
+
+def test_predicted_angles_are_those_of_a_rigid_body_under_constant_pulses():
+    pulses = (AxisPulse(1, 60.0, 100.0, 0.02), AxisPulse(2, 200.0, 50.0, -0.01), AxisPulse(1, 500.0, 100.0, -0.02))
+    coupled = INERTIA + 40.0 * np.eye(3)[[1, 0, 2]]
+    at_s, angles_deg = predicted_angles(pulses, coupled, 900.0, 61)
+    assert at_s.tolist() == pytest.approx([15.0 * k for k in range(61)])
+    acceleration = np.linalg.inv(coupled)
+    expected = np.zeros((61, 3))
+    for pulse in pulses:
+        # at²/2 while a pulse lasts, then its rate from its middle on
+        pushed_s = np.clip(at_s - pulse.start_s, 0.0, pulse.duration_s)
+        sailed_s = np.maximum(at_s - pulse.stop_s, 0.0)
+        twice_s2 = pushed_s**2 + 2.0 * pulse.duration_s * sailed_s
+        expected += 0.5 * pulse.torque_n_m * twice_s2[:, None] * acceleration[:, pulse.axis]
+    np.testing.assert_allclose(angles_deg, np.degrees(expected), rtol=1e-9, atol=1e-15)
+    assert angles_deg[:5].tolist() == [[0.0] * 3] * 5
+    assert predicted_effect(pulses, coupled, np.eye(3), 900.0).angle_change_deg == pytest.approx(tuple(angles_deg[-1]))
 
 
 @pytest.mark.parametrize(
