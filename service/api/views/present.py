@@ -195,7 +195,7 @@ _RATE_ROWS = 180
 
 
 def _recent_rate(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> Axes | None:
-    """Return the rate of the angles up to a row; rows are read once, whoever asks."""
+    """Return the rate of the angles up to a row; the rows before it are read once for all requests."""
     place = (row.method, row.epoch_us, row.number)
     known = context.recent_rates.get(spacecraft_id)
     if known is None or known[0] != place:

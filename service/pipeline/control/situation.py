@@ -82,7 +82,7 @@ class SpacecraftSituation:
 def recent_rate(rows: Sequence[AttitudeRow]) -> Axes | None:
     """Return the slope of the angles, deg/s, of rows in order of epoch; None: they cover less than ten minutes.
 
-    An alignment may set the angles anew, so the rows are those under the newest one's.
+    An alignment may move the angles, so the rows are those under the newest row's.
     """
     known = [row for row in rows if row.status is Status.ACQUIRED and row.alignment_id == rows[-1].alignment_id]
     fixes = [(row.epoch_us, row.attitude_deg) for row in known]

@@ -23,3 +23,14 @@ export function symbol(level) {
   const shape = svg("path", { d: SHAPES[level] ?? SHAPES.off, "fill-rule": "evenodd" });
   return svg("svg", { class: `symbol ${level}`, viewBox: "0 0 16 16", "aria-hidden": "true" }, shape);
 }
+
+/** States in which a link works, and levels of others. */
+const WORKING = ["MEASURE", "RUNNING"];
+const LINK_LEVELS = { SILENT: "critical", STUCK: "critical", SERVICE_AWAY: "serious", BACKOFF: "serious", STOPPED: "off" };
+
+/** Return the level of a link, or of a source without one. @param {any} link */
+export function linkLevel({ state, enabled, warnings, rows_missing: missing }) {
+  if (enabled === false || state === "DISABLED") return "off";
+  if (state && !WORKING.includes(state)) return LINK_LEVELS[state] ?? "caution";
+  return warnings.length || missing ? "caution" : "normal";
+}

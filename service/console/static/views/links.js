@@ -3,14 +3,11 @@
 import { Problem, get, post } from "../api.js";
 import { element, fill } from "../element.js";
 import { failure } from "../parts/problem.js";
-import { symbol } from "../parts/symbol.js";
+import { linkLevel, symbol } from "../parts/symbol.js";
 import { duration, linkStateWords, meaning, number, utc, words } from "../words.js";
 
 export const name = "links";
 const AGAIN_MS = 5000;
-/** States in which a link works; all others are shown by colour and shape. */
-const WORKING = ["MEASURE", "RUNNING"];
-const LEVELS = { SILENT: "critical", STUCK: "critical", SERVICE_AWAY: "serious", BACKOFF: "serious", DISABLED: "off", STOPPED: "off" };
 const COUNTERS = ["rows", "accepted", "duplicates", "late", "refused", "failures", "waiting", "faults"];
 const HEADS = ["link", "state", "lastRow", "rate", "counters", "warnings"];
 
@@ -95,7 +92,6 @@ function rateOf({ id, reported_at, counters }, former) {
 
 function rowOf(link, rate, orderOf) {
   const { state, detail, counters, warnings, enabled } = link;
-  const level = WORKING.includes(state) ? "normal" : (LEVELS[state] ?? "caution");
   const dropped = Object.entries(counters).filter(([key, count]) => key.startsWith("dropped_") && count > 0);
   const counts = COUNTERS.filter((key) => key in counters).map((key) => [words(`views.links.counter.${key}`), counters[key]]);
   if (dropped.length) counts.push([words("views.links.counter.dropped"), dropped.reduce((sum, [, count]) => sum + count, 0)]);
@@ -107,7 +103,7 @@ function rowOf(link, rate, orderOf) {
   const about = [detail?.analyzer, detail?.last_fault, detail?.last_failure].filter((each) => typeof each === "string" && each);
   return element("tr", { "data-link": link.id, "data-state": state },
     element("th", { scope: "row" }, element("bdi", {}, link.id), element("p", { class: "detail" }, words(`views.links.kind.${link.kind}`)), about.map((each) => element("p", { class: "detail" }, element("bdi", {}, each)))),
-    element("td", {}, symbol(level), " ", linkStateWords(state), element("p", { class: "detail" }, words("views.links.reported", { age: duration(link.age_s) })), link.reset_pending && element("p", {}, words("views.links.resetPending")), buttons),
+    element("td", {}, symbol(linkLevel(link)), " ", linkStateWords(state), element("p", { class: "detail" }, words("views.links.reported", { age: duration(link.age_s) })), link.reset_pending && element("p", {}, words("views.links.resetPending")), buttons),
     element("td", {}, link.last_good ? [utc(link.last_good), element("p", { class: "detail" }, words("views.links.ago", { age: duration(link.last_good_age_s) }))] : words("views.links.noRow")),
     element("td", {}, rate === null ? "" : words("views.links.rate", { rate: number(rate, 1) }), detail?.period_s >= 1 && element("p", { class: "detail" }, words("views.links.period", { period: duration(detail.period_s) }))),
     element("td", {}, element("dl", { class: "facts" }, counts.map(([label, count]) => [element("dt", {}, label), element("dd", {}, number(count, 0))]))),

@@ -5,7 +5,7 @@ import { element, fill, onFrame } from "../element.js";
 import { gauge } from "../parts/gauge.js";
 import { presentOf } from "../parts/header.js";
 import { failure } from "../parts/problem.js";
-import { symbol } from "../parts/symbol.js";
+import { linkLevel, symbol } from "../parts/symbol.js";
 import { sentence } from "../parts/verdict.js";
 import { duration, linkStateWords, meaning, number, utc, words } from "../words.js";
 
@@ -219,12 +219,6 @@ function drawLinks(each, status) {
     if (!links.length) return words("views.now.none");
     return element("ul", {}, links.map((link) => element("li", {}, symbol(linkLevel(link)), ` ${link.id ?? link.source} `, linkText(link))));
   });
-}
-
-function linkLevel(link) {
-  if (link.enabled === false) return "off";
-  if (link.state === "SILENT" || link.state === "BACKOFF") return "serious";
-  return link.warnings.length || link.rows_missing ? "caution" : "normal";
 }
 
 function linkText(link) {
