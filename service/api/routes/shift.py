@@ -35,7 +35,7 @@ from service.api.schemas.shift import (
     ShelveDocument,
     StateWord,
 )
-from service.api.views.present import handover_of, link_answers
+from service.api.views.present import alarm_answer, handover_of, link_answers
 from service.errors import NotFoundError
 from service.pipeline.alarms.limit_sets import faults_of, limits_in_force
 from service.records.operations.alarms import Alarm, Note
@@ -137,8 +137,9 @@ def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: Curr
 
 
 def _reported(context: Context, alarm: Alarm) -> AlarmAnswer:
-    """Return an alarm."""
-    return AlarmAnswer.of(alarm, context.alarms.present_value(alarm))
+    """Return an alarm with what follows from it."""
+    is_alone = alarm.cause is not None or not alarm.is_open
+    return alarm_answer(context, alarm, () if is_alone else context.storage.alarms.open_alarms(alarm.spacecraft_id))
 
 
 handover_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/handover", tags=["shift log"])

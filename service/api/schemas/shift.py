@@ -1,6 +1,7 @@
 """Documents of the shift: alarms, links, notes, status, hand-over."""
 
 import json
+import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints, model_validator
@@ -21,7 +22,7 @@ from service.api.schemas.base import (
 )
 from service.api.schemas.control import ControlState, VerdictAnswer
 from service.api.schemas.inputs import OperationAnswer
-from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.alarms.conditions import FOLLOWS, condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarms import (
     Alarm,
@@ -35,7 +36,7 @@ from service.records.operations.alarms import (
 from service.records.operations.work import LinkReport, LinkWarning
 
 StateWord = Literal["open", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed", "closed"]
-SetName = Literal["normal", "rain", "eclipse", "manoeuvre"]
+SetName = Literal["normal", "eclipse", "manoeuvre"]
 SeverityWord = Literal["watch", "warning", "distress", "critical", "severe"]
 ConditionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 Threshold = Annotated[float | None, Field(ge=-1e9, le=1e9)]
@@ -74,7 +75,7 @@ _FINITE = ("value", "limit")
 _HANDLINGS = ("acknowledged", "shelved", "cleared")
 
 
-class AlarmAnswer(
+class AlarmChildAnswer(
     members_of(
         Alarm,
         without=("process", "cover"),
@@ -86,7 +87,7 @@ class AlarmAnswer(
     ),
     Answer,
 ):
-    """One alarm."""
+    """One alarm without what follows from it."""
 
     state: Literal["normal", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed"]
     """That of the cover where there is one; normal = closed."""
@@ -94,14 +95,24 @@ class AlarmAnswer(
     """True: the condition holds."""
     present_value: FiniteFigure
     """Newest value; null where none is known."""
+    present_at: EpochAnswer | None
+    """Epoch of the newest value."""
     next_step: str
 
     @classmethod
-    def of(cls, alarm: Alarm, present_value: float = float("nan")) -> Self:
-        """Return the answer for an alarm."""
+    def of(cls, alarm: Alarm, present: tuple[float, int | None] = (math.nan, None), **members: Any) -> Self:
+        """Return the answer for an alarm, with its newest value and the epoch of that."""
         condition = _CONDITIONS.get(alarm.condition)
-        next_step = "" if condition is None else condition.next_step
-        return super().of(alarm, severity=alarm.severity.word, present_value=present_value, next_step=next_step)
+        members["next_step"] = "" if condition is None else condition.next_step if alarm.cause is None else FOLLOWS
+        severity = alarm.severity.word
+        return super().of(alarm, severity=severity, present_value=present[0], present_at=present[1], **members)
+
+
+class AlarmAnswer(AlarmChildAnswer):
+    """One alarm."""
+
+    children: list[AlarmChildAnswer] = Field(default_factory=list)
+    """What follows from this alarm now, worst first; empty in changes."""
 
 
 class AlarmChangeAnswer(Answer):

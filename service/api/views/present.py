@@ -10,6 +10,7 @@ from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.inputs import OperationAnswer
 from service.api.schemas.shift import (
     AlarmAnswer,
+    AlarmChildAnswer,
     HandoverAnswer,
     HandoverCalibrationAnswer,
     HandoverKeyAnswer,
@@ -323,9 +324,22 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> HandoverAnswer:
 
 
 def _alarm_answers(context: ApiContext, alarms: tuple[Alarm, ...], cover: Cover) -> list[AlarmAnswer]:
-    """Return the alarms under a cover, worst first, then oldest first."""
-    chosen = sorted((one for one in alarms if one.cover is cover), key=lambda one: (-one.severity, one.raised_at_us))
-    return [AlarmAnswer.of(alarm, context.alarms.present_value(alarm)) for alarm in chosen]
+    """Return the alarms under a cover that no other explains, worst first, then oldest first."""
+    causes = {alarm.key for alarm in alarms}
+    chosen = [one for one in alarms if one.cover is cover and one.cause not in causes]
+    return [alarm_answer(context, alarm, alarms) for alarm in sorted(chosen, key=_worst_first)]
+
+
+def alarm_answer(context: ApiContext, alarm: Alarm, alarms: tuple[Alarm, ...]) -> AlarmAnswer:
+    """Return an alarm with its newest value and with those among open alarms that follow from it."""
+    following = sorted((one for one in alarms if one.cause == alarm.key), key=_worst_first)
+    children = [AlarmChildAnswer.of(one, context.alarms.present_value(one)) for one in following]
+    return AlarmAnswer.of(alarm, context.alarms.present_value(alarm), children=children)
+
+
+def _worst_first(alarm: Alarm) -> tuple[int, int]:
+    """Return the order of alarms: worst first, then oldest first."""
+    return -alarm.severity, alarm.raised_at_us
 
 
 def _foundations(context: ApiContext, spacecraft_id: str, now_us: int) -> dict[str, Any]:

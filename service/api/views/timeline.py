@@ -108,7 +108,7 @@ class Timeline:
                 yield TimelineCommandAnswer.of(command, id=command.counter)
 
     def _alarms(self) -> Iterator[AlarmAnswer]:
-        """Yield the alarms that were active within the span, in order of their raising."""
+        """Yield the alarms that were active within the span and follow from no other, in order of their raising."""
         alarms, start_us = self.context.storage.alarms, self.window.start_us
         before = Window(EVERYTHING.start_us, start_us)
         # of those closed since, the newest: what was raised before so many others is not looked for
@@ -120,7 +120,7 @@ class Timeline:
         lasting = [each for each in earlier.values() if each.ended_us is None or each.ended_us >= start_us]
         lasting.sort(key=lambda each: (each.raised_at_us, each.id))
         raised: list[Alarm] = alarms.alarms(self.spacecraft_id, (), self.window, MOST + 1, None)
-        return (AlarmAnswer.of(each) for each in (*lasting, *raised))
+        return (AlarmAnswer.of(each) for each in (*lasting, *raised) if each.cause is None)
 
     def _notes(self) -> Iterator[NoteAnswer]:
         found = self.context.storage.notes.notes(self.window, MOST + 1, None, self.spacecraft_id)

@@ -3,6 +3,7 @@
 Only what is not as it should be is remembered: values inside their limits cost one comparison of an array.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -38,6 +39,23 @@ from service.records.operations.alarms import (
 
 Key = tuple[str, str]
 _NO_NOTES: Mapping[str, str] = {}
+#: sigmas that a cause may leave of a value, and of one that was told as an alarm of its own
+_MOST_SIGMAS, _ADOPTION_SIGMAS = 3.0, 2.0
+#: an alarm that was told follows from a cause after so long, s
+_ADOPTION_S = 120.0
+#: what follows is an alarm of its own when its cause has left it unexplained, or is gone, for so long: means are slow
+_RELEASE_S, _TAIL_S = 300.0, 600.0
+
+
+class Explanation(NamedTuple):
+    """Alarm that explains a value."""
+
+    cause: Key
+    #: what it leaves of the value, in sigmas; NaN = not known
+    sigmas: float = 0.0
+
+
+_NO_CAUSES: Mapping[str, Explanation] = {}
 
 
 class Readings(NamedTuple):
@@ -52,6 +70,8 @@ class Readings(NamedTuple):
     notes: Mapping[str, str] = _NO_NOTES
     #: whether other things may exist too, of which nothing is said here
     is_partial: bool = False
+    #: by thing, what explains its value if it stands
+    causes: Mapping[str, Explanation] = _NO_CAUSES
 
 
 @dataclass(slots=True)
@@ -132,10 +152,20 @@ class AlarmEngine:
             for thing, watch in memories.items()
         )
 
-    def present_value(self, key: Key) -> float:
-        """Return the newest value of what is watched, NaN where it is not."""
-        watch = self._watches.get(key[0], {}).get(key[1])
-        return float("nan") if watch is None else watch.value
+    def present_value(self, key: Key) -> tuple[float, int | None]:
+        """Return the newest value of what is watched and its epoch, NaN and None where it is not."""
+        watch = self._watch(key)
+        return (float("nan"), None) if watch is None or math.isnan(watch.value) else (watch.value, watch.newest_us)
+
+    def stands(self, key: Key) -> bool:
+        """Return whether an alarm can explain others: it is active, or about to be, and no other explains it."""
+        watch = self._watch(key)
+        return watch is not None and not watch.is_idle and watch.cause is None
+
+    def bound(self, condition: str) -> float:
+        """Return the limit of a condition that is passed first, NaN where none is in force."""
+        bound = self._in_force[condition].bound
+        return float("nan") if bound is None else bound
 
     def adopt(self, alarm: Alarm) -> None:
         """Take over the id that the archive gave an alarm."""
@@ -154,14 +184,7 @@ class AlarmEngine:
             self._context = context
             self._in_force = self._limits()
         self._context = context
-        changes = []
-        for key, alarm in list(self._open.items()):
-            is_quiet = self._is_quiet(key)
-            if is_quiet and alarm.cover is Cover.NONE:
-                changes.append(self._cover(alarm, CoverEvent.SUPPRESS, ChangeKind.SUPPRESSED, at_us))
-            elif not is_quiet and alarm.cover is Cover.SUPPRESSED:
-                changes.append(self._cover(alarm, CoverEvent.RELEASE, ChangeKind.RELEASED, at_us))
-        return changes
+        return [change for key in list(self._open) for change in self._covered(key, at_us)]
 
     def is_settled(self, condition: str, extreme: float) -> bool:
         """Return whether values need no look: nothing is remembered, and the extreme one has passed no limit."""
@@ -183,6 +206,8 @@ class AlarmEngine:
             if position is None or not in_force.limits.enabled:
                 changes += self._over(watch, (readings.condition, thing), at_us)
             else:
+                self._attribute(watch, readings.causes.get(thing), in_force.limits, at_us)
+                changes += self._covered((readings.condition, thing), at_us)
                 verdict = poll(watch, in_force.condition.kind, float(readings.values[position]), at_us, in_force.limits)
                 if verdict is not None:
                     changes += self._judged(verdict, in_force, thing, at_us, readings.notes.get(thing, ""))
@@ -191,8 +216,13 @@ class AlarmEngine:
         return changes
 
     def pass_time(self, at_us: int) -> list[AlarmChange]:
-        """End shelvings whose time is over and tell again what nobody acted on."""
+        """End shelvings whose time is over, tell again what nobody acted on, let go of what no cause explains."""
         changes = []
+        for key in list(self._open):
+            watch = self._watch(key)
+            if watch is not None and watch.cause is not None and not self.stands(watch.cause):
+                self._attribute(watch, None, self._in_force[key[0]].limits, at_us)
+                changes += self._covered(key, at_us)
         for alarm in list(self._open.values()):
             if alarm.cover is Cover.SHELVED and at_us >= (alarm.shelved_until_us or 0):
                 changes.append(self._uncover(alarm, at_us, None))
@@ -242,7 +272,8 @@ class AlarmEngine:
 
     def _return(self, alarm: Alarm, at_us: int, *, is_latching: bool) -> AlarmChange:
         """Carry out that a condition is gone."""
-        after = steps.returned(alarm, at_us, is_latching=is_latching)
+        # what only followed needs nobody to clear it
+        after = steps.returned(alarm, at_us, is_latching=is_latching and alarm.cause is None)
         return self._put(ChangeKind.RETURNED, alarm, after, at_us)
 
     def _over(self, watch: ValueMemory, key: Key, at_us: int) -> list[AlarmChange]:
@@ -253,20 +284,64 @@ class AlarmEngine:
         return [self._return(before, at_us, is_latching=False)] if was_alarmed and before is not None else []
 
     def _uncover(self, alarm: Alarm, at_us: int, handling: Handling | None) -> AlarmChange:
-        """End a shelving; where an operation is in force, suppression takes its place."""
+        """End a shelving; where an operation or a cause is in force, suppression takes its place."""
         after = steps.covered(alarm, CoverEvent.UNSHELVE, at_us)
         if self._is_quiet(alarm.key) and after.process is not Process.NORMAL:
             after = steps.covered(after, CoverEvent.SUPPRESS, at_us)
         return self._put(ChangeKind.UNSHELVED, alarm, after, at_us, handling)
 
-    def _cover(self, alarm: Alarm, event: CoverEvent, kind: ChangeKind, at_us: int) -> AlarmChange:
-        """Suppress or release an alarm."""
-        return self._put(kind, alarm, steps.covered(alarm, event, at_us), at_us)
+    def _attribute(
+        self, watch: ValueMemory, explanation: Explanation | None, limits: ConditionLimits, at_us: int
+    ) -> None:
+        """Note what explains a value: at once while nothing was alarmed, later when it has held for its time."""
+        cause = None
+        if explanation is not None and self.stands(explanation.cause):
+            most = _ADOPTION_SIGMAS if watch.level and watch.cause is None else _MOST_SIGMAS
+            if math.isnan(explanation.sigmas):
+                cause = watch.cause
+            elif explanation.sigmas <= most:
+                cause = explanation.cause
+                if watch.cause == cause and explanation.sigmas > _ADOPTION_SIGMAS:
+                    # a value is noisy: the time that it is unexplained does not begin anew with every row
+                    return
+        if cause == watch.cause or (cause is None and watch.gone_us is not None):
+            watch.other_us = None
+            return
+        watch.other_us = at_us if watch.other_us is None else watch.other_us
+        after_s = _ADOPTION_S
+        if watch.cause is not None:
+            after_s = max(limits.on_s, _RELEASE_S) if self.stands(watch.cause) else _TAIL_S
+        if watch.level == 0 or at_us - watch.other_us >= after_s * US_PER_S:
+            watch.cause, watch.other_us = cause, None
+
+    def _covered(self, key: Key, at_us: int) -> list[AlarmChange]:
+        """Suppress or release an alarm by what is in force now."""
+        alarm = self._open.get(key)
+        if alarm is None:
+            return []
+        is_quiet, is_suppressed = self._is_quiet(key), alarm.cover is Cover.SUPPRESSED
+        if is_quiet and (alarm.cover is Cover.NONE or (is_suppressed and alarm.cause != self._cause_of(alarm))):
+            event, kind = CoverEvent.SUPPRESS, ChangeKind.SUPPRESSED
+        elif not is_quiet and is_suppressed:
+            event, kind = CoverEvent.RELEASE, ChangeKind.RELEASED
+        else:
+            return []
+        return [self._put(kind, alarm, steps.covered(alarm, event, at_us), at_us)]
+
+    def _cause_of(self, alarm: Alarm) -> Key | None:
+        """Return what explains an alarm; of one whose condition is gone, what did."""
+        watch = self._watch(alarm.key)
+        return watch.cause if watch is not None and alarm.is_active else alarm.cause
+
+    def _watch(self, key: Key) -> ValueMemory | None:
+        """Return the memory of a value, None where there is nothing to remember."""
+        return self._watches.get(key[0], {}).get(key[1])
 
     def _put(
         self, kind: ChangeKind, before: Alarm | None, after: Alarm, at_us: int, handling: Handling | None = None
     ) -> AlarmChange:
         """Remember an alarm as it is after a step, or forget one that is closed."""
+        after = replace(after, cause=self._cause_of(after))
         change = steps.change_of(kind, before, after, at_us, handling)
         if change.alarm.is_open:
             self._open[after.key] = change.alarm
@@ -275,8 +350,10 @@ class AlarmEngine:
         return change
 
     def _is_quiet(self, key: Key) -> bool:
-        """Return whether an operation keeps an alarm quiet."""
-        return self._in_force[key[0]].limits.suppressed or self._context.is_quiet(*key)
+        """Return whether an operation or a cause keeps an alarm quiet."""
+        watch = self._watch(key)
+        is_explained = watch is not None and watch.cause is not None
+        return is_explained or self._in_force[key[0]].limits.suppressed or self._context.is_quiet(*key)
 
     def _is_to_repeat(self, alarm: Alarm, at_us: int) -> bool:
         """Return whether nobody has acted on an alarm for too long."""
@@ -302,6 +379,7 @@ class AlarmEngine:
             watch = self._watches[key[0]].setdefault(key[1], ValueMemory())
             watch.level = max(watch.level, int(alarm.severity) if watch.level == 0 else watch.level)
             watch.since_us = alarm.since_us if watch.since_us is None else watch.since_us
+            watch.cause = alarm.cause
 
     def _active(self) -> set[Key]:
         """Return the open alarms whose condition stands."""

@@ -8,6 +8,8 @@ from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarms import ConditionLimits
 
 _HOUR_S = 3600.0
+#: next step of an alarm that another one explains, whatever its condition
+FOLLOWS = "act on the alarm that explains this one; nothing else is to be done while it does"
 
 
 def _condition(
@@ -101,6 +103,19 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
                 off_s=0.0,
                 latching=True,
             ),
+        ),
+        _condition(
+            ("chain_lost", Kind.LASTING, "s", "receiving site", Origin.ROW),
+            "no carrier has been received at the {thing} for {value}",
+            "check antenna, receiving chain and analyzer; the users need not be asked",
+            ConditionLimits(warning=120.0, critical=1800.0, off_s=120.0, repeat_s=600.0),
+        ),
+        _condition(
+            ("chain_level", Kind.ABOVE, "dB", "receiving site", Origin.ROW),
+            "level of all carriers at the {thing} differs from the expected level by {value}",
+            "check the gain of the receiving chain and of the analyzer; declare gain_change or align again",
+            # below the least limit of carrier_level, which must not alarm for every carrier first
+            ConditionLimits(watch=2.0, warning=3.0, distress=6.0, deadband=0.5, on_s=300.0, off_s=300.0),
         ),
         _condition(
             ("downlink_fade", Kind.ABOVE, "dB", "receiving site", Origin.ROW),

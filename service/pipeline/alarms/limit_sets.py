@@ -3,7 +3,6 @@
 | set | in force while |
 |---|---|
 | normal | always; the others change single figures of it |
-| rain | the newest row says that the downlink fades |
 | eclipse | an operation `eclipse` lasts |
 | manoeuvre | `station_keeping`, `momentum_unloading` or `calibration_turn` lasts |
 
@@ -21,9 +20,9 @@ from service.records.catalogue import CarrierPlan
 from service.records.inputs import Operation
 from service.records.operations.alarms import AlarmLimits, ConditionLimits, Statement
 
-NORMAL, RAIN, ECLIPSE, MANOEUVRE = "normal", "rain", "eclipse", "manoeuvre"
+NORMAL, ECLIPSE, MANOEUVRE = "normal", "eclipse", "manoeuvre"
 #: later ones prevail
-SETS = (NORMAL, RAIN, ECLIPSE, MANOEUVRE)
+SETS = (NORMAL, ECLIPSE, MANOEUVRE)
 _SET_OF_KIND = {
     "eclipse": ECLIPSE,
     "station_keeping": MANOEUVRE,
@@ -36,12 +35,6 @@ _CARRIER_CONDITIONS = ("carrier_level", "carrier_absent", "carrier_c_n0", "carri
 #: what the sets change by default
 DEFAULT_SETS: dict[str, dict[str, Statement]] = {
     NORMAL: {},
-    RAIN: {
-        "carrier_level": {"warning": 8.0, "distress": 15.0},
-        "carrier_c_n0": {"warning": 3.0, "distress": 0.0},
-        "carrier_residual": {"watch": 3.0, "warning": 6.0},
-        "methods_disagree": {"suppressed": True},
-    },
     ECLIPSE: {
         "carrier_level": {"warning": 5.0, "distress": 8.0},
         "carrier_residual": {"watch": 3.0, "warning": 6.0},
@@ -72,11 +65,9 @@ class AlarmContext(NamedTuple):
         return condition in _CARRIER_CONDITIONS and thing in self.quiet_carriers
 
 
-def context(
-    operations: Iterable[Operation], plan: CarrierPlan | None, epoch_us: int, *, is_raining: bool
-) -> AlarmContext:
+def context(operations: Iterable[Operation], plan: CarrierPlan | None, epoch_us: int) -> AlarmContext:
     """Return the context of alarms at an epoch, and its span if no operation changes."""
-    wanted = {NORMAL, RAIN} if is_raining else {NORMAL}
+    wanted = {NORMAL}
     quiet: set[str] = set()
     since_us, until_us = AlarmContext().since_us, AlarmContext().until_us
     for operation in operations:

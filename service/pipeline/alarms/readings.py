@@ -8,7 +8,18 @@ from statistics import median
 
 import numpy as np
 
-from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
+from service.pipeline.alarms.alarm_engine import AlarmEngine, Explanation, Readings
+from service.pipeline.alarms.causes import (
+    AXES,
+    CHAIN_LEVEL,
+    CHAIN_LOST,
+    FADE,
+    SITE,
+    LevelCause,
+    RowCauses,
+    c_n_loss_db,
+    with_own_level,
+)
 from service.pipeline.alarms.limit_sets import AlarmContext, context
 from service.pipeline.estimation.method import CarrierLevels, RowEvidence
 from service.pipeline.estimation.robust.attitude_rows import MOTION_ADVICE
@@ -28,9 +39,10 @@ _REACH_US = 300 * US_PER_S
 _SENSOR_SIGMAS = 3.0
 #: a fade of unknown depth is a fade
 _SOME_FADE_DB = 1e-3
-_AXES = ("yaw", "roll", "pitch")
 #: inhibition of a row whose method has only begun
 _SETTLING = "settling"
+#: least carrier to noise at which a carrier is detected, dB, with a margin for what fades between two rows
+_DETECTABLE_DB = 3.0
 
 
 class RowReader:
@@ -52,10 +64,13 @@ class RowReader:
         self._nominal_dbm: Mapping[str, float] = {}
         self._reported: deque[AttitudeRow] = deque(maxlen=_KEPT_ROWS)
         self._holds = AlarmContext()
-        self._holds_for: tuple[object, object, object] = (None, None, None)
+        self._holds_for: tuple[object, object] = (None, None)
+        self._causes = RowCauses(engine.stands)
         self._plan: CarrierPlan | None = None
         self._carrier_ids: tuple[str, ...] = ()
         self._bandwidth_db: FloatArray = np.zeros(0)
+        #: carrier to noise that each carrier had at last, in the dry, dB
+        self._dry_c_n_db: FloatArray = np.zeros(0)
 
     @property
     def newest_row_us(self) -> int | None:
@@ -81,11 +96,12 @@ class RowReader:
         self._newest_us = epoch_us
         self._recent_us.append(epoch_us)
         driving = next((row for row in facts.rows if row.method is facts.method), None)
-        changes = self._context(facts, epoch_us, is_raining=driving is not None and driving.downlink_fade)
-        for readings in self._of_carriers(facts):
-            changes += self._engine.observe(readings, epoch_us)
-        if driving is not None:
-            for readings in self._of_attitude(facts, driving):
+        changes = self._context(facts, epoch_us)
+        # causes go before what follows from them
+        families = [self._of_chain(facts, driving)]
+        families += [] if driving is None else [self._of_attitude(facts, driving)]
+        for family in (*families, self._of_carriers(facts)):
+            for readings in family:
                 changes += self._engine.observe(readings, epoch_us)
         if driving is not None and driving.status is Status.ACQUIRED:
             self._reported.append(driving)
@@ -99,98 +115,168 @@ class RowReader:
         apart_deg = _apart_deg(reference, row)
         if apart_deg is None:
             return []
-        readings = Readings("sensor_disagreement", (reference.source,), (apart_deg,), is_partial=True)
+        is_within = apart_deg <= max(row.protection_deg)
+        cause = self._causes.first(FADE, CHAIN_LOST, CHAIN_LEVEL) if is_within else None
+        things, causes = (reference.source,), _by_thing(reference.source, cause)
+        readings = Readings("sensor_disagreement", things, (apart_deg,), is_partial=True, causes=causes)
         return self._engine.observe(readings, reference.epoch_us)
 
-    def _context(self, facts: RowEvidence, epoch_us: int, *, is_raining: bool) -> list[AlarmChange]:
+    def _context(self, facts: RowEvidence, epoch_us: int) -> list[AlarmChange]:
         """Find out what holds, where it can have changed."""
         holds, former = self._holds, self._holds_for
-        is_same = former[0] is facts.operations and former[1] is facts.plan and former[2] is is_raining
+        is_same = former[0] is facts.operations and former[1] is facts.plan
         if is_same and holds.since_us <= epoch_us < holds.until_us:
             return []
-        self._holds_for = (facts.operations, facts.plan, is_raining)
-        self._holds = context(facts.operations.values(), facts.plan, epoch_us, is_raining=is_raining)
+        self._holds_for = (facts.operations, facts.plan)
+        self._holds = context(facts.operations.values(), facts.plan, epoch_us)
         return self._engine.enter(self._holds, epoch_us)
 
     def _of_carriers(self, facts: RowEvidence) -> Iterator[Readings]:
         """Yield the readings of single carriers; a row without findings costs a few extremes of arrays."""
-        if facts.plan is not self._plan:
-            self._use_plan(facts.plan)
-        measurement, is_settled = facts.measurement, self._engine.is_settled
+        measurement, is_settled, levels = facts.measurement, self._engine.is_settled, facts.levels
         # the sum is NaN where one of them is
         if math.isnan(measurement.power_dbm.sum()) or not is_settled("carrier_absent", 0.0):
-            yield self._absence(measurement)
-        if measurement.details is not None:
-            c_n_db = measurement.details.c_n0_db_hz - self._bandwidth_db
-            if not is_settled("carrier_c_n0", float(np.fmin.reduce(c_n_db))):
-                yield Readings("carrier_c_n0", self._carrier_ids, c_n_db)
-        if facts.levels is None or self._nominal_dbm:
-            yield self._level_by_name(facts)
+            is_absent = _absent(measurement)
+            causes = {name: cause for name, cause in self._of_absence() if cause is not None}
+            yield Readings("carrier_absent", self._carrier_ids, is_absent, causes=causes)
+        explained = {} if levels is None else self._causes.of_levels(levels)
+        if levels is None or self._nominal_dbm:
+            yield self._level_by_name(facts, explained)
         else:
-            yield from self._extremes("carrier_level", facts.levels, facts.levels.deviation_db)
-        if facts.levels is not None:
-            yield from self._extremes("carrier_residual", facts.levels, facts.levels.residual_db)
+            yield from self._extremes("carrier_level", levels, levels.deviation_db, explained)
+        if levels is not None:
+            explained = with_own_level(explained, self._engine.stands, levels)
+            yield from self._extremes("carrier_residual", levels, levels.residual_db, explained)
+        if measurement.details is not None:
+            yield from self._carrier_to_noise(measurement.details.c_n0_db_hz - self._bandwidth_db, explained)
 
-    def _extremes(self, condition: str, levels: CarrierLevels, values_db: FloatArray) -> Iterator[Readings]:
+    def _extremes(
+        self, condition: str, levels: CarrierLevels, values_db: FloatArray, explained: Mapping[str, LevelCause]
+    ) -> Iterator[Readings]:
         """Yield the sizes of what carriers differ by, where one of them wants a look."""
         away_db = np.abs(values_db)
         if not self._engine.is_settled(condition, float(np.fmax.reduce(away_db))):
-            yield Readings(condition, levels.carrier_ids, away_db)
+            causes = {name: explanation for name, (explanation, _) in explained.items()}
+            yield Readings(condition, levels.carrier_ids, away_db, causes=causes)
+
+    def _carrier_to_noise(self, c_n_db: FloatArray, explained: Mapping[str, LevelCause]) -> Iterator[Readings]:
+        """Yield the carrier to noise ratios; a cause explains what would lie within the limit without it."""
+        dry_db = c_n_db + c_n_loss_db(FADE, -self._causes.fade_db)
+        self._dry_c_n_db = np.where(np.isnan(dry_db), self._dry_c_n_db, dry_db)
+        if not self._engine.is_settled("carrier_c_n0", float(np.fmin.reduce(c_n_db))):
+            limit_db, causes = self._engine.bound("carrier_c_n0"), {}
+            for name, ratio_db in zip(self._carrier_ids, c_n_db.tolist(), strict=True):
+                if name in explained:
+                    explanation, change_db = explained[name]
+                    is_within = not ratio_db + c_n_loss_db(explanation.cause, change_db) < limit_db
+                    causes[name] = explanation if is_within else explanation._replace(sigmas=math.inf)
+            yield Readings("carrier_c_n0", self._carrier_ids, c_n_db, causes=causes)
+
+    def _of_absence(self) -> Iterator[tuple[str, Explanation | None]]:
+        """Yield what explains that a carrier is absent: a lost chain, or a fade that takes it below the noise."""
+        is_lost, is_fading = self._engine.stands(CHAIN_LOST), self._engine.stands(FADE)
+        left_db = self._dry_c_n_db - c_n_loss_db(FADE, -self._causes.fade_db)
+        for name, ratio_db in zip(self._carrier_ids, left_db.tolist(), strict=True):
+            # no ratio was ever measured: nothing is known
+            sigmas = math.nan if math.isnan(ratio_db) else 0.0 if ratio_db < _DETECTABLE_DB else math.inf
+            yield name, Explanation(CHAIN_LOST) if is_lost else Explanation(FADE, sigmas) if is_fading else None
+
+    def _of_chain(self, facts: RowEvidence, driving: AttitudeRow | None) -> Iterator[Readings]:
+        """Yield what the receiving site has in common, and note the causes of this row."""
+        if facts.plan is not self._plan:
+            self._use_plan(facts.plan)
+        measurement, is_settled = facts.measurement, self._engine.is_settled
+        if math.isnan(measurement.power_dbm.sum()) or not is_settled("chain_lost", 0.0):
+            is_absent = _absent(measurement)
+            is_absent = is_absent[~np.isnan(is_absent)]
+            # of one carrier its user is asked first
+            is_lost = float(is_absent.all()) if len(is_absent) > 1 else math.nan
+            yield Readings("chain_lost", (SITE,), (is_lost,))
+        if driving is None:
+            self._causes = RowCauses(self._engine.stands)
+            return
+        fade_db = _fade_db(driving)
+        chain_db = next((row.common_db for row in facts.rows if math.isfinite(row.common_db)), math.nan)
+        angles_deg = driving.attitude_deg if driving.status is Status.ACQUIRED else (math.nan,) * 3
+        known_db = 0.0 if math.isnan(chain_db) else chain_db
+        self._causes = self._causes.after(fade_db, known_db, tuple(map(abs, angles_deg)))
+        if not is_settled("downlink_fade", fade_db):
+            yield Readings("downlink_fade", (SITE,), (fade_db,))
+        if not is_settled("chain_level", abs(chain_db)):
+            yield Readings("chain_level", (SITE,), (abs(chain_db),))
 
     def _of_attitude(self, facts: RowEvidence, driving: AttitudeRow) -> Iterator[Readings]:
         """Yield the readings of the rows of the methods."""
         is_settled, is_told = self._engine.is_settled, driving.status is Status.ACQUIRED
         angles_deg = tuple(map(abs, driving.attitude_deg)) if is_told else (math.nan,) * 3
         if not is_settled("attitude_angle", max(angles_deg)):
-            yield Readings("attitude_angle", _AXES, angles_deg)
+            yield Readings("attitude_angle", AXES, angles_deg)
+        # a method whose means are still filling is not lost
+        lost, method = math.nan if _SETTLING in driving.inhibitions else float(not is_told), driving.method.value
+        if not is_settled("attitude_lost", lost):
+            cause = self._causes.first(CHAIN_LOST, FADE)
+            yield Readings("attitude_lost", (method,), (lost,), causes=_by_thing(method, cause))
         # yaw is controlled by its sigma
         levels_deg = (driving.protection_deg.roll, driving.protection_deg.pitch)
         if not is_settled("protection_level", max(levels_deg)):
-            yield Readings("protection_level", ("roll", "pitch"), levels_deg)
-        # a method whose means are still filling is not lost
-        lost = math.nan if _SETTLING in driving.inhibitions else float(not is_told)
-        if not is_settled("attitude_lost", lost):
-            yield Readings("attitude_lost", (driving.method.value,), (lost,))
+            causes = {}
+            for axis, level_deg in zip(AXES[1:], levels_deg, strict=True):
+                cause = self._causes.of_answer(level_deg, CHAIN_LOST, ("attitude_lost", method))
+                cause = cause or self._causes.first(FADE)
+                causes |= _by_thing(axis, cause)
+            yield Readings("protection_level", AXES[1:], levels_deg, causes=causes)
         is_advised = tuple(float(code in driving.advice) for code in MOTION_ADVICE)
         if not is_settled("measured_motion", max(is_advised)):
             yield Readings("measured_motion", MOTION_ADVICE, is_advised)
         apart_deg = facts.disagreement_deg
         if not is_settled("methods_disagree", apart_deg):
-            yield Readings("methods_disagree", ("robust, paper",), (apart_deg,))
-        fade_db = driving.downlink_fade_db if driving.downlink_fade else 0.0
-        is_deep = not driving.downlink_fade or fade_db > 0.0
-        fade_db = fade_db if is_deep else _SOME_FADE_DB
-        if not is_settled("downlink_fade", fade_db):
-            yield Readings("downlink_fade", ("receiving site",), (fade_db,))
+            causes = _by_thing("robust, paper", self._causes.of_answer(apart_deg, CHAIN_LOST))
+            yield Readings("methods_disagree", ("robust, paper",), (apart_deg,), causes=causes)
 
-    def _absence(self, measurement: Measurement) -> Readings:
-        """Return which carriers are absent; of one that is not measured nothing is known."""
-        is_absent = np.isnan(measurement.power_dbm).astype(np.float64)
-        if measurement.flags is not None:
-            is_absent[(measurement.flags & QualityFlag.NOT_MEASURED) != 0] = math.nan
-        return Readings("carrier_absent", self._carrier_ids, is_absent)
-
-    def _level_by_name(self, facts: RowEvidence) -> Readings:
+    def _level_by_name(self, facts: RowEvidence, explained: Mapping[str, LevelCause]) -> Readings:
         """Return the deviations, from the nominal level where nothing is expected of a carrier."""
-        away_db = {}
+        away_db, causes = {}, {name: explanation for name, (explanation, _) in explained.items()}
         for name, power_dbm in zip(self._carrier_ids, facts.measurement.power_dbm.tolist(), strict=True):
             if name in self._nominal_dbm:
                 away_db[name] = abs(power_dbm - self._nominal_dbm[name])
+                cause = self._causes.of_nominal(power_dbm - self._nominal_dbm[name])
+                causes |= {} if name in causes or cause is None else {name: cause}
         if facts.levels is not None:
             expected = zip(facts.levels.carrier_ids, np.abs(facts.levels.deviation_db).tolist(), strict=True)
             away_db |= {name: db for name, db in expected if math.isfinite(db) or name not in away_db}
-        return Readings("carrier_level", tuple(away_db), tuple(away_db.values()))
+        return Readings("carrier_level", tuple(away_db), tuple(away_db.values()), causes=causes)
 
     def _use_plan(self, plan: CarrierPlan) -> None:
         """Take over names and bandwidths of a plan's carriers."""
         self._plan, self._carrier_ids = plan, plan.carrier_ids
         self._bandwidth_db = 10.0 * np.log10([carrier.bandwidth_hz for carrier in plan.carriers])
+        self._dry_c_n_db = np.full(len(plan.carriers), math.nan)
+
+
+def _by_thing(thing: str, cause: Explanation | None) -> dict[str, Explanation]:
+    """Return what explains the one thing of a condition."""
+    return {} if cause is None else {thing: cause}
+
+
+def _fade_db(row: AttitudeRow) -> float:
+    """Return the fade that a row tells of."""
+    if not row.downlink_fade:
+        return 0.0
+    return row.downlink_fade_db if row.downlink_fade_db > 0.0 else _SOME_FADE_DB
+
+
+def _absent(measurement: Measurement) -> FloatArray:
+    """Return which carriers are absent, 1 or 0; of one that is not measured nothing is known."""
+    is_absent = np.isnan(measurement.power_dbm).astype(np.float64)
+    if measurement.flags is not None:
+        is_absent[(measurement.flags & QualityFlag.NOT_MEASURED) != 0] = math.nan
+    return is_absent
 
 
 def _apart_deg(reference: AttitudeReference, row: AttitudeRow) -> float | None:
     """Return the greatest difference that the sigmas of both do not explain, 0 when they do; None without angles."""
     worst_deg, is_any = 0.0, False
-    for angle, sensed_deg, reported_deg in zip(_AXES, reference.attitude_deg, row.attitude_deg, strict=True):
+    for angle, sensed_deg, reported_deg in zip(AXES, reference.attitude_deg, row.attitude_deg, strict=True):
         apart_deg = abs(sensed_deg - reported_deg)
         if math.isnan(apart_deg):
             continue

@@ -39,7 +39,7 @@ class CoverEvent(Enum):
     SHELVE = auto()
     #: by an operator or because the time is over
     UNSHELVE = auto()
-    #: a declared operation is in force
+    #: a declared operation is in force, or another alarm explains it
     SUPPRESS = auto()
     #: it no longer is
     RELEASE = auto()
@@ -56,8 +56,8 @@ MEANINGS: dict[AlarmEvent | CoverEvent, str] = {
     AlarmEvent.CLEAR: "an operator closes it; a condition that still holds alarms again after `on_s`",
     CoverEvent.SHELVE: "an operator shelves the alarm until an instant, at most 24 h ahead",
     CoverEvent.UNSHELVE: "an operator ends the shelving, or its time is over",
-    CoverEvent.SUPPRESS: "a declared operation explains the alarm",
-    CoverEvent.RELEASE: "that operation is over",
+    CoverEvent.SUPPRESS: "a declared operation or a standing alarm explains it",
+    CoverEvent.RELEASE: "nothing explains it any longer",
 }
 
 _N, _U, _A, _R, _L = (
@@ -236,10 +236,10 @@ def poll(
     """
     if epoch_us < watch.newest_us:
         return None
-    watch.newest_us = epoch_us
     if math.isnan(reported):
         watch.pending_us, watch.gone_us = None, None
         return None
+    watch.newest_us = epoch_us
     is_gone = _is_gone(kind, reported, limits)
     watch.value = _value(watch, kind, reported, epoch_us)
     verdict = _worse(watch, severity_level(kind, watch.value, limits), epoch_us, limits)
@@ -351,6 +351,7 @@ def raised(
         limit=limit_of(limits, watch.level),
         unit=condition.unit,
         detail="",
+        value_at_us=at_us,
     )
 
 
@@ -379,6 +380,7 @@ def again(alarm: Alarm, watch: ValueMemory, limits: ConditionLimits, event: Alar
         severity=max(alarm.severity, Severity(watch.level)),
         since_us=watch.since_us if is_back and watch.since_us is not None else alarm.since_us,
         value=watch.value,
+        value_at_us=at_us,
         limit=limit_of(limits, watch.level),
         count=alarm.count + is_back,
         returned_at_us=None,

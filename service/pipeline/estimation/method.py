@@ -33,8 +33,10 @@ class CarrierLevels(NamedTuple):
     carrier_ids: tuple[str, ...]
     #: dB, measured minus expected; NaN = absent
     deviation_db: FloatArray
-    #: dB, part that the attitude does not explain
+    #: dB, part that neither the attitude nor what all carriers have in common explains
     residual_db: FloatArray
+    #: dB, noise of one row
+    sigma_db: FloatArray
     #: whether the calibration uses it
     is_used: BoolArray
     #: positions in `CARRIER_HYPOTHESES`

@@ -89,6 +89,11 @@ class Alarm:
     unit: str
     #: what happened, in words
     detail: str
+    value_at_us: Annotated[int, "Epoch of that value."] = 0
+    cause: Annotated[
+        tuple[str, str] | None,
+        "Condition and thing of the alarm that explains this one: it is neither counted nor told. Null: its own alarm.",
+    ] = None
     #: 1 = once
     count: Annotated[int, "How often the condition came back before the alarm was closed."] = 1
     #: when somebody was last told, and how often it was repeated because nobody acted
@@ -202,6 +207,9 @@ class ValueMemory:
     pending_us: int | None = None
     #: since when it has been gone
     gone_us: int | None = None
+    #: condition and thing of the alarm that explains the value; since when another one does, or none
+    cause: tuple[str, str] | None = None
+    other_us: int | None = None
     #: newest value; not compared: NaN, by which it is stored, is not equal to itself
     value: float = field(default=math.nan, compare=False)
     newest_us: int = -(1 << 62)

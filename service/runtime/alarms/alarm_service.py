@@ -169,10 +169,10 @@ class AlarmService:
             self._is_on_duty(spacecraft_id)
             return self._persisted(spacecraft_id).engine.context.sets
 
-    def present_value(self, alarm: Alarm) -> float:
-        """Return the newest value behind an open alarm, NaN where none is known."""
+    def present_value(self, alarm: Alarm) -> tuple[float, int | None]:
+        """Return the newest value behind an open alarm and its epoch, NaN and None where none is known."""
         persisted = self._persisted_by_id.get(alarm.spacecraft_id)
-        return float("nan") if persisted is None else persisted.engine.present_value(alarm.key)
+        return (float("nan"), None) if persisted is None else persisted.engine.present_value(alarm.key)
 
     def _order(
         self, alarm_id: int, by: str, comment: str, carry_out: Callable[[AlarmEngine, Key, Handling], AlarmChange]

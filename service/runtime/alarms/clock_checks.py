@@ -4,12 +4,12 @@ Everything is asked of the archive; links are judged by the system's time, the r
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
 from service.errors import NotFoundError
-from service.pipeline.alarms.alarm_engine import Readings
+from service.pipeline.alarms.alarm_engine import Explanation, Readings
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.control.release.command_states import UNREPORTED
 from service.pipeline.control.release.events import state_of
@@ -67,9 +67,12 @@ class ClockChecks:
         """Yield the readings of the inputs: age of the newest row, missing rows, links and their warnings."""
         seen = self._seen.setdefault(spacecraft_id, _Seen(now_us))
         sources = self._storage.archive.sources(spacecraft_id)
-        yield from self._age(sources, reader, seen, now_us)
+        links = _links_of(spacecraft_id, self._storage.links.links())
+        # a link that is down explains what no longer comes through it, and goes first
+        yield from self._links(links)
+        link_of = {link.report.source: Explanation(("link_down", link.report.id)) for link in links}
+        yield from self._age(sources, reader, seen, now_us, link_of)
         yield Readings("rows_missing", *_missing(sources, seen, now_us))
-        yield from self._links(spacecraft_id)
 
     def of_estimator(self, spacecraft_id: str) -> Readings:
         """Return for how long the estimator has failed; nothing is read from the archive."""
@@ -114,7 +117,14 @@ class ClockChecks:
         kept = {name: days for name, days in left_days.items() if days > -_ENDED_DAYS}
         yield Readings("key_ending", tuple(kept), tuple(kept.values()))
 
-    def _age(self, sources: tuple[SourceState, ...], reader: RowReader, seen: _Seen, now_us: int) -> Iterator[Readings]:
+    def _age(
+        self,
+        sources: tuple[SourceState, ...],
+        reader: RowReader,
+        seen: _Seen,
+        now_us: int,
+        link_of: Mapping[str | None, Explanation],
+    ) -> Iterator[Readings]:
         """Yield the age of the prime source's newest row in row periods, once rows have come in time."""
         prime = next((source for source in sources if source.role == "prime"), None)
         period_s = reader.row_period_s
@@ -122,16 +132,20 @@ class ClockChecks:
             return
         age = (now_us - prime.newest_epoch_us) / US_PER_S / period_s
         waited = (now_us - seen.started_us) / US_PER_S / period_s
+        link = link_of.get(prime.id)
         # a service that was away itself must not blame the source before it had time to send
         is_known = waited >= self._grace_periods or age < self._grace_periods
         note = f"the newest row is {age * period_s:.0f} s old, rows come every {period_s:g} s"
-        yield Readings("data_stale", (prime.id,), (age if is_known else float("nan"),), {prime.id: note})
+        aged, causes = (age if is_known else float("nan"),), {} if link is None else {prime.id: link}
+        yield Readings("data_stale", (prime.id,), aged, {prime.id: note}, causes=causes)
 
-    def _links(self, spacecraft_id: str) -> Iterator[Readings]:
-        """Yield how long links have not worked, and what they warn of."""
+    def _links(self, links: list[LinkState]) -> Iterator[Readings]:
+        """Yield how long links have not worked, and what they warn of; a front end explains what it holds."""
         now_us = self._clock.system_us()
-        links = _links_of(spacecraft_id, self._storage.links.links())
         down_s, down_notes, warning_s, notes = {}, {}, {}, {}
+        holder_of = {name: link.report.id for link in links for name in _held(link)}
+        causes = {name: Explanation(("link_down", holder)) for name, holder in holder_of.items()}
+        warned = {}
         for link in links:
             down_s[link.report.id] = self._down_s(link, now_us)
             down_notes[link.report.id] = f"its state is {_state(link, now_us)}"
@@ -140,8 +154,9 @@ class ClockChecks:
                 since_us = link.reported_at_us if warning.since_us is None else warning.since_us
                 warning_s[thing] = max((now_us - since_us) / US_PER_S, _LEAST_AGE_S)
                 notes[thing] = warning.detail
-        yield Readings("link_down", tuple(down_s), tuple(down_s.values()), down_notes)
-        yield Readings("link_warning", tuple(warning_s), tuple(warning_s.values()), notes)
+                warned[thing] = Explanation(("link_down", link.report.id))
+        yield Readings("link_down", tuple(down_s), tuple(down_s.values()), down_notes, causes=causes)
+        yield Readings("link_warning", tuple(warning_s), tuple(warning_s.values()), notes, causes=warned)
 
     def _down_s(self, link: LinkState, now_us: int) -> float:
         """Return for how long a link that should work has not, 0 while it does."""
@@ -159,14 +174,16 @@ def _state(link: LinkState, now_us: int) -> str:
 
 
 def _links_of(spacecraft_id: str, links: tuple[LinkState, ...]) -> list[LinkState]:
-    """Return the links of a spacecraft, and the front ends that hold them."""
+    """Return the front ends that hold the links of a spacecraft, and then these."""
     own = [link for link in links if link.report.spacecraft_id == spacecraft_id]
     names = {link.report.id for link in own}
-    for link in links:
-        held = link.report.detail.get("analyzers")
-        if link.report.spacecraft_id is None and isinstance(held, list) and names.intersection(map(str, held)):
-            own.append(link)
-    return own
+    return [link for link in links if link.report.spacecraft_id is None and names.intersection(_held(link))] + own
+
+
+def _held(link: LinkState) -> list[str]:
+    """Return the links that a front end holds."""
+    held = link.report.detail.get("analyzers")
+    return list(map(str, held)) if isinstance(held, list) else []
 
 
 def _missing(sources: tuple[SourceState, ...], seen: _Seen, now_us: int) -> tuple[tuple[str, ...], tuple[float, ...]]:

@@ -163,7 +163,7 @@ class PaperRunner:
         if self._last is None:
             return None
         outcome, model = self._last
-        levels_db = (outcome.deviation.deviation_db, outcome.fix.residual_db)
+        levels_db = (outcome.deviation.deviation_db, outcome.fix.residual_db, outcome.fix.sigma_db)
         sensitivity = model.sensitivity
         no_hypothesis = np.zeros(len(sensitivity.carrier_ids), dtype=np.int64)
         return CarrierLevels(sensitivity.carrier_ids, *levels_db, sensitivity.is_selected, no_hypothesis)

@@ -140,7 +140,8 @@ def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
     """Return the figures of the carriers in the outcome of a row; they are not copied."""
     watch = found.state.filter.anchor
     hypothesis = np.where(np.isnan(watch.probability), 0, watch.hypothesis + 1)
-    return CarrierLevels(model.carrier_ids, found.deviation_db, found.residual_db, model.is_used, hypothesis)
+    figures_db = (found.deviation_db, found.residual_db, model.filter.sigma_db)
+    return CarrierLevels(model.carrier_ids, *figures_db, model.is_used, hypothesis)
 
 
 def step_robust(

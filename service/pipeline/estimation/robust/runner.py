@@ -204,7 +204,7 @@ class RobustRunner:
             return {}
         outcome, model = self._last
         out = {item.carrier for item in outcome.row.excluded}
-        sigma_db = np.sqrt(model.filter.white_sigma_db**2 + (model.filter.coloured_sigma_db**2).sum(axis=1))
+        sigma_db = model.filter.sigma_db
         hypotheses = carrier_hypotheses(outcome.state.filter.anchor)
         return {
             name: CarrierState(

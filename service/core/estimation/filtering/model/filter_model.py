@@ -51,6 +51,11 @@ class CarrierModel(NamedTuple):
         return len(self.rain_share)
 
     @property
+    def sigma_db(self) -> FloatArray:
+        """Noise (N,) of one row of each carrier, white and coloured, dB."""
+        return np.asarray(np.sqrt(self.white_sigma_db**2 + (self.coloured_sigma_db**2).sum(axis=1)))
+
+    @property
     def components(self) -> int:
         """Number of coloured components K of a carrier."""
         return int(self.coloured_sigma_db.shape[1])
