@@ -1,4 +1,4 @@
-"""Which alarm explains a value (ISA-18.2, suppression by design): a fade, an angle beyond its limit, a lost chain or link.
+"""Which alarm explains a value (ISA-18.2, suppression by design): fade, angle beyond its limit, lost chain or link.
 
 What follows from a cause is recorded inside it and told nobody, as long as the cause explains its size within sigma. A
 carrier's level is explained but for its residual: what neither attitude nor chain nor rain leave of it.
@@ -61,7 +61,7 @@ class RowCauses:
 
     def of_answer(self, apart_deg: float, *lost: Key) -> Explanation | None:
         """Return what explains that answers of a method are apart or wide: a lost fix, or a change read as an angle."""
-        deg_of = {key: 1.0 for key in ANGLES} | {FADE: _MISREAD_DEG_DB, CHAIN_LEVEL: _MISREAD_DEG_DB}
+        deg_of = dict.fromkeys(ANGLES, 1.0) | {FADE: _MISREAD_DEG_DB, CHAIN_LEVEL: _MISREAD_DEG_DB}
         explaining = (key for key, share in deg_of.items() if apart_deg <= share * self.greatest.get(key, 0.0))
         return self.first(*lost, *explaining)
 

@@ -41,8 +41,8 @@ _SENSOR_SIGMAS = 3.0
 _SOME_FADE_DB = 1e-3
 #: inhibition of a row whose method has only begun
 _SETTLING = "settling"
-#: least carrier to noise at which a carrier is detected, dB, with a margin for what fades between two rows
-_DETECTABLE_DB = 3.0
+#: carrier to noise below which a carrier may be lost in the noise, dB
+_DETECTABLE_DB = 0.0
 
 
 class RowReader:
@@ -69,8 +69,9 @@ class RowReader:
         self._plan: CarrierPlan | None = None
         self._carrier_ids: tuple[str, ...] = ()
         self._bandwidth_db: FloatArray = np.zeros(0)
-        #: carrier to noise that each carrier had at last, in the dry, dB
+        #: carrier to noise that each carrier had at last, less the fade of then; with that of when it was lost; dB
         self._dry_c_n_db: FloatArray = np.zeros(0)
+        self._lost_c_n_db: FloatArray = np.zeros(0)
 
     @property
     def newest_row_us(self) -> int | None:
@@ -163,6 +164,7 @@ class RowReader:
         """Yield the carrier to noise ratios; a cause explains what would lie within the limit without it."""
         dry_db = c_n_db + c_n_loss_db(FADE, -self._causes.fade_db)
         self._dry_c_n_db = np.where(np.isnan(dry_db), self._dry_c_n_db, dry_db)
+        self._lost_c_n_db = np.where(np.isnan(dry_db), self._lost_c_n_db, math.nan)
         if not self._engine.is_settled("carrier_c_n0", float(np.fmin.reduce(c_n_db))):
             limit_db, causes = self._engine.bound("carrier_c_n0"), {}
             for name, ratio_db in zip(self._carrier_ids, c_n_db.tolist(), strict=True):
@@ -175,8 +177,10 @@ class RowReader:
     def _of_absence(self) -> Iterator[tuple[str, Explanation | None]]:
         """Yield what explains that a carrier is absent: a lost chain, or a fade that takes it below the noise."""
         is_lost, is_fading = self._engine.stands(CHAIN_LOST), self._engine.stands(FADE)
-        left_db = self._dry_c_n_db - c_n_loss_db(FADE, -self._causes.fade_db)
-        for name, ratio_db in zip(self._carrier_ids, left_db.tolist(), strict=True):
+        # what fell silent in the dry is not explained by rain that comes later
+        now_db = self._dry_c_n_db - c_n_loss_db(FADE, -self._causes.fade_db)
+        self._lost_c_n_db = np.where(np.isnan(self._lost_c_n_db), now_db, self._lost_c_n_db)
+        for name, ratio_db in zip(self._carrier_ids, self._lost_c_n_db.tolist(), strict=True):
             # no ratio was ever measured: nothing is known
             sigmas = math.nan if math.isnan(ratio_db) else 0.0 if ratio_db < _DETECTABLE_DB else math.inf
             yield name, Explanation(CHAIN_LOST) if is_lost else Explanation(FADE, sigmas) if is_fading else None
@@ -250,7 +254,7 @@ class RowReader:
         """Take over names and bandwidths of a plan's carriers."""
         self._plan, self._carrier_ids = plan, plan.carrier_ids
         self._bandwidth_db = 10.0 * np.log10([carrier.bandwidth_hz for carrier in plan.carriers])
-        self._dry_c_n_db = np.full(len(plan.carriers), math.nan)
+        self._dry_c_n_db = self._lost_c_n_db = np.full(len(plan.carriers), math.nan)
 
 
 def _by_thing(thing: str, cause: Explanation | None) -> dict[str, Explanation]:
