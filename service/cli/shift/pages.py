@@ -5,7 +5,7 @@ import html
 import re
 from typing import Literal, NamedTuple
 
-from service.cli.shift.tables import alarm_line, clean, meaning, number, sentence, utc, words
+from service.cli.shift.tables import alarm_line, alarm_lines, clean, meaning, number, sentence, utc, words
 from service.client.documents import Json
 
 PageFormat = Literal["md", "html"]
@@ -60,7 +60,7 @@ def handover_sections(handover: Json, row: Json, control: Json) -> list[Section]
     notes = [f"{utc(each['epoch'])} {clean(each['author'])}: {clean(each['text'])}" for each in handover["notes"]]
     listed = {
         "views.control.title": [*said, *map(reason_line, verdict["reasons"])],
-        "views.shift.alarms": list(map(alarm_line, handover["alarms"])),
+        "views.shift.alarms": [line for each in handover["alarms"] for line in alarm_lines(each)],
         "views.shift.covered": list(map(alarm_line, covered)),
         "views.shift.operations": list(map(operation_line, handover["operations"])),
         "views.shift.links": links,

@@ -1,5 +1,6 @@
 """Commands that read the state of a spacecraft, and orders to its alarms and shift log."""
 
+from itertools import chain
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -16,6 +17,7 @@ from service.cli.operation.connection import (
 )
 from service.cli.shift.tables import (
     alarm_line,
+    alarm_lines,
     axes_table,
     clean,
     columns,
@@ -197,7 +199,7 @@ def alarms(
         rows = worst_first(client.pages(f"/spacecraft/{spacecraft}/alarms"))
     show(
         {"rows": rows},
-        lambda: map(alarm_line, rows) if rows else [f"{spacecraft}: {words('app.alarms.none')}"],
+        lambda: chain(*map(alarm_lines, rows)) if rows else [f"{spacecraft}: {words('app.alarms.none')}"],
         as_json=as_json,
     )
     if rows:

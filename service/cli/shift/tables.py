@@ -226,14 +226,27 @@ def worst_first(alarms: Iterable[Json]) -> list[Json]:
 
 
 def alarm_line(alarm: Json) -> str:
-    """Return an alarm with its id, value and state, its next step last."""
-    present = alarm["present_value"]
-    value = () if present is None else (number(present, 2), clean(alarm["unit"]))
-    thing = " ".join(filter(None, (clean(alarm["thing"]), *value)))
+    """Return an alarm with its id, value, the epoch of that, state, how many follow from it, and its next step last."""
+    thing = _value_of(alarm)
     name = f"{alarm['id']} {meaning('severities', alarm['severity'])}: {meaning('alarms', alarm['condition'])}"
     state = f"{words('views.alarms.state.' + alarm['state'])}, raised {utc(alarm['raised_at'])}"
     next_step = meaning("alarms", alarm["condition"], "next", alarm["next_step"])
-    return f"{name} {thing}, {state}; {next_step}"
+    children = len(alarm["children"])
+    following = f" ({words('views.alarms.children', count=children)})" if children else ""
+    return f"{name} {thing}, {state}{following}; {next_step}"
+
+
+def alarm_lines(alarm: Json) -> list[str]:
+    """Return the line of an alarm and those of what follows from it."""
+    children = (f"  {meaning('alarms', each['condition'])} {_value_of(each)}" for each in alarm["children"])
+    return [alarm_line(alarm), *children]
+
+
+def _value_of(alarm: Json) -> str:
+    """Return what an alarm is about, with the newest value and its epoch where one is known."""
+    present = alarm["present_value"]
+    value = () if present is None else (number(present, 2), clean(alarm["unit"]), f"({utc(alarm['present_at'])})")
+    return " ".join(filter(None, (clean(alarm["thing"]), *value)))
 
 
 def link_line(link: Json) -> str:

@@ -40,11 +40,11 @@ from service.records.operations.alarms import (
 Key = tuple[str, str]
 _NO_NOTES: Mapping[str, str] = {}
 #: sigmas that a cause may leave of a value, and of one that was told as an alarm of its own
-_MOST_SIGMAS, _ADOPTION_SIGMAS = 3.0, 2.0
+MOST_SIGMAS, _ADOPTION_SIGMAS = 3.0, 2.0
 #: an alarm that was told follows from a cause after so long, s
 _ADOPTION_S = 120.0
 #: what follows is an alarm of its own when its cause has left it unexplained, or is gone, for so long: means are slow
-_RELEASE_S, _TAIL_S = 300.0, 600.0
+RELEASE_S, TAIL_S = 300.0, 600.0
 
 
 class Explanation(NamedTuple):
@@ -296,13 +296,13 @@ class AlarmEngine:
         """Note what explains a value: at once while nothing was alarmed, later when it has held for its time."""
         cause = None
         if explanation is not None and self.stands(explanation.cause):
-            most = _ADOPTION_SIGMAS if watch.level and watch.cause is None else _MOST_SIGMAS
+            most = _ADOPTION_SIGMAS if watch.level and watch.cause is None else MOST_SIGMAS
             if math.isnan(explanation.sigmas):
                 cause = watch.cause
             elif explanation.sigmas <= most:
                 cause = explanation.cause
                 if watch.cause == cause and explanation.sigmas > _ADOPTION_SIGMAS:
-                    # a value is noisy: the time that it is unexplained does not begin anew with every row
+                    # a value is noisy: its time unexplained does not begin again with every row
                     return
         if cause == watch.cause or (cause is None and watch.gone_us is not None):
             watch.other_us = None
@@ -310,7 +310,7 @@ class AlarmEngine:
         watch.other_us = at_us if watch.other_us is None else watch.other_us
         after_s = _ADOPTION_S
         if watch.cause is not None:
-            after_s = max(limits.on_s, _RELEASE_S) if self.stands(watch.cause) else _TAIL_S
+            after_s = max(limits.on_s, RELEASE_S) if self.stands(watch.cause) else TAIL_S
         if watch.level == 0 or at_us - watch.other_us >= after_s * US_PER_S:
             watch.cause, watch.other_us = cause, None
 

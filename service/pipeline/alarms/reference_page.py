@@ -5,6 +5,7 @@
 
 import sys
 
+from service.pipeline.alarms.alarm_engine import MOST_SIGMAS, RELEASE_S, TAIL_S
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.limit_sets import DEFAULT_SETS, NORMAL
 from service.pipeline.alarms.states import AlarmCondition, diagram, tables
@@ -14,7 +15,7 @@ from service.records.operations.alarms import ChangeKind, Severity
 _HEAD = """# Alarms
 
 Written by `python -m service.pipeline.alarms.reference_page` from the tables that the code runs by
-(`service/pipeline/alarms/conditions.py`, `alarm_sets.py`, `alarm_states.py`); `tests/docs/test_reference.py` holds page
+(`service/pipeline/alarms/conditions.py`, `limit_sets.py`, `states.py`); `tests/docs/test_reference.py` holds page
 and tables equal. How to live with alarms: [handle alarms](../how-to/handle-alarms.md)."""
 
 _CONDITIONS = """## Conditions
@@ -26,11 +27,31 @@ are cleared."""
 
 _SETS = """## Limit sets
 
-The set `normal` holds always; others change single figures of it while they are in force: `rain` while the newest row
-says that the downlink fades, `eclipse` during that operation, `manoeuvre` during `station_keeping`,
-`momentum_unloading` and `calibration_turn`. Where two change the same figure, the later one of this order prevails:
-rain, eclipse, manoeuvre. `carrier_work`, `gain_change`, `receive_chain_work` and `sun_outage` suppress the alarms of
-the carriers that they name (of all where they name none). `GET .../alarm-limits/in-force` tells what holds."""
+The set `normal` holds always; others change single figures of it while they are in force: `eclipse` during that
+operation, `manoeuvre` during `station_keeping`, `momentum_unloading` and `calibration_turn`. Where both change the same
+figure, `manoeuvre` prevails. `carrier_work`, `gain_change`, `receive_chain_work` and `sun_outage` suppress the alarms
+of the carriers that they name (of all where they name none). `GET .../alarm-limits/in-force` tells what holds."""
+
+_CAUSES = f"""## Causes
+
+An alarm that a standing one explains is a child of it: `state` suppressed, `cause` naming the other. It is stored,
+listed inside its cause, not counted and told nobody. The size decides, within {MOST_SIGMAS:g} sigma of the carrier's
+noise and of a tenth of what the cause does to its level; what is left beyond that is an alarm of its own.
+
+| cause | explains | if |
+|---|---|---|
+| `downlink_fade`, `chain_level`, `attitude_angle` | `carrier_level`, `carrier_residual` | residual within sigma |
+| the same | `carrier_c_n0` | without the cause the value would lie within its limit |
+| the same | `methods_disagree`, `protection_level` | the cause is large enough |
+| `downlink_fade` | `carrier_absent` | the carrier sank into the noise with the fade |
+| `downlink_fade`, `chain_lost`, `attitude_lost` | `attitude_lost`, `protection_level` | always |
+| `downlink_fade`, `chain_lost`, `chain_level` | `sensor_disagreement` | it is within the protection level |
+| `chain_lost` | `carrier_absent` | always |
+| `carrier_level` | `carrier_residual`, `carrier_c_n0` of this carrier | the same as above |
+| `link_down` | `data_stale`, `link_warning`, `link_down` of what comes through it | always |
+
+A child that its cause has left unexplained for {RELEASE_S:g} s, or for its *on* where that is longer, is told as an
+alarm of its own; after the end of its cause it has {TAIL_S:g} s."""
 
 _STATES = """## States
 
@@ -68,6 +89,7 @@ def reference_page() -> str:
         *(_words(condition) for condition in conditions.values()),
         _SETS,
         _sets_table(),
+        _CAUSES,
         _STATES,
         "```mermaid\n" + diagram() + "\n```",
         tables(),

@@ -1,6 +1,7 @@
 """A desk of alarms over a real archive whose thread is not started: a test looks when it wants to."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from set_clock import SetClock
@@ -10,6 +11,7 @@ from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.pipeline.estimation.method import RowEvidence
 from service.records.catalogue import Carrier, CarrierPlan, Method
+from service.records.levels.attitude import Axes, Status, row_without_attitude
 from service.records.levels.measurement import Measurement, MeasurementBatch
 from service.records.operations.work import LinkReport
 from service.runtime.alarms.alarm_service import AlarmService
@@ -62,11 +64,15 @@ class Rig:
         conditions = condition_table(AlarmConfig(), RobustConfig())
         self.desk = AlarmService(self.storage, self.clock, feed, conditions, self.notices, failures=self.failures)
 
-    def row(self, minute, *power_dbm, is_late=False):
+    def row(self, minute, *power_dbm, is_late=False, pitch_deg=None):
         epoch_us = START + round(minute * MINUTE)
         self.clock.system = max(self.clock.system, epoch_us)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array(power_dbm), None, is_late)
-        facts = RowEvidence(measurement, self.plan, (), Method.ROBUST, None, {})
+        answers = ()
+        if pitch_deg is not None:
+            plain = row_without_attitude(epoch_us, epoch_us, minute, Method.ROBUST, ())
+            answers = (replace(plain, status=Status.ACQUIRED, attitude_deg=Axes(0.0, 0.0, pitch_deg)),)
+        facts = RowEvidence(measurement, self.plan, answers, Method.ROBUST, None, {})
         self.desk.on_rows("craft", [facts])
         self.desk._check_rows()
 

@@ -44,11 +44,10 @@ export function show({ store, spacecraft, session, parameters }) {
 
   function rowOf(alarm) {
     const severity = [symbol(SEVERITY_LEVEL[alarm.severity]), " ", meaning("severities", alarm.severity)];
-    const next = meaning("alarms", alarm.condition, "next") || alarm.next_step;
-    const condition = [element("strong", {}, meaning("alarms", alarm.condition)), " ", foreign(alarm.thing), element("p", { class: "detail" }, next)];
-    const present = alarm.present_value ?? alarm.value;
-    const value = [element("span", { class: "whole" }, `${number(present, DIGITS)} ${meaning("units", alarm.unit)}`), element("p", { class: "detail whole" }, words("views.alarms.limit", { limit: number(alarm.limit, DIGITS) }))];
-    return row(severity, condition, value, utc(alarm.raised_at), stateOf(alarm), actionsOf(alarm));
+    const next = alarm.cause ? words("views.alarms.followsNext") : meaning("alarms", alarm.condition, "next") || alarm.next_step;
+    const following = alarm.children?.length > 0 && element("details", {}, element("summary", {}, words("views.alarms.children", { count: alarm.children.length })), element("ul", {}, alarm.children.map(childOf)));
+    const condition = [element("strong", {}, meaning("alarms", alarm.condition)), " ", foreign(alarm.thing), element("p", { class: "detail" }, next), following];
+    return row(severity, condition, [valueOf(alarm), element("p", { class: "detail whole" }, words("views.alarms.limit", { limit: number(alarm.limit, DIGITS) }))], utc(alarm.raised_at), stateOf(alarm), actionsOf(alarm));
   }
 
   function actionsOf(alarm) {
@@ -167,12 +166,16 @@ export function show({ store, spacecraft, session, parameters }) {
   };
 }
 
+/** Return the newest value with its epoch; while none is known, the one that raised the alarm. */
+const valueOf = (alarm) => [element("span", { class: "whole" }, `${number(alarm.present_value ?? alarm.value, DIGITS)} ${meaning("units", alarm.unit)}`), " ", element("span", { class: "detail" }, utc(alarm.present_at ?? alarm.value_at))];
+const childOf = (alarm) => element("li", {}, symbol(SEVERITY_LEVEL[alarm.severity]), " ", meaning("alarms", alarm.condition), " ", foreign(alarm.thing), " ", valueOf(alarm));
+
 /** Return the state, and who did what about it. */
 function stateOf(alarm) {
   const handled = alarm.state === "shelved" ? alarm.shelved : (alarm.cleared ?? alarm.acknowledged);
   const until = alarm.state === "shelved" && alarm.shelved_until ? ` ${words("views.alarms.until", { at: utc(alarm.shelved_until) })}` : "";
   return [
-    words(`views.alarms.state.${alarm.state}`),
+    alarm.cause && alarm.state === "suppressed" ? [words("views.alarms.follows"), " ", meaning("alarms", alarm.cause[0])] : words(`views.alarms.state.${alarm.state}`),
     until,
     handled && element("p", { class: "detail" }, words("views.alarms.by"), " ", foreign(handled.by), ` ${utc(handled.at)} `, foreign(handled.comment)),
   ];

@@ -55,7 +55,7 @@ export function show({ store, spacecraft, session }) {
       session.permissions.includes("inspect") ? ask("/audit", { target: base, start: logged }) : { rows: [] },
     ]);
     if (wanted !== hours) return;
-    const listed = [...alarms.rows.flatMap(alarmEvents), ...commands.rows.flatMap(commandEvents), ...operations.rows.map(operationEvent)];
+    const listed = [...alarms.rows.filter(({ cause }) => !cause).flatMap(alarmEvents), ...commands.rows.flatMap(commandEvents), ...operations.rows.map(operationEvent)];
     const rows = [...listed.filter((event) => event.at && event.at >= start), ...audit.rows.map(auditEvent)]
       .sort((one, other) => other.at.localeCompare(one.at));
     const columns = ["at", "what", "who"].map((each) => words(`views.shift.column.${each}`));

@@ -70,7 +70,9 @@ def test_a_restart_forgets_nothing_and_repeats_nothing(rig):
     assert rig.reported() == []
     assert rig.open_alarms()["carrier_absent", "c0"].cause == ("chain_lost", "receiving site")
     rig.rows(range(8, 11), -40.0, -40.0)
-    assert [(kind, is_told) for kind, is_told, *_ in rig.reported()] == [("returned", told) for told in (True, False, False)]
+    assert [(kind, is_told) for kind, is_told, *_ in rig.reported()] == [
+        ("returned", told) for told in (True, False, False)
+    ]
 
 
 def test_operators_acknowledge_shelve_and_clear_what_stands(rig):
@@ -266,6 +268,35 @@ def test_the_front_end_that_holds_an_analyzer_of_the_craft_is_looked_at_too(rig)
     rig.storage.links.report([report()], rig.clock.system)
     rig.poll()
     assert rig.reported() == [("raised", True, "link_down", "front")]
+    # what comes through it follows from it
+    rig.clock.system += 2 * MINUTE
+    rig.poll()
+    assert rig.reported() == [("raised", False, "link_down", "sa-1")]
+    assert rig.open_alarms()["link_down", "sa-1"].cause == ("link_down", "front")
+
+
+def ending_key():
+    return AccessKey(
+        id="k1", name="station", role=Role.STATION, created_at_us=START, created_by="x", expires_at_us=START + 24 * HOUR
+    )
+
+
+def test_a_link_that_is_down_is_one_alarm_and_angle_chain_and_key_beside_it_are_seen(rig):
+    key = ending_key()
+    rig.storage.keys.add(StoredKey(key, b"digest"))
+    for minute in range(12):
+        append(rig, minute)
+        rig.storage.links.report([report(period_s=60.0)], rig.clock.system)
+        powers = (-40.0, -40.0) if minute < 8 else (NAN, NAN)
+        rig.row(minute, *powers, pitch_deg=0.5)
+        rig.poll(is_thorough=True)
+    for minute in range(12, 40):
+        rig.clock.system = START + minute * MINUTE
+        rig.poll(is_thorough=True)
+    reported = rig.reported()
+    raised = [key for kind, is_told, *key in reported if kind == "raised" and is_told]
+    assert sorted(condition for condition, _ in raised) == ["attitude_angle", "chain_lost", "key_ending", "link_down"]
+    assert rig.open_alarms()["data_stale", "sa"].cause == ("link_down", "sa-1")
 
 
 def test_warnings_of_a_front_end_alarm_while_they_stand(rig):
@@ -304,9 +335,7 @@ def test_what_the_estimate_rests_on_grows_old(rig):
 
 
 def test_a_key_that_ends_and_a_full_disk_concern_the_service(rig, monkeypatch):
-    key = AccessKey(
-        id="k1", name="station", role=Role.STATION, created_at_us=START, created_by="x", expires_at_us=START + 24 * HOUR
-    )
+    key = ending_key()
     rig.storage.keys.add(StoredKey(key, b"digest"))
     rig.poll(is_thorough=True)
     assert rig.reported() == [("raised", True, "key_ending", "station (k1)")]

@@ -40,8 +40,8 @@ CONDITIONS = [condition("beyond_validity", 2.0), condition("protection_level", 0
 
 def alarm(number: int = 1, **changes: Any) -> dict[str, Any]:
     known = {"condition": "attitude_angle", "thing": "roll", "severity": "warning", "state": "unacknowledged"}
-    figures = {"present_value": 0.33, "unit": "deg", "raised_at": NOW, "next_step": "do something"}
-    return {"id": number, **known, **figures, **changes}
+    figures = {"present_value": 0.33, "present_at": NOW, "unit": "deg", "raised_at": NOW, "next_step": "do something"}
+    return {"id": number, **known, **figures, "children": [], **changes}
 
 
 def status(control: dict[str, Any], **changes: Any) -> dict[str, Any]:

@@ -65,7 +65,13 @@ def test_carriers_that_are_left_out_come_first(service: Any) -> None:
 
 def test_alarms_have_ids_and_next_steps(service: Any) -> None:
     done = run("alarms")
-    assert (done.exit_code, "1 warning: angle beyond its limit roll 0.33 deg" in done.stdout) == (3, True)
+    assert (done.exit_code, "1 warning: angle beyond its limit roll 0.33 deg (20" in done.stdout) == (3, True)
+    # what follows stands below its cause, with the epoch of its value
+    service.alarms = [service.alarms[0] | {"children": [service.alarms[0] | {"condition": "protection_level"}]}]
+    cause, child = run("alarms", COLUMNS="300").stdout.splitlines()
+    assert "1 alarm follows from it" in cause
+    assert child.startswith("  ")
+    assert "roll 0.33 deg (20" in child
     service.alarms = []
     assert (run("alarms").exit_code, run("alarms").stdout) == (0, "yamal-202: no alarm\n")
 

@@ -58,7 +58,7 @@ def test_an_empty_handover_says_none_everywhere_but_in_control_where_it_says_wha
 
 def test_every_list_is_written() -> None:
     alarm = {"id": 3, "condition": "data_stale", "thing": "sa-1", "severity": "severe", "state": "shelved"}
-    alarm |= {"present_value": None, "unit": "s", "raised_at": NOW, "next_step": ""}
+    alarm |= {"present_value": None, "unit": "s", "raised_at": NOW, "next_step": "", "children": []}
     source = {"source": "sa-1", "newest_epoch": NOW, "rows_missing": 1}
     found = handover(
         shelved=[alarm],
