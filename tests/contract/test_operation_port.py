@@ -103,7 +103,8 @@ def test_alarms_are_listed_by_state_and_window_with_those_of_the_service(storage
 
 
 def test_the_memory_of_the_alarms_is_kept_for_each_spacecraft_and_for_the_service(storage):
-    memory = EngineMemory((WatchMemory("carrier_level", "c01", ValueMemory(2, 5, 3, 7, None, 1.5, 8)),), 11, 60.5)
+    value = ValueMemory(2, 5, 3, 7, None, ("downlink_fade", "receiving site"), 9, 1.5, 8)
+    memory = EngineMemory((WatchMemory("carrier_level", "c01", value),), 11, 60.5)
     assert storage.alarms.memory("craft") == EngineMemory()
     storage.alarms.save_memory("craft", EngineMemory())
     storage.alarms.save_memory("craft", memory)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, StringConstraints, model_validator
@@ -100,18 +101,21 @@ class AlarmChildAnswer(
     next_step: str
 
     @classmethod
-    def of(cls, alarm: Alarm, present: tuple[float, int | None] = (math.nan, None), **members: Any) -> Self:
-        """Return the answer for an alarm, with its newest value and the epoch of that."""
+    def of(
+        cls, alarm: Alarm, present: tuple[float, int | None] = (math.nan, None), children: Sequence[Any] = ()
+    ) -> Self:
+        """Return the answer for an alarm, with its newest value, the epoch of that, and what follows from it."""
         condition = _CONDITIONS.get(alarm.condition)
-        members["next_step"] = "" if condition is None else condition.next_step if alarm.cause is None else FOLLOWS
-        severity = alarm.severity.word
-        return super().of(alarm, severity=severity, present_value=present[0], present_at=present[1], **members)
+        next_step = "" if condition is None else condition.next_step if alarm.cause is None else FOLLOWS
+        value, at_us = present
+        others = {"present_value": value, "present_at": at_us, "next_step": next_step, "children": list(children)}
+        return super().of(alarm, severity=alarm.severity.word, **others)
 
 
 class AlarmAnswer(AlarmChildAnswer):
     """One alarm."""
 
-    children: list[AlarmChildAnswer] = Field(default_factory=list)
+    children: list[AlarmChildAnswer]
     """What follows from this alarm now, worst first; empty in changes."""
 
 

@@ -116,7 +116,8 @@ class RowReader:
         apart_deg = _apart_deg(reference, row)
         if apart_deg is None:
             return []
-        is_within = apart_deg <= max(row.protection_deg)
+        answers = zip(reference.attitude_deg, row.attitude_deg, row.protection_deg, strict=True)
+        is_within = all(math.isnan(sensed) or abs(sensed - told) <= bound for sensed, told, bound in answers)
         cause = self._causes.first(FADE, CHAIN_LOST, CHAIN_LEVEL) if is_within else None
         things, causes = (reference.source,), _by_thing(reference.source, cause)
         readings = Readings("sensor_disagreement", things, (apart_deg,), is_partial=True, causes=causes)
@@ -146,7 +147,8 @@ class RowReader:
         else:
             yield from self._extremes("carrier_level", levels, levels.deviation_db, explained)
         if levels is not None:
-            explained = with_own_level(explained, self._engine.stands, levels)
+            if not is_settled("carrier_level", 0.0):
+                explained = with_own_level(explained, self._engine.stands, levels)
             yield from self._extremes("carrier_residual", levels, levels.residual_db, explained)
         if measurement.details is not None:
             yield from self._carrier_to_noise(measurement.details.c_n0_db_hz - self._bandwidth_db, explained)
@@ -223,7 +225,7 @@ class RowReader:
         # yaw is controlled by its sigma
         levels_deg = (driving.protection_deg.roll, driving.protection_deg.pitch)
         if not is_settled("protection_level", max(levels_deg)):
-            causes = {}
+            causes: dict[str, Explanation] = {}
             for axis, level_deg in zip(AXES[1:], levels_deg, strict=True):
                 cause = self._causes.of_answer(level_deg, CHAIN_LOST, ("attitude_lost", method))
                 cause = cause or self._causes.first(FADE)

@@ -170,6 +170,28 @@ def test_a_sensor_that_differs_beyond_the_sigmas_of_both_disagrees():
     assert (change.alarm.value, change.alarm.unit) == (0.2, "deg")
 
 
+@pytest.mark.parametrize(("protection_deg", "cause"), [(0.3, ("downlink_fade", "receiving site")), (0.1, None)])
+def test_a_fade_explains_a_sensor_within_the_protection_level_of_its_axis_and_no_further(protection_deg, cause):
+    rig = Rig(downlink_fade={"on_s": 0.0})
+    bounds = {"protection_deg": Axes(1.0, protection_deg, 1.0)}
+    rig.row(10, rows=(attitude(10, downlink_fade=True, downlink_fade_db=3.0, **bounds),))
+    (change,) = rig.reader.read_reference(reference(11, roll=0.2))
+    assert (change.alarm.cause, change.is_told) == (cause, cause is None)
+
+
+def test_a_carrier_that_sank_into_the_noise_with_the_fade_follows_from_it_and_one_lost_before_does_not():
+    rig = Rig()
+    rig.row(1, rows=(attitude(1),), c_n0_db_hz=(68.0,) * 3)
+    changes = rig.row(2, rows=(attitude(2),), power_dbm=(NAN, -40.0, -40.0), c_n0_db_hz=(NAN, 68.0, 68.0))
+    assert [(change.alarm.thing, change.is_told) for change in changes] == [("c0", True)]
+    wet = {"downlink_fade": True, "downlink_fade_db": 8.0}
+    for minute in range(3, 9):
+        answers = (attitude(minute, **wet),)
+        rig.row(minute, rows=answers, power_dbm=(NAN, NAN, -48.0), c_n0_db_hz=(NAN, NAN, 60.2))
+    carriers = {name: rig.engine.open_alarms["carrier_absent", name].cause for name in ("c0", "c1")}
+    assert carriers == {"c0": None, "c1": ("downlink_fade", "receiving site")}
+
+
 def test_references_far_from_the_newest_row_or_without_angles_say_nothing():
     rig = Rig()
     assert rig.reader.read_reference(reference(10, roll=1.0)) == []
