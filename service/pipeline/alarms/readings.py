@@ -117,7 +117,7 @@ class RowReader:
         if apart_deg is None:
             return []
         answers = zip(reference.attitude_deg, row.attitude_deg, row.protection_deg, strict=True)
-        is_within = all(math.isnan(sensed) or abs(sensed - told) <= bound for sensed, told, bound in answers)
+        is_within = all(math.isnan(sensed) or abs(sensed - reported) <= bound for sensed, reported, bound in answers)
         cause = self._causes.first(FADE, CHAIN_LOST, CHAIN_LEVEL) if is_within else None
         things, causes = (reference.source,), _by_thing(reference.source, cause)
         readings = Readings("sensor_disagreement", things, (apart_deg,), is_partial=True, causes=causes)
