@@ -186,6 +186,7 @@ def notice_of(change: AlarmChange, conditions: Mapping[str, AlarmCondition]) -> 
         "severity": alarm.severity.word,
         "since": format_epoch(alarm.since_us),
         "value": _finite(alarm.value),
+        "value_at": format_epoch(alarm.value_at_us),
         "limit": _finite(alarm.limit),
         "unit": alarm.unit,
         "detail": alarm.detail,
