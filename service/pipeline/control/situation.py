@@ -19,7 +19,7 @@ import numpy as np
 
 from service.pipeline.control.release.command_states import State
 from service.pipeline.control.release.control_verdict import ControlVerdict
-from service.pipeline.estimation.paper.rate_filter import FixHistory, rate_deg_s
+from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow, Axes, Status, named_axes
 
 #: codes of situations, the worst first
@@ -36,6 +36,7 @@ _LEAST_DEG_H = 0.05
 _FAR_H = 24.0
 #: rates are the slope of the angles over this time
 RATE_WINDOW_S = 1800.0
+_LEAST_ROWS = 3
 #: yaw, which powers tell badly, is called beyond its limit when it surely is
 _YAW_SIGMAS = 2.0
 #: "known to" without a protection level
@@ -85,10 +86,11 @@ def recent_rate(rows: Sequence[AttitudeRow]) -> Axes | None:
     An alignment may move the angles, so the rows are those under the newest row's.
     """
     known = [row for row in rows if row.status is Status.ACQUIRED and row.alignment_id == rows[-1].alignment_id]
-    fixes = [(row.epoch_us, row.attitude_deg) for row in known]
-    epochs_us = np.array([epoch_us for epoch_us, _ in fixes], dtype=np.int64)
-    slope = rate_deg_s(FixHistory(epochs_us, np.array([angles for _, angles in fixes])), RATE_WINDOW_S)
-    return None if slope is None else named_axes(slope)
+    if len(known) < _LEAST_ROWS or known[-1].epoch_us - known[0].epoch_us < RATE_WINDOW_S / 3.0 * US_PER_S:
+        return None
+    time_s = np.array([row.epoch_us - known[-1].epoch_us for row in known]) / US_PER_S
+    slope_deg_s, _ = np.polyfit(time_s - time_s.mean(), np.array([row.attitude_deg for row in known]), 1)
+    return named_axes(slope_deg_s)
 
 
 def situation_of(
