@@ -174,7 +174,6 @@ class InterlockConfig:
     robust_range_deg: float = setting(
         2.0, "roll or pitch of the robust method beyond this inhibits control, deg", CHOSEN
     )
-    yaw_sigma_limit_deg: float = setting(0.20, "greatest sigma with which yaw is controlled, deg", TUNED)
     roll_sigma_limit_deg: float = setting(0.06, "greatest sigma of roll with which control is allowed, deg", TUNED)
     pitch_sigma_limit_deg: float = setting(0.10, "greatest sigma of pitch with which control is allowed, deg", TUNED)
     alert_limit_deg: float = setting(

@@ -219,11 +219,6 @@ class Calibration:
     error: Annotated[str | None, "Why it failed."] = None
 
     @property
-    def is_yaw_controllable(self) -> bool:
-        """Return whether yaw may be controlled: its sign is proven, or was not judged by this calibration."""
-        return self.result is None or self.result.signs is None or self.result.signs.is_yaw_proven
-
-    @property
     def is_momentum_contradicted(self) -> bool:
         """Return whether the turns contradict the momentum of the wheels in telemetry."""
         check = None if self.result is None else self.result.momentum

@@ -186,7 +186,7 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     sources: SensorsDocument
     quality: dict[str, Figure | str | list[str]]
     """Figures of the fit as a whole, `warnings`, and `yaw_sign` and `common_sign`: proven, unproven or not_judged.
-    While `yaw_sign` is unproven, yaw is not controlled; `common_sign` is that of all axes of the sensors together.
+    While `yaw_sign` is unproven, the yaw of paper may have the wrong sign; `common_sign` is that of all axes together.
     `momentum` of the wheels by the turns: consistent, contradicted (the filter does not use it), not_checked, or
     not_stated where the catalogue has no `onboard.momentum`; `momentum_response_roll` and others must be 1. `rates`
     of the body likewise, not_stated without `onboard.rate_sensor` beside the loop; `rate_response_roll` and others.

@@ -3,8 +3,6 @@
 import math
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from service.pipeline.config import InterlockConfig, RobustConfig
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeFix, AttitudeRow, Status
@@ -74,32 +72,12 @@ class RowContext:
     is_fading: bool
     is_risen: bool
     has_inhibiting_operation: bool
-    is_yaw_controllable: bool = True
 
 
-@dataclass(frozen=True)
-class RowPermission:
-    """Permission of a torque after a row, axis by axis, with the inhibitions."""
-
-    inhibitions: tuple[str, ...]
-    #: yaw, roll, pitch
-    allowed_axes: tuple[bool, bool, bool]
-
-    @property
-    def is_allowed(self) -> bool:
-        """Return whether roll and pitch may be controlled."""
-        return not self.inhibitions
-
-
-def judge(fix: AttitudeFix, context: RowContext, config: InterlockConfig) -> RowPermission:
-    """Return the verdict on one fix."""
+def judge(fix: AttitudeFix, context: RowContext, config: InterlockConfig) -> tuple[str, ...]:
+    """Return what one fix of the paper method and its row inhibit control for."""
     standing = _circumstantial(context) | _of_fix(fix, config)
-    inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
-    if inhibitions:
-        return RowPermission(inhibitions, (False, False, False))
-    is_yaw_known = float(np.sqrt(fix.covariance_deg2[0, 0])) <= config.yaw_sigma_limit_deg
-    is_yaw_valid = abs(float(fix.attitude_deg[0])) <= config.validity_limit_deg
-    return RowPermission((), (context.is_yaw_controllable and is_yaw_known and is_yaw_valid, True, True))
+    return tuple(reason for reason in INHIBITIONS if reason in standing)
 
 
 def _circumstantial(context: RowContext) -> set[str]:
@@ -121,12 +99,8 @@ def _of_fix(fix: AttitudeFix, config: InterlockConfig) -> set[str]:
     _, roll_deg, pitch_deg = angles_deg = fix.attitude_deg.tolist()
     if not all(map(math.isfinite, angles_deg)):
         return {"no_fix"}
-    _, roll_sigma_deg, pitch_sigma_deg = np.sqrt(fix.covariance_deg2.diagonal()).tolist()
     conditions = {
         "redundancy": fix.carriers_used - 3 < config.min_redundancy,
         "beyond_validity": max(abs(roll_deg), abs(pitch_deg)) > config.validity_limit_deg,
-        # negated, so that a sigma that is not known forbids control
-        "sigma_roll": not roll_sigma_deg <= config.roll_sigma_limit_deg,
-        "sigma_pitch": not pitch_sigma_deg <= config.pitch_sigma_limit_deg,
     }
     return {reason for reason, stands in conditions.items() if stands}

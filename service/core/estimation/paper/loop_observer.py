@@ -77,11 +77,14 @@ class LinearFix(NamedTuple):
         Of these numbers to yaw, roll and pitch.
     unit_covariance : ndarray, shape (2, 2), deg^2/dB^2
         For a noise of 1 dB of each level.
+    scatter_db : float, dB
+        What the levels differ by from any roll and pitch, rms.
     """
 
     angles_deg: FloatArray
     response: FloatArray
     unit_covariance: FloatArray
+    scatter_db: float
 
 
 def linear_fix(level_db: FloatArray, plus: FloatArray, minus: FloatArray, is_used: BoolArray) -> LinearFix | None:
@@ -109,7 +112,10 @@ def linear_fix(level_db: FloatArray, plus: FloatArray, minus: FloatArray, is_use
         return None
     unit_covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     solution = unit_covariance @ own.T
-    return LinearFix(solution @ level_db[is_used], solution @ slope[is_used], unit_covariance)
+    angles_deg = solution @ level_db[is_used]
+    residual_db = level_db[is_used] - own @ angles_deg
+    scatter_db = math.sqrt(float(residual_db @ residual_db) / (len(residual_db) - 2))
+    return LinearFix(angles_deg, solution @ slope[is_used], unit_covariance, scatter_db)
 
 
 def loop_model(motion: FilterSettings, plus: FloatArray, minus: FloatArray, is_used: BoolArray) -> LoopModel:

@@ -30,7 +30,7 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
 from service.records.levels.attitude import AppliedCommand, Disturbance, FloatArray, ReportedCommand
 
-#: noise of a mean of levels, dB, and for how long it stays, s
+#: noise of a mean of levels where they agree better, dB, and for how long it stays, s
 _NOISE_DB = 0.1
 _MEMORY_S = 3600.0
 #: sigma of an alignment's angle that nobody states, deg
@@ -105,7 +105,7 @@ def loop_with_fix(
         due_us = rows.newest_us + int((config.fade.entry_s + config.fade.averaging_window_s) * US_PER_S)
         middle_us = rows.newest_us - int(0.5 * rows.span_s * US_PER_S)
         # fixes that repeat an error share what one of them would weigh
-        noise_db = _NOISE_DB * math.sqrt(max(1.0, _MEMORY_S / rows.period_s))
+        noise_db = max(_NOISE_DB, fix.scatter_db) * math.sqrt(max(1.0, _MEMORY_S / rows.period_s))
         state = state._replace(pending=(*state.pending, _PendingFix(due_us, middle_us, fix, noise_db)))
     while state.pending and state.pending[0].due_us <= rows.newest_us:
         counted, *pending = state.pending

