@@ -171,9 +171,7 @@ class InterlockConfig:
         "it inhibits control, yaw its own",
         PUBLISHED,
     )
-    robust_range_deg: float = setting(
-        2.0, "roll or pitch of the robust method beyond this inhibits control, deg", CHOSEN
-    )
+    model_range_deg: float = setting(2.0, "roll or pitch beyond this inhibits control, deg", CHOSEN)
     roll_sigma_limit_deg: float = setting(0.06, "greatest sigma of roll with which control is allowed, deg", TUNED)
     pitch_sigma_limit_deg: float = setting(0.10, "greatest sigma of pitch with which control is allowed, deg", TUNED)
     alert_limit_deg: float = setting(

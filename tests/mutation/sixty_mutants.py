@@ -62,14 +62,10 @@ PIPELINE = (
     # a second row of one epoch moves the filter again
     Mutant("Chain.step", "measurement.epoch_us <= (self._newest_us", "measurement.epoch_us < (self._newest_us"),
     Mutant("remove_harmonic", "power_dbm - expected_dbm", "expected_dbm - power_dbm"),
-    # rates a thousand times too small
-    Mutant("rate_deg_s", "history.epochs_us[-1]) / US_PER_S", "history.epochs_us[-1]) / 1_000"),
-    # a sigma that is no number allows control
-    Mutant(
-        "_of_fix",
-        "not roll_sigma_deg <= config.roll_sigma_limit_deg",
-        "roll_sigma_deg > config.roll_sigma_limit_deg",
-    ),
+    # a turn of yaw leaves roll alone
+    Mutant("rates_deg_h", "np.array([-roll_deg, yaw_deg, 0.0])", "np.array([roll_deg, yaw_deg, 0.0])"),
+    # an angle that is far away allows control
+    Mutant("_of_fix", "> config.model_range_deg", "< -config.model_range_deg"),
     # yaw and roll are judged, pitch is not
     Mutant("filtered_row", "announced.attitude_deg[1:]", "announced.attitude_deg[:2]"),
     Mutant("frozen", "(readings.rows >= _ROWS) & (", "(readings.rows >= _ROWS) | ("),
@@ -86,7 +82,7 @@ PIPELINE = (
     # the sign of yaw counts as proven without a turn about yaw
     Mutant("report_signs", "is_yaw_proven = is_turned and verdict", "is_yaw_proven = verdict"),
     # the daily wave of the known torque runs backwards
-    Mutant("known_disturbance", "[0.0, -sin, cos]", "[0.0, sin, cos]"),
+    Mutant("disturbance_of", "[0.0, -sin, cos]", "[0.0, sin, cos]"),
     Mutant("control_inhibitions", "spacecraft.onboard.fast_loop and", "spacecraft.onboard.fast_loop or"),
     # an axis whose torque is withheld gets one
     Mutant("mean_pulses", "wanted = np.where(is_allowed, wanted, 0.0)", "wanted = wanted + 0.0"),

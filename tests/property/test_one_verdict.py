@@ -117,7 +117,7 @@ def context_of(driver):
             ephemeris=lambda _: SimpleNamespace(id=1, valid_start_us=0, valid_stop_us=archive.ephemeris_stop_us),
         ),
         archive=SimpleNamespace(head=lambda _: head, sources=lambda _: (), inputs=lambda *_: ()),
-        results=SimpleNamespace(**results),
+        results=SimpleNamespace(**results, attitude_rows=lambda *_, **__: ()),
         alarms=SimpleNamespace(open_alarms=lambda _: ()),
         links=SimpleNamespace(links=lambda *_: ()),
         keys=SimpleNamespace(all=lambda: ()),
@@ -130,6 +130,7 @@ def context_of(driver):
         release_service=driver.service,
         limits=Limits(),
         interlock=InterlockConfig(),
+        recent_rates={},
         supervisor=SimpleNamespace(
             failures=StepFailures(),
             is_disagreeing=lambda _: False,

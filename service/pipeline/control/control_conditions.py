@@ -114,9 +114,8 @@ def _values_of(view: ControlView | None, row: AttitudeRow | None, limits: Interl
     level_deg, nominal_deg = greater_angle_deg(row.protection_deg), greater_angle_deg(row.nominal_protection_deg)
     is_urgent = greater_angle_deg(row.waiting_loss_deg) > WAITING_LOSS_DEG
     alert_deg = limits.alert_limit_deg
-    range_deg = limits.robust_range_deg if row.method is Method.ROBUST else limits.validity_limit_deg
     found["beyond_validity"] = ConditionValue(
-        MEASURES[Condition.HAND_OVER], greater_angle_deg(row.attitude_deg), range_deg
+        MEASURES[Condition.HAND_OVER], greater_angle_deg(row.attitude_deg), limits.model_range_deg
     )
     # a less certain angle is used where something is lost by waiting
     found["protection_level"] = ConditionValue(

@@ -101,6 +101,6 @@ def _of_fix(fix: AttitudeFix, config: InterlockConfig) -> set[str]:
         return {"no_fix"}
     conditions = {
         "redundancy": fix.carriers_used - 3 < config.min_redundancy,
-        "beyond_validity": max(abs(roll_deg), abs(pitch_deg)) > config.validity_limit_deg,
+        "beyond_validity": max(abs(roll_deg), abs(pitch_deg)) > config.model_range_deg,
     }
     return {reason for reason, stands in conditions.items() if stands}

@@ -193,8 +193,8 @@ def _product(epoch_us: int, counter: int, decision: ControllerOutput) -> dict[st
     until_us = epoch_us + round(VALID_S * US_PER_S)
     epochs = {"attitude_epoch": format_epoch(epoch_us), "valid_until": format_epoch(until_us)}
     angles = decision.attitude_deg._asdict().items()
-    told = {axis: None if math.isnan(angle) else angle for axis, angle in angles}
-    return {"counter": counter, **epochs, "attitude_deg": told}
+    fit = {axis: None if math.isnan(angle) else angle for axis, angle in angles}
+    return {"counter": counter, **epochs, "attitude_deg": fit}
 
 
 def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> FlownRun:

@@ -52,7 +52,7 @@ _NO_CARRIERS = CarrierModel(
 
 
 class LoopModel(NamedTuple):
-    """How the spacecraft moves, and the covariance (2, 2) of what fixes have wrong for long, deg^2."""
+    """Motion of the spacecraft, and the covariance (2, 2) of what fixes have wrong for long, deg^2."""
 
     motion: FilterSettings
     lasting_deg2: FloatArray

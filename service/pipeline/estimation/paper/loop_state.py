@@ -65,7 +65,7 @@ class RowsOfMean(NamedTuple):
 
 
 class Steering(NamedTuple):
-    """What a torque follows from: (3,) deg and deg/s, yaw, roll, pitch."""
+    """Angles and rates that a torque follows from: (3,) deg and deg/s, yaw, roll, pitch."""
 
     attitude_deg: FloatArray
     rates_deg_s: FloatArray

@@ -34,6 +34,7 @@ from service.pipeline.estimation.paper.loop_state import (
 )
 from service.pipeline.estimation.paper.snapshot_fix import (
     SensitivityModel,
+    answer_db,
     linear_solution,
     sensitivity_model,
     solve_attitude,
@@ -176,17 +177,29 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
         return_after_s=config.fade.exit_s,
         max_gap_s=config.fade.max_gap_s,
     )
-    fade = step(state.fade_watch, test=_test_fade(change_db, model, 1.0, config))
-    rise = step(state.rise_watch, test=_test_fade(change_db, model, -1.0, config))
+    test = partial(_test_change, change_db, _left_db(change_db, state, model, deviation.epoch_us), model, config)
+    fade = step(state.fade_watch, test=test(1.0, is_stopped=state.fade_watch.is_stopped))
+    rise = step(state.rise_watch, test=test(-1.0, is_stopped=state.rise_watch.is_stopped))
     return PaperState(window, fade, rise, state.loop, deviation.epoch_us)
 
 
-def _test_fade(change_db: FloatArray, model: PaperModel, sign: float, config: ChainConfig) -> FadeTest:
+def _left_db(change_db: FloatArray, state: PaperState, model: PaperModel, epoch_us: int) -> FloatArray:
+    """Return what the angles that are steered by leave of a change of levels."""
+    attitude = steering(state.loop, model.loop, epoch_us).attitude_deg
+    return change_db - answer_db(model.sensitivity, attitude)
+
+
+def _test_change(
+    change_db: FloatArray, left_db: FloatArray, model: PaperModel, config: ChainConfig, sign: float, *, is_stopped: bool
+) -> FadeTest:
     """Apply the rule of one sign and near size, and ask whether a turn would not explain the row better.
 
-    The print has the rule for fades alone, sign 1; a rise of all levels (-1) looks like attitude as well.
+    The print has the rule for fades alone, sign 1; a rise of all levels (-1) looks like attitude as well. A stop ends
+    where the levels are back, or back but for the turn that the dynamics predict: nobody holds the spacecraft then.
     """
     deviation_db = sign * change_db
+    if is_stopped and np.isfinite(change_db).any():
+        deviation_db = max(deviation_db, sign * left_db, key=lambda each: float(np.nanmedian(each)))
     rule = partial(
         fade_sign_test,
         deviation_db,

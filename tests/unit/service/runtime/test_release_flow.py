@@ -182,11 +182,11 @@ def released(ground, stop_after, settings):
     ],
 )
 def test_rows_behind_a_trip_get_no_torque_live_and_in_a_replay(ground, stop_after, settings):
-    ground.append(range(1, 41))
+    ground.append(range(1, 301))
     with released(ground, stop_after, settings) as (supervisor, service):
         ground.settle(supervisor)
         assert service.control(ground.id).state == "TRIPPED"
-        ground.append(range(41, 46))
+        ground.append(range(301, 306))
         ground.settle(supervisor)
     entries = [entry.content for entry in ground.storage.archive.journal(ground.id, 0, 10_000)]
     (hold,) = [each for each in entries if isinstance(each, InterlockHold)]
@@ -199,7 +199,7 @@ def test_rows_behind_a_trip_get_no_torque_live_and_in_a_replay(ground, stop_afte
     for command in later:
         assert (command.control_allowed, command.schedule, "tripped" in command.inhibitions) == (False, (), True)
         assert command.torque_n_m == (0.0, 0.0, 0.0)
-    version = ground.replay(1, 60)
+    version = ground.replay(1, 320)
     replayed = ground.commands(version)
     assert [repr(each) for each in replayed] == [repr(each) for each in commands]
     assert [repr(each) for each in ground.rows(version)] == [repr(each) for each in ground.rows()]

@@ -142,8 +142,8 @@ CAUSES = [
     ("redundancy", fix(carriers_used=4), CALM),
     ("downlink_fade", fix(), replace(CALM, is_fading=True)),
     ("common_change", fix(), replace(CALM, is_risen=True)),
-    ("beyond_validity", fix(angles=(0.0, 0.41, 0.0)), CALM),
-    ("beyond_validity", fix(angles=(0.0, 0.0, -0.41)), CALM),
+    ("beyond_validity", fix(angles=(0.0, 2.01, 0.0)), CALM),
+    ("beyond_validity", fix(angles=(0.0, 0.0, -2.01)), CALM),
     ("operation", fix(), replace(CALM, has_inhibiting_operation=True)),
 ]
 #: rows without angles, written by the archive's synthesis and by the chain, and what the robust method's filter says
@@ -163,7 +163,7 @@ def test_every_listed_reason_is_reachable_and_says_something():
 
 
 def test_several_reasons_are_listed_in_the_order_of_the_table():
-    bad = fix(angles=(0.0, 0.5, 0.0), sigma=(0.1, 0.07, 0.2), carriers_used=4)
+    bad = fix(angles=(0.0, 2.5, 0.0), sigma=(0.1, 0.07, 0.2), carriers_used=4)
     all_at_once = RowContext(
         is_late=True,
         is_catch_up=True,
@@ -180,7 +180,7 @@ def test_several_reasons_are_listed_in_the_order_of_the_table():
 def test_a_good_fix_inhibits_nothing_and_limits_are_inclusive():
     assert judge(fix(), CALM, LIMITS) == ()
     # sqrt(x * x) of a double gives x back for these values
-    assert judge(fix(angles=(0.4, -0.4, 0.4), sigma=(0.2, 0.06, 0.1), carriers_used=5), CALM, LIMITS) == ()
+    assert judge(fix(angles=(0.4, -2.0, 2.0), carriers_used=5), CALM, LIMITS) == ()
 
 
 @pytest.mark.parametrize("sigma_deg", [9.0, NAN])

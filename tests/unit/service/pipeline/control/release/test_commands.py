@@ -559,7 +559,7 @@ def test_angles_that_are_not_numbers_have_no_value():
 
 def test_limits_hold_before_the_first_row_and_an_ephemeris_is_not_counted_from_a_clock_that_has_no_time():
     found = {each.code: each for each in control_conditions(None, None, control_verdict(None, None), InterlockConfig())}
-    limits = (InterlockConfig().robust_range_deg, InterlockConfig().alert_limit_deg)
+    limits = (InterlockConfig().model_range_deg, InterlockConfig().alert_limit_deg)
     assert (found["beyond_validity"].limit, found["protection_level"].limit) == limits
     assert (found["beyond_validity"].value, found["protection_level"].value) == (None, None)
     inputs = InterlockInputs(ephemeris_stop_us=1_800_000_000 * US)
