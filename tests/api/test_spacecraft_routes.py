@@ -463,6 +463,24 @@ async def test_a_real_spacecraft_is_not_released_automatically_by_one_operator(s
     assert (refused.status_code, refused.json()["code"]) == (409, "control.needs_two_approvers")
 
 
+async def test_the_published_method_in_a_loop_without_a_profile_of_the_torque_is_warned_of(soo, spacecraft):
+    onboard = {"fast_loop": True, "forecast_mode": True}
+    control = {"method": "paper", "mode": "ground"}
+    created = await soo.client.post(URL, json=spacecraft | {"onboard": onboard, "control": control})
+    assert [(each["pointer"], each["code"]) for each in created.json()["warnings"]] == [
+        ("/control/method", "control.paper")
+    ]
+    for change, codes in (
+        ({"control": {"mode": "off"}}, []),
+        ({"control": {"mode": "onboard"}}, ["control.paper"]),
+        ({"onboard": {"fed_forward_torque": FED_FORWARD}}, []),
+        ({"onboard": {"fed_forward_torque": None}}, ["control.paper"]),
+        ({"control": {"method": "robust"}}, []),
+    ):
+        changed = await soo.client.patch(f"{URL}/yamal-202", json=change)
+        assert [each["code"] for each in changed.json()["warnings"]] == codes
+
+
 async def test_a_receiving_site_that_cannot_see_the_satellite_is_refused(soo, spacecraft):
     site = {"latitude_deg": 40.0, "longitude_deg": -100.0}
     refused = await soo.client.post(URL, json=spacecraft | {"receiving_site": site})

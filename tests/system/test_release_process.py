@@ -68,7 +68,8 @@ def test_a_command_from_preparation_to_report_and_every_wrong_step_on_its_way(cl
     assert product["schedule"] == command["schedule"]
     # reports: the same again changes nothing, another one is refused
     assert ground.post(f"{path}:sent", key=anna)["state"] == "SENT"
-    assert ground.post(f"{path}:sent", key=anna) == ground.get(path)
+    # answers of orders leave the predicted angles out
+    assert ground.post(f"{path}:sent", key=anna) == ground.get(path) | {"predicted_angles": None}
     half = {"executed_until": command["schedule"][2]["start"]}
     executed = ground.post(f"{path}:executed", half, key=anna)
     assert executed["executed"] == command["schedule"][:2]
@@ -134,7 +135,7 @@ def test_a_service_killed_between_release_and_report_never_releases_twice(servin
     with serving(path) as second:
         with second.client() as client:
             ground = ReleaseGround(client, "killed", ground.now_us)
-            assert ground.get(f"/torques/{command['id']}") == released
+            assert ground.get(f"/torques/{command['id']}") | {"predicted_angles": None} == released
             assert ground.get(f"/torques/{command['id']}/uplink") == product
             control = ground.get("/control")
             assert (control["state"], control["unreported_commands"]) == ("INHIBITED", [command["id"]])

@@ -89,6 +89,7 @@ _CATALOGUE = {
     "carrier.frequency": "State the frequency in Hz.",
     "carrier.band": "State the frequency in Hz, or correct the band.",
     "station.below_horizon": "Check latitude, longitude East and the longitude of the satellite.",
+    "control.paper": "State `onboard.fed_forward_torque`, or choose `robust`.",
     "station.low": "Expect scatter, or choose a station that sees the satellite higher.",
     "carrier.unknown": "Look up the id with GET .../carriers.",
     "csv.malformed": "Correct that line, or save the table again as CSV UTF-8.",

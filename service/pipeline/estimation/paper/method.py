@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.paper import downlink_fade
 from service.core.estimation.paper.downlink_fade import (
     FadeTest,
@@ -22,7 +23,7 @@ from service.core.estimation.paper.downlink_fade import (
 )
 from service.core.estimation.paper.loop_observer import LoopModel, loop_model
 from service.core.estimation.paper.rejection import reject_faded_carriers
-from service.pipeline.config import ChainConfig
+from service.pipeline.config import ChainConfig, RobustConfig
 from service.pipeline.estimation.paper.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
 from service.pipeline.estimation.paper.loop_state import (
     LoopState,
@@ -43,7 +44,7 @@ from service.pipeline.estimation.row_inhibitions import RowContext, judge
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2, motion_settings
 from service.records.calibration import Calibration
-from service.records.catalogue import Ephemeris, Method
+from service.records.catalogue import Ephemeris, Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import (
     NO_ANGLES,
@@ -103,7 +104,7 @@ def paper_model(knowledge: Knowledge, aligned_with: Calibration, config: ChainCo
         expected,
         sensitivity,
         loop_model(
-            motion_settings(spacecraft, config.robust),
+            _motion(spacecraft, config.robust),
             sensitivity.plus_db_per_deg,
             sensitivity.minus_db_per_deg,
             sensitivity.is_selected,
@@ -112,6 +113,16 @@ def paper_model(knowledge: Knowledge, aligned_with: Calibration, config: ChainCo
         calibration.id,
         knowledge.alignment.id,
     )
+
+
+def _motion(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
+    """Return how the spacecraft moves; a torque that was called small would hold the estimate where nobody is.
+
+    The robust filter looks for a greater torque when motion contradicts the statement. Nothing does here.
+    """
+    motion = motion_settings(spacecraft, config)
+    yaw, roll, pitch = map(max, motion.torque_deg_h2, motion.unknown_torque_deg_h2)
+    return motion._replace(torque_deg_h2=(yaw, roll, pitch))
 
 
 def initial_state(carriers: int, config: ChainConfig, loop: LoopState) -> PaperState:
