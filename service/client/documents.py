@@ -261,6 +261,8 @@ class Attitude(TypedDict):
     waiting_loss_deg: Angles
     #: Angles that control steers by: of paper its fixes carried on by the dynamics; null: those of the row; deg.
     steering_deg: Angles
+    #: One standard deviation of these angles; deg.
+    steering_sigma_deg: Angles
     #: `live`, `smoothed`, or the replay that made the row.
     version: str
     #: Verdict on control: whether a torque may go now, and every reason against it.

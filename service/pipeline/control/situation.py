@@ -89,7 +89,7 @@ def recent_rate(rows: Sequence[AttitudeRow]) -> Axes | None:
     if len(known) < _LEAST_ROWS or known[-1].epoch_us - known[0].epoch_us < RATE_WINDOW_S / 3.0 * US_PER_S:
         return None
     time_s = np.array([row.epoch_us - known[-1].epoch_us for row in known]) / US_PER_S
-    slope_deg_s, _ = np.polyfit(time_s - time_s.mean(), np.array([row.attitude_deg for row in known]), 1)
+    slope_deg_s, _ = np.polyfit(time_s - time_s.mean(), np.array([row.steered_deg for row in known]), 1)
     return named_axes(slope_deg_s)
 
 
@@ -170,11 +170,11 @@ def _is_soon(motion: AxisMotion, limit_deg: float) -> bool:
 def _motions(row: AttitudeRow, limit_deg: float, rates_deg_s: Axes | None) -> Iterator[AxisMotion]:
     """Yield each axis whose angle is known, with its way to the limit."""
     for axis in _AXES:
-        angle_deg = getattr(row.attitude_deg, axis)
+        angle_deg = getattr(row.steered_deg, axis)
         if not math.isfinite(angle_deg):
             continue
         rate_deg_h = math.nan if rates_deg_s is None else 3600.0 * getattr(rates_deg_s, axis)
-        least_deg = abs(angle_deg) - (_YAW_SIGMAS * row.sigma_deg.yaw if axis == "yaw" else 0.0)
+        least_deg = abs(angle_deg) - (_YAW_SIGMAS * row.steered_sigma_deg.yaw if axis == "yaw" else 0.0)
         hours = (math.copysign(limit_deg, rate_deg_h) - angle_deg) / rate_deg_h if rate_deg_h else math.inf
         hours = hours if 0.0 < hours < _FAR_H else math.nan
         yield AxisMotion(axis, angle_deg, least_deg > limit_deg, rate_deg_h, hours)
@@ -183,7 +183,7 @@ def _motions(row: AttitudeRow, limit_deg: float, rates_deg_s: Axes | None) -> It
 def _known_deg(row: AttitudeRow) -> tuple[float, float]:
     """Return to what roll and pitch, and yaw, are known, rounded up: never better than it is."""
     has_levels = all(map(math.isfinite, row.protection_deg))
-    yaw, roll, pitch = row.protection_deg if has_levels else [_SIGMAS * sigma for sigma in row.sigma_deg]
+    yaw, roll, pitch = row.protection_deg if has_levels else [_SIGMAS * sigma for sigma in row.steered_sigma_deg]
     return _rounded_up(max(roll, pitch)), _rounded_up(yaw)
 
 

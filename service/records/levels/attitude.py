@@ -125,10 +125,17 @@ class AttitudeRow:
         Axes, "Angles that control steers by: of paper its fixes carried on by the dynamics; null: those of the row."
     ] = NO_ANGLES
 
+    steering_sigma_deg: Annotated[Axes, "One standard deviation of these angles."] = NO_ANGLES
+
     @property
     def steered_deg(self) -> Axes:
         """Angles that control steers by, which are the row's own where no others are told."""
         return self.attitude_deg if any(map(math.isnan, self.steering_deg)) else self.steering_deg
+
+    @property
+    def steered_sigma_deg(self) -> Axes:
+        """One standard deviation of the angles that control steers by."""
+        return self.sigma_deg if any(map(math.isnan, self.steering_deg)) else self.steering_sigma_deg
 
 
 def fit_angles_deg(row: AttitudeRow) -> Axes:

@@ -322,7 +322,7 @@ def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None
         attitude_epoch_us=row.epoch_us,
         is_simulated=spacecraft.simulated,
         attitude_deg=fit_angles_deg(row),
-        sigma_deg=row.sigma_deg,
+        sigma_deg=row.steered_sigma_deg,
     )
     context.release.handle(AnglesFit(at, product))
 

@@ -65,9 +65,10 @@ class RowsOfMean(NamedTuple):
 
 
 class Steering(NamedTuple):
-    """Angles and rates that a torque follows from: (3,) deg and deg/s, yaw, roll, pitch."""
+    """Angles with sigma, and rates, that a torque follows from: (3,) deg and deg/s, yaw, roll, pitch."""
 
     attitude_deg: FloatArray
+    sigma_deg: FloatArray
     rates_deg_s: FloatArray
 
 
@@ -116,9 +117,11 @@ def loop_with_fix(
 
 
 def steering(state: LoopState, model: LoopModel, epoch_us: int) -> Steering:
-    """Return angles and rates at an epoch."""
+    """Return angles with sigma, and rates, at an epoch."""
     estimate, _ = _predicted(state, model, epoch_us)
-    return Steering(estimate.mean[ATTITUDE], rates_deg_h(estimate, model.motion.coupling_per_h) / 3600.0)
+    sigma_deg = np.sqrt(estimate.covariance.diagonal()[ATTITUDE])
+    rates = rates_deg_h(estimate, model.motion.coupling_per_h) / 3600.0
+    return Steering(estimate.mean[ATTITUDE], sigma_deg, rates)
 
 
 def loop_disturbance(state: LoopState, model: LoopModel, inertia_kg_m2: tuple[float, float, float]) -> Disturbance:

@@ -316,4 +316,5 @@ def _row(
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
         steering_deg=NO_ANGLES if steered is None else named_axes(steered.attitude_deg),
+        steering_sigma_deg=NO_ANGLES if steered is None else named_axes(steered.sigma_deg),
     )

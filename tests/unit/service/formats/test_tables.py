@@ -383,7 +383,8 @@ def test_columns_of_attitude_are_those_of_the_contract() -> None:
         "yaw_protection_deg roll_protection_deg pitch_protection_deg lag_s "
         "yaw_nominal_protection_deg roll_nominal_protection_deg pitch_nominal_protection_deg "
         "yaw_waiting_loss_deg roll_waiting_loss_deg pitch_waiting_loss_deg "
-        "yaw_steering_deg roll_steering_deg pitch_steering_deg"
+        "yaw_steering_deg roll_steering_deg pitch_steering_deg "
+        "yaw_steering_sigma_deg roll_steering_sigma_deg pitch_steering_sigma_deg"
     )
 
 

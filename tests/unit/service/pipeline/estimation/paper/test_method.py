@@ -176,13 +176,14 @@ def test_a_rise_of_all_levels_stops_control_and_gives_no_angles(bench, rise_db):
 
 
 def test_a_fade_leaves_no_trace_in_what_control_steers_by(bench):
-    bench.run(range(1, 60), angles=(0.0, 0.1, -0.1))
-    rows = [step.row for step in bench.run(range(60, 100), angles=(0.0, 0.1, -0.1), common_db=-2.0)]
-    rows += [step.row for step in bench.run(range(100, 140), angles=(0.0, 0.1, -0.1))]
-    steered = np.array([row.steering_deg for row in rows])
-    assert np.abs(np.array([row.attitude_deg for row in rows])[:, 1:] - [0.1, -0.1]).max() > 0.2  # the fixes do not
-    np.testing.assert_allclose(steered - steered[0], 0.0, atol=0.05)
-    assert all(row.rates_deg_s is not None for row in rows)
+    still = {"angles": (0.0, 0.0, 0.0)}
+    bench.run(range(1, 60), **still)
+    rows = [step.row for step in bench.run(range(60, 100), common_db=-2.0, **still)]
+    rows += [step.row for step in bench.run(range(100, 140), **still)]
+    # the fixes are led astray, the angles and rates of the loop are not
+    assert np.abs(np.array([row.attitude_deg for row in rows])[:, 1:]).max() > 0.2
+    np.testing.assert_allclose([row.steering_deg for row in rows], 0.0, atol=1e-3)
+    np.testing.assert_allclose([row.rates_deg_s for row in rows], 0.0, atol=1e-6)
 
 
 def test_every_axis_is_steered(bench):
