@@ -203,7 +203,7 @@ class RowReader:
             return
         fade_db = _fade_db(driving)
         chain_db = next((row.common_db for row in facts.rows if math.isfinite(row.common_db)), math.nan)
-        angles_deg = driving.attitude_deg if driving.status is Status.ACQUIRED else (math.nan,) * 3
+        angles_deg = driving.steered_deg if driving.status is Status.ACQUIRED else (math.nan,) * 3
         known_db = 0.0 if math.isnan(chain_db) else chain_db
         self._causes = self._causes.after(fade_db, known_db, tuple(map(abs, angles_deg)))
         if not is_settled("downlink_fade", fade_db):
@@ -214,7 +214,7 @@ class RowReader:
     def _of_attitude(self, facts: RowEvidence, driving: AttitudeRow) -> Iterator[Readings]:
         """Yield the readings of the rows of the methods."""
         is_settled, is_told = self._engine.is_settled, driving.status is Status.ACQUIRED
-        angles_deg = tuple(map(abs, driving.attitude_deg)) if is_told else (math.nan,) * 3
+        angles_deg = tuple(map(abs, driving.steered_deg)) if is_told else (math.nan,) * 3
         if not is_settled("attitude_angle", max(angles_deg)):
             yield Readings("attitude_angle", AXES, angles_deg)
         # a method whose means are still filling is not lost
