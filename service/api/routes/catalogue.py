@@ -271,7 +271,7 @@ def _control_warnings(document: SpacecraftDocument) -> tuple[CatalogueWarning, .
         return ()
     detail = (
         "in a loop the published method sees yaw through roll alone, where a torque without a stated profile hides it: "
-        "roll and pitch hold, yaw left 8 deg within two days in three of five flights of a plant"
+        "roll and pitch hold, yaw left 8 deg within two days in half of the flights of two plants"
     )
     return (CatalogueWarning(pointer="/control/method", code="control.paper", detail=detail),)
 
