@@ -167,8 +167,7 @@ class InterlockConfig:
 
     validity_limit_deg: float = setting(
         0.4,
-        "range of the published model, in which angles are to stay, deg; roll or pitch of the method paper beyond "
-        "it inhibits control, yaw its own",
+        "range of the published model, in which angles are to stay, deg",
         PUBLISHED,
     )
     model_range_deg: float = setting(2.0, "roll or pitch beyond this inhibits control, deg", CHOSEN)

@@ -63,7 +63,7 @@ PIPELINE = (
     Mutant("Chain.step", "measurement.epoch_us <= (self._newest_us", "measurement.epoch_us < (self._newest_us"),
     Mutant("remove_harmonic", "power_dbm - expected_dbm", "expected_dbm - power_dbm"),
     # a turn of yaw leaves roll alone
-    Mutant("rates_deg_h", "np.array([-roll_deg, yaw_deg, 0.0])", "np.array([roll_deg, yaw_deg, 0.0])"),
+    Mutant("rates_deg_h", "[-coupling_per_h * roll,", "[coupling_per_h * roll,"),
     # an angle that is far away allows control
     Mutant("_of_fix", "> config.model_range_deg", "< -config.model_range_deg"),
     # yaw and roll are judged, pitch is not

@@ -63,8 +63,8 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
         _condition(
             ("attitude_angle", Kind.ABOVE, "deg", "axis", Origin.ROW),
             "{thing} angle is {value}",
-            "check with another sensor; see GET .../control and the newest torque; beyond 0.4 deg the model of the "
-            "carriers no longer holds and control is withheld",
+            "check with another sensor; see GET .../control and the newest torque; beyond 0.4 deg a person "
+            "releases single commands, beyond 2 deg control is withheld",
             ConditionLimits(
                 warning=alarms.attitude_warning_deg,
                 critical=alarms.attitude_critical_deg,

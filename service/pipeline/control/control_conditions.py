@@ -121,11 +121,14 @@ def _values_of(view: ControlView | None, row: AttitudeRow | None, limits: Interl
     found["protection_level"] = ConditionValue(
         _PROTECTION, level_deg, max(alert_deg, DOUBT_RATIO * nominal_deg) if is_urgent else alert_deg
     )
+    is_judged = row.method is Method.ROBUST and not is_urgent
     sigmas = {"roll": limits.roll_sigma_limit_deg, "pitch": limits.pitch_sigma_limit_deg}
     for axis, limit_deg in sigmas.items():
         measure = Measure(f"sigma of {axis}", "deg")
         found[f"sigma_{axis}"] = ConditionValue(
-            measure, getattr(row.sigma_deg, axis), math.nan if is_urgent else limit_deg
+            measure,
+            getattr(row.sigma_deg, axis),
+            limit_deg if is_judged else math.nan,
         )
     return found
 

@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_state import ATTITUDE
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, rates_deg_h
 from service.core.estimation.smoothing.adjoint import SmoothedState
 from service.core.estimation.smoothing.effective_row import EffectiveRow, smoothed_rows
-from service.pipeline.estimation.robust.attitude_rows import rates_deg_s
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
@@ -128,7 +127,7 @@ def smoothed_attitude(row: AttitudeRow, found: SmoothedRow) -> AttitudeRow:
         method=Method.ROBUST_SMOOTHED,
         attitude_deg=named_axes(mean[ATTITUDE]),
         sigma_deg=named_axes(np.sqrt(found.state.covariance.diagonal()[ATTITUDE])),
-        rates_deg_s=named_axes(rates_deg_s(mean, found.coupling_per_h)),
+        rates_deg_s=named_axes(rates_deg_h(mean, found.coupling_per_h) / 3600.0),
         control_allowed=False,
         control_allowed_axes=(False, False, False),
         inhibitions=(*row.inhibitions, "smoothed"),

@@ -20,9 +20,9 @@ from service.core.estimation.filtering.model.filter_model import (
     FloatArray,
     KnownMotion,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, RATE_FLOOR_DEG_H
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, RATE, RATE_FLOOR_DEG_H
 from service.core.estimation.filtering.model.step_inputs import step_inputs
-from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance, torque_prior_deg_h2
+from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
 
 #: places of torques and of the error of fixes
 TORQUE = slice(RATE.stop, RATE.stop + TORQUES)
@@ -125,7 +125,7 @@ def loop_model(motion: FilterSettings, plus: FloatArray, minus: FloatArray, is_u
 
 
 def initial_estimate(epoch_us: int, attitude_deg: FloatArray, sigma_deg: FloatArray, model: LoopModel) -> LoopEstimate:
-    """Return the estimate at an alignment that told attitude (3,) and sigma (3,): levels are right by it."""
+    """Return the estimate at an alignment with attitude (3,) and sigma (3,): levels are right by it."""
     mean, covariance = np.zeros(ERROR.stop), np.zeros((ERROR.stop, ERROR.stop))
     mean[ATTITUDE] = attitude_deg
     variance = np.concatenate([sigma_deg**2, np.square(model.motion.drift_deg_h), np.full(3, RATE_FLOOR_DEG_H**2)])
@@ -154,7 +154,8 @@ def predict_estimate(estimate: LoopEstimate, model: LoopModel, epoch_us: int, kn
     transition[: RATE.stop, : TORQUE.stop] = step.transition
     transition[ERROR, ERROR] *= math.exp(-hours / _LASTING_H)
     noise[: RATE.stop, : RATE.stop] = step.noise + np.diag(step.core_variance[: RATE.stop])
-    noise[TORQUE, TORQUE] = -math.expm1(-2.0 * hours / motion.torque_tau_h) * np.diag(torque_prior_deg_h2(motion) ** 2)
+    # without carriers the torques are all that is common
+    noise[TORQUE, TORQUE] = np.diag(-np.expm1(-2.0 * step.seconds / step.common_tau_s) * step.common_sigma**2)
     noise[ERROR, ERROR] = -math.expm1(-2.0 * hours / _LASTING_H) * model.lasting_deg2
     if len(step.torque_noise):
         noise[TORQUE, TORQUE] += step.torque_noise
@@ -174,10 +175,3 @@ def update_estimate(estimate: LoopEstimate, fix: LinearFix, noise_db: float) -> 
     mean = estimate.mean + gain @ (fix.angles_deg - seen @ estimate.mean)
     covariance = left @ estimate.covariance @ left.T + gain @ noise_deg2 @ gain.T
     return LoopEstimate(estimate.epoch_us, mean, 0.5 * (covariance + covariance.T))
-
-
-def rates_deg_h(estimate: LoopEstimate, coupling_per_h: float) -> FloatArray:
-    """Return the rates (3,) of yaw, roll and pitch."""
-    yaw_deg, roll_deg, _ = estimate.mean[ATTITUDE]
-    exchanged = coupling_per_h * np.array([-roll_deg, yaw_deg, 0.0])
-    return np.asarray(estimate.mean[DRIFT] + estimate.mean[RATE] + exchanged)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_state import ATTITUDE
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, rates_deg_h
 from service.core.estimation.paper.loop_observer import (
     TORQUE,
     LinearFix,
@@ -18,7 +18,6 @@ from service.core.estimation.paper.loop_observer import (
     LoopModel,
     initial_estimate,
     predict_estimate,
-    rates_deg_h,
     update_estimate,
     with_other_torque,
 )
@@ -120,7 +119,7 @@ def steering(state: LoopState, model: LoopModel, epoch_us: int) -> Steering:
     """Return angles with sigma, and rates, at an epoch."""
     estimate, _ = _predicted(state, model, epoch_us)
     sigma_deg = np.sqrt(estimate.covariance.diagonal()[ATTITUDE])
-    rates = rates_deg_h(estimate, model.motion.coupling_per_h) / 3600.0
+    rates = rates_deg_h(estimate.mean, model.motion.coupling_per_h) / 3600.0
     return Steering(estimate.mean[ATTITUDE], sigma_deg, rates)
 
 

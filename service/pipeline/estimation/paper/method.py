@@ -188,9 +188,11 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
         return_after_s=config.fade.exit_s,
         max_gap_s=config.fade.max_gap_s,
     )
-    test = partial(_test_change, change_db, _left_db(change_db, state, model, deviation.epoch_us), model, config)
-    fade = step(state.fade_watch, test=test(1.0, is_stopped=state.fade_watch.is_stopped))
-    rise = step(state.rise_watch, test=test(-1.0, is_stopped=state.rise_watch.is_stopped))
+    stops = state.fade_watch.is_stopped, state.rise_watch.is_stopped
+    left_db = _left_db(change_db, state, model, deviation.epoch_us) if any(stops) else change_db
+    test = partial(_test_change, change_db, left_db, model, config)
+    fade = step(state.fade_watch, test=test(1.0, is_stopped=stops[0]))
+    rise = step(state.rise_watch, test=test(-1.0, is_stopped=stops[1]))
     return PaperState(window, fade, rise, state.loop, deviation.epoch_us)
 
 

@@ -11,7 +11,7 @@ from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.hidden_shares import sensors_of
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import FilterSettings
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, common_states
+from service.core.estimation.filtering.model.filter_state import common_states
 from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
 from service.core.estimation.filtering.model.torque_prior import is_pushed
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, momentum_advice
@@ -88,13 +88,6 @@ class Fixed(NamedTuple):
     is_without_ephemeris: bool
     #: (N,) dB, beside attitude and common level
     residual_db: FloatArray
-
-
-def rates_deg_s(mean: FloatArray, coupling_per_h: float) -> FloatArray:
-    """Return the rates (3,) of yaw, roll and pitch, deg/s, that attitude, drift and commanded rate of a state imply."""
-    yaw, roll, _pitch = mean[ATTITUDE].tolist()
-    exchanged = np.array([-coupling_per_h * roll, coupling_per_h * yaw, 0.0])
-    return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
 
 
 def filtered_row(

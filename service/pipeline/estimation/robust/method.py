@@ -19,6 +19,7 @@ from service.core.estimation.filtering.model.filter_model import KnownMotion, no
 from service.core.estimation.filtering.model.filter_state import (
     FREE_REFERENCE_DB2,
     initial_gaussian,
+    rates_deg_h,
 )
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch
@@ -37,7 +38,6 @@ from service.pipeline.estimation.robust.attitude_rows import (
     late_row,
     no_readings,
     push_readings,
-    rates_deg_s,
     telemetry_advice,
     torque_of,
 )
@@ -177,7 +177,7 @@ def step_robust(
     found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, config, recorder)
     is_without_orbit = not np.isfinite(expected_dbm).any()
     residual_db = found.residual_db
-    rates = rates_deg_s(found.state.gaussian.mean, model.settings.coupling_per_h)
+    rates = rates_deg_h(found.state.gaussian.mean, model.settings.coupling_per_h) / 3600.0
     fixed = Fixed(found, deviation_db, is_frozen, rates, declared, is_without_orbit, residual_db)
     row = filtered_row(
         measurement,

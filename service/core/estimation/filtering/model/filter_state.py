@@ -40,6 +40,13 @@ class Gaussian(NamedTuple):
         return np.asarray(np.sqrt(self.covariance.diagonal()[ATTITUDE]))
 
 
+def rates_deg_h(mean: FloatArray, coupling_per_h: float) -> FloatArray:
+    """Return the rates (3,) of yaw, roll and pitch that attitude, drift and commanded rate of a state imply."""
+    yaw, roll, _pitch = mean[ATTITUDE].tolist()
+    exchanged = np.array([-coupling_per_h * roll, coupling_per_h * yaw, 0.0])
+    return np.asarray(exchanged + mean[DRIFT] + mean[RATE])
+
+
 def common_states(model: CarrierModel) -> slice:
     """Return the places of the G parts that all carriers share."""
     return slice(FIRST_COMMON, FIRST_COMMON + len(model.common_sigma_db))

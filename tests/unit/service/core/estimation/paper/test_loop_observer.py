@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion
+from service.core.estimation.filtering.model.filter_state import rates_deg_h
 from service.core.estimation.paper.loop_observer import (
     ATTITUDE,
     TORQUE,
@@ -13,7 +14,6 @@ from service.core.estimation.paper.loop_observer import (
     linear_fix,
     loop_model,
     predict_estimate,
-    rates_deg_h,
     update_estimate,
     with_other_torque,
 )
@@ -97,7 +97,7 @@ def test_what_was_commanded_is_known_at_once_and_turns_as_it_does():
     for (angles, rates, _), estimate in zip(rows[::10], estimates[::10], strict=True):
         exchange = COUPLING * np.array([-angles[1], angles[0], 0.0])
         # 20 steps of Euler a minute
-        np.testing.assert_allclose(rates_deg_h(estimate, COUPLING), rates + exchange, atol=0.01)
+        np.testing.assert_allclose(rates_deg_h(estimate.mean, COUPLING), rates + exchange, atol=0.01)
         np.testing.assert_allclose(estimate.mean[ATTITUDE], angles, atol=0.01)
 
 

@@ -7,10 +7,9 @@ import pytest
 from geometry_flight import CITIES, HOUR, INERTIA, MINUTE, START_US, Flight, FlightPayload, S
 from stepped_robust import ALIGNED_US, CONFIG, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.model.filter_state import FREE_REFERENCE_DB2
+from service.core.estimation.filtering.model.filter_state import FREE_REFERENCE_DB2, rates_deg_h
 from service.core.estimation.filtering.model.torque_prior import torque_prior_deg_h2
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
-from service.pipeline.estimation.robust.attitude_rows import rates_deg_s
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.model import robust_model, signals
 from service.pipeline.inputs.knowledge import Knowledge
@@ -242,7 +241,7 @@ def test_rates_are_those_of_the_state():
     mean[:9] = [0.4, -0.3, 0.2, 0.01, 0.02, 0.03, 0.1, 0.2, 0.3]
     turn = stepped.model.settings.coupling_per_h
     wanted = np.array([0.3 * turn + 0.11, 0.4 * turn + 0.22, 0.33]) / 3600.0
-    np.testing.assert_allclose(rates_deg_s(mean, turn), wanted, rtol=1e-12)
+    np.testing.assert_allclose(rates_deg_h(mean, turn) / 3600.0, wanted, rtol=1e-12)
 
 
 # ---- another calibration --------------------------------------------------------------------------------------------
