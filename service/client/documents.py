@@ -17,7 +17,7 @@ class Angles(TypedDict):
 
 
 class AllowedAxes(TypedDict):
-    """Permission of control for each axis."""
+    """Permission for each axis."""
 
     #: Control about yaw is allowed.
     yaw: bool
@@ -199,7 +199,7 @@ class Verdict(TypedDict):
     #: False whenever the interlock or the newest attitude forbids; read this one for a decision.
     allowed: bool
     #: ENGAGED under release automatic: computed commands count as applied.
-    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "BALANCE", "TRIPPED"]
     #: What to say first.
     situation: SituationReply
     #: All active reasons, the one to act on first; while allowed, those that withhold yaw alone.
@@ -365,7 +365,7 @@ class CommandReply(TypedDict):
     #: It cannot be confirmed from then on.
     expires_at: str
     #: `control`, or `sign_check`: a turn whose torque the filter is not told.
-    purpose: Literal["control", "sign_check"]
+    purpose: Literal["control", "balance", "sign_check"]
     #: Reason of the command, as who prepared it stated it.
     reason: str
     #: The command is prepared and checked, and never sent.
@@ -423,7 +423,7 @@ class Control(TypedDict):
     #: Verdict on control: whether a torque may go now, and every reason against it.
     control: Verdict
     #: That of `control`.
-    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "BALANCE", "TRIPPED"]
     #: Since when the interlock is in this state; null before anything happened.
     since: str | None
     #: Codes of the reasons of `control`.

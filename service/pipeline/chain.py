@@ -20,7 +20,7 @@ import numpy as np
 
 from service.pipeline.checkpoints import ChainState
 from service.pipeline.config import ChainConfig
-from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
+from service.pipeline.control.command.compute_command import NO_CARRY, ControlledRow, compute_command
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.estimation.method import (
     CommandEvidence,
@@ -97,6 +97,7 @@ class Chain:
             if isinstance(runner, RobustRunner):
                 runner.recorder = recorder
         self._carry_n_m_s = NO_CARRY
+        self._controlled: ControlledRow | None = None
         self._swing: PanelSwing | None = None
         self._newest_us: int | None = None
         self._recent_us: IntArray = np.zeros(0, dtype=np.int64)
@@ -132,7 +133,7 @@ class Chain:
             return
         if isinstance(content, AlignmentSet):
             self._newest_us = alignment.epoch_us
-            self._carry_n_m_s = NO_CARRY
+            self._carry_n_m_s, self._controlled = NO_CARRY, None
             self._recent_us = np.zeros(0, dtype=np.int64)
             self._disagreement = Disagreement()
             for runner in self._runners:
@@ -180,6 +181,7 @@ class Chain:
             kept.get(Method.ROBUST),
             kept.get(Method.PAPER),
             self._carry_n_m_s,
+            self._controlled,
             self._swing,
             self._newest_us,
             self._recent_us,
@@ -195,7 +197,7 @@ class Chain:
             saved = state.robust if runner.method is Method.ROBUST else state.paper
             if saved is not None:
                 runner.restore(saved, self._knowledge)
-        self._carry_n_m_s, self._swing = state.carry_n_m_s, state.swing
+        self._carry_n_m_s, self._controlled, self._swing = state.carry_n_m_s, state.controlled, state.swing
         self._newest_us, self._recent_us = state.newest_us, state.recent_us
         self._disagreement, self._last = state.disagreement, state.last
 
@@ -294,9 +296,12 @@ class Chain:
             swing=self._swing,
             is_withheld=self._knowledge.is_withheld,
             body_rate_deg_s=self._knowledge.body_rate_deg_s(driving.epoch_us, rate_age_s),
+            controlled=self._controlled,
         )
         self._carry_n_m_s = torque.carry_n_m_s
-        applied = AppliedCommand(torque.command) if torque.command.control_allowed and is_automatic else None
+        if driving.control_allowed:
+            self._controlled = ControlledRow(driving.epoch_us, driving.control_allowed_axes)
+        applied = AppliedCommand(torque.command) if torque.command.is_permitted and is_automatic else None
         return Outcome(rows, torque.command, applied, disturbance, apart_deg, carriers)
 
     def _row_of_silent(self, row: AttitudeRow, method: Method) -> AttitudeRow:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from service.pipeline.config import ChainConfig
+from service.pipeline.control.command.compute_command import ControlledRow
 from service.pipeline.control.command.schedule_check import PanelSwing
 from service.pipeline.estimation.paper.runner import SavedPaper
 from service.pipeline.estimation.robust.saved_state import SavedRobust
@@ -165,6 +166,7 @@ class ChainState(NamedTuple):
     paper: SavedPaper | None
     #: torque that wheels have not been given yet
     carry_n_m_s: FloatArray
+    controlled: ControlledRow | None
     swing: PanelSwing | None
     newest_us: int | None
     recent_us: IntArray

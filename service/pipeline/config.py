@@ -189,6 +189,9 @@ class TorqueConfig:
     period_rows: int = setting(15, "rows from whose median the command period is taken", CHOSEN)
     slew_share: float = setting(0.75, "part of a command's period within which it slews", CHOSEN)
     balance_s: float = setting(450.0, "a known torque is balanced this often after the slew, s", CHOSEN)
+    hold_s: float = setting(
+        10_800.0, "while control is inhibited the torque known before is balanced for this long, s", TUNED
+    )
     envelope_share: float = setting(0.95, "share of the envelope that the law uses by itself", CHOSEN)
     least_wheel_momentum_n_m_s: float = setting(
         0.2, "momentum from which null motion keeps a wheel away, N m s", CHOSEN

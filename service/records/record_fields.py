@@ -42,6 +42,7 @@ AXIS_NAMES = {
     "change_deg": "{}_deg",
     "rates_deg_s": "{}_rate_deg_s",
     "control_allowed_axes": "{}_control_allowed",
+    "balance_allowed_axes": "{}_balance_allowed",
     "torque_n_m": "{}_n_m",
     "predicted_angle_change_deg": "predicted_{}_change_deg",
     "predicted_rate_change_deg_s": "predicted_{}_rate_change_deg_s",

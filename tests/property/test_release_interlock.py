@@ -10,7 +10,7 @@ from example_counts import examples
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
-from release_driver import GOOD, INPUTS, SETTINGS, US, ReleaseDriver
+from release_driver import DOUBT, GOOD, INPUTS, SETTINGS, US, ReleaseDriver
 
 from service.core.control.sign_check import SignState
 from service.core.control.slew_schedule import Envelope
@@ -29,6 +29,7 @@ from service.pipeline.control.release.events import (
     SignJudged,
 )
 from service.records.levels.attitude import Axes, ReportedCommand
+from service.records.operations.release import Purpose
 
 PERSONS = st.sampled_from(["ann", "bob", "cas"])
 NAN = float("nan")
@@ -43,6 +44,8 @@ BAD_ROWS = st.sampled_from(
         {"attitude_deg": Axes(0.0, 2.1, 0.0)},
         {"attitude_deg": Axes(0.0, 0.45, 0.0)},
         {"attitude_deg": Axes(NAN, NAN, NAN)},
+        {"is_fading": True, "inhibitions": ("downlink_fade",)},
+        {"is_fading": True, "inhibitions": ("downlink_fade", "operation"), "balance_axes": (False, False, False)},
     ]
 )
 CHANGES = st.sampled_from(
@@ -66,6 +69,8 @@ SLEWS = st.sampled_from(
         {"roll_deg": 0.3, "horizon_s": 3600.0},
         {"roll_deg": 0.1, "horizon_s": 300.0},
         {"roll_deg": 2.0, "horizon_s": 7200.0},
+        {"roll_deg": 0.02, "purpose": Purpose.BALANCE},
+        {"roll_deg": 0.3, "purpose": Purpose.BALANCE},
     ]
 )
 
@@ -280,7 +285,10 @@ def _report(driver):
 
 
 BEYOND = {"attitude_deg": Axes(0.0, 0.45, 0.0)}
-_beyond, _beyond_long, _fade, _good = _rows(1, **BEYOND), _rows(12, **BEYOND), _rows(1, is_fading=True), _rows(12)
+NOT_KNOWN = {"balance_axes": (False, False, False)}
+_beyond, _beyond_long, _good = _rows(1, **BEYOND), _rows(12, **BEYOND), _rows(12)
+_fade = _rows(1, is_fading=True, **NOT_KNOWN)
+_doubt, _doubt_beyond = _rows(1, is_fading=True), _rows(1, is_fading=True, **BEYOND)
 ARMED, ENGAGED = ReleaseDriver.armed, ReleaseDriver.engaged
 STOP, RESET = _order(OrderKind.STOP), _order(OrderKind.RESET)
 ARM, DISENGAGE = _order(OrderKind.ARM), _order(OrderKind.DISENGAGE)
@@ -300,7 +308,35 @@ STORIES = [
     [ARMED, _beyond, _fade, _beyond_long, STOP],
     [ARMED, _beyond, DISENGAGE, _beyond_long, ARM],
     [ARMED, _ask("ann"), _ask("bob"), _beyond],
+    [ARMED, _doubt, _good, _doubt, _fade, _good, _doubt, DISENGAGE],
+    [ENGAGED, _doubt, _good, _doubt, STOP],
+    [ARMED, _beyond, _doubt_beyond, _beyond_long],
 ]
+
+
+def test_while_feedback_is_inhibited_only_the_known_torque_is_balanced():
+    driver = ReleaseDriver().engaged()
+    driver.rows(1, DOUBT)
+    assert driver.name == "BALANCE"
+    assert driver.automatic().refusal.code == "interlock.inhibited"
+    assert driver.automatic(purpose=Purpose.BALANCE).refusal is None
+    # the authorisation of two persons ends, and with it what goes by itself; two persons may release each command
+    driver.rows(6 * 60, DOUBT)
+    assert driver.name == "BALANCE"
+    assert driver.automatic(purpose=Purpose.BALANCE).refusal.code == "interlock.not_engaged"
+    driver.prepare("ann", purpose=Purpose.BALANCE)
+    driver.confirm("bob")
+    assert [command.purpose for _, _, command in driver.released] == [Purpose.BALANCE, Purpose.BALANCE]
+
+
+def test_balance_ends_when_the_estimator_does_not_know_the_torque_any_more_and_does_not_come_back():
+    driver = ReleaseDriver().engaged()
+    driver.rows(1, DOUBT)
+    driver.rows(1, replace(DOUBT, **NOT_KNOWN))
+    assert driver.name == "INHIBITED"
+    driver.rows(1, DOUBT)
+    assert driver.name == "INHIBITED"
+    assert driver.automatic(purpose=Purpose.BALANCE).refusal.code == "interlock.inhibited"
 
 
 def test_states_of_the_table_are_all_states():

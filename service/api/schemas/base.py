@@ -20,6 +20,7 @@ from pydantic import (
     StringConstraints,
     WithJsonSchema,
     create_model,
+    model_validator,
 )
 from pydantic_core import PydanticCustomError
 
@@ -164,11 +165,16 @@ class AnglesAnswer(Answer):
 
 
 class AllowedAxesAnswer(Answer):
-    """Permission of control for each axis."""
+    """Permission for each axis."""
 
     yaw: bool
     roll: bool
     pitch: bool
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_tuple(cls, axes: Any) -> Any:
+        return dict(zip(Axes._fields, axes, strict=True)) if isinstance(axes, tuple) else axes
 
 
 class WindowAnswer(Answer):

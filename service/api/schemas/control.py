@@ -40,7 +40,7 @@ from service.records.levels.attitude import (
 )
 from service.records.operations.release import Command, CommandCheck, CommandRequest, SignCheck, UplinkProduct
 
-ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "BALANCE", "TRIPPED"]
 Limit = Annotated[float, Field(gt=0, le=1e3)]
 
 
@@ -342,6 +342,7 @@ class TorqueAnswer(
     def before_the_first(cls, mode: ControlMode, attitude_epoch_us: int | None) -> Self:
         """Return the answer while no command was ever computed."""
         nothing = {"saturated": False, "schedule": [], "impulse_n_m_s": NO_ANGLES, "control_allowed": False}
+        nothing["balance_allowed_axes"] = (False, False, False)
         known = {"mode": mode, "attitude_epoch": attitude_epoch_us, "inhibitions": ["no_attitude"]}
         return cls.model_validate(dict.fromkeys(cls.model_fields) | nothing | known)
 

@@ -133,7 +133,7 @@ def newest_command(
         return command
     is_ended = command.attitude_epoch_us < row.epoch_us and bool(row.inhibitions)
     is_present = {EXPIRED, CATCH_UP}.isdisjoint(row.inhibitions)
-    if is_present and not is_ended and not (is_withheld and command.control_allowed):
+    if is_present and not is_ended and not (is_withheld and command.is_permitted):
         return command
     return ended_command(row, spacecraft, command.command_period_s, is_withheld=is_withheld)
 

@@ -96,8 +96,9 @@ def sentence(status: Json, row: Json, control: Json) -> str:
     owed = next((name for name in _OWED if control[name]), None)
     if verdict["allowed"] and owed:
         return words(f"views.now.sentence.{owed}", known=known, number=", ".join(map(str, control[owed])))
+    torque = words(f"views.now.sentence.{'balance' if verdict['state'] == 'BALANCE' else 'noTorque'}")
     if not verdict["allowed"] and (step := meaning("situations", situation["code"], "next")):
-        return words("views.now.sentence.plain", known=known, next=step)
+        return words("views.now.sentence.plain", known=known, torque=torque, next=step)
     # before the first row nothing else can be mended
     is_empty = status["newest_measurement"] is None
     reasons = sorted(verdict["reasons"], key=lambda each: is_empty and each["code"] != "no_attitude")
@@ -107,7 +108,7 @@ def sentence(status: Json, row: Json, control: Json) -> str:
         reason = f"{_reason(reasons[0], row, conditions)} {more}".rstrip()
         next_step = meaning("reasons", reasons[0]["code"], "next", reasons[0]["next_step"])
     key = "forbidden" if not verdict["allowed"] else "allowedBut" if reasons else "allowed"
-    return words(f"views.now.sentence.{key}", known=known, reason=reason, next=next_step)
+    return words(f"views.now.sentence.{key}", known=known, torque=torque, reason=reason, next=next_step)
 
 
 def _situation(situation: Json) -> str:

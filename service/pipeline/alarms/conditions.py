@@ -181,6 +181,13 @@ def _of_release() -> tuple[AlarmCondition, ...]:
             ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
         ),
         _condition(
+            ("control_balance", Kind.ABOVE, "s", "control", Origin.CLOCK),
+            "feedback is inhibited, and the {thing} known before is balanced for {value}",
+            "see the reasons in GET .../control; bring the angles back by another sensor before balance ends",
+            # an hour is left of hold_s
+            ConditionLimits(warning=0.0, distress=2.0 * _HOUR_S, repeat_s=None),
+        ),
+        _condition(
             ("report_late", Kind.ABOVE, "s", "command", Origin.CLOCK),
             "time without a report since the end of {thing} is {value}",
             "ask the centre what was executed; POST .../torques/{id}:executed or :failed; no torque is released before",

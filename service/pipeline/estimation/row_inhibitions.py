@@ -60,6 +60,14 @@ INHIBITIONS: dict[str, str] = {
     "smoothed": "the row is about the past: later rows are in it, and it never drives control",
     "internal_error": "the computation of this row failed; the service log says where",
 }
+#: reasons under which the torque and the rates known from the hours before are balanced on: they doubt the angles of
+#: the present, not what was learned before them
+BALANCED = frozenset(
+    {
+        *("no_fix", "redundancy", "downlink_fade", "common_change", "chain_step", "sigma_roll", "sigma_pitch"),
+        *("integrity_unmonitored", "protection_level"),
+    }
+)
 
 
 @dataclass(frozen=True)

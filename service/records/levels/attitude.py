@@ -271,6 +271,16 @@ class TorqueCommand:
     inhibitions: tuple[str, ...]
     #: None: the catalogue knows no flexible mode, or nothing is commanded
     schedule_check: ScheduleVerdict | None = None
+    balance_allowed_axes: Annotated[
+        tuple[bool, bool, bool],
+        "While control is not allowed: axes whose known torque and rate the schedule balances, without a correction of "
+        "the angle.",
+    ] = (False, False, False)
+
+    @property
+    def is_permitted(self) -> bool:
+        """Return whether the schedule may be executed, as control or as balance."""
+        return self.control_allowed or any(self.balance_allowed_axes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,6 +86,8 @@ class Purpose(StrEnum):
     """Purpose of a command."""
 
     CONTROL = "control"
+    #: the known torque alone, while control is inhibited
+    BALANCE = "balance"
     #: a turn whose torque the filter does not get
     SIGN_CHECK = "sign_check"
 

@@ -11,7 +11,7 @@ from functools import partial
 from service.errors import NotFoundError
 from service.pipeline.alarms.alarm_engine import Explanation, Readings
 from service.pipeline.alarms.readings import RowReader
-from service.pipeline.control.release.command_states import UNREPORTED
+from service.pipeline.control.release.command_states import UNREPORTED, State
 from service.pipeline.control.release.events import state_of
 from service.ports import Clock, Storage
 from service.records.calibration import CalibrationState
@@ -86,9 +86,11 @@ class ClockChecks:
         """Yield the readings of the stored release of torques."""
         releases = self._storage.releases
         state = state_of(releases.stored(spacecraft_id).document, partial(releases.command, spacecraft_id))
-        tripped_s = max((now_us - state.interlock.since_us) / US_PER_S, _LEAST_AGE_S)
+        since_s = max((now_us - state.interlock.since_us) / US_PER_S, _LEAST_AGE_S)
         trips = tuple(condition.word for condition in state.interlock.trips)
-        yield Readings("control_tripped", trips, (tripped_s,) * len(trips))
+        yield Readings("control_tripped", trips, (since_s,) * len(trips))
+        balanced = ("torque",) if state.interlock.state is State.BALANCE else ()
+        yield Readings("control_balance", balanced, (since_s,) * len(balanced))
         waiting = [command for command in state.commands if command.state in UNREPORTED]
         over_s = [(now_us - max(each.stop_us, each.released_us or 0)) / US_PER_S for each in waiting]
         yield Readings("report_late", tuple(f"command {each.counter}" for each in waiting), tuple(over_s))

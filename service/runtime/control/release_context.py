@@ -439,7 +439,9 @@ class ReleaseContext:
 
     def row_facts(self, row: AttitudeRow) -> InterlockRow:
         """Return the facts of a row for the interlock."""
-        facts = interlock_row(row, self.period_s, is_innovation_in_band=_OUT_OF_BAND not in row.inhibitions)
+        command = None if self.stored is None else self.stored.outcome.command
+        is_in_band = _OUT_OF_BAND not in row.inhibitions
+        facts = interlock_row(row, command, self.period_s, is_innovation_in_band=is_in_band)
         if not is_running(self.state.sign_check):
             return facts
         return replace(facts, inhibitions=tuple(reason for reason in facts.inhibitions if reason != _OWN_TURN))

@@ -89,10 +89,11 @@ def computed_command(
     context: ReleaseContext, start_us: int, duration_s: float, max_torque_n_m: float | None = None
 ) -> TorqueCommand:
     """Return the command of the law from an instant on, without what the interlock withholds."""
-    row, facts = context.row, context.facts
+    row, facts, interlock = context.row, context.facts, context.state.interlock
     rate_age_s = context.torque.rate_stale_periods * context.period_s + context.torque.rate_stale_margin_s
+    yaw, roll, pitch = (False, False, False) if interlock.row is None else interlock.row.balance_axes
     return command_for(
-        allowed_row(row, context.state.interlock),
+        allowed_row(row, interlock),
         context.spacecraft,
         start_us,
         duration_s,
@@ -102,6 +103,7 @@ def computed_command(
         facts.momentum_n_m_s(row.epoch_us),
         swing=swing_left(context.storage.releases, context.spacecraft, start_us),
         body_rate_deg_s=facts.body_rate_deg_s(row.epoch_us, rate_age_s),
+        balance=((yaw and not interlock.is_yaw_withheld, roll, pitch) if interlock.state is State.BALANCE else None),
     )
 
 
@@ -286,10 +288,16 @@ def handle_row(context: ReleaseContext, stored: StoredRow, row: AttitudeRow, at:
 
 
 def _send(context: ReleaseContext, at: Instant) -> None:
-    """Offer the law's command to a standing authorisation, once a command period, while nothing else is out."""
+    """Offer the law's command to a standing authorisation, once a command period, while nothing else is out.
+
+    In `BALANCE` it is that which balances the known torque.
+    """
     spacecraft, state = context.spacecraft, context.state
     is_checking = is_running(state.sign_check)
-    if state.interlock.state is not State.ENGAGED or release_refusal(spacecraft) or is_checking:
+    is_standing = state.interlock.state is State.ENGAGED or (
+        state.interlock.state is State.BALANCE and state.interlock.authorisation is not None
+    )
+    if not is_standing or release_refusal(spacecraft) or is_checking:
         return
     period_s = spacecraft.control.command_period_s
     newest_us = max([context.asked_us, *(each.released_us or 0 for each in state.commands)])

@@ -86,7 +86,8 @@ class Releaser:
         self._give_up(now_us)
         is_waiting = any(not flying.is_reported for flying in self._flying)
         row = _as_recovery(row)
-        if row.inhibitions or is_waiting or now_us < self._due_us:
+        axes = (False, False, False) if outcome.command is None else outcome.command.balance_allowed_axes
+        if (row.inhibitions and not any(axes)) or is_waiting or now_us < self._due_us:
             return ()
         command = command_for(
             row,
@@ -96,6 +97,7 @@ class Releaser:
             None,
             self.config,
             outcome.disturbance,
+            balance=axes if row.inhibitions else None,
         )
         if not command.schedule:
             return ()

@@ -33,6 +33,7 @@ from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.interlock_conditions import InterlockInputs, InterlockRow, ReleaseSettings
 from service.pipeline.control.release.release_checks import proposed
 from service.records.levels.attitude import Axes
+from service.records.operations.release import Purpose
 
 US = 1_000_000
 MINUTE_US = 60 * US
@@ -56,7 +57,10 @@ GOOD = InterlockRow(
     attitude_deg=Axes(0.05, 0.02, -0.03),
     redundancy=9,
     is_yaw_allowed=True,
+    balance_axes=(True, True, True),
 )
+#: angles that may be wrong in kind; what was learned before them goes on
+DOUBT = replace(GOOD, is_fading=True, inhibitions=("downlink_fade",))
 
 
 @lru_cache
@@ -140,7 +144,13 @@ class ReleaseDriver:
         return step
 
     def is_bad(self) -> bool:
-        """Whether no torque may go, by the facts alone."""
+        """Whether no angle may be corrected, by the facts alone."""
+        row = self.row
+        is_doubted = row is None or bool(set(row.inhibitions) - {"beyond_validity"}) or row.is_fading
+        return is_doubted or row.redundancy < 2 or self.is_forbidden()
+
+    def is_forbidden(self) -> bool:
+        """Whether nothing may go, not even what balances the known torque."""
         row, inputs = self.row, self.inputs
         if row is None or not inputs.is_aligned or inputs.has_inhibiting_operation or inputs.lease_holders > 1:
             return True
@@ -148,9 +158,6 @@ class ReleaseDriver:
         burn_us = inputs.burn_stop_us
         return (
             abs(age_s) > 3.0 * row.period_s + 30.0
-            or bool(set(row.inhibitions) - {"beyond_validity"})
-            or row.is_fading
-            or row.redundancy < 2
             or not (abs(row.attitude_deg.roll) <= 2.0 and abs(row.attitude_deg.pitch) <= 2.0)
             or (inputs.momentum_share or 0.0) > 0.8
             or inputs.ephemeris_stop_us is None
@@ -160,11 +167,15 @@ class ReleaseDriver:
 
     def _judge_release(self, state: ReleaseState, counter: int) -> None:
         """Hold what must be true of every torque that goes out."""
-        assert not self.is_bad(), "released while a reason stands"
-        assert not self.is_tripped, "released after a trip"
-        assert self.steady_us - self.last_bad_us >= 600 * US, "released before ten good minutes"
-        assert counter not in [each for each, _, _ in self.released], "released twice"
         command = next(each for each in state.commands if each.counter == counter)
+        if command.purpose is Purpose.BALANCE:
+            assert not self.is_forbidden(), "balanced while a reason stands that forbids it"
+            assert any(self.row.balance_axes), "balanced what the estimator does not know any more"
+        else:
+            assert not self.is_bad(), "released while a reason stands"
+            assert self.steady_us - self.last_bad_us >= 600 * US, "released before ten good minutes"
+        assert not self.is_tripped, "released after a trip"
+        assert counter not in [each for each, _, _ in self.released], "released twice"
         gross = np.array(command.gross_impulse_n_m_s)
         assert (gross <= 0.02 + 1e-12).all(), "beyond the impulse of a command"
         assert max(map(abs, command.peak_angle_deg)) <= 0.1 + 1e-9
@@ -174,12 +185,18 @@ class ReleaseDriver:
         assert (np.sum(hour, axis=0) <= 0.1 + 1e-9).all(), "beyond the impulse of an hour"
 
     def proposal(
-        self, roll_deg: float = 0.02, *, yaw_deg: float = 0.0, pitch_deg: float = 0.0, horizon_s: float = 900.0
+        self,
+        roll_deg: float = 0.02,
+        *,
+        yaw_deg: float = 0.0,
+        pitch_deg: float = 0.0,
+        horizon_s: float = 900.0,
+        purpose: Purpose = Purpose.CONTROL,
     ):
-        """Return a slew computed from the newest row, to begin in eleven minutes."""
+        """Return a command computed from the newest row, to begin in eleven minutes."""
         pulses, effect = slew(yaw_deg, roll_deg, pitch_deg, horizon_s)
         epoch_us = self.row.epoch_us if self.row else self.now_us
-        return proposed(CRAFT, epoch_us, self.now_us + 660 * US, pulses, effect, None, reason="test")
+        return proposed(CRAFT, epoch_us, self.now_us + 660 * US, pulses, effect, None, reason="test", purpose=purpose)
 
     def rows(self, count: int, row: InterlockRow = GOOD, lag_s: float = 10.0) -> None:
         """Let rows come, one a minute."""

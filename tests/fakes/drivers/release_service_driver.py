@@ -8,14 +8,15 @@ from release_storage import SC, FakeArchive, KilledError
 
 from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
+from service.pipeline.control.command.compute_command import NO_CARRY, ControlledRow, compute_command
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
 from service.pipeline.control.release.events import OrderKind, SignJudged, StoredRow
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
-from service.records.levels.attitude import AttitudeRow, Axes, Status
-from service.records.operations.release import Command, CommandRequest
+from service.records.levels.attitude import AttitudeRow, Axes, Disturbance, Status, TorqueCommand
+from service.records.operations.release import Command, CommandRequest, Purpose
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.live.live_feed import LiveFeed
@@ -71,6 +72,8 @@ class ReleaseServiceDriver:
         self.archive, self.clock = FakeArchive(START_US), FakeClock()
         self.settings, self._arguments = settings or ReleaseSettings(), arguments
         self.row: AttitudeRow | None = None
+        self.controlled: ControlledRow | None = None
+        self.disturbance: Disturbance | None = None
         self.notified: list[str] = []
         #: instant and command of each release that was stored
         self.released: list[tuple[int, Command]] = []
@@ -93,7 +96,7 @@ class ReleaseServiceDriver:
 
     def restart(self) -> None:
         """Kill the service and start it again."""
-        self.clock.steady, self.row, self.last_bad_us = 0, None, 0
+        self.clock.steady, self.row, self.controlled, self.last_bad_us = 0, None, None, 0
         self.start()
 
     @property
@@ -106,7 +109,15 @@ class ReleaseServiceDriver:
 
     @property
     def verdict(self) -> ControlVerdict:
-        return control_verdict(self.view, self.row)
+        return control_verdict(self.view, self.command or self.row)
+
+    @property
+    def command(self) -> TorqueCommand | None:
+        """The command of the newest row, by the catalogue as it is now."""
+        if self.row is None:
+            return None
+        given = self.row, self.archive.record, NO_CARRY, 60.0, TorqueConfig(), self.disturbance
+        return compute_command(*given, controlled=self.controlled).command
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -131,7 +142,10 @@ class ReleaseServiceDriver:
     def on_rows(self, *others: AttitudeRow, applied=None, evidence=None) -> None:
         """Hand the newest row over, beside those of other methods."""
         self.note()
-        outcome = Outcome((self.row, *others), None if applied is None else applied.command, applied)
+        command = self.command if applied is None else applied.command
+        if self.row.control_allowed:
+            self.controlled = ControlledRow(self.row.epoch_us, self.row.control_allowed_axes)
+        outcome = Outcome((self.row, *others), command, applied, self.disturbance)
         self.service.on_rows(SC, [StoredRow(outcome, evidence)])
         self.judge()
 
@@ -203,7 +217,13 @@ class ReleaseServiceDriver:
         self.restart()
 
     def is_bad(self) -> bool:
-        """Whether no torque may go, by the facts alone."""
+        """Whether no angle may be corrected, by the facts alone."""
+        row = self.row
+        is_doubted = row is None or bool(set(row.inhibitions) - OWN) or row.downlink_fade or row.carriers_used < 5
+        return is_doubted or self.is_forbidden()
+
+    def is_forbidden(self) -> bool:
+        """Whether nothing may go, not even what balances the known torque."""
         row, archive = self.row, self.archive
         if row is None or not archive.is_aligned or archive.operations:
             return True
@@ -212,9 +232,6 @@ class ReleaseServiceDriver:
         age_s = (self.clock.now - row.epoch_us) / US
         return (
             abs(age_s) > 3.0 * 60.0 + 30.0
-            or bool(set(row.inhibitions) - OWN)
-            or row.downlink_fade
-            or row.carriers_used < 5
             or not (abs(row.attitude_deg.roll) <= 2.0 and abs(row.attitude_deg.pitch) <= 2.0)
             or is_full
             or archive.ephemeris_stop_us - self.clock.now < 6 * 3600 * US
@@ -233,8 +250,12 @@ class ReleaseServiceDriver:
             view = self.releases.views[entry.counter]
             assert entry.counter not in known, "sent twice"
             known.add(entry.counter)
-            assert not self.is_bad(), "released while a reason stands"
-            assert self.clock.steady - self.last_bad_us >= 600 * US, "released before ten good minutes"
+            if view.purpose is Purpose.BALANCE:
+                assert not self.is_forbidden(), "balanced while a reason stands that forbids it"
+                assert set(self.row.inhibitions) <= {"downlink_fade", "chain_step", "no_fix", "sigma_roll"}
+            else:
+                assert not self.is_bad(), "released while a reason stands"
+                assert self.clock.steady - self.last_bad_us >= 600 * US, "released before ten good minutes"
             assert view.confirmed_by != view.prepared_by or view.is_automatic, "released by one person"
             assert max(map(abs, view.gross_impulse_n_m_s)) <= 0.02 + 1e-12, "beyond the impulse of a command"
             assert view.start_us >= self.clock.now + 150 * US, "begins before the uplink can bring it"

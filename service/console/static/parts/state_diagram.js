@@ -12,25 +12,34 @@ export const WAYS = [
   ["INHIBITED", "ARM", "RECOVERY"],
   ["INHIBITED", "ARM", "ARMED"],
   ["ARMED", "TRIP", "TRIPPED"],
+  ["ARMED", "INHIBIT", "BALANCE"],
   ["ARMED", "INHIBIT", "INHIBITED"],
   ["ARMED", "BEYOND", "RECOVERY"],
   ["ARMED", "ENGAGE", "ENGAGED"],
   ["ARMED", "DISENGAGE", "INHIBITED"],
   ["ENGAGED", "TRIP", "TRIPPED"],
+  ["ENGAGED", "INHIBIT", "BALANCE"],
   ["ENGAGED", "INHIBIT", "INHIBITED"],
   ["ENGAGED", "BEYOND", "RECOVERY"],
   ["ENGAGED", "EXPIRE", "ARMED"],
   ["ENGAGED", "DISENGAGE", "ARMED"],
   ["RECOVERY", "TRIP", "TRIPPED"],
+  ["RECOVERY", "INHIBIT", "BALANCE"],
   ["RECOVERY", "INHIBIT", "INHIBITED"],
   ["RECOVERY", "WITHIN", "ARMED"],
   ["RECOVERY", "DISENGAGE", "INHIBITED"],
+  ["BALANCE", "TRIP", "TRIPPED"],
+  ["BALANCE", "LAPSE", "INHIBITED"],
+  ["BALANCE", "CLEAR", "RECOVERY"],
+  ["BALANCE", "CLEAR", "ENGAGED"],
+  ["BALANCE", "CLEAR", "ARMED"],
+  ["BALANCE", "DISENGAGE", "INHIBITED"],
   ["TRIPPED", "RESET", "INHIBITED"],
 ];
 const WIDTH = 118;
 const HEIGHT = 30;
 /** Middles of the states. */
-const PLACES = { TRIPPED: [70, 90], INHIBITED: [235, 90], ARMED: [400, 90], ENGAGED: [400, 20], RECOVERY: [400, 160] };
+const PLACES = { TRIPPED: [70, 90], INHIBITED: [235, 90], ARMED: [400, 90], ENGAGED: [400, 20], RECOVERY: [400, 160], BALANCE: [235, 160] };
 
 /** Return the diagram, and what leads out of the present state in words. @param {string} state */
 export function stateDiagram(state) {

@@ -13,13 +13,14 @@ const UNITS = { deg: ["deg", 2], dB: ["db", 1], "%": ["percent", 0] };
  * @param {any} control Answer of `GET …/control`, null: not there yet.
  */
 export function sentence(status, row, control) {
-  const { allowed, reasons, situation } = status.control;
+  const { allowed, state, reasons, situation } = status.control;
   const conditions = control?.conditions ?? [];
   const known = situationWords(situation ?? {});
   const owed = OWED.find((each) => control?.[each]?.length);
   if (allowed && owed) return words(`views.now.sentence.${owed}`, { known, number: control[owed].join(", ") });
   const step = meaning("situations", situation?.code, "next");
-  if (!allowed && step) return words("views.now.sentence.plain", { known, next: step });
+  const torque = words(`views.now.sentence.${state === "BALANCE" ? "balance" : "noTorque"}`);
+  if (!allowed && step) return words("views.now.sentence.plain", { known, torque, next: step });
   // before the first row nothing else can be mended
   const first = status.newest_measurement === null ? reasons.find((each) => each.code === "no_attitude") : null;
   const [worst, ...others] = first ? [first, ...reasons.filter((each) => each !== first)] : reasons;
@@ -27,7 +28,7 @@ export function sentence(status, row, control) {
   const reason = worst && [reasonText(worst, conditions, row), more].filter(Boolean).join(" ");
   const next = worst && meaning("reasons", worst.code, "next");
   const key = allowed ? (worst ? "allowedBut" : "allowed") : "forbidden";
-  return words(`views.now.sentence.${key}`, { known, reason, next });
+  return words(`views.now.sentence.${key}`, { known, torque, reason, next });
 }
 
 /** Return the words of the worst that is true now, as the service found it. */

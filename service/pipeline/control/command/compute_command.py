@@ -5,10 +5,12 @@ small for a pulse is carried. Release ``two_step``: a command is a slew that tak
 balance the known torque until its horizon ends, so that the spacecraft is at rest whatever happens to the link.
 
 Whenever an inhibition stands the command is zero, says why, and the carry is dropped: a wish from before an inhibition
-is not given after it.
+is not given after it. Where the inhibition doubts only the angles of the present, the command **balances** instead: it
+takes the torque and the rates away that were learned in the hours before, and corrects no angle.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,12 +31,49 @@ from service.pipeline.control.command.control_design import (
     zero_command,
 )
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict
+from service.pipeline.estimation.row_inhibitions import BALANCED
 from service.records.catalogue import Release, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, Axes, Disturbance, FloatArray, TorqueCommand
+from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Disturbance, FloatArray, TorqueCommand
 
 NO_CARRY = np.zeros(3)
 _ENVELOPE = Envelope()
+
+
+class ControlledRow(NamedTuple):
+    """The newest row that control was allowed to use."""
+
+    epoch_us: int
+    #: yaw, roll, pitch
+    axes: tuple[bool, bool, bool]
+
+
+def balance_axes(
+    row: AttitudeRow, inhibitions: tuple[str, ...], controlled: ControlledRow | None, hold_s: float
+) -> tuple[bool, bool, bool]:
+    """Return the axes (yaw, roll, pitch) whose known torque may be balanced while control is inhibited.
+
+    They are those of the newest row that control could use, for a time, while nothing but doubt about the angles of the
+    present stands.
+    """
+    if controlled is None or not inhibitions or not BALANCED.issuperset(inhibitions):
+        return (False, False, False)
+    is_recent = row.epoch_us - controlled.epoch_us <= hold_s * US_PER_S
+    return controlled.axes if is_recent else (False, False, False)
+
+
+def balance_row(row: AttitudeRow, axes: tuple[bool, bool, bool]) -> AttitudeRow:
+    """Return a row for a command that balances: its rates, and no angle that asks for a correction."""
+    still = Axes(0.0, 0.0, 0.0)
+    return replace(
+        row,
+        attitude_deg=still,
+        steering_deg=NO_ANGLES,
+        rates_deg_s=row.rates_deg_s or still,
+        control_allowed=True,
+        control_allowed_axes=axes,
+        inhibitions=(),
+    )
 
 
 @dataclass(frozen=True)
@@ -58,6 +97,7 @@ def compute_command(
     swing: PanelSwing | None = None,
     is_withheld: bool = False,
     body_rate_deg_s: Axes | None = None,
+    controlled: ControlledRow | None = None,
 ) -> TorqueOutcome:
     """Return the command that follows from one attitude row.
 
@@ -81,20 +121,39 @@ def compute_command(
         Whether control has tripped.
     body_rate_deg_s : Axes, optional
         Rate of the body against inertial space, for the law gyro_orbitant; None: not told, or too old.
+    controlled : ControlledRow, optional
+        The newest row that control could use; None: nothing is balanced.
     """
     span = _span(row, spacecraft, period_s)
     inhibitions = control_inhibitions(row, spacecraft, is_withheld=is_withheld, body_rate_deg_s=body_rate_deg_s)
-    if inhibitions:
+    axes = balance_axes(row, inhibitions, controlled, config.hold_s)
+    # the gyro-orbitant law damps what rate sensors show: it has no torque of its own without angles
+    if inhibitions and (not any(axes) or is_gyro_orbitant(spacecraft)):
         return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
+    used = balance_row(row, axes) if inhibitions else row
     if spacecraft.control.release is Release.AUTOMATIC:
         outcome = _mean_command(
-            row, spacecraft, span, carry_n_m_s, config, disturbance, momentum_n_m_s, body_rate_deg_s
+            used, spacecraft, span, carry_n_m_s, config, disturbance, momentum_n_m_s, body_rate_deg_s
         )
     else:
-        command = _released_command(row, spacecraft, span, None, config, disturbance, momentum_n_m_s, body_rate_deg_s)
+        command = _released_command(used, spacecraft, span, None, config, disturbance, momentum_n_m_s, body_rate_deg_s)
         outcome = TorqueOutcome(command, NO_CARRY)
-    verdict = schedule_verdict(outcome.command.schedule, spacecraft, config, swing)
-    return outcome if verdict is None else replace(outcome, command=replace(outcome.command, schedule_check=verdict))
+    command = _checked(outcome.command, spacecraft, config, swing)
+    return replace(outcome, command=_as_balance(command, inhibitions, axes) if inhibitions else command)
+
+
+def _checked(
+    command: TorqueCommand, spacecraft: Spacecraft, config: TorqueConfig, swing: PanelSwing | None
+) -> TorqueCommand:
+    verdict = schedule_verdict(command.schedule, spacecraft, config, swing)
+    return command if verdict is None else replace(command, schedule_check=verdict)
+
+
+def _as_balance(command: TorqueCommand, inhibitions: tuple[str, ...], axes: tuple[bool, bool, bool]) -> TorqueCommand:
+    """Return a computed command as one that balances; one that the law could not make stays zero."""
+    if not command.control_allowed:
+        return replace(command, inhibitions=(*inhibitions, *command.inhibitions))
+    return replace(command, control_allowed=False, inhibitions=inhibitions, balance_allowed_axes=axes)
 
 
 def ended_command(row: AttitudeRow, spacecraft: Spacecraft, period_s: float, *, is_withheld: bool) -> TorqueCommand:
@@ -120,6 +179,7 @@ def command_for(
     *,
     swing: PanelSwing | None = None,
     body_rate_deg_s: Axes | None = None,
+    balance: tuple[bool, bool, bool] | None = None,
 ) -> TorqueCommand:
     """Return the command that would be released: from a start that lies ahead, for a whole horizon.
 
@@ -136,6 +196,8 @@ def command_for(
         Greatest torque of a pulse; None: what the spacecraft has.
     body_rate_deg_s : Axes, optional
         As `compute_command` has it.
+    balance : tuple of bool, optional
+        Axes whose known torque the command shall balance, whatever the row forbids; None: it controls.
 
     Returns
     -------
@@ -144,13 +206,15 @@ def command_for(
         settings forbid control.
     """
     span = Span(start_us, duration_s)
-    inhibitions = control_inhibitions(row, spacecraft, body_rate_deg_s=body_rate_deg_s)
+    used = row if balance is None else balance_row(row, balance)
+    inhibitions = control_inhibitions(used, spacecraft, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
         return zero_command(row, spacecraft, span, inhibitions)
     command = _released_command(
-        row, spacecraft, span, max_torque_n_m, config, disturbance, momentum_n_m_s, body_rate_deg_s
+        used, spacecraft, span, max_torque_n_m, config, disturbance, momentum_n_m_s, body_rate_deg_s
     )
-    return replace(command, schedule_check=schedule_verdict(command.schedule, spacecraft, config, swing))
+    command = _checked(command, spacecraft, config, swing)
+    return command if balance is None else _as_balance(command, row.inhibitions, balance)
 
 
 def _released_command(

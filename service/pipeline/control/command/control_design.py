@@ -94,7 +94,7 @@ def _nothing(wheels: int, inhibitions: tuple[str, ...]) -> dict[str, Any]:
     """Return the fields of a command that does nothing."""
     names = ("torque_n_m", "impulse_n_m_s", "predicted_angle_change_deg", "predicted_rate_change_deg_s")
     still = dict.fromkeys(("wheels_n_m", "predicted_wheel_momentum_n_m_s"), (0.0,) * wheels)
-    said = {"control_allowed": False, "inhibitions": inhibitions}
+    said = {"control_allowed": False, "inhibitions": inhibitions, "balance_allowed_axes": (False, False, False)}
     return {**dict.fromkeys(names, _ZERO), **still, **said, "saturated": False, "schedule": (), "schedule_check": None}
 
 

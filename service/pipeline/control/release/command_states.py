@@ -74,6 +74,8 @@ class State(Enum):
     ARMED = "each command needs to be prepared and confirmed"
     ENGAGED = "commands within the authorised envelope go by themselves, until the authorisation ends"
     RECOVERY = "roll or pitch beyond 0.4 deg: single commands, each confirmed by an approver"
+    #: feedback is inhibited, and the reason doubts the angles of the present alone
+    BALANCE = "no angle is corrected; commands balance the torque known before, as released until then"
     TRIPPED = "no torque may go until a person resets"
 
 
@@ -85,6 +87,7 @@ class Trigger(Enum):
     CLEAR = "no such condition for 10 min"
     BEYOND = "roll or pitch passes 0.4 deg"
     WITHIN = "both are back"
+    LAPSE = "the known torque may not be balanced any more"
     EXPIRE = "the authorisation has ended"
     ARM = "an operator arms control"
     ENGAGE = "a person asks for standing authorisation, or joins who asked"
@@ -100,6 +103,7 @@ class Guard(Enum):
     AUTHORISED = "the authorisation still holds"
     ARMED = "control was armed"
     AFTER_RESET = "a trip was reset: torques are no longer withheld"
+    MAY_BALANCE = "the known torque may be balanced"
     MAY_ARM_BEYOND = "10 good minutes, beyond 0.4 deg"
     MAY_ARM = "10 good minutes"
     SECOND_PERSON = "another person asked for the same within 10 min"
@@ -137,20 +141,30 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.INHIBITED, Trigger.EXPIRE, Guard.ALWAYS, State.INHIBITED),
     Transition(State.INHIBITED, Trigger.DISENGAGE, Guard.ARMED, State.INHIBITED),
     Transition(State.ARMED, Trigger.TRIP, Guard.ALWAYS, State.TRIPPED),
+    Transition(State.ARMED, Trigger.INHIBIT, Guard.MAY_BALANCE, State.BALANCE),
     Transition(State.ARMED, Trigger.INHIBIT, Guard.ALWAYS, State.INHIBITED),
     Transition(State.ARMED, Trigger.BEYOND, Guard.ALWAYS, State.RECOVERY),
     Transition(State.ARMED, Trigger.ENGAGE, Guard.SECOND_PERSON, State.ENGAGED),
     Transition(State.ARMED, Trigger.ENGAGE, Guard.FIRST_PERSON, State.ARMED),
     Transition(State.ARMED, Trigger.DISENGAGE, Guard.ALWAYS, State.INHIBITED),
     Transition(State.ENGAGED, Trigger.TRIP, Guard.ALWAYS, State.TRIPPED),
+    Transition(State.ENGAGED, Trigger.INHIBIT, Guard.MAY_BALANCE, State.BALANCE),
     Transition(State.ENGAGED, Trigger.INHIBIT, Guard.ALWAYS, State.INHIBITED),
     Transition(State.ENGAGED, Trigger.BEYOND, Guard.ALWAYS, State.RECOVERY),
     Transition(State.ENGAGED, Trigger.EXPIRE, Guard.ALWAYS, State.ARMED),
     Transition(State.ENGAGED, Trigger.DISENGAGE, Guard.ALWAYS, State.ARMED),
     Transition(State.RECOVERY, Trigger.TRIP, Guard.ALWAYS, State.TRIPPED),
+    Transition(State.RECOVERY, Trigger.INHIBIT, Guard.MAY_BALANCE, State.BALANCE),
     Transition(State.RECOVERY, Trigger.INHIBIT, Guard.ALWAYS, State.INHIBITED),
     Transition(State.RECOVERY, Trigger.WITHIN, Guard.ALWAYS, State.ARMED),
     Transition(State.RECOVERY, Trigger.DISENGAGE, Guard.ALWAYS, State.INHIBITED),
+    Transition(State.BALANCE, Trigger.TRIP, Guard.ALWAYS, State.TRIPPED),
+    Transition(State.BALANCE, Trigger.EXPIRE, Guard.ALWAYS, State.BALANCE),
+    Transition(State.BALANCE, Trigger.LAPSE, Guard.ALWAYS, State.INHIBITED),
+    Transition(State.BALANCE, Trigger.CLEAR, Guard.BEYOND_AND_ARMED, State.RECOVERY),
+    Transition(State.BALANCE, Trigger.CLEAR, Guard.AUTHORISED, State.ENGAGED),
+    Transition(State.BALANCE, Trigger.CLEAR, Guard.ARMED, State.ARMED),
+    Transition(State.BALANCE, Trigger.DISENGAGE, Guard.ALWAYS, State.INHIBITED),
     Transition(State.TRIPPED, Trigger.RESET, Guard.NO_TRIP_STANDS, State.INHIBITED),
 )
 

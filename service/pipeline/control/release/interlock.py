@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from service.core.control.slew_schedule import Envelope
 from service.pipeline.control.release.command_states import UNREPORTED, Guard, State, Transition, Trigger, rows_of
 from service.pipeline.control.release.interlock_conditions import (
+    BALANCED_CONDITIONS,
     Condition,
     Consequence,
     InterlockInputs,
@@ -95,6 +96,12 @@ class Interlock:
         return tuple(each for each in self.standing if each.consequence in (Consequence.INHIBIT, Consequence.TRIP))
 
     @property
+    def may_balance(self) -> bool:
+        """Return whether commands may balance the known torque: nothing stands but what the row allows it under."""
+        axes = (False,) if self.row is None else self.row.balance_axes
+        return any(axes) and BALANCED_CONDITIONS.issuperset(self.inhibiting)
+
+    @property
     def is_yaw_withheld(self) -> bool:
         """Return whether the yaw torque must be zero."""
         return any(condition.consequence is Consequence.YAW for condition in self.standing)
@@ -111,7 +118,8 @@ class Interlock:
         words += () if self.row is None else self.row.inhibitions
         if self.state is State.INHIBITED and not self.is_armed and not self.inputs.is_automatic:
             words.append("not_armed")
-        if self.state is State.INHIBITED and not self.inhibiting and (self.is_armed or self.is_after_reset):
+        is_waiting = self.state in (State.INHIBITED, State.BALANCE) and (self.is_armed or self.is_after_reset)
+        if is_waiting and not self.inhibiting:
             words.append("good_minutes")
         return tuple(dict.fromkeys(words))
 
@@ -122,12 +130,18 @@ class Interlock:
         return inputs.calibration_id, inputs.plan_id, inputs.spacecraft_version, inputs.control_version
 
 
+#: triggers that an instant may bring about, in the order in which they fire
+_OF_TIME = (
+    *(Trigger.TRIP, Trigger.EXPIRE, Trigger.LAPSE, Trigger.INHIBIT, Trigger.CLEAR, Trigger.BEYOND, Trigger.WITHIN),
+)
+
+
 def settle(interlock: Interlock, at: Instant, commands: Sequence[Command], settings: ReleaseSettings) -> Interlock:
     """Return the interlock at an instant: conditions judged, and every change of state that follows."""
     standing = conditions_at(interlock, at, commands, settings)
     settled = replace(interlock, standing=standing, clock=at)
     settled = replace(settled, good_since_us=None if settled.inhibiting else _good_since(interlock, at))
-    for trigger in (Trigger.TRIP, Trigger.EXPIRE, Trigger.INHIBIT, Trigger.CLEAR, Trigger.BEYOND, Trigger.WITHIN):
+    for trigger in _OF_TIME:
         if _is_due(settled, trigger, at, settings):
             settled = fire(settled, trigger, at, settings) or settled
     known = dict(interlock.since)
@@ -191,6 +205,7 @@ def _is_due(interlock: Interlock, trigger: Trigger, at: Instant, settings: Relea
     due = {
         Trigger.TRIP: bool(interlock.tripping),
         Trigger.EXPIRE: authorisation is not None and at.now_us >= authorisation.terms.until_us,
+        Trigger.LAPSE: not interlock.may_balance,
         Trigger.INHIBIT: not is_good,
         Trigger.CLEAR: is_good and _has_lasted(interlock.good_since_us, at, settings.good_s),
         Trigger.BEYOND: is_beyond,
@@ -221,6 +236,7 @@ def _holds(guard: Guard, interlock: Interlock, at: Instant, settings: ReleaseSet
         Guard.AUTHORISED: interlock.authorisation is not None,
         Guard.ARMED: interlock.is_armed,
         Guard.AFTER_RESET: interlock.is_after_reset,
+        Guard.MAY_BALANCE: interlock.may_balance,
         Guard.MAY_ARM_BEYOND: may_arm and is_beyond,
         Guard.MAY_ARM: may_arm,
         Guard.SECOND_PERSON: _is_second(interlock.request, asked, settings),

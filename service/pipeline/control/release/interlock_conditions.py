@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from service.core.control.slew_schedule import Envelope
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, Axes, Status
+from service.records.levels.attitude import AttitudeRow, Axes, Status, TorqueCommand
 from service.records.setting import CHOSEN, PUBLISHED, TUNED, setting
 
 
@@ -176,6 +176,8 @@ OF_ROW = frozenset(
 )
 #: reasons of the estimator that the interlock judges itself, by wider limits
 OWN_AFFAIR = frozenset({"beyond_validity"})
+#: conditions of the row under which it says itself whether the known torque may be balanced
+BALANCED_CONDITIONS = frozenset({Condition.ESTIMATOR, Condition.FADE, Condition.REDUNDANCY})
 #: an attitude has three unknowns
 _UNKNOWNS = 3
 #: conditions that raise an alarm as well
@@ -198,15 +200,20 @@ class InterlockRow:
     inhibitions: tuple[str, ...] = ()
     #: whether the estimator lets yaw be controlled
     is_yaw_allowed: bool = False
+    #: (yaw, roll, pitch) whose known torque may be balanced while control is inhibited
+    balance_axes: tuple[bool, bool, bool] = (False, False, False)
     #: set by the interlock
     is_after_gap: bool = False
 
 
-def interlock_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: bool) -> InterlockRow:
-    """Return the facts of a row of the method that drives control.
+def interlock_row(
+    row: AttitudeRow, command: TorqueCommand | None, period_s: float, *, is_innovation_in_band: bool
+) -> InterlockRow:
+    """Return the facts of a row of the method that drives control, and of the command that was computed from it.
 
     The next one is expected after `period_s`; a method without the statistic of innovations says that it is in band.
     """
+    balance = (False, False, False) if command is None else command.balance_allowed_axes
     not_acquired = () if row.status is Status.ACQUIRED else (row.status.value.lower(),)
     return InterlockRow(
         epoch_us=row.epoch_us,
@@ -217,6 +224,8 @@ def interlock_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: b
         is_innovation_in_band=is_innovation_in_band,
         inhibitions=(*row.inhibitions, *not_acquired),
         is_yaw_allowed=row.control_allowed_axes[0],
+        # a row that control could use, again, in the minutes before control goes on
+        balance_axes=row.control_allowed_axes if row.control_allowed else balance,
     )
 
 

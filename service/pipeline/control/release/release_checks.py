@@ -56,7 +56,7 @@ def release_checks(
     stale = "computed from an estimate that is not the newest any more"
     withheld = "the yaw torque is withheld"
     return (
-        _interlock_check(interlock),
+        _interlock_check(interlock, command),
         _check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
         _check("yaw", yaw == 0.0 or not _is_yaw_withheld(interlock, command), "interlock.yaw_withheld", withheld),
         _check("reports", not waiting, "command.unreported", unreported),
@@ -119,12 +119,14 @@ def _check(name: str, is_ok: bool, code: str, detail: str) -> CommandCheck:  # n
     return CommandCheck(name, is_ok) if is_ok else CommandCheck(name, is_ok, detail, code)
 
 
-def _interlock_check(interlock: Interlock) -> CommandCheck:
+def _interlock_check(interlock: Interlock, command: Command) -> CommandCheck:
     """Return the check that the interlock lets commands go at all."""
     reasons, is_ok, code = ", ".join(interlock.reasons), False, "interlock.inhibited"
     detail = f"control is inhibited: {reasons}"
     if interlock.state is State.TRIPPED:
         code, detail = "interlock.tripped", f"control tripped ({reasons})"
+    elif interlock.state is State.BALANCE and command.purpose is Purpose.BALANCE:
+        is_ok = interlock.may_balance
     elif interlock.state is State.INHIBITED and not interlock.inhibiting and not interlock.is_armed:
         code, detail = "interlock.not_armed", "control is not armed"
     else:
@@ -175,7 +177,8 @@ def proposal_of(command: TorqueCommand, spacecraft: Spacecraft, reason: str) -> 
     pulses, checked = pulses_of(command.schedule, command.epoch_us), command.schedule_check
     effect = effect_of_pulses(pulses, spacecraft, command.command_period_s)
     epochs_us = command.attitude_epoch_us, command.epoch_us
-    return proposed(spacecraft, *epochs_us, pulses, effect, checked, reason=reason, computed=command)
+    purpose = Purpose.BALANCE if any(command.balance_allowed_axes) else Purpose.CONTROL
+    return proposed(spacecraft, *epochs_us, pulses, effect, checked, reason=reason, purpose=purpose, computed=command)
 
 
 def effect_of_law(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:

@@ -378,3 +378,16 @@ def keep_release(rig, driver):
         releases.stored("craft").version,
         ReleaseChange(document, "test", tuple(driver.releases.views.values())),
     )
+
+
+def test_balance_of_the_known_torque_alarms_while_it_lasts(rig):
+    driver = ReleaseServiceDriver().engaged()
+    driver.rows(1, downlink_fade=True, inhibitions=("downlink_fade",), control_allowed=False)
+    rig.clock.system = driver.clock.now + S
+    keep_release(rig, driver)
+    rig.poll()
+    assert rig.reported() == [("raised", True, "control_balance", "torque")]
+    driver.order(OrderKind.STOP)
+    keep_release(rig, driver)
+    rig.poll()
+    assert {reported[2:] for reported in rig.reported()} == {("control_balance", "torque"), ("control_tripped", "stop")}

@@ -14,7 +14,7 @@ from service.pipeline.control.release.events import OrderKind
 from service.pipeline.estimation.method import CommandEvidence
 from service.records.catalogue import ControlLaw, ControlMode, GyroOrbitantGains, Onboard, Release
 from service.records.inputs import Operation, TelemetryRecord
-from service.records.levels.attitude import Axes, ReportedCommand
+from service.records.levels.attitude import Axes, Disturbance, ReportedCommand
 from service.records.operations.release import CommandRequest, InterlockHold, ProductForm
 from service.runtime.control.release_context import interlock_inputs, read_facts
 
@@ -199,6 +199,39 @@ def test_engaged_the_law_sends_once_a_period_while_nothing_waits_for_a_report(dr
     assert len(driver.releases.views) == 2
     driver.rows(1)
     assert len(driver.releases.views) == 3
+
+
+def test_in_rain_the_authorisation_goes_on_for_what_balances_the_known_torque(driver):
+    epoch_us = driver.clock.now
+    zero = Axes(0.0, 0.0, 0.0)
+    driver.disturbance = Disturbance(epoch_us, 86_400.0, Axes(0.0, 3e-6, 0.0), zero, zero, Axes(1e-7, 1e-7, 1e-7))
+    driver.engaged()
+    rain = {"downlink_fade": True, "inhibitions": ("downlink_fade",), "control_allowed": False}
+    rain["control_allowed_axes"] = (False, False, False)
+    driver.rows(1, **rain)
+    assert (driver.state, driver.verdict.is_allowed, driver.verdict.state) == ("BALANCE", False, "BALANCE")
+    (command,) = driver.releases.views.values()
+    assert (command.purpose, command.is_automatic, command.checks) == ("balance", True, ())
+    # roll is 0.06 deg off, and only the torque about it is answered
+    assert command.impulse_n_m_s.roll < 0.0
+    assert (command.gross_impulse_n_m_s.yaw, command.gross_impulse_n_m_s.pitch) == (0.0, 0.0)
+    for _ in range(179):
+        driver.rows(1, **rain)
+        for each in [view for view in driver.releases.views.values() if view.state == "RELEASED"]:
+            driver.report(each.counter)
+    assert (driver.state, len(driver.releases.views)) == ("BALANCE", 12)
+    driver.rows(1, **rain)
+    assert driver.state == "INHIBITED"
+    driver.rows(11)
+    assert driver.state == "ENGAGED"
+
+
+def test_a_stop_ends_balance(driver):
+    driver.engaged()
+    driver.rows(1, inhibitions=("chain_step",), control_allowed=False)
+    assert driver.state == "BALANCE"
+    driver.order(OrderKind.STOP)
+    assert driver.state == "TRIPPED"
 
 
 def test_a_late_report_inhibits_and_the_report_brings_control_back(driver):

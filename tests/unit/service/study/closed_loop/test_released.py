@@ -80,7 +80,7 @@ class Link:
         allowed = {"control_allowed": True, "control_allowed_axes": (True, True, True)}
         row = replace(plain, attitude_deg=Axes(0.0, roll_deg, 0.0), rates_deg_s=ZERO, **{**allowed, **changes})
         measurement = Measurement(row.epoch_us, row.epoch_us, 1, "sa-1", 1, np.zeros(0), None, feeds_estimator=True)
-        given = self.releaser.wanted(SimpleNamespace(disturbance=PUSHED), row, measurement, self.sent + 1)
+        given = self.releaser.wanted(SimpleNamespace(disturbance=PUSHED, command=None), row, measurement, self.sent + 1)
         self.sent += bool(given)
         return given
 

@@ -7,9 +7,10 @@ import pytest
 
 from service.core.flexible.schedule import analyse_schedule
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
+from service.pipeline.control.command.compute_command import NO_CARRY, ControlledRow, command_for, compute_command
 from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS, control_inhibitions
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
+from service.pipeline.estimation.row_inhibitions import BALANCED, INHIBITIONS
 from service.records.catalogue import ControlMode, FlexibleMode, Method, Onboard, Release, WheelSet
 from service.records.levels.attitude import Axes, Disturbance, Pulse, row_without_attitude
 
@@ -336,3 +337,59 @@ def test_swings_of_other_modes_are_forgotten_and_a_mode_without_damping_is_given
     assert reported == schedule_verdict((roll(0.0),), swinging, TorqueConfig())
     undamped = replace(swinging, modes=(replace(MODES[1], damping_ratio=0.0),))
     assert schedule_verdict((roll(0.0),), undamped, TorqueConfig()) is not None
+
+
+PUSHED = Disturbance(EPOCH, 86_400.0, Axes(0.0, 2e-6, -1e-6), ZERO, ZERO, Axes(1e-7, 1e-7, 1e-7))
+
+
+def doubted(of, record, inhibitions=("downlink_fade",), *, age_s=600.0, axes=(True, True, True), **changes):
+    """Return what is commanded for a row that control may not use, some time after one that it could."""
+    inhibited = replace(of, control_allowed=False, control_allowed_axes=(False,) * 3, inhibitions=inhibitions)
+    controlled = ControlledRow(EPOCH - round(age_s * S), axes)
+    outcome = compute_command(
+        inhibited, record, NO_CARRY, 3600.0, TorqueConfig(), PUSHED, controlled=controlled, **changes
+    )
+    return outcome.command
+
+
+@pytest.mark.parametrize("release", list(Release))
+def test_while_angles_are_doubted_the_known_torque_is_balanced_and_no_angle_is_corrected(record, release):
+    record = replace(record, control=replace(record.control, release=release))
+    still = row(rates=(0.0, 0.0, 0.0))
+    found = doubted(still, record)
+    assert (found.control_allowed, found.balance_allowed_axes) == (False, (True, True, True))
+    assert (found.is_permitted, found.inhibitions) == (True, ("downlink_fade",))
+    np.testing.assert_allclose(found.torque_n_m, -np.array(PUSHED.constant_n_m), atol=2e-7)
+    # the angles, 0.3, 0.4, -0.3 deg, ask for pulses about yaw too
+    assert {pulse.torque_n_m.yaw for pulse in found.schedule} == {0.0}
+    assert {pulse.torque_n_m.yaw for pulse in doubted(still, record, ()).schedule} != {0.0}
+
+
+def test_a_rate_that_was_learned_is_taken_away_too(record):
+    against = doubted(row(rates=(0.0, 0.0, 2e-5)), record).impulse_n_m_s.pitch
+    assert against < doubted(row(rates=(0.0, 0.0, 0.0)), record).impulse_n_m_s.pitch
+
+
+@pytest.mark.parametrize("reason", [*sorted(set(INHIBITIONS) - BALANCED), "tripped", "mode_onboard", "no_fast_loop"])
+def test_nothing_is_balanced_where_more_than_the_angle_is_doubted(record, reason):
+    found = doubted(row(), record, ("downlink_fade", reason))
+    assert (found.is_permitted, found.schedule) == (False, ())
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_permitted"),
+    [
+        ({"age_s": 10_800.0}, True),
+        ({"age_s": 10_801.0}, False),
+        ({"is_withheld": True}, False),
+        ({"axes": (False, False, False)}, False),
+    ],
+)
+def test_balance_ends_after_three_hours_and_by_a_trip(record, changes, is_permitted):
+    assert doubted(row(), record, **changes).is_permitted is is_permitted
+
+
+def test_an_axis_that_control_could_not_use_is_not_balanced(record):
+    found = doubted(row(rates=(1e-4, 0.0, 0.0)), record, axes=(False, True, True))
+    assert {tuple(np.flatnonzero(pulse.torque_n_m)) for pulse in found.schedule} <= {(1,), (2,)}
+    assert found.torque_n_m.roll < 0.0
