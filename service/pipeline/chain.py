@@ -20,7 +20,8 @@ import numpy as np
 
 from service.pipeline.checkpoints import ChainState
 from service.pipeline.config import ChainConfig
-from service.pipeline.control.command.compute_command import NO_CARRY, ControlledRow, compute_command
+from service.pipeline.control.command.balance import basis_at, basis_of, with_executed
+from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.estimation.method import (
     CommandEvidence,
@@ -36,17 +37,20 @@ from service.pipeline.estimation.row_inhibitions import Disagreement, compare
 from service.pipeline.inputs.knowledge import Knowledge, Lookup, update
 from service.ports import Outcome
 from service.records.calibration import Calibration
-from service.records.catalogue import CarrierPlan, Method, Release
+from service.records.catalogue import CarrierPlan, Method, Release, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, SpacecraftChange
 from service.records.journal import SlowInput
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeRow,
+    BalanceBasis,
     CarrierResults,
     CarrierState,
+    Disturbance,
     IntArray,
     ReleasedCommand,
+    ReportedCommand,
     row_without_attitude,
 )
 from service.records.levels.measurement import Measurement
@@ -97,7 +101,7 @@ class Chain:
             if isinstance(runner, RobustRunner):
                 runner.recorder = recorder
         self._carry_n_m_s = NO_CARRY
-        self._controlled: ControlledRow | None = None
+        self._basis: BalanceBasis | None = None
         self._swing: PanelSwing | None = None
         self._newest_us: int | None = None
         self._recent_us: IntArray = np.zeros(0, dtype=np.int64)
@@ -127,13 +131,13 @@ class Chain:
             self._knowledge = replace(self._knowledge, active=active)
         for runner in self._runners:
             runner.on_input(content, self._knowledge)
-        self._remember_swing(content)
+        self._remember_command(content)
         alignment = self._knowledge.alignment
         if alignment is None:
             return
         if isinstance(content, AlignmentSet):
             self._newest_us = alignment.epoch_us
-            self._carry_n_m_s, self._controlled = NO_CARRY, None
+            self._carry_n_m_s, self._basis = NO_CARRY, None
             self._recent_us = np.zeros(0, dtype=np.int64)
             self._disagreement = Disagreement()
             for runner in self._runners:
@@ -181,7 +185,7 @@ class Chain:
             kept.get(Method.ROBUST),
             kept.get(Method.PAPER),
             self._carry_n_m_s,
-            self._controlled,
+            self._basis,
             self._swing,
             self._newest_us,
             self._recent_us,
@@ -197,7 +201,7 @@ class Chain:
             saved = state.robust if runner.method is Method.ROBUST else state.paper
             if saved is not None:
                 runner.restore(saved, self._knowledge)
-        self._carry_n_m_s, self._controlled, self._swing = state.carry_n_m_s, state.controlled, state.swing
+        self._carry_n_m_s, self._basis, self._swing = state.carry_n_m_s, state.basis, state.swing
         self._newest_us, self._recent_us = state.newest_us, state.recent_us
         self._disagreement, self._last = state.disagreement, state.last
 
@@ -254,8 +258,11 @@ class Chain:
         self._newest_us = epoch_us
         self._recent_us = np.concatenate((self._recent_us, (epoch_us,)))[-self._config.torque.period_rows - 1 :]
 
-    def _remember_swing(self, content: SlowInput) -> None:
-        """Let what was sent swing the flexible modes."""
+    def _remember_command(self, content: SlowInput) -> None:
+        """Let what was executed move the spacecraft that is balanced, and what was sent swing the flexible modes."""
+        if self._basis is not None and isinstance(content, AppliedCommand | ReportedCommand):
+            pulses = content.command.schedule if isinstance(content, AppliedCommand) else content.executed
+            self._basis = with_executed(self._basis, pulses)
         spacecraft = self._knowledge.spacecraft
         if spacecraft is None or not spacecraft.modes:
             return
@@ -285,6 +292,7 @@ class Chain:
         config, disturbance = self._config.torque, runner.disturbance()
         row_period_s, is_automatic = self._row_period_s(), spacecraft.control.release is Release.AUTOMATIC
         rate_age_s = config.rate_stale_periods * row_period_s + config.rate_stale_margin_s
+        self._basis = self._basis_at(driving, spacecraft, disturbance)
         torque = compute_command(
             driving,
             spacecraft,
@@ -296,13 +304,21 @@ class Chain:
             swing=self._swing,
             is_withheld=self._knowledge.is_withheld,
             body_rate_deg_s=self._knowledge.body_rate_deg_s(driving.epoch_us, rate_age_s),
-            controlled=self._controlled,
+            basis=self._basis,
         )
         self._carry_n_m_s = torque.carry_n_m_s
-        if driving.control_allowed:
-            self._controlled = ControlledRow(driving.epoch_us, driving.control_allowed_axes)
         applied = AppliedCommand(torque.command) if torque.command.is_permitted and is_automatic else None
-        return Outcome(rows, torque.command, applied, disturbance, apart_deg, carriers)
+        return Outcome(rows, torque.command, applied, disturbance, apart_deg, carriers, self._basis)
+
+    def _basis_at(
+        self, row: AttitudeRow, spacecraft: Spacecraft, disturbance: Disturbance | None
+    ) -> BalanceBasis | None:
+        """Return what may be balanced from a row on; a trip ends it."""
+        if row.control_allowed:
+            return basis_of(row, disturbance)
+        if self._basis is None or self._knowledge.is_withheld:
+            return None
+        return basis_at(self._basis, row, spacecraft, self._config.torque.hold_s)
 
     def _row_of_silent(self, row: AttitudeRow, method: Method) -> AttitudeRow:
         """Return the row of a method that cannot run on the measurement of a row of another."""

@@ -12,12 +12,11 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from service.pipeline.config import ChainConfig
-from service.pipeline.control.command.compute_command import ControlledRow
 from service.pipeline.control.command.schedule_check import PanelSwing
 from service.pipeline.estimation.paper.runner import SavedPaper
 from service.pipeline.estimation.robust.saved_state import SavedRobust
 from service.pipeline.estimation.row_inhibitions import Disagreement
-from service.records.levels.attitude import FloatArray, IntArray
+from service.records.levels.attitude import BalanceBasis, FloatArray, IntArray
 from service.records.levels.measurement import Measurement
 
 T = TypeVar("T")
@@ -166,7 +165,7 @@ class ChainState(NamedTuple):
     paper: SavedPaper | None
     #: torque that wheels have not been given yet
     carry_n_m_s: FloatArray
-    controlled: ControlledRow | None
+    basis: BalanceBasis | None
     swing: PanelSwing | None
     newest_us: int | None
     recent_us: IntArray

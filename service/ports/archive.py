@@ -21,6 +21,7 @@ from service.records.journal import JournalEntry, JournalHead, SlowInput
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeRow,
+    BalanceBasis,
     BoolArray,
     CarrierResults,
     Disturbance,
@@ -259,6 +260,8 @@ class Outcome:
     disagreement_deg: float = math.nan
     #: of each row what its method makes of the carriers, None = nothing; empty where none was computed, as of late rows
     carriers: tuple[CarrierResults | None, ...] = field(default=(), compare=False)
+    #: what may be balanced while control is inhibited; None: nothing
+    basis: BalanceBasis | None = None
 
 
 class Results(Protocol):

@@ -349,3 +349,19 @@ class Disturbance:
         cosine, sine = math.cos(phase), math.sin(phase)
         parts = zip(self.constant_n_m, self.cosine_n_m, self.sine_n_m, strict=True)
         return Axes(*(constant + cosine * c + sine * s for constant, c, s in parts))
+
+
+@dataclass(frozen=True, slots=True)
+class BalanceBasis:
+    """The newest row that control could use, and what is known of the motion since: yaw, roll, pitch."""
+
+    epoch_us: int
+    #: which control could turn
+    axes: tuple[bool, bool, bool]
+    attitude_deg: Axes
+    sigma_deg: Axes
+    rates_deg_s: Axes
+    #: as it was known then; None: none is
+    disturbance: Disturbance | None
+    #: pulses that the row did not know
+    executed: tuple[Pulse, ...] = ()

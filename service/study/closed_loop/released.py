@@ -86,8 +86,8 @@ class Releaser:
         self._give_up(now_us)
         is_waiting = any(not flying.is_reported for flying in self._flying)
         row = _as_recovery(row)
-        axes = (False, False, False) if outcome.command is None else outcome.command.balance_allowed_axes
-        if (row.inhibitions and not any(axes)) or is_waiting or now_us < self._due_us:
+        basis = outcome.basis if outcome.command is not None and any(outcome.command.balance_allowed_axes) else None
+        if (row.inhibitions and basis is None) or is_waiting or now_us < self._due_us:
             return ()
         command = command_for(
             row,
@@ -97,7 +97,7 @@ class Releaser:
             None,
             self.config,
             outcome.disturbance,
-            balance=axes if row.inhibitions else None,
+            basis=basis if row.inhibitions else None,
         )
         if not command.schedule:
             return ()

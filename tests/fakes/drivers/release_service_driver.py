@@ -8,14 +8,15 @@ from release_storage import SC, FakeArchive, KilledError
 
 from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.compute_command import NO_CARRY, ControlledRow, compute_command
+from service.pipeline.control.command.balance import basis_at, basis_of, with_executed
+from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
 from service.pipeline.control.release.events import OrderKind, SignJudged, StoredRow
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
-from service.records.levels.attitude import AttitudeRow, Axes, Disturbance, Status, TorqueCommand
+from service.records.levels.attitude import AttitudeRow, Axes, BalanceBasis, Disturbance, Status, TorqueCommand
 from service.records.operations.release import Command, CommandRequest, Purpose
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
@@ -72,7 +73,7 @@ class ReleaseServiceDriver:
         self.archive, self.clock = FakeArchive(START_US), FakeClock()
         self.settings, self._arguments = settings or ReleaseSettings(), arguments
         self.row: AttitudeRow | None = None
-        self.controlled: ControlledRow | None = None
+        self.basis: BalanceBasis | None = None
         self.disturbance: Disturbance | None = None
         self.notified: list[str] = []
         #: instant and command of each release that was stored
@@ -96,7 +97,7 @@ class ReleaseServiceDriver:
 
     def restart(self) -> None:
         """Kill the service and start it again."""
-        self.clock.steady, self.row, self.controlled, self.last_bad_us = 0, None, None, 0
+        self.clock.steady, self.row, self.basis, self.last_bad_us = 0, None, None, 0
         self.start()
 
     @property
@@ -117,7 +118,7 @@ class ReleaseServiceDriver:
         if self.row is None:
             return None
         given = self.row, self.archive.record, NO_CARRY, 60.0, TorqueConfig(), self.disturbance
-        return compute_command(*given, controlled=self.controlled).command
+        return compute_command(*given, basis=self.basis).command
 
     @property
     def codes(self) -> tuple[str, ...]:
@@ -142,10 +143,12 @@ class ReleaseServiceDriver:
     def on_rows(self, *others: AttitudeRow, applied=None, evidence=None) -> None:
         """Hand the newest row over, beside those of other methods."""
         self.note()
-        command = self.command if applied is None else applied.command
         if self.row.control_allowed:
-            self.controlled = ControlledRow(self.row.epoch_us, self.row.control_allowed_axes)
-        outcome = Outcome((self.row, *others), command, applied, self.disturbance)
+            self.basis = basis_of(self.row, self.disturbance)
+        elif self.basis is not None:
+            self.basis = basis_at(self.basis, self.row, self.archive.record, TorqueConfig().hold_s)
+        command = self.command if applied is None else applied.command
+        outcome = Outcome((self.row, *others), command, applied, self.disturbance, basis=self.basis)
         self.service.on_rows(SC, [StoredRow(outcome, evidence)])
         self.judge()
 
@@ -176,7 +179,10 @@ class ReleaseServiceDriver:
             self.judge()
 
     def report(self, counter: int, turn: str = "executed", **reported: object) -> Command:
-        return self.service.report(SC, counter, turn, by="centre", **reported)
+        command = self.service.report(SC, counter, turn, by="centre", **reported)
+        if self.basis is not None:
+            self.basis = with_executed(self.basis, command.executed)
+        return command
 
     def engage(self, by: str, hours: float = 6.0, *, is_approver: bool = True) -> ControlView:
         until_us = self.clock.now + round(hours * 3600 * US)

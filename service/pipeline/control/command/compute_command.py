@@ -5,12 +5,11 @@ small for a pulse is carried. Release ``two_step``: a command is a slew that tak
 balance the known torque until its horizon ends, so that the spacecraft is at rest whatever happens to the link.
 
 Whenever an inhibition stands the command is zero, says why, and the carry is dropped: a wish from before an inhibition
-is not given after it. Where the inhibition doubts only the angles of the present, the command **balances** instead: it
-takes the torque and the rates away that were learned in the hours before, and corrects no angle.
+is not given after it. Where the inhibition doubts only the angles of the present, the command balances instead what
+was learned before them.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from service.core.control.command_plan import Forecast, Situation, plan_command
 from service.core.control.slew_schedule import AxisPulse, Envelope
 from service.core.control.wheel_allocation import Allocation, Wheels, allocate
 from service.pipeline.config import TorqueConfig
+from service.pipeline.control.command.balance import balance_axes, balance_row
 from service.pipeline.control.command.control_design import (
     ControlDesign,
     Span,
@@ -31,49 +31,12 @@ from service.pipeline.control.command.control_design import (
     zero_command,
 )
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict
-from service.pipeline.estimation.row_inhibitions import BALANCED
 from service.records.catalogue import Release, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Disturbance, FloatArray, TorqueCommand
+from service.records.levels.attitude import AttitudeRow, Axes, BalanceBasis, Disturbance, FloatArray, TorqueCommand
 
 NO_CARRY = np.zeros(3)
 _ENVELOPE = Envelope()
-
-
-class ControlledRow(NamedTuple):
-    """The newest row that control was allowed to use."""
-
-    epoch_us: int
-    #: yaw, roll, pitch
-    axes: tuple[bool, bool, bool]
-
-
-def balance_axes(
-    row: AttitudeRow, inhibitions: tuple[str, ...], controlled: ControlledRow | None, hold_s: float
-) -> tuple[bool, bool, bool]:
-    """Return the axes (yaw, roll, pitch) whose known torque may be balanced while control is inhibited.
-
-    They are those of the newest row that control could use, for a time, while nothing but doubt about the angles of the
-    present stands.
-    """
-    if controlled is None or not inhibitions or not BALANCED.issuperset(inhibitions):
-        return (False, False, False)
-    is_recent = row.epoch_us - controlled.epoch_us <= hold_s * US_PER_S
-    return controlled.axes if is_recent else (False, False, False)
-
-
-def balance_row(row: AttitudeRow, axes: tuple[bool, bool, bool]) -> AttitudeRow:
-    """Return a row for a command that balances: its rates, and no angle that asks for a correction."""
-    still = Axes(0.0, 0.0, 0.0)
-    return replace(
-        row,
-        attitude_deg=still,
-        steering_deg=NO_ANGLES,
-        rates_deg_s=row.rates_deg_s or still,
-        control_allowed=True,
-        control_allowed_axes=axes,
-        inhibitions=(),
-    )
 
 
 @dataclass(frozen=True)
@@ -97,7 +60,7 @@ def compute_command(
     swing: PanelSwing | None = None,
     is_withheld: bool = False,
     body_rate_deg_s: Axes | None = None,
-    controlled: ControlledRow | None = None,
+    basis: BalanceBasis | None = None,
 ) -> TorqueOutcome:
     """Return the command that follows from one attitude row.
 
@@ -121,16 +84,18 @@ def compute_command(
         Whether control has tripped.
     body_rate_deg_s : Axes, optional
         Rate of the body against inertial space, for the law gyro_orbitant; None: not told, or too old.
-    controlled : ControlledRow, optional
-        The newest row that control could use; None: nothing is balanced.
+    basis : BalanceBasis, optional
+        What may be balanced while an inhibition stands; None: nothing.
     """
     span = _span(row, spacecraft, period_s)
     inhibitions = control_inhibitions(row, spacecraft, is_withheld=is_withheld, body_rate_deg_s=body_rate_deg_s)
-    axes = balance_axes(row, inhibitions, controlled, config.hold_s)
-    # the gyro-orbitant law damps what rate sensors show: it has no torque of its own without angles
-    if inhibitions and (not any(axes) or is_gyro_orbitant(spacecraft)):
-        return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
-    used = balance_row(row, axes) if inhibitions else row
+    axes = balance_axes(inhibitions, basis)
+    used = row
+    if inhibitions:
+        # the gyro-orbitant law has no torque of its own without angles
+        if basis is None or not any(axes) or is_gyro_orbitant(spacecraft):
+            return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
+        used, disturbance = balance_row(row, basis, spacecraft), basis.disturbance
     if spacecraft.control.release is Release.AUTOMATIC:
         outcome = _mean_command(
             used, spacecraft, span, carry_n_m_s, config, disturbance, momentum_n_m_s, body_rate_deg_s
@@ -179,7 +144,7 @@ def command_for(
     *,
     swing: PanelSwing | None = None,
     body_rate_deg_s: Axes | None = None,
-    balance: tuple[bool, bool, bool] | None = None,
+    basis: BalanceBasis | None = None,
 ) -> TorqueCommand:
     """Return the command that would be released: from a start that lies ahead, for a whole horizon.
 
@@ -196,8 +161,8 @@ def command_for(
         Greatest torque of a pulse; None: what the spacecraft has.
     body_rate_deg_s : Axes, optional
         As `compute_command` has it.
-    balance : tuple of bool, optional
-        Axes whose known torque the command shall balance, whatever the row forbids; None: it controls.
+    basis : BalanceBasis, optional
+        What the command shall balance, whatever the row forbids; None: it controls.
 
     Returns
     -------
@@ -206,7 +171,9 @@ def command_for(
         settings forbid control.
     """
     span = Span(start_us, duration_s)
-    used = row if balance is None else balance_row(row, balance)
+    used = row
+    if basis is not None:
+        used, disturbance = balance_row(row, basis, spacecraft), basis.disturbance
     inhibitions = control_inhibitions(used, spacecraft, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
         return zero_command(row, spacecraft, span, inhibitions)
@@ -214,7 +181,7 @@ def command_for(
         used, spacecraft, span, max_torque_n_m, config, disturbance, momentum_n_m_s, body_rate_deg_s
     )
     command = _checked(command, spacecraft, config, swing)
-    return command if balance is None else _as_balance(command, row.inhibitions, balance)
+    return command if basis is None else _as_balance(command, row.inhibitions, basis.axes)
 
 
 def _released_command(

@@ -188,7 +188,4 @@ def _reasons(evidence: IntegrityInputs, limits: IntegrityLimits, stands: dict[st
     found = [name for name, fails in wrong_in_kind.items() if fails]
     if not stands["waiting"]:
         found += [name for name, fails in less_certain.items() if fails and name not in found]
-    elif found and less_certain["unannounced_motion"] and "unannounced_motion" not in found:
-        # what is balanced meanwhile does not act as it should
-        found.append("unannounced_motion")
     return tuple(found)

@@ -7,7 +7,8 @@ import pytest
 
 from service.core.flexible.schedule import analyse_schedule
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.compute_command import NO_CARRY, ControlledRow, command_for, compute_command
+from service.pipeline.control.command.balance import basis_at, basis_of, predicted_motion, with_executed
+from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
 from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS, control_inhibitions
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
 from service.pipeline.estimation.row_inhibitions import BALANCED, INHIBITIONS
@@ -340,56 +341,79 @@ def test_swings_of_other_modes_are_forgotten_and_a_mode_without_damping_is_given
 
 
 PUSHED = Disturbance(EPOCH, 86_400.0, Axes(0.0, 2e-6, -1e-6), ZERO, ZERO, Axes(1e-7, 1e-7, 1e-7))
+INERTIA = np.array([2600.0, 2600.0, 1400.0])
+NIGHT = ("downlink_fade",)
 
 
-def doubted(of, record, inhibitions=("downlink_fade",), *, age_s=600.0, axes=(True, True, True), **changes):
-    """Return what is commanded for a row that control may not use, some time after one that it could."""
-    inhibited = replace(of, control_allowed=False, control_allowed_axes=(False,) * 3, inhibitions=inhibitions)
-    controlled = ControlledRow(EPOCH - round(age_s * S), axes)
-    outcome = compute_command(
-        inhibited, record, NO_CARRY, 3600.0, TorqueConfig(), PUSHED, controlled=controlled, **changes
-    )
+def known(age_s=600.0, rates=(0.0, 0.0, 0.0), axes=(True, True, True), disturbance=PUSHED, of=None):
+    """Return what a row that control could use, some time ago, lets be balanced."""
+    then = row(rates=rates, allowed=axes, sigma_deg=Axes(0.1, 0.02, 0.03)) if of is None else of
+    return basis_of(replace(then, epoch_us=EPOCH - round(age_s * S)), disturbance)
+
+
+def doubted(basis, record, inhibitions=NIGHT, **changes):
+    """Return what is commanded for a row that control may not use."""
+    inhibited = row(inhibitions=inhibitions, sigma_deg=Axes(0.1, 0.02, 0.03))
+    inhibited = replace(inhibited, control_allowed=False, control_allowed_axes=(False,) * 3)
+    outcome = compute_command(inhibited, record, NO_CARRY, 3600.0, TorqueConfig(), basis=basis, **changes)
     return outcome.command
 
 
 @pytest.mark.parametrize("release", list(Release))
 def test_while_angles_are_doubted_the_known_torque_is_balanced_and_no_angle_is_corrected(record, release):
     record = replace(record, control=replace(record.control, release=release))
-    still = row(rates=(0.0, 0.0, 0.0))
-    found = doubted(still, record)
+    found = doubted(known(age_s=0.0), record)
     assert (found.control_allowed, found.balance_allowed_axes) == (False, (True, True, True))
-    assert (found.is_permitted, found.inhibitions) == (True, ("downlink_fade",))
+    assert (found.is_permitted, found.inhibitions) == (True, NIGHT)
+    # the angles, 0.3, 0.4, -0.3 deg, would ask for torques about all axes
     np.testing.assert_allclose(found.torque_n_m, -np.array(PUSHED.constant_n_m), atol=2e-7)
-    # the angles, 0.3, 0.4, -0.3 deg, ask for pulses about yaw too
-    assert {pulse.torque_n_m.yaw for pulse in found.schedule} == {0.0}
-    assert {pulse.torque_n_m.yaw for pulse in doubted(still, record, ()).schedule} != {0.0}
 
 
-def test_a_rate_that_was_learned_is_taken_away_too(record):
-    against = doubted(row(rates=(0.0, 0.0, 2e-5)), record).impulse_n_m_s.pitch
-    assert against < doubted(row(rates=(0.0, 0.0, 0.0)), record).impulse_n_m_s.pitch
+def test_a_rate_that_was_known_is_taken_away_too(record):
+    rest, turning = doubted(known(), record), doubted(known(rates=(0.0, 0.0, 2e-5)), record)
+    assert turning.impulse_n_m_s.pitch < rest.impulse_n_m_s.pitch
+
+
+def test_the_predicted_motion_has_rates_torque_and_what_was_executed(record):
+    basis = known(3600.0, rates=(0.0, 1e-6, 0.0))
+    pulse = Pulse(EPOCH - 1800 * S, 10.0, Axes(0.0, 0.0, 4e-4))
+    later = Pulse(EPOCH + 60 * S, 10.0, Axes(0.0, 0.0, 9.0))
+    angle, rate = predicted_motion(with_executed(basis, (pulse, later)), EPOCH, record)
+    pushed = np.degrees(np.array(PUSHED.constant_n_m) / INERTIA)
+    given = np.degrees(4e-3 / 1400.0)
+    np.testing.assert_allclose(rate, [0.0, 1e-6 + 3600.0 * pushed[1], 3600.0 * pushed[2] + given], atol=1e-12)
+    expected = [0.3, 0.4 + 3.6e-3 + 6.48e6 * pushed[1], -0.3 + 6.48e6 * pushed[2] + 1795.0 * given]
+    np.testing.assert_allclose(angle, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("reason", [*sorted(set(INHIBITIONS) - BALANCED), "tripped", "mode_onboard", "no_fast_loop"])
 def test_nothing_is_balanced_where_more_than_the_angle_is_doubted(record, reason):
-    found = doubted(row(), record, ("downlink_fade", reason))
+    found = doubted(known(), record, (*NIGHT, reason))
     assert (found.is_permitted, found.schedule) == (False, ())
 
 
-@pytest.mark.parametrize(
-    ("changes", "is_permitted"),
-    [
-        ({"age_s": 10_800.0}, True),
-        ({"age_s": 10_801.0}, False),
-        ({"is_withheld": True}, False),
-        ({"axes": (False, False, False)}, False),
-    ],
-)
-def test_balance_ends_after_three_hours_and_by_a_trip(record, changes, is_permitted):
-    assert doubted(row(), record, **changes).is_permitted is is_permitted
+def test_a_trip_ends_balance(record):
+    assert not doubted(known(), record, is_withheld=True).is_permitted
+
+
+def test_balance_ends_after_three_hours_and_where_the_seen_angle_leaves_the_predicted_one_by_four_sigma(record):
+    seen = row(sigma_deg=Axes(0.1, 0.02, 0.03))
+    still = known(disturbance=None)
+    assert basis_at(still, seen, record, 600.0) is still
+    assert basis_at(still, seen, record, 599.0) is None
+    for axis, sigma_deg in enumerate(seen.sigma_deg):
+        for sigmas, is_held in ((3.9, True), (4.1, False)):
+            moved = np.array(seen.attitude_deg) + sigmas * np.sqrt(2.0) * sigma_deg * np.eye(3)[axis]
+            found = basis_at(still, replace(seen, attitude_deg=Axes(*moved)), record, 600.0)
+            assert (found is still) is is_held
+    # an angle that nobody sees contradicts nothing
+    assert basis_at(still, replace(seen, attitude_deg=Axes(*[np.nan] * 3)), record, 600.0) is still
+    # of a torque that is hardly known the prediction is hardly known
+    vague = known(7200.0, disturbance=replace(PUSHED, sigma_n_m=Axes(2e-6, 2e-6, 2e-6)))
+    assert basis_at(vague, seen, record, 7200.0) is vague
 
 
 def test_an_axis_that_control_could_not_use_is_not_balanced(record):
-    found = doubted(row(rates=(1e-4, 0.0, 0.0)), record, axes=(False, True, True))
+    found = doubted(known(rates=(1e-4, 0.0, 0.0), axes=(False, True, True)), record)
     assert {tuple(np.flatnonzero(pulse.torque_n_m)) for pulse in found.schedule} <= {(1,), (2,)}
     assert found.torque_n_m.roll < 0.0

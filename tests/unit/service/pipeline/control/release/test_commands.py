@@ -305,7 +305,7 @@ def test_every_reason_has_one_text_and_one_next_step():
 
 def test_rows_of_every_status_have_reasons_in_words():
     for status in Status:
-        facts = interlock_row(replace(GOOD, status=status), 60.0, is_innovation_in_band=True)
+        facts = interlock_row(replace(GOOD, status=status), None, 60.0, is_innovation_in_band=True)
         assert set(facts.inhibitions) <= CODES | {"not_received"}, "rows are received"
     # a row without angles, told by the service
     driver = ReleaseServiceDriver()

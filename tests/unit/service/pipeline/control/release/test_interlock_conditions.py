@@ -38,8 +38,12 @@ from service.records.operations.release import CommandState, Purpose, SignCheck,
 NAN = float("nan")
 
 
+#: of whose torque nothing is known that may be balanced
+BAD = replace(GOOD, balance_axes=(False, False, False))
+
+
 def row(**change):
-    return lambda driver: driver.rows(1, replace(GOOD, **change))
+    return lambda driver: driver.rows(1, replace(BAD, **change))
 
 
 def reported(**change):
@@ -170,16 +174,16 @@ def test_an_inhibition_clears_itself_after_ten_good_minutes_and_no_sooner(act):
 
 def test_a_reason_within_the_ten_minutes_begins_them_anew():
     driver = ReleaseDriver().engaged()
-    driver.rows(1, replace(GOOD, is_fading=True))
+    driver.rows(1, replace(BAD, is_fading=True))
     driver.rows(9)
-    driver.rows(1, replace(GOOD, is_fading=True))
+    driver.rows(1, replace(BAD, is_fading=True))
     driver.rows(10)
     assert driver.name == "INHIBITED"
 
 
 def test_silence_is_no_good_time():
     driver = ReleaseDriver().engaged()
-    driver.rows(1, replace(GOOD, is_fading=True))
+    driver.rows(1, replace(BAD, is_fading=True))
     driver.rows(1)
     driver.pass_time(900.0)
     driver.rows(1)
@@ -253,7 +257,7 @@ def test_beyond_the_range_automatic_release_is_off_and_stays_off():
 
 def test_beyond_the_range_while_inhibited_takes_the_authorisation_too():
     driver = ReleaseDriver().engaged()
-    driver.rows(1, replace(GOOD, attitude_deg=Axes(0.0, 0.42, 0.0), is_fading=True))
+    driver.rows(1, replace(BAD, attitude_deg=Axes(0.0, 0.42, 0.0), is_fading=True))
     driver.rows(12)
     assert driver.name == "ARMED"
 
@@ -387,7 +391,7 @@ def test_a_row_from_the_future_is_not_believed():
 
 def test_a_row_without_attitude_inhibits():
     stored = row_without_attitude(5_000_000, 5_100_000, 1, Method.ROBUST, ("no_fix",))
-    facts = interlock_row(stored, 60.0, is_innovation_in_band=True)
+    facts = interlock_row(stored, None, 60.0, is_innovation_in_band=True)
     assert (facts.epoch_us, facts.period_s, facts.redundancy) == (5_000_000, 60.0, -3)
     assert facts.inhibitions == ("no_fix", "invalid")
 
