@@ -175,9 +175,9 @@ class SituationReply(TypedDict):
     ]
     #: critical, serious, caution or normal; that of every view.
     severity: Literal["critical", "serious", "caution", "normal"]
-    #: Of dark, lost and what is said of a limit.
+    #: Of old, dark, lost and what is said of a limit.
     axis: Literal["yaw", "roll", "pitch"] | None
-    #: Of this axis; the last known where it is lost; deg.
+    #: Of this axis; the last known where it is old or lost; deg.
     angle_deg: float | None
     #: An angle is to stay within it; deg.
     limit_deg: float | None
