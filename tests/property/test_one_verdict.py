@@ -116,7 +116,7 @@ def context_of(driver):
             all_spacecraft=archive.catalogue.all_spacecraft,
             ephemeris=lambda _: SimpleNamespace(id=1, valid_start_us=0, valid_stop_us=archive.ephemeris_stop_us),
         ),
-        archive=SimpleNamespace(head=lambda _: head, sources=lambda _: (), inputs=lambda *_: ()),
+        archive=SimpleNamespace(head=lambda _: head, sources=lambda _: (), inputs=lambda *_, **__: ()),
         results=SimpleNamespace(**results, attitude_rows=lambda *_, **__: ()),
         alarms=SimpleNamespace(open_alarms=lambda _: ()),
         links=SimpleNamespace(links=lambda *_: ()),

@@ -9,6 +9,8 @@ The rate of an axis is the slope of its angles over the last half hour, for the 
 motion: of a drift of 0.6 deg/h it shows 0.02 after an hour, the slope 0.3 after a quarter of an hour and all after half
 an hour. Against the true slope the filter's rate of roll and pitch errs by 0.023 to 0.19 deg/h, the slope by 0.014 to
 0.025 (scenarios ``white`` and ``octants``).
+What was commanded goes on no more once it is done: a turn of 0.25 deg that was over read as 0.4 to 0.7 deg/h for half
+an hour, so the slope begins at its end.
 """
 
 import math
@@ -53,7 +55,8 @@ class AxisMotion:
     angle_deg: Annotated[float, "The last known where it is lost."]
     is_beyond: Annotated[bool, "It is beyond its limit; yaw: surely, by two sigma."]
     rate_deg_h: Annotated[
-        float, "Slope of the angle over the last half hour; before there are rows for it, the estimator's rate."
+        float,
+        "Slope of the angle over the last half hour, or since a commanded motion; without rows for it the estimator's.",
     ] = math.nan
     hours_to_limit: Annotated[float, "At this rate, of either sign; null: not within a day."] = math.nan
 
