@@ -6,7 +6,7 @@ that is taken is told and ends it with 1. HiSLIP is served when its port is give
     {"scpi_port": 5025, "alias_ports": [], "hislip_port": null, "ground_port": 5026, "uplink_port": null,
      "dialect": "rs", "scenario": "demo", "seed": 1}
 
-With ``--uplink-port`` the spacecraft is flown: schedules come in on that port (``uplink_port.py``).
+With ``--uplink-port`` the spacecraft is flown: schedules come in on that port (``serving.py``).
 """
 
 import argparse

@@ -5,25 +5,462 @@ front ends that send a row each would pay that a hundred times a commit, togethe
 that nearly all are go this way: one row a batch, from a known source, behind its newest one and next in its sequence.
 Everything else takes ``store_batch``, in its turn. On PostgreSQL, where a statement costs a way to the server and not
 a lock, all do.
+
+Storing batches of measurements, the hot path: one query, one insert and two updates a batch.
+
+Of a batch ``received = accepted + duplicates + refused``. Whether a row is known is asked of the table only where its
+epoch is not above the newest stored one of its source, and of sealed days only where one reaches to its epoch.
+
+Sequence numbers of a source in the archive, kept as intervals in the transaction that stores the rows.
+
+A front end numbers its rows in the order in which it takes them. Numbers that start again while epochs go on are a new
+run, and so are numbers that jump by more than ``MAX_JUMP``; a late row that far off its run is not counted. A row of
+an earlier epoch belongs to the run that had begun by then, so rows sent later find their gap. Of the
+newest run the newest interval stands with the source (the ``Tail``), which costs a batch that follows the one before
+no statement more; intervals below it stand in ``sequence_interval``. What is missing is counted as intervals change:
+span of each run minus the numbers held in it. What lies before the first row ever held is not known to be missing.
 """
 
 import json
 import sqlite3
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
-from typing import Any
+from itertools import chain, pairwise
+from typing import Any, NamedTuple
 
-from sqlalchemy import Connection, bindparam, select
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, and_, bindparam, delete, func, select, update
 
 from db.connection.writer import PreparedStatement, run_bare
+from db.database import lock_head
+from db.encoding.measurement_runs import insert_details
 from db.encoding.segments import SegmentCache
-from db.measurements.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later, store_batch
-from db.measurements.row_insert import PreparedBatch
+from db.measurements.row_insert import PreparedBatch, RowRun, SortedRows, insert_run, seq_at, sort_rows
 from db.schema.columns import measurement_checksums
-from db.schema.tables import head, source
-from service.records.levels.measurement import BatchReceipt
+from db.schema.tables import head, sequence_interval, source
+from service.errors import InvalidInputError
+from service.records.levels.attitude import BoolArray, IntArray
+from service.records.levels.measurement import BatchReceipt, MeasurementBatch, RowNotice, Sender
+
+_TABLE = sequence_interval
+#: before every epoch
+BEFORE_ALL_US = -(1 << 62)
+#: runs whose intervals are kept: rows sent later than that no longer find their gap
+RUNS_KEPT = 16
+_MAX_MISSING = 1 << 62
+#: numbers between which no gap is counted: no source measures so many rows, a counter was set or overran
+MAX_JUMP = 1_000_000_000
+
+
+class Tail(NamedTuple):
+    """Newest run of a source and its newest interval; kept in columns of ``source``."""
+
+    run: int
+    #: rows up to this epoch belong to earlier runs
+    after_us: int
+    start: int
+    last: int
+    rows_missing: int
+
+
+class Block(NamedTuple):
+    """Numbers without gap that a batch adds."""
+
+    first: int
+    last: int
+    #: epoch of the first
+    epoch_us: int
+    #: later than every row of the source before the batch
+    is_ahead: bool
+
+
+class NumberedRow(NamedTuple):
+    """One row of a batch that the archive holds after it."""
+
+    seq: int
+    epoch_us: int
+    #: stored by this batch, else held already
+    is_new: bool
+
+
+def blocks_of(rows: Iterable[NumberedRow], newest_us: int | None) -> Iterator[Block]:
+    """Yield the blocks of numbers that new rows add.
+
+    A row that was held already carries a block on, whatever number it had then, but neither begins nor ends one.
+
+    Parameters
+    ----------
+    rows : iterable of NumberedRow
+        In the order of the batch.
+    newest_us : int or None
+        Newest epoch of the source before the batch.
+    """
+    block: Block | None = None
+    seq = 0
+    for row in rows:
+        is_ahead = newest_us is None or row.epoch_us > newest_us
+        is_next = block is not None and row.seq == seq + 1 and (not row.is_new or is_ahead == block.is_ahead)
+        if block is not None and not is_next:
+            yield block
+            block = None
+        if row.is_new:
+            block = Block(row.seq, row.seq, row.epoch_us, is_ahead) if block is None else block._replace(last=row.seq)
+        seq = row.seq
+    if block is not None:
+        yield block
+
+
+@dataclass
+class SequenceNumbers:
+    """The numbers of one source inside a write transaction.
+
+    Parameters
+    ----------
+    connection : Connection
+        Of the writer.
+    spacecraft_key, source_key : int
+        The source.
+    """
+
+    connection: Connection
+    spacecraft_key: int
+    source_key: int
+
+    def added(self, tail: Tail | None, block: Block, newest_us: int | None) -> Tail:
+        """Return where a source stands after a block.
+
+        Parameters
+        ----------
+        tail : Tail or None
+            Where it stood; None before its first number.
+        block : Block
+            Numbers to count in.
+        newest_us : int or None
+            Newest epoch of the source before the block.
+        """
+        if tail is None:
+            return Tail(1, BEFORE_ALL_US, block.first, block.last, 0)
+        is_jump = block.first - tail.last > MAX_JUMP
+        if block.first > tail.last and not is_jump:
+            return self._advanced(tail, block)
+        if block.is_ahead:
+            return self._begun(tail, block, BEFORE_ALL_US if newest_us is None else newest_us)
+        if block.epoch_us > tail.after_us:
+            return self._filled(tail, block, tail.run)
+        run = self._run_at(tail, block.epoch_us)
+        # a run whose intervals are no longer kept has no gap to fill
+        return tail if run is None else self._filled(tail, block, run)
+
+    def _advanced(self, tail: Tail, block: Block) -> Tail:
+        """Go on behind the newest number."""
+        if block.first == tail.last + 1:
+            return tail._replace(last=block.last)
+        self._insert(tail.run, tail.after_us, tail.start, tail.last)
+        missing = _bounded(tail.rows_missing + block.first - tail.last - 1)
+        return tail._replace(start=block.first, last=block.last, rows_missing=missing)
+
+    def _begun(self, tail: Tail, block: Block, after_us: int) -> Tail:
+        """Begin a run: numbers start again while epochs go on."""
+        self._insert(tail.run, tail.after_us, tail.start, tail.last)
+        run = tail.run + 1
+        self.connection.execute(delete(_TABLE).where(self._is_mine(), _TABLE.c.run <= run - RUNS_KEPT))
+        return Tail(run, after_us, block.first, block.last, tail.rows_missing)
+
+    def _run_at(self, tail: Tail, epoch_us: int) -> int | None:
+        """Return the run before the newest that had begun at an epoch."""
+        had_begun = (_TABLE.c.run < tail.run, _TABLE.c.after_us < epoch_us)
+        run: int | None = self.connection.scalar(select(func.max(_TABLE.c.run)).where(self._is_mine(), *had_begun))
+        return run
+
+    def _filled(self, tail: Tail, block: Block, run: int) -> Tail:
+        """Merge a block with the intervals of a run that it overlaps or adjoins."""
+        is_newest = run == tail.run
+        low, high, after_us = self._bounds(tail, run)
+        if block.first - high > MAX_JUMP or low - block.last > MAX_JUMP:
+            return tail
+        touched = self._taken(block, run)
+        does_reach_tail = is_newest and block.last + 1 >= tail.start
+        if does_reach_tail:
+            touched.append((tail.start, tail.last))
+        first = min([block.first, *(start for start, _ in touched)])
+        last = max([block.last, *(stop for _, stop in touched)])
+        gained = last - first + 1 - sum(stop - start + 1 for start, stop in touched)
+        widened = max(high, last) - min(low, first) - (high - low)
+        tail = tail._replace(rows_missing=_bounded(tail.rows_missing + widened - gained))
+        if does_reach_tail:
+            return tail._replace(start=first, last=last)
+        self._insert(run, after_us, first, last)
+        return tail
+
+    def _bounds(self, tail: Tail, run: int) -> tuple[int, int, int]:
+        """Return the first and last number of a run, and the epoch after which it began."""
+        columns = func.min(_TABLE.c.first_seq), func.max(_TABLE.c.last_seq), func.max(_TABLE.c.after_us)
+        low, high, after_us = self.connection.execute(
+            select(*columns).where(self._is_mine(), _TABLE.c.run == run)
+        ).one()
+        if run != tail.run:
+            return low, high, after_us
+        return tail.start if low is None else low, tail.last, tail.after_us
+
+    def _taken(self, block: Block, run: int) -> list[tuple[int, int]]:
+        """Take the closed intervals of a run that overlap or adjoin a block out of the table and return them."""
+        first, last = _TABLE.c.first_seq, _TABLE.c.last_seq
+        is_its = and_(self._is_mine(), _TABLE.c.run == run)
+        # intervals do not overlap, so of those that begin before the block only the last can reach it
+        lower = self.connection.scalar(select(func.max(first)).where(is_its, first <= block.first))
+        bounds = (first >= (block.first if lower is None else lower), first <= block.last + 1, last >= block.first - 1)
+        found = [(row[0], row[1]) for row in self.connection.execute(select(first, last).where(is_its, *bounds))]
+        if found:
+            self.connection.execute(delete(_TABLE).where(is_its, *bounds))
+        return found
+
+    def _insert(self, run: int, after_us: int, first: int, last: int) -> None:
+        """Put an interval among the closed ones."""
+        values = {"run": run, "first_seq": first, "last_seq": last, "after_us": after_us}
+        keys = {"spacecraft_key": self.spacecraft_key, "source_key": self.source_key}
+        self.connection.execute(_TABLE.insert().values({**keys, **values}))
+
+    def _is_mine(self) -> ColumnElement[bool]:
+        return and_(_TABLE.c.spacecraft_key == self.spacecraft_key, _TABLE.c.source_key == self.source_key)
+
+
+def _bounded(rows: int) -> int:
+    """Return a count that the column can hold."""
+    return max(0, min(rows, _MAX_MISSING))
+
+
+#: of ``IngestState``
+STATE_COLUMNS = (
+    head.c.newest_number,
+    head.c.newest_epoch_us,
+    head.c.consumed_epoch_us,
+    source.c.source_key,
+    source.c.is_prime,
+    source.c.row_count,
+    source.c.newest_epoch_us.label("source_newest_epoch_us"),
+    source.c.seq_run,
+    source.c.seq_after_us,
+    source.c.seq_start,
+    source.c.seq_last,
+    source.c.rows_missing,
+)
+_READ_STATE = PreparedStatement(
+    select(*STATE_COLUMNS)
+    .select_from(head)
+    .outerjoin(source, and_(source.c.spacecraft_key == head.c.spacecraft_key, source.c.name == bindparam("of_name")))
+    .where(head.c.spacecraft_key == bindparam("of_spacecraft")),
+    "of_spacecraft",
+    "of_name",
+)
+MOVE_HEAD = PreparedStatement(
+    update(head)
+    .where(head.c.spacecraft_key == bindparam("of_spacecraft"))
+    .values(newest_number=bindparam("to_number"), newest_epoch_us=bindparam("to_epoch_us")),
+    "of_spacecraft",
+    "to_number",
+    "to_epoch_us",
+)
+_MOVE_SOURCE = PreparedStatement(
+    update(source)
+    .where(source.c.spacecraft_key == bindparam("of_spacecraft"), source.c.source_key == bindparam("of_source"))
+    .values(
+        row_count=bindparam("to_count"),
+        newest_epoch_us=bindparam("to_epoch_us"),
+        seq_run=bindparam("to_run"),
+        seq_after_us=bindparam("to_after_us"),
+        seq_start=bindparam("to_start"),
+        seq_last=bindparam("to_last"),
+        rows_missing=bindparam("to_missing"),
+    ),
+    "of_spacecraft",
+    "of_source",
+    "to_count",
+    "to_epoch_us",
+    "to_run",
+    "to_after_us",
+    "to_start",
+    "to_last",
+    "to_missing",
+)
+_NO_NUMBERS = (None,) * len(Tail._fields)
+
+
+class IngestState(NamedTuple):
+    """Head of a spacecraft and figures of a source; the columns ``STATE_COLUMNS``."""
+
+    newest_number: int
+    newest_epoch_us: int | None
+    consumed_epoch_us: int | None
+    source_key: int
+    is_prime: bool
+    row_count: int
+    source_newest_epoch_us: int | None
+    seq_run: int | None
+    seq_after_us: int | None
+    seq_start: int | None
+    seq_last: int | None
+    rows_missing: int | None
+
+    @property
+    def tail(self) -> Tail | None:
+        """Return where the sequence numbers of the source stand, None before the first."""
+        numbers: Any = self[-len(Tail._fields) :]
+        return None if None in numbers else Tail(*numbers)
+
+
+def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentCache) -> BatchReceipt:
+    """Store and journal the new rows of a batch; runs in the writer's transaction."""
+    if not prepared.epochs_us:
+        return BatchReceipt(0, 0, 0, ())
+    state = _state(connection, prepared.spacecraft_key, prepared.batch.source, prepared.batch.sender)
+    outcome = sort_rows(connection, cache, prepared, state.source_key, state.source_newest_epoch_us)
+    prepared = outcome.batch
+    if not len(outcome.accepted):
+        return BatchReceipt(0, len(outcome.duplicates), 0, outcome.refused)
+    is_late = _lateness(prepared.batch, state.consumed_epoch_us)[outcome.accepted]
+    for run in _runs(prepared, outcome.accepted, is_late, state):
+        insert_run(connection, run)
+    _store_details(connection, prepared, outcome.accepted, state)
+    jumps = _advance(connection, prepared, outcome, state)
+    late = int(is_late.sum())
+    return BatchReceipt(
+        len(outcome.accepted),
+        len(outcome.duplicates),
+        late,
+        outcome.refused,
+        (*outcome.flagged, *jumps),
+        first_number=state.newest_number + 1,
+        feeds_estimator=bool(state.is_prime),
+        is_late=is_late if 0 < late < len(is_late) else None,
+    )
+
+
+def _state(connection: Connection, key: int, name: str, sender: Sender | None) -> IngestState:
+    """Return head and source; the first source of a spacecraft becomes the prime one."""
+    if connection.dialect.name != "sqlite":
+        # elsewhere other processes write too: what is read before the lock is granted could be stale
+        lock_head(connection, key)
+    row = _READ_STATE.run(connection, key, name).fetchone() or lock_head(connection, key)
+    if row[IngestState._fields.index("source_key")] is not None:
+        return IngestState(*row)
+    known = connection.execute(select(source.c.source_key).where(source.c.spacecraft_key == key)).all()
+    values = {"spacecraft_key": key, "source_key": len(known) + 1, "name": name, "is_prime": not known, "row_count": 0}
+    if sender is not None:
+        _check_number(connection, sender)
+        values["created_by"] = sender.key_id
+    connection.execute(source.insert().values(values))
+    return IngestState(*_READ_STATE.run(connection, key, name).fetchone())
+
+
+def _check_number(connection: Connection, sender: Sender) -> None:
+    """Refuse a source that is one too many of its key."""
+    made = select(func.count()).select_from(source).where(source.c.created_by == sender.key_id)
+    if connection.execute(made).scalar_one() >= sender.max_sources:
+        detail = f"This key has made {sender.max_sources} sources and may make no more."
+        raise InvalidInputError("source.too_many", detail)
+
+
+def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
+    """Return which rows are late: stale, or below the newest epoch that the chain has consumed."""
+    return batch.is_stale if consumed_us is None else batch.is_stale | (batch.epochs_us < consumed_us)
+
+
+def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: IngestState) -> Iterator[RowRun]:
+    """Yield the accepted rows as runs, numbered on from the head."""
+    batch, details = prepared.batch, prepared.details
+    is_whole = prepared.is_even and len(accepted) == len(prepared.epochs_us) and is_late.all() == is_late.any()
+    breaks = [] if is_whole else _breaks(prepared, accepted, is_late)
+    for start, stop in pairwise([0, *breaks, len(accepted)]):
+        position = int(accepted[start])
+        after = position + stop - start
+        yield RowRun(
+            spacecraft_key=prepared.spacecraft_key,
+            source_key=state.source_key,
+            plan_id=batch.plan_id,
+            received_at_us=batch.received_at_us,
+            feeds=bool(state.is_prime),
+            is_late=bool(is_late[start]),
+            first_number=state.newest_number + 1 + start,
+            first_seq=seq_at(batch, position),
+            epochs_us=prepared.epochs_us[position:after],
+            powers=prepared.powers.part(position, after),
+            flags=prepared.flags.part(position, after) if prepared.has_flags[position] else None,
+            figures=None if details is None else list(map(details.of_row, range(position, after))),
+        )
+
+
+def _breaks(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray) -> list[int]:
+    """Return where a row does not follow the one before it as the rows of a run do."""
+    positions = (accepted, prepared.batch.index[accepted])
+    claims = (is_late.astype(np.int64), prepared.has_flags[accepted].astype(np.int64))
+    is_break = np.diff(np.stack((*positions, *claims)), axis=1) != [[1], [1], [0], [0]]
+    found: list[int] = (np.flatnonzero(is_break.any(axis=0)) + 1).tolist()
+    return found
+
+
+def _store_details(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: IngestState) -> None:
+    """Store what the new rows state beside their powers."""
+    details = prepared.details
+    if details is None:
+        return
+    positions = accepted[details.is_stated[accepted]].tolist()
+    width, figures = details.width, details.figures
+    if len(positions) < len(prepared.epochs_us):
+        figures = b"".join(figures[position * width : (position + 1) * width] for position in positions)
+    epochs_us = [prepared.epochs_us[position] for position in positions]
+    insert_details(connection, prepared.spacecraft_key, state.source_key, epochs_us, width, figures)
+
+
+def _advance(
+    connection: Connection, prepared: PreparedBatch, outcome: SortedRows, state: IngestState
+) -> list[RowNotice]:
+    """Move the head of the spacecraft and the figures of the source past the stored rows; return jumps of numbers."""
+    key, stored = prepared.spacecraft_key, len(outcome.accepted)
+    newest_us = int(prepared.batch.epochs_us[outcome.accepted].max())
+    MOVE_HEAD.run(connection, key, state.newest_number + stored, later(newest_us, state.newest_epoch_us))
+    source_newest_us = later(newest_us, state.source_newest_epoch_us)
+    tail, jumps = _numbered(connection, prepared, outcome, state)
+    numbers = _NO_NUMBERS if tail is None else tail
+    _MOVE_SOURCE.run(connection, key, state.source_key, state.row_count + stored, source_newest_us, *numbers)
+    return jumps
+
+
+def _numbered(
+    connection: Connection, prepared: PreparedBatch, outcome: SortedRows, state: IngestState
+) -> tuple[Tail | None, list[RowNotice]]:
+    """Return where the sequence numbers of the source stand after the batch, and the rows at which they jump."""
+    batch, tail, newest_us = prepared.batch, state.tail, state.source_newest_epoch_us
+    jumps: list[RowNotice] = []
+    if batch.first_seq is None:
+        return tail, jumps
+    rows = len(prepared.epochs_us)
+    first, last = batch.first_seq + int(batch.index[0]), batch.first_seq + int(batch.index[-1])
+    follows = tail is not None and first == tail.last + 1 and last - first == rows - 1
+    if tail is not None and follows and len(outcome.accepted) == rows:
+        # nearly always: the whole batch goes on where the one before ended
+        return tail._replace(last=last), jumps
+    numbers = SequenceNumbers(connection, prepared.spacecraft_key, state.source_key)
+    for block in blocks_of(_held_rows(prepared, outcome), newest_us):
+        if tail is not None and block.first - tail.last > MAX_JUMP:
+            detail = f"the sequence number before was {tail.last}; no gap is counted in between"
+            jumps.append(RowNotice(block.first - batch.first_seq, block.first, "seq.jump", detail))
+        tail = numbers.added(tail, block, newest_us)
+    return tail, jumps
+
+
+def _held_rows(prepared: PreparedBatch, outcome: SortedRows) -> Iterator[NumberedRow]:
+    """Yield the rows of a batch that the archive holds after it, in order of place."""
+    seqs = ((prepared.batch.first_seq or 0) + prepared.batch.index).tolist()
+    known = set(outcome.duplicates)
+    for position in sorted((*outcome.accepted.tolist(), *outcome.duplicates)):
+        yield NumberedRow(seqs[position], prepared.epochs_us[position], position not in known)
+
+
+def later(epoch_us: int, other_us: int | None) -> int:
+    """Return the later of two epochs."""
+    return epoch_us if other_us is None else max(epoch_us, other_us)
+
 
 #: UPDATE .. FROM
 _IS_KNOWN_TO_SQLITE = sqlite3.sqlite_version_info >= (3, 33)

@@ -13,15 +13,18 @@ import numpy as np
 from service.pipeline.calibration.gathered_torque import gathered_quality, gathered_torque, gathered_warnings
 from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, GeometryRows, geometry_rows
-from service.pipeline.calibration.momentum_check import momentum_check, momentum_quality, momentum_warnings
 from service.pipeline.calibration.paper_calibration import observe, paper_part
-from service.pipeline.calibration.polarimeter_check import (
+from service.pipeline.calibration.sensor_signs import report_signs
+from service.pipeline.calibration.telemetry_checks import (
+    axes_quality,
+    momentum_check,
+    momentum_warnings,
     polarimeter_checks,
     polarimeter_quality,
     polarimeter_warnings,
+    rate_check,
+    rate_warnings,
 )
-from service.pipeline.calibration.rate_check import rate_check, rate_quality, rate_warnings
-from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.carrier_model.expected_level import daily_error_db, geometry_model
 from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
@@ -104,7 +107,7 @@ def _motion_quality(
     gathered: GatheredTorque | None,
 ) -> dict[str, float]:
     """Return the figures of measured motion, by name."""
-    checks = {**momentum_quality(momentum), **rate_quality(rates), **polarimeter_quality(angles)}
+    checks = {**axes_quality("momentum", momentum), **axes_quality("rate", rates), **polarimeter_quality(angles)}
     return {**checks, **gathered_quality(gathered)}
 
 

@@ -30,8 +30,7 @@ from service.formats.tabular.measurement_file import (
     file_bytes,
     measurement_file,
 )
-from service.formats.tabular.row_kernel import compiled_fill_rows
-from service.formats.tabular.row_text import RowFrame, RowText, plain_rows, ready_kernels
+from service.formats.tabular.row_text import RowFrame, RowText, compiled_fill_rows, plain_rows, ready_kernels
 from service.formats.tabular.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, plain_value
 from service.formats.tabular.table_file import Column, SeriesTable, TableFormat, table_bytes
 from service.records.catalogue import Method, Site, Spacecraft

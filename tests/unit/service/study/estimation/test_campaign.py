@@ -11,12 +11,11 @@ from service.study import executors
 from service.study.estimation import unit as unit_module
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import AXES, Bound, Mark, at_least, at_most
-from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics, versions
+from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics, night_statistics, versions
 from service.study.estimation.figures import draw_campaign
 from service.study.estimation.flight.baselines import BASELINES, UNINFORMED
 from service.study.estimation.flight.drive import UndrivenError
 from service.study.estimation.measures import measure_method
-from service.study.estimation.nights import night_statistics
 from service.study.estimation.report import MARKER_BEGIN, MARKER_END, _number, markdown, tables, verdict_lines
 from service.study.estimation.report_document import as_document
 from service.study.estimation.unit import Course, Drawn, Rain, Unit, run_unit

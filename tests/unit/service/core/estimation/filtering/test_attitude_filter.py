@@ -6,7 +6,7 @@ import pytest
 
 from service.core.estimation.filtering.anchor.anchor_watch import ERROR_SIGMA_DEG
 from service.core.estimation.filtering.anchor.carrier_mixture import Mixture
-from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.attitude_filter import start, start_again, step
 from service.core.estimation.filtering.carry_over import carry_over
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause, LikeliestCause
 from service.core.estimation.filtering.filter_predict import Weather, predict
@@ -29,7 +29,6 @@ from service.core.estimation.filtering.model.filter_state import (
     core_size,
     reference_states,
 )
-from service.core.estimation.filtering.new_start import start_again
 from service.core.estimation.filtering.watches.integrity import IntegrityLimits
 
 MINUTE_US = 60_000_000

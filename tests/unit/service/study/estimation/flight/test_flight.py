@@ -25,6 +25,7 @@ from service.study.estimation.flight.catalogue_lines import (
     read_spacecraft,
     read_telemetry,
 )
+from service.study.estimation.flight.drive import measurements, slow_entries
 from service.study.estimation.flight.episodes import (
     measure_alarms,
     measure_dark,
@@ -33,7 +34,6 @@ from service.study.estimation.flight.episodes import (
     measure_rain,
     stretches,
 )
-from service.study.estimation.flight.journal import measurements, slow_entries
 from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED, TrueRates, read_motion_statistics
 from service.study.estimation.flight.world import GroundEvent, Truth
 
