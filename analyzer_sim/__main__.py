@@ -246,7 +246,7 @@ def _flown(options: argparse.Namespace) -> "PlantOptions":
 
 def _run_plant(options: argparse.Namespace) -> int:
     """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
-    from analyzer_sim.plant.plant_lines import run_plant
+    from analyzer_sim.plant.plant import run_plant
 
     # bytes that are no text must reach the parser of lines, which answers them
     source = io.TextIOWrapper(sys.stdin.buffer, encoding="utf-8", errors="replace")

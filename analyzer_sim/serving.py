@@ -35,8 +35,7 @@ from analyzer_sim.lines.dispatcher import Dispatcher, poll_permission
 from analyzer_sim.lines.hislip_server import HislipServer
 from analyzer_sim.lines.line_faults import FaultyLine, LineEndedError, LineFault, LineFaults
 from analyzer_sim.plant.flown_world import MAX_LINE_BYTES, ChangeError, FlownWorld
-from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, PlantOptions, ScheduleError
-from analyzer_sim.plant.plant_lines import fed_forward_line
+from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, PlantOptions, ScheduleError, fed_forward_line
 from analyzer_sim.scpi.framing import MessageFramer
 from analyzer_sim.world.ground.ground_port import Gate, serve_ground
 from analyzer_sim.world.scenario.scenario import Scenario

@@ -15,7 +15,7 @@ from db.connection.writer import insert_new
 from db.database import Database, lock_head
 from db.encoding.measurement_runs import pack_carriers, unpack_carriers
 from db.encoding.row_mapping import attitude_of, attitude_values, torque_of, torque_values
-from db.measurements.slow_inputs import store_inputs
+from db.measurements.archive import store_inputs
 from db.results import attitude_summaries, carrier_summaries, result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
 from db.results.attitude_summaries import TORQUE, forget_days

@@ -119,7 +119,7 @@ measurement_detail = Table(
     sqlite_with_rowid=False,
 )
 
-#: rows of closed days, many in one (db.encoding.segment_codec); the blobs stand last, so that other columns read fast
+#: rows of closed days, many in one (db.encoding.segments); the blobs stand last, so that other columns read fast
 measurement_segment = Table(
     "measurement_segment",
     metadata,

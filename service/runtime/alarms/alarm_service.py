@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Key, Readings
@@ -159,13 +159,12 @@ class AlarmService:
         self._polls = 0
         self._persisted_by_id: dict[str | None, PersistedAlarms] = {}
         self._lock = threading.RLock()
-        self._queue: deque[tuple[str, Seen]] = deque()
+        # of rows that come faster than they can be looked at the newest
+        self._queue: deque[tuple[str, Seen]] = deque(maxlen=_CAPACITY)
         self._arrived = threading.Event()
         self._is_stopping = False
         self._is_failing = False
         self._thread = threading.Thread(target=self._run, name="soo-alarms", daemon=True)
-        #: rows that came faster than they could be looked at
-        self.rows_skipped = 0
 
     @property
     def notices(self) -> NoticeChannels:
@@ -188,11 +187,6 @@ class AlarmService:
     def on_rows(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
         """Take over rows and references; called from the supervisor's thread."""
         self._queue.extend((spacecraft_id, one) for one in seen)
-        # the desk may empty the queue at the same time
-        with suppress(IndexError):
-            while len(self._queue) > _CAPACITY:
-                self._queue.popleft()
-                self.rows_skipped += 1
         self._arrived.set()
 
     def acknowledge(self, alarm_id: int, by: str, comment: str) -> Alarm:

@@ -15,8 +15,7 @@ from ground_story import ground_lines
 from analyzer_sim import serving
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
 from analyzer_sim.plant.flown_world import FlownWorld
-from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, PlantOptions
-from analyzer_sim.plant.plant_lines import fed_forward_line
+from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, PlantOptions, fed_forward_line
 from analyzer_sim.serving import UplinkPort
 from analyzer_sim.world.ground.ground import chunks_of
 from analyzer_sim.world.ground.ground_port import MAX_LINE_BYTES, Gate, serve_ground

@@ -39,26 +39,38 @@ from service.core.estimation.filtering.causes.carrier_faults import (
     CarrierWatch,
     flag_failed,
     give_back,
+    release_quiet,
     set_aside,
 )
-from service.core.estimation.filtering.causes.carrier_return import release_quiet
-from service.core.estimation.filtering.causes.common_cause import NOTHING, SUDDEN_CHANGE, widen
+from service.core.estimation.filtering.causes.common_cause import (
+    HOLD_MINUTES,
+    NOTHING,
+    SUDDEN_CHANGE,
+    Cause,
+    Chooser,
+    LikeliestCause,
+    RainWatch,
+    choose_cause,
+    widen,
+)
 from service.core.estimation.filtering.causes.common_change import quiet_cusum, reset_cusum
-from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Chooser, LikeliestCause, choose_cause
-from service.core.estimation.filtering.causes.rain_state import HOLD_MINUTES, RainWatch
 from service.core.estimation.filtering.filter_predict import Weather, predict, waiting_loss_deg
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
 from service.core.estimation.filtering.filter_update import innovate, site_db
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    CHAIN,
+    RAIN,
     BoolArray,
     CarrierModel,
     FilterSettings,
     FloatArray,
+    Gaussian,
     IntArray,
     KnownMotion,
+    hidden_count,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, RAIN, Gaussian, hidden_count
 from service.core.estimation.filtering.model.hidden_motion import with_doubted_torque
 from service.core.estimation.filtering.model.step_inputs import StepInputs, step_inputs
 from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_size_deg_h2

@@ -22,7 +22,7 @@ import numpy as np
 
 from service.core.estimation.filtering.anchor.anchor_watch import carrier_hypotheses
 from service.core.estimation.filtering.hidden_shares import with_share, without_shares
-from service.core.estimation.filtering.model.filter_state import core_size
+from service.core.estimation.filtering.model.filter_model import core_size
 from service.core.estimation.filtering.model.hidden_motion import SHARE_SIGMA, momentum_count, sensors_first
 from service.core.estimation.filtering.model.measured_motion import measured_settings
 from service.core.estimation.filtering.model.polarimeter import POLARIMETER
@@ -59,8 +59,7 @@ from service.pipeline.inputs.sensor_angles import inertial_deg_h
 from service.records.calibration import Alignment, Calibration
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft, WheelMomentum
 from service.records.epoch import US_PER_S
-from service.records.inputs import Correction, TelemetryRecord
-from service.records.journal import SlowInput
+from service.records.inputs import Correction, SlowInput, TelemetryRecord
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeRow,

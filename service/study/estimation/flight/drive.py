@@ -37,11 +37,11 @@ from service.records.inputs import (
     CalibrationActivation,
     PlanChange,
     PolarizationRecord,
+    SlowInput,
     SourceSelection,
     SpacecraftChange,
     TelemetryRecord,
 )
-from service.records.journal import SlowInput
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 from service.records.levels.measurement import Measurement
 from service.study.estimation.flight.past import Past, PastSeries

@@ -22,13 +22,14 @@ from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES,
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, AnchorKernels
 from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
     BoolArray,
     CarrierModel,
     FloatArray,
+    Gaussian,
     IntArray,
     pattern_change,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
 
 #: probability with which the error of a row may pass the level
 RISK = 1e-4

@@ -12,8 +12,12 @@ from turned_wheels import ALIKE, MINUTE_US, SCENARIO, WRONG, turned_deg, turned_
 from analyzer_sim.world.scenario.story import WheelTelemetry
 from service.core.estimation.calibration.checks.sensor_axes import MAPPINGS
 from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
-from service.pipeline.calibration.gathered_torque import gathered_quality, gathered_torque, gathered_warnings
-from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.geometry_calibration import (
+    calibrate_geometry,
+    gathered_quality,
+    gathered_torque,
+    gathered_warnings,
+)
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.calibration.telemetry_checks import (
