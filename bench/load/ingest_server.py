@@ -18,7 +18,7 @@ import uvicorn
 
 from db.connection.engines import open_engines
 from db.encoding.segments import SegmentCache
-from db.measurements.ingest_grouped import store_batch
+from db.measurements.ingest import store_batch
 from db.measurements.row_insert import PreparedBatch, prepare
 from service.api.server_process import StreamingServer, calm_collector
 from service.composition.bootstrap import build_app, build_storage

@@ -17,7 +17,7 @@ from db.encoding.measurement_runs import Cursor
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, kind_of
 from db.encoding.segments import DAY_US
 from db.measurements import power_summaries, retention, sealing
-from db.measurements.ingest_grouped import StoreBatch
+from db.measurements.ingest import StoreBatch
 from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
 from db.measurements.row_insert import prepare

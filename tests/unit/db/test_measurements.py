@@ -10,8 +10,8 @@ from sqlalchemy import delete, select
 from db.connection.engines import open_engines
 from db.encoding.measurement_runs import insert_details
 from db.encoding.power_codec import StoredRows
-from db.measurements.ingest_grouped import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.measurements.row_insert import RowRun, insert_run
+from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.schema.layout import create_tables
 from db.schema.tables import measurement, measurement_detail, sequence_interval
 

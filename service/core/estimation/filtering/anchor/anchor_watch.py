@@ -3,7 +3,7 @@
 The anchor never forgets: every carrier takes part with the reference that the alignment gave it, grown by its random
 walk, whatever the filter learned since. Its answer is the error of the filter's attitude as a mixture over the
 hypotheses of the carriers (`carrier_mixture`), and with it protection levels. Where the references contradict the
-attitude the filter starts again from them (`filtering.new_start`); a smaller difference is left to the filter.
+attitude the filter starts again from them (`filtering.attitude_filter`); a smaller difference is left to the filter.
 
 Protection levels: bounds that the error of roll, pitch or yaw passes with a stated probability.
 

@@ -8,13 +8,13 @@ own noise, that are interfered with, and those whose level stepped within the la
 While it rains over the receiving site what is common to all carriers tells nothing. Motion that the corrections do not
 tell widens the attitude by its true size for as long as it lasts. Before operation the attitude is known, as it is to
 the sensor, so that slow noise is known as well as alignment and quiet days can tell it. Where wheels, rates or
-polarisation are measured their states stand behind those of the noise (`wheels`, `rates`, `polarimeter`).
+polarisation are measured their states stand behind those of the noise.
 
 Rate sensor in the oracle: mean rates of a step tell corrections, drift and the bias of the sensor together.
 
     reported = (1 + s) u + d + b + noise       u commanded, s scale error, d drift, b bias of first order; deg/h
 
-as in `filter`, without the turn of the orbit. Before operation the motion is known, and what is reported is the bias.
+as above, without the turn of the orbit. Before operation the motion is known, and what is reported is the bias.
 
 Momentum of the wheels in the oracle: what gathers by a torque, and what a report of it has wrong.
 
