@@ -6,7 +6,7 @@ that is taken is told and ends it with 1. HiSLIP is served when its port is give
     {"scpi_port": 5025, "alias_ports": [], "hislip_port": null, "ground_port": 5026, "uplink_port": null,
      "dialect": "rs", "scenario": "demo", "seed": 1}
 
-With ``--uplink-port`` the spacecraft is flown: schedules come in on that port (``uplink_port.py``).
+With ``--uplink-port`` the spacecraft is flown: schedules come in on that port (``serving.py``).
 """
 
 import argparse
@@ -246,7 +246,7 @@ def _flown(options: argparse.Namespace) -> "PlantOptions":
 
 def _run_plant(options: argparse.Namespace) -> int:
     """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
-    from analyzer_sim.plant.plant_lines import run_plant
+    from analyzer_sim.plant.plant import run_plant
 
     # bytes that are no text must reach the parser of lines, which answers them
     source = io.TextIOWrapper(sys.stdin.buffer, encoding="utf-8", errors="replace")

@@ -20,7 +20,7 @@ from db.encoding.segments import SegmentCache
 from db.schema.tables import head, journal, spacecraft
 from service.errors import NotFoundError
 from service.records.calibration import Window
-from service.records.journal import SlowInput
+from service.records.inputs import SlowInput
 from service.records.operations.access import CURRENT_NOTE
 
 Result = TypeVar("Result")

@@ -8,8 +8,15 @@ from typing import Any, NamedTuple
 
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.epochs import US_PER_S, rfc3339
-from analyzer_sim.plant.plant import Plant, PlantOptions, Schedule, ScheduleError, parse_schedule
-from analyzer_sim.plant.plant_lines import report_line, telemetry_of
+from analyzer_sim.plant.plant import (
+    Plant,
+    PlantOptions,
+    Schedule,
+    ScheduleError,
+    parse_schedule,
+    report_line,
+    telemetry_of,
+)
 from analyzer_sim.world.ground.ground import truth_row
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.world import World

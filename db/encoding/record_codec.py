@@ -13,7 +13,7 @@ from sqlalchemy import Row, Table
 
 from db.schema.columns import column_names
 from service.errors import StorageError
-from service.records.journal import KIND_OF, KINDS, SlowInput
+from service.records.inputs import KIND_OF, KINDS, SlowInput
 from service.records.levels.attitude import NO_ANGLES, Axes, IntArray
 from service.records.levels.measurement import Float32Array, QualityFlag
 from service.records.record_fields import FieldKind, RecordField, record_fields

@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from db.maintenance.backup import Report, create_backup, verify_backup
+from db.maintenance.backup import Report, Restored, create_backup, restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import Report as StepReport
-from db.maintenance.restore import Restored, restore_backup
 from service.ports import Clock
 from service.records.epoch import format_epoch
-from service.records.journal import JournalHead
+from service.records.inputs import JournalHead
 from service.records.storage import Diagnosis, Manifest
 
 

@@ -28,7 +28,7 @@ from service.errors import StorageError
 from service.records.calibration import Alignment, CalibrationRequest, CalibrationResult
 from service.records.catalogue import Carrier, Ephemeris, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
-from service.records.journal import JournalHead
+from service.records.inputs import JournalHead
 from service.records.operations.alarms import Alarm
 from service.records.storage import Diagnosis
 

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, select
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import MeasurementPages
 from db.schema.tables import head, journal, spacecraft
-from service.records.journal import JournalHead
+from service.records.inputs import JournalHead
 from service.records.levels.measurement import DETAIL_NAMES, HeadState, Measurement
 from service.records.storage import Diagnosis
 

@@ -7,10 +7,8 @@ from sqlalchemy import Connection
 
 from db.database import Database
 from db.encoding.measurement_runs import ChunkRun
-from db.encoding.segment_codec import SealedRows
-from db.encoding.segments import DAY_US, SegmentCache, SegmentHead, day_of, read_chunk
-from db.encoding.stored_summaries import POWERS, READ_AT_ONCE, Stored
-from db.encoding.summary_codec import SummaryBlobs, pack_day
+from db.encoding.segments import DAY_US, SealedRows, SegmentCache, SegmentHead, day_of, read_chunk
+from db.encoding.summary_codec import POWERS, READ_AT_ONCE, Stored, SummaryBlobs, pack_day
 from db.measurements.measurement_pages import FULL, Chosen, MeasurementPages
 from db.measurements.measurement_pages import POWERS as POWER_COLUMNS
 from db.schema.tables import power_summary

@@ -16,8 +16,19 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, selec
 
 from db.database import Database, lock_head
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
-from db.encoding.segment_codec import CODEC, Blobs, SealedRows, pack
-from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentHead, crc32_of, day_of, heads, read_chunk
+from db.encoding.segments import (
+    CODEC,
+    DAY_US,
+    HEAD_COLUMNS,
+    Blobs,
+    SealedRows,
+    SegmentHead,
+    crc32_of,
+    day_of,
+    heads,
+    pack,
+    read_chunk,
+)
 from db.encoding.summary_codec import SummaryBlobs
 from db.measurements.checksum_check import agrees
 from db.measurements.power_summaries import store_summary, summary_of

@@ -4,7 +4,7 @@ from sqlalchemy import ColumnElement, Connection, and_, select, update
 
 from db.database import Repository, lock_head, page_of, within
 from db.encoding.record_codec import decode, encode
-from db.measurements.slow_inputs import store_inputs
+from db.measurements.archive import store_inputs
 from db.schema.tables import release_command, release_state, uplink_product
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window

@@ -16,8 +16,7 @@ from sqlalchemy import ColumnElement, Connection, and_, delete, select
 from db.connection.writer import insert_new
 from db.database import Database, lock_head
 from db.encoding.segments import DAY_US, day_of
-from db.encoding.stored_summaries import ATTITUDE, READ_AT_ONCE, Stored
-from db.encoding.summary_codec import SummaryBlobs, pack_day
+from db.encoding.summary_codec import ATTITUDE, READ_AT_ONCE, Stored, SummaryBlobs, pack_day
 from db.newest_rows import RowPages
 from db.results.carrier_summaries import CarrierRow, blobs_by_plan, store_carriers
 from db.results.state_summaries import store_states, stretch_of

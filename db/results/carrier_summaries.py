@@ -13,8 +13,7 @@ from sqlalchemy import Connection, select
 from db.database import Database
 from db.encoding.measurement_runs import unpack_carriers
 from db.encoding.segments import DAY_US
-from db.encoding.stored_summaries import CARRIERS, READ_AT_ONCE, Stored
-from db.encoding.summary_codec import MINUTE_US, SummaryBlobs, is_dense, pack_buckets
+from db.encoding.summary_codec import CARRIERS, MINUTE_US, READ_AT_ONCE, Stored, SummaryBlobs, is_dense, pack_buckets
 from db.newest_rows import RowPages
 from db.results.stored_rows import ResultSeries, pages, stored_rows
 from db.schema.tables import attitude_summary, carrier_summary

@@ -70,7 +70,7 @@ source = Table(
     Column("newest_epoch_us", BigInteger),
     Column("row_count", BigInteger, nullable=False),
     UniqueConstraint("spacecraft_key", "name", name="source_name"),
-    # sequence numbers, see db.measurements.sequence_numbers; null until the source numbers its rows
+    # sequence numbers, see db.measurements.ingest; null until the source numbers its rows
     *optional(BigInteger, "seq_run", "seq_after_us", "seq_start", "seq_last", "rows_missing"),
     #: id of the key that its first row came with; null where that was not asked
     Column("created_by", Text),
@@ -119,7 +119,7 @@ measurement_detail = Table(
     sqlite_with_rowid=False,
 )
 
-#: rows of closed days, many in one (db.encoding.segment_codec); the blobs stand last, so that other columns read fast
+#: rows of closed days, many in one (db.encoding.segments); the blobs stand last, so that other columns read fast
 measurement_segment = Table(
     "measurement_segment",
     metadata,

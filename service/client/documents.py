@@ -151,7 +151,8 @@ class AxisMotionReply(TypedDict):
     angle_deg: float | None
     #: It is beyond its limit; yaw: surely, by two sigma.
     beyond: bool
-    #: Slope of the angle over the last half hour; before there are rows for it, the estimator's rate; deg/h.
+    #: Slope of the angle over the last half hour, or since a commanded motion; without rows for it the estimator's;
+    #: deg/h.
     rate_deg_h: float | None
     #: At this rate, of either sign; null: not within a day.
     hours_to_limit: float | None
@@ -175,9 +176,9 @@ class SituationReply(TypedDict):
     ]
     #: critical, serious, caution or normal; that of every view.
     severity: Literal["critical", "serious", "caution", "normal"]
-    #: Of dark, lost and what is said of a limit.
+    #: Of old, dark, lost and what is said of a limit.
     axis: Literal["yaw", "roll", "pitch"] | None
-    #: Of this axis; the last known where it is lost; deg.
+    #: Of this axis; the last known where it is old or lost; deg.
     angle_deg: float | None
     #: An angle is to stay within it; deg.
     limit_deg: float | None

@@ -39,8 +39,7 @@ from service.ports import Outcome
 from service.records.calibration import Calibration
 from service.records.catalogue import CarrierPlan, Method, Release, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, SpacecraftChange
-from service.records.journal import SlowInput
+from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, SlowInput, SpacecraftChange
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeRow,

@@ -7,8 +7,12 @@ code is there already.
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, no_motion
-from service.core.estimation.filtering.model.filter_state import initial_gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    CarrierModel,
+    FilterSettings,
+    initial_gaussian,
+    no_motion,
+)
 from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
 
 _MINUTE_US = 60_000_000

@@ -16,8 +16,7 @@ from service.records.calibration import (
     Window,
 )
 from service.records.catalogue import Method
-from service.records.inputs import Operation
-from service.records.journal import JournalEntry, JournalHead, SlowInput
+from service.records.inputs import JournalEntry, JournalHead, Operation, SlowInput
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeRow,

@@ -1,15 +1,20 @@
-"""Twelve known states on view Now: what the page says of each, and a picture for a reader who never saw it.
+"""Known states on view Now: what the page says of each, and a picture for a reader who never saw it.
 
 The pictures are ``build/console/state-*.png``; the state of each stands in `STATES`, not in the picture's name.
+Those of the two worst hours are, in 255 colours, ``docs/images/hour-*.png``.
 """
 
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from playwright.sync_api import expect
 from release_ground import PAYLOAD, ReleaseGround, record
+from service_process import KEY
 
 from service.records.epoch import format_epoch
 from service.records.operations.access import Role
@@ -72,6 +77,23 @@ def roll_drift(ground: ReleaseGround) -> None:
     ground.rows(30, drift)
 
 
+def dark(ground: ReleaseGround) -> None:
+    """Let roll drift by five degrees in three hours, then let every carrier leave the air for an hour."""
+    armed(ground)
+    drift = np.zeros((180, 3))
+    drift[:, 1] = np.linspace(0.03, 4.98, 180)
+    ground.rows(180, drift)
+    ground.rows(60, drift[-1], np.nan)
+
+
+def stopped_and_growing(ground: ReleaseGround) -> None:
+    """Stop control, then let pitch drift by two and a half degrees in three hours."""
+    stopped(ground)
+    drift = np.zeros((170, 3))
+    drift[:, 2] = np.linspace(0.0, 2.56, 170)
+    ground.rows(170, drift)
+
+
 def too_few_carriers(ground: ReleaseGround) -> None:
     """Let nine of twelve carriers leave the air."""
     armed(ground)
@@ -117,7 +139,20 @@ STATES: dict[str, tuple[Callable[[ReleaseGround], None], str]] = {
     "j": (operation, "a declared operation forbids torques"),
     "k": (roll_drift, "is beyond its limit of 0.40 deg and grows by"),
 }
-CRAFTS = (record("yamal-202"), *(record(f"sat-{name}") for name in (*STATES, "m") if name != "i"))
+#: hour -> how it is made, the sentence
+HOURS: dict[str, tuple[Callable[[ReleaseGround], None], str]] = {
+    "dark": (
+        dark,
+        r"no carrier is on the air, roll was 5\.\d\d deg; "
+        "no torque; look at the receiving chain and the satellite first",
+    ),
+    "stopped": (
+        stopped_and_growing,
+        r"pitch 2\.5\d deg is beyond its limit of 0\.40 deg and grows by 0\.\d\d deg/h; "
+        r"no torque: an operator stopped control since \d\d:\d\d \(and \d more\); find the cause, then reset control",
+    ),
+}
+CRAFTS = (record("yamal-202"), *(record(f"sat-{name}") for name in (*STATES, "m", *HOURS) if name != "i"))
 
 
 @pytest.mark.parametrize("name", STATES)
@@ -133,6 +168,27 @@ def test_a_known_state_is_said_with_reason_and_next_step(page, ground, open_view
     expect(page.locator(".hour")).to_have_text([re.compile(hour)] * 3)
     assert fits(page)
     screenshot(page, f"state-{name}")
+
+
+@pytest.mark.parametrize("name", HOURS)
+def test_the_worst_of_a_bad_hour_is_said_first_in_red_by_console_terminal_and_alarm(
+    page, ground, open_view, screenshot, fits, service, name
+):
+    make, said = HOURS[name]
+    make(ReleaseGround(ground.client, f"sat-{name}"))
+    open_view(page, "now")
+    page.get_by_label("Spacecraft").select_option(f"sat-{name}")
+    heading = page.get_by_role("heading", level=1)
+    expect(heading).to_have_text(re.compile(said, re.IGNORECASE))
+    expect(heading.locator(".symbol.critical")).to_be_visible()
+    worst = {"dark": "no carrier is received", "stopped": "angle beyond its limit"}[name]
+    expect(page.locator("header .alarms a")).to_contain_text(worst)
+    assert fits(page)
+    screenshot(page, f"hour-{name}")
+    command = [sys.executable, "-m", "service", "status", "--spacecraft", f"sat-{name}", "--service", service.url]
+    environment = os.environ | {"SOO_KEY": KEY, "COLUMNS": "999"}
+    printed = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert printed.stdout.splitlines()[0].lower() == f"sat-{name}: {heading.inner_text().lower()}", printed.stderr
 
 
 def test_a_sudden_motion_is_said_with_the_rate_and_the_time_that_the_service_finds(page, ground, open_view, screenshot):

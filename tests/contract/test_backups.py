@@ -8,8 +8,7 @@ from sqlalchemy import create_engine, func, inspect, select, text
 from stored_records import AUDIT_EVENT
 
 from db.connection.engines import open_engines
-from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
-from db.maintenance.restore import restore_backup
+from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, restore_backup, verify_backup
 from db.schema.layout import LAYOUT
 from db.schema.tables import metadata
 from db.storage import SqlStorage
@@ -143,7 +142,7 @@ def test_a_restore_that_fails_changes_nothing(filled, url, tmp_path, monkeypatch
         raise OSError(message)
 
     monkeypatch.setattr(
-        "db.maintenance.restore._moved_aside" if url.startswith("sqlite") else "db.maintenance.restore.copy_tables",
+        "db.maintenance.backup._moved_aside" if url.startswith("sqlite") else "db.maintenance.backup.copy_tables",
         fail,
     )
     with pytest.raises(OSError, match="no room"):

@@ -12,15 +12,13 @@ from sqlalchemy import select, update
 from stored_records import ALARM
 
 import db.measurements.checksum_check
-from db.maintenance.backup import create_backup, verify_backup
+from db.maintenance.backup import create_backup, restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
-from db.maintenance.restore import restore_backup
 from db.schema.columns import CHECKSUM_BYTES, checksum_of
 from db.schema.tables import attitude, measurement, metadata
 from service.ports import LIVE, Outcome
 from service.records.catalogue import LIVE_METHODS
-from service.records.inputs import AttitudeReference, Operation
-from service.records.journal import JournalHead
+from service.records.inputs import AttitudeReference, JournalHead, Operation
 from service.records.levels.measurement import CarrierDetails
 from service.records.levels.sweep import Ring, Trace, TraceSettings
 from service.records.operations.alarms import AlarmChange, ChangeKind, Note

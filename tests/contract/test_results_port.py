@@ -296,7 +296,7 @@ def test_results_and_their_checkpoint_are_stored_together_or_not_at_all(setting,
         raise RuntimeError
 
     with monkeypatch.context() as patch:
-        patch.setattr("db.results.outcomes.store_checkpoint", killed)
+        patch.setattr("db.results.results.store_checkpoint", killed)
         with pytest.raises(RuntimeError):
             results.save_outcomes(setting.id, LIVE, written, 7, 30, made)
     assert setting.storage.archive.head(setting.id).consumed_number == 0

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from release_ground import ReleaseGround, record, seed_archive
 
 from analyzer_sim.__main__ import main
-from service.api.monitoring.metric_families import FAMILIES, MAX_CARRIERS, MAX_LINKS, MAX_SOURCES, MAX_SPACECRAFT
+from service.api.monitoring.metrics import FAMILIES, MAX_CARRIERS, MAX_LINKS, MAX_SOURCES, MAX_SPACECRAFT
 from service.api.schemas.catalogue import CarrierDocument
 from service.api.views.present import SILENT
 from service.client.service_client import ServiceClient

@@ -10,15 +10,12 @@ from geometry_flight import Flight, FlightPayload
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from service.core.estimation.carrier_sets import judge_set
 from service.core.estimation.design import (
     AXIS_WEIGHTS,
     MAX_TRANSPONDER_SHARE,
-    MIN_CARRIERS,
-    MIN_REDUNDANCY,
     choose_carriers,
 )
-from service.core.estimation.observability import crlb_deg
+from service.core.estimation.observability import crlb_deg, judge_set
 from service.pipeline.inputs.known_motion import CommandedMotion, consume, heard
 from service.records.catalogue import Method
 from service.records.inputs import Correction
@@ -203,11 +200,6 @@ def test_constraints_hold_wherever_the_plan_allows(payload):
     else:
         # no plan could do it, so the share is exceeded as little as possible: one less would not be enough
         assert np.minimum(there, held.max() - 1).sum() < len(design.chosen)
-    if design.is_sufficient:
-        assert len(design.chosen) >= MIN_CARRIERS
-        assert design.redundancy >= MIN_REDUNDANCY
-        assert held.max() <= MAX_TRANSPONDER_SHARE * len(design.chosen)
-        assert np.isfinite(design.crlb_deg).all()
 
 
 @settings(max_examples=examples(60), deadline=None)

@@ -15,14 +15,21 @@ from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg
 from service.cli.planning.sources import PlanFiles, PlanRequest, planned_by_files
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
-from service.core.estimation.carrier_sets import averaged_crlb_deg, judge_set
 from service.core.estimation.design import choose_carriers
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.model.filter_model import FedForward, FilterSettings, PolarimeterModel, no_motion
-from service.core.estimation.filtering.model.filter_state import Gaussian, core_size, initial_gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    FedForward,
+    FilterSettings,
+    Gaussian,
+    PolarimeterModel,
+    core_size,
+    initial_gaussian,
+    no_motion,
+)
 from service.core.estimation.filtering.model.hidden_motion import inserted
 from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_covariance
+from service.core.estimation.observability import averaged_crlb_deg, judge_set
 from service.core.estimation.paper.selection import select_by_axis
 from service.pipeline.inputs.knowledge import JournalDocuments
 from service.pipeline.planning.assumed_beams import NOISES
@@ -153,7 +160,6 @@ def test_choice_out_of_forty_stations(stations, count):
     assert len(optimal.chosen) == count
     # the largest share that a whole number of carriers leaves below 35 %
     assert optimal.transponder_share <= 0.35
-    assert optimal.is_sufficient == (count >= 12)
     cost = np.array([0.05, 1.0, 1.0])
     ratio = np.sqrt(np.sum((cost * paper) ** 2) / optimal.cost_deg2)
     assert 1.1 < ratio < 1.45

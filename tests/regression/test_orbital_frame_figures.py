@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from service.core.dynamics.orbital_frame_flight import (
+from service.core.dynamics.orbital_frame_analysis import (
     FlightRecord,
     Start,
     fly_spacecraft,

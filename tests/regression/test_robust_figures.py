@@ -10,7 +10,13 @@ from analyzer_sim.export import export_arrays
 from analyzer_sim.world.payload.level_terms import nominal_gain_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
-from service.core.estimation.calibration.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry
+from service.core.estimation.calibration.geometry_calibration import (
+    CalibrationRows,
+    GeometryCalibration,
+    fit_geometry,
+    predict_level_dbm,
+    response_of,
+)
 from service.core.estimation.calibration.geometry_columns import (
     CarrierGeometry,
     OrbitMotion,
@@ -19,7 +25,6 @@ from service.core.estimation.calibration.geometry_columns import (
     predict_deviation,
     predict_jacobian,
 )
-from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
 from service.core.estimation.design import choose_carriers
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.observability import crlb_deg

@@ -24,7 +24,7 @@ from service.records.inputs import PolarizationRecord
 from service.study.estimation.bounds import AXES
 from service.study.estimation.flight.drive import calibrate, drive
 from service.study.estimation.flight.world import GroundEvent, export_world, read_world
-from service.study.estimation.smoothing_gain import gain_statistics, measure_gain
+from service.study.estimation.measures import gain_statistics, measure_gain
 
 SEED, DAYS = 2, 0.5
 SEEDS = (1, 2, 3, 4)

@@ -12,9 +12,9 @@ from kept_results import kept
 from analyzer_sim.world.scenario.scenario import downlink_rain, scenario_named
 from service.records.catalogue import Method
 from service.records.inputs import WeatherReport
+from service.study.estimation.campaign import Unit, run_unit
 from service.study.estimation.flight.drive import drive
 from service.study.estimation.flight.world import GroundEvent, export_world, read_world
-from service.study.estimation.unit import Unit, run_unit
 from service.study.estimation.yardstick import measure_yardsticks
 
 #: rows between two reports of a station

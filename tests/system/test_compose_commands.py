@@ -3,7 +3,6 @@
 import json
 import re
 import shlex
-import socket
 import subprocess
 import sys
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 import yaml
+from service_process import free_ports
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -54,11 +54,8 @@ class Host:
         for each in (self.data, self.secrets):
             each.mkdir()
         (self.secrets / "soo_bootstrap_key").write_text(f"{KEY}\n")
-        self.ports = {}
-        for port in ("8000", "5025", "5026"):
-            with socket.socket() as free:
-                free.bind(("127.0.0.1", 0))
-                self.ports[port] = str(free.getsockname()[1])
+        first = free_ports(3)
+        self.ports = {port: str(first + place) for place, port in enumerate(("8000", "5025", "5026"))}
         self.url = f"http://127.0.0.1:{self.ports['8000']}"
 
     def here(self, text):

@@ -4,7 +4,6 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -14,6 +13,7 @@ import httpx
 import numpy as np
 import pytest
 from foreign_station import Row, write_station
+from service_process import free_ports
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "your-own-satellite.md"
@@ -37,9 +37,7 @@ class Site:
         self.folder = folder
         self.service: subprocess.Popen[bytes] | None = None
         self.environment = own | {"PATH": programs, "XDG_CONFIG_HOME": str(folder), "no_proxy": "127.0.0.1"}
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
+        self.port = free_ports()
 
     def run(self, command: str) -> "subprocess.CompletedProcess[str]":
         """Run one command of the page."""

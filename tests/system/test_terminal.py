@@ -134,7 +134,7 @@ def test_the_seven_questions_of_a_shift_are_one_command_each(terminal: Terminal,
     trust = terminal.run("status")
     assert (
         trust.returncode,
-        "no torque: the sign of yaw is not proven (and 1 more)" in " ".join(trust.stdout.split()),
+        "no torque: control is not armed (and 1 more)" in " ".join(trust.stdout.split()),
     ) == (3, True)
     assert terminal.document("status", code=3)["control"] == ground.get("/control")["control"]
     # which carriers

@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.access.auth import Principal
 from service.errors import StorageError
 from service.ports import Audit, Keys
-from service.records.journal import JournalHead
+from service.records.inputs import JournalHead
 from service.records.operations.access import AuditEvent, Role, StoredKey, digest_of, hide, id_of
 
 #: age from which what was read is read again

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 
-from service.formats.tabular.joined_table import JoinedRow
+from service.formats.tabular.series_tables import JoinedRow
 from service.ports import Storage
 from service.records.calibration import Window
 from service.records.catalogue import Method

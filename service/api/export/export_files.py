@@ -24,7 +24,6 @@ from service.api.export.export_chunks import (
 )
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.ccsds import AemWriter, AttitudeMessage
-from service.formats.tabular.joined_table import joined_table
 from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
 from service.formats.tabular.row_text import ready_kernels
 from service.formats.tabular.series_tables import (
@@ -35,6 +34,7 @@ from service.formats.tabular.series_tables import (
     TELEMETRY,
     TORQUES,
     EventRow,
+    joined_table,
     plain_value,
 )
 from service.formats.tabular.table_file import SeriesTable, TableFormat, table_bytes
@@ -42,7 +42,7 @@ from service.formats.tdm import TdmWriter, TrackingMessage
 from service.ports import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.records.journal import KIND_OF, JournalEntry
+from service.records.inputs import KIND_OF, JournalEntry
 from service.records.levels.measurement import Measurement, MeasurementBlock
 from service.records.operations.alarms import Alarm
 

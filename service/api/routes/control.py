@@ -21,7 +21,7 @@ from service.api.context import (
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import Page, by_epoch
 from service.api.protocol.requests import accepts, body_of, optional_body
-from service.api.routes.comments import Caller, CurrentCaller, Said, accepts_comment
+from service.api.routes.shift import Caller, CurrentCaller, Said, accepts_comment
 from service.api.schemas.control import (
     AttitudeAnswer,
     AttitudePage,

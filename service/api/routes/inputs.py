@@ -40,7 +40,7 @@ from service.api.schemas.inputs import (
     WeatherPage,
 )
 from service.records.epoch import format_epoch
-from service.records.journal import JournalEntry, SlowInput
+from service.records.inputs import JournalEntry, SlowInput
 from service.records.levels.measurement import InputReceipt
 
 inputs_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["inputs"])

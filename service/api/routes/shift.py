@@ -1,18 +1,21 @@
-"""The shift: alarms and their limits, links, notes, hand-over."""
+"""The shift: alarms and their limits, links, notes, hand-over.
+
+Callers who order something, and their comments: optional ones, and those that go to the shift log.
+"""
 
 import re
+from dataclasses import dataclass
 from functools import partial
 from http import HTTPStatus
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Query, Response
 
-from service.api.access.auth import MAY_OPERATE, MAY_SEND, CurrentPrincipal
-from service.api.context import SPACECRAFT_ID_PATTERN, Context, SpacecraftId
+from service.api.access.auth import MAY_OPERATE, MAY_SEND, CurrentPrincipal, Permission, Principal
+from service.api.context import SPACECRAFT_ID_PATTERN, ApiContext, Context, SpacecraftId
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import Page
-from service.api.protocol.requests import accepts, body_of
-from service.api.routes.comments import Said, accepts_comment
+from service.api.protocol.requests import accepts, body_of, optional_body
 from service.api.schemas.base import NAME_PATTERN
 from service.api.schemas.shift import (
     AlarmAnswer,
@@ -32,6 +35,7 @@ from service.api.schemas.shift import (
     NoteAnswer,
     NoteDocument,
     NotePage,
+    RemarkDocument,
     ShelveDocument,
     StateWord,
 )
@@ -39,6 +43,61 @@ from service.api.views.present import alarm_answer, handover_of, link_answers
 from service.errors import NotFoundError
 from service.pipeline.alarms.limit_sets import faults_of, limits_in_force
 from service.records.operations.alarms import Alarm, Note
+from service.runtime.control.release_service import ReleaseService
+
+TAG = "control"
+
+
+def accepts_comment() -> dict[str, Any]:
+    """Return the OpenAPI description of an optional comment."""
+    return accepts(RemarkDocument, is_required=False)
+
+
+Said = Annotated[RemarkDocument, optional_body(RemarkDocument)]
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Operator who sends an order for a spacecraft."""
+
+    context: ApiContext
+    spacecraft_id: str
+    principal: Principal
+
+    @property
+    def name(self) -> str:
+        """Name of the key."""
+        return self.principal.name
+
+    @property
+    def is_approver(self) -> bool:
+        """Return whether the key may approve."""
+        return self.principal.may(Permission.APPROVE)
+
+    @property
+    def release(self) -> ReleaseService:
+        """Interlock and commands of all spacecraft."""
+        return self.context.release_service
+
+    def log(self, order: str, comment: str) -> None:
+        """Write what the person says to an order into the shift log; nothing where nothing is said."""
+        if not comment.strip():
+            return
+        clock = self.context.clock
+        now_us = clock.system_us()
+        present_us = clock.now_us(self.spacecraft_id)
+        epoch_us = now_us if present_us is None else present_us
+        note = Note(0, self.spacecraft_id, epoch_us, now_us, self.name, f"{order}: {comment}", (TAG,))
+        self.context.storage.notes.add(note)
+
+
+async def caller_of(spacecraft_id: SpacecraftId, context: Context, principal: CurrentPrincipal) -> Caller:
+    """Return the caller of a request, for a dependency."""
+    return Caller(context, spacecraft_id, principal)
+
+
+CurrentCaller = Annotated[Caller, Depends(caller_of)]
+
 
 alarm_limits_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alarm-limits", tags=["alarms"])
 Version = Annotated[int | None, Query(ge=0, le=2**31 - 1, description="Default the newest; 0 = the defaults")]

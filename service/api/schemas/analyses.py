@@ -14,8 +14,8 @@ from service.core.dynamics.orbital_frame_analysis import (
     BeyondOrbitalRate,
     ClosedLoop,
     SettlingRequest,
+    Start,
 )
-from service.core.dynamics.orbital_frame_flight import Start
 from service.core.dynamics.orbital_frame_model import (
     AS_PRINTED,
     DOWN,

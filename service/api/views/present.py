@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple, TypeVar
 
 from service.api.context import ApiContext
@@ -29,8 +30,8 @@ from service.ports import LIVE
 from service.records.calibration import CalibrationState, Window
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.inputs import Operation
-from service.records.levels.attitude import AttitudeRow, Axes, Status, TorqueCommand
+from service.records.inputs import Correction, Operation
+from service.records.levels.attitude import AttitudeRow, Axes, ReleasedCommand, Status, TorqueCommand
 from service.records.operations.alarms import Alarm, Cover
 from service.records.operations.work import Job, LinkReport, LinkState
 from service.runtime.jobs.archive_maintenance import newest_advice, runnable_methods
@@ -202,10 +203,25 @@ def _recent_rate(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> A
     if known is None or known[0] != place:
         window = Window(row.epoch_us - round(RATE_WINDOW_S * US_PER_S), row.epoch_us + 1)
         read = context.storage.results.attitude_rows
-        asked = (spacecraft_id, LIVE, row.method, window, _RATE_ROWS, None)
-        rows = _readable(lambda: tuple(read(*asked, newest_first=True)))
+        rows = _readable(
+            lambda: tuple(
+                read(
+                    *(spacecraft_id, LIVE, row.method, _since_commanded(context, spacecraft_id, window)),
+                    *(_RATE_ROWS, None),
+                    newest_first=True,
+                )
+            )
+        )
         known = context.recent_rates[spacecraft_id] = (place, recent_rate(rows[::-1]))
     return known[1]
+
+
+def _since_commanded(context: ApiContext, spacecraft_id: str, window: Window) -> Window:
+    """Return the part of a window after the newest motion that was commanded: the slope of that goes on no more."""
+    asked = ((spacecraft_id, kind, window, 1, None) for kind in ("correction", "released_command"))
+    entries = chain.from_iterable(context.storage.archive.inputs(*each, newest_first=True) for each in asked)
+    ends_us = [each.content.stop_us for each in entries if isinstance(each.content, Correction | ReleasedCommand)]
+    return Window(min(max(ends_us, default=window.start_us), window.stop_us - 1), window.stop_us)
 
 
 def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:

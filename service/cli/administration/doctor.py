@@ -33,7 +33,7 @@ def doctor(
 
     # the database costs time that other commands need not pay
     from service.composition.bootstrap import open_archive_tools
-    from service.records.journal import JournalHead
+    from service.records.inputs import JournalHead
 
     announced = [JournalHead(name, int(number), digest) for name, number, digest in logged(_LOGGED, log or [])]
     if log and not announced:

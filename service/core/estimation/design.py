@@ -55,9 +55,6 @@ class Design(NamedTuple):
         Chosen carriers beyond three angles, their common levels and the level of one moved transponder.
     transponder_share : float
         Largest share of the chosen carriers in one transponder; 0 without carriers.
-    is_sufficient : bool
-        Whether the attitude is determined by at least ``MIN_CARRIERS`` carriers with ``MIN_REDUNDANCY`` beyond five
-        unknowns, and no transponder holds more than ``MAX_TRANSPONDER_SHARE`` of them.
     """
 
     chosen: IntArray
@@ -66,7 +63,6 @@ class Design(NamedTuple):
     leverage: FloatArray
     redundancy: int
     transponder_share: float
-    is_sufficient: bool
 
 
 def choose_carriers(
@@ -168,7 +164,6 @@ def _judged(
     is_determined = bool(np.isfinite(bound).all())
     levels = max(1, len(np.unique(level[picked])))
     redundancy, share = len(picked) - _UNKNOWNS - levels, largest_share(transponder[picked])
-    is_redundant = len(picked) >= MIN_CARRIERS and redundancy >= MIN_REDUNDANCY
     return Design(
         chosen=picked.astype(np.int64),
         crlb_deg=bound,
@@ -176,7 +171,6 @@ def _judged(
         leverage=leverage,
         redundancy=redundancy,
         transponder_share=share,
-        is_sufficient=is_determined and is_redundant and share <= MAX_TRANSPONDER_SHARE,
     )
 
 

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, fit_geometry
+from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, fit_geometry, response_of
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, QuadraticResponse, predict_deviation
-from service.core.estimation.calibration.geometry_prediction import response_of
 from service.core.estimation.calibration.level_drift import LevelDrift, level_drift
 from service.core.estimation.noise import quantisation_step_db
 from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise

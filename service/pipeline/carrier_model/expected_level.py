@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.geometry_calibration import GeometryCalibration
+from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, predict_level_dbm, response_of
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     CarrierGeometry,
@@ -13,7 +13,6 @@ from service.core.estimation.calibration.geometry_columns import (
     QuadraticResponse,
     daily_columns,
 )
-from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.core.geometry.line_of_sight import (

@@ -1,13 +1,16 @@
 """Situation of a spacecraft: the worst that is true now, which every view says first.
 
-Order: the estimator fails; no row; rows are old; the attitude is lost; an angle is beyond its limit, or grows towards
-it, whatever control does; then what is known of the angles. The law of this file: one severity for one situation, and
+Order: the estimator fails; no row; the newest row is old; the attitude is lost; an angle is beyond its limit, or grows
+towards it, whatever control does; then what is known of the angles. Rows that come while no carrier is received are
+not old: what they lack is the carriers. The law of this file: one severity for one situation, and
 nothing is called known that is old, lost or beyond the range of the model.
 
 The rate of an axis is the slope of its angles over the last half hour, for the filter hardly follows an unexpected
 motion: of a drift of 0.6 deg/h it shows 0.02 after an hour, the slope 0.3 after a quarter of an hour and all after half
 an hour. Against the true slope the filter's rate of roll and pitch errs by 0.023 to 0.19 deg/h, the slope by 0.014 to
 0.025 (scenarios ``white`` and ``octants``).
+What was commanded goes on no more once it is done: a turn of 0.25 deg that was over read as 0.4 to 0.7 deg/h for half
+an hour, so the slope begins at its end.
 """
 
 import math
@@ -52,7 +55,8 @@ class AxisMotion:
     angle_deg: Annotated[float, "The last known where it is lost."]
     is_beyond: Annotated[bool, "It is beyond its limit; yaw: surely, by two sigma."]
     rate_deg_h: Annotated[
-        float, "Slope of the angle over the last half hour; before there are rows for it, the estimator's rate."
+        float,
+        "Slope of the angle over the last half hour, or since a commanded motion; without rows for it the estimator's.",
     ] = math.nan
     hours_to_limit: Annotated[float, "At this rate, of either sign; null: not within a day."] = math.nan
 
@@ -68,8 +72,8 @@ class SpacecraftSituation:
 
     code: Annotated[str, "Dark: no carrier is on the air; no_angles: of a first row; old: the newest row is."]
     severity: Annotated[str, "critical, serious, caution or normal; that of every view."]
-    axis: Annotated[str | None, "Of dark, lost and what is said of a limit."] = None
-    angle_deg: Annotated[float, "Of this axis; the last known where it is lost."] = math.nan
+    axis: Annotated[str | None, "Of old, dark, lost and what is said of a limit."] = None
+    angle_deg: Annotated[float, "Of this axis; the last known where it is old or lost."] = math.nan
     limit_deg: Annotated[float, "An angle is to stay within it."] = math.nan
     rate_deg_h: Annotated[float, "Positive: away from zero."] = math.nan
     hours_to_limit: Annotated[float, "At this rate; null: it does not go there."] = math.nan
@@ -125,16 +129,18 @@ def _worst(
         return SpacecraftSituation("estimator_failed", "critical")
     if row is None:
         return SpacecraftSituation("no_attitude", "serious")
-    if "expired" in codes:
-        return SpacecraftSituation("old", "serious")
+    if not axes:
+        # a first row without angles has lost nothing
+        return SpacecraftSituation("no_angles", "serious")
+    farthest = max(axes, key=lambda each: (each.is_beyond, abs(each.angle_deg)))
+    if "expired" in row.inhibitions:
+        # within its limits when it was last seen
+        severity = "critical" if farthest.is_beyond else "serious"
+        return replace(_of_axis("old", farthest, limit_deg), severity=severity)
     if row.status is not Status.ACQUIRED:
-        if not axes:
-            # a first row without angles has lost nothing
-            return SpacecraftSituation("no_angles", "serious")
         is_dark = row.carriers_used == 0 and {each.reason for each in row.excluded} == {"absent"}
-        return _of_axis("dark" if is_dark else "lost", max(axes, key=_size_deg), limit_deg)
-    if beyond := [each for each in axes if each.is_beyond]:
-        farthest = max(beyond, key=_size_deg)
+        return _of_axis("dark" if is_dark else "lost", farthest, limit_deg)
+    if farthest.is_beyond:
         is_growing = farthest.outward_deg_h > _LEAST_DEG_H
         return _of_axis("beyond_and_growing" if is_growing else "beyond_limit", farthest, limit_deg)
     if soon := [each for each in axes if _is_soon(each, limit_deg)]:
@@ -154,10 +160,6 @@ def _severity(verdict: ControlVerdict) -> str:
 def _of_axis(code: str, motion: AxisMotion, limit_deg: float) -> SpacecraftSituation:
     rate_deg_h, hours = motion.outward_deg_h, motion.hours_to_limit
     return SpacecraftSituation(code, "critical", motion.axis, motion.angle_deg, limit_deg, rate_deg_h, hours)
-
-
-def _size_deg(motion: AxisMotion) -> float:
-    return abs(motion.angle_deg)
 
 
 def _is_soon(motion: AxisMotion, limit_deg: float) -> bool:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.pipeline.inputs.knowledge import Knowledge
 from service.records.catalogue import Carrier, CarrierPlan, Method
-from service.records.inputs import Operation
-from service.records.journal import SlowInput
+from service.records.inputs import Operation, SlowInput
 from service.records.levels.attitude import (
     CARRIER_STATES,
     AttitudeRow,

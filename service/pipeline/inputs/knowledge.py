@@ -19,11 +19,11 @@ from service.records.inputs import (
     Operation,
     PlanChange,
     PolarizationRecord,
+    SlowInput,
     SpacecraftChange,
     TelemetryRecord,
     WeatherReport,
 )
-from service.records.journal import SlowInput
 from service.records.levels.attitude import Axes, FloatArray
 from service.records.operations.release import InterlockHold
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.calibration_turns import recommended_turns
-from service.core.estimation.carrier_sets import SetStatistics, averaged_crlb_deg, judge_set
 from service.core.estimation.design import (
     AXIS_WEIGHTS,
     MAX_TRANSPONDER_SHARE,
@@ -25,7 +24,7 @@ from service.core.estimation.design import (
     choose_carriers,
     largest_share,
 )
-from service.core.estimation.observability import crlb_deg
+from service.core.estimation.observability import SetStatistics, averaged_crlb_deg, crlb_deg, judge_set
 from service.core.estimation.paper.selection import AxisSelection, SelectionReason, axis_dominance, select_by_axis
 from service.pipeline.planning.candidates import NOT_MEASURED, Candidates
 from service.records.epoch import US_PER_S

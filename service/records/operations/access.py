@@ -92,14 +92,6 @@ def plain_name(text: str) -> str:
     return name
 
 
-def is_plain_name(text: str) -> bool:
-    """Return whether a new key could be called so."""
-    try:
-        return plain_name(text) == text
-    except ValueError:
-        return False
-
-
 def name_key(name: str) -> str:
     """Return the form of a name that must be unique."""
     return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold()).strip()

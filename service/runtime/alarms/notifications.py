@@ -38,7 +38,6 @@ class NoticeCounts:
 
     sent: int = 0
     #: attempts that failed
-    failed_attempts: int = 0
     #: given up after all attempts, or refused by the receiver
     failed: int = 0
     #: no place in the queue
@@ -131,7 +130,6 @@ class NoticeChannel:
             try:
                 self._deliver(notice)
             except DeliveryError as error:
-                self.counts.failed_attempts += 1
                 if error.is_final or attempt == ATTEMPTS:
                     self.counts.failed += 1
                     _LOG.error(

@@ -258,7 +258,6 @@ class ArchiveMaintenance:
         #: measurements and results sealed, and rows dropped of each series, since the start
         self.sealed_rows = self.sealed_results = 0
         #: days of a method that were summarised, since the start
-        self.summarised_days = 0
         self.dropped_rows = dict.fromkeys((*SERIES, *LOGS, "replays"), 0)
         #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
         self._sized_at_s: dict[str, float] = {}
@@ -370,8 +369,8 @@ class ArchiveMaintenance:
         if now_us is None:
             return
         results = self._storage.results
-        for days in self._paced(results.complete_summaries(spacecraft_id, now_us - quiet_us)):
-            self.summarised_days += days
+        for _ in self._paced(results.complete_summaries(spacecraft_id, now_us - quiet_us)):
+            pass
         results.mark_complete(spacecraft_id, runnable_methods(self._storage, spacecraft_id))
 
     def _paced(self, steps: Iterable[_Step]) -> Iterator[_Step]:

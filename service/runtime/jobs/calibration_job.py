@@ -18,8 +18,7 @@ from service.records.calibration import (
     CalibrationState,
 )
 from service.records.epoch import US_PER_S
-from service.records.inputs import Correction, Operation, PolarizationRecord, TelemetryRecord
-from service.records.journal import SlowInput
+from service.records.inputs import Correction, Operation, PolarizationRecord, SlowInput, TelemetryRecord
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner, Progress

@@ -19,8 +19,7 @@ from service.pipeline.first_rows import compile_filter
 from service.ports import Outcome, Storage
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.records.inputs import AlignmentSet
-from service.records.journal import JournalEntry
+from service.records.inputs import AlignmentSet, JournalEntry
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import JobState, Replay
 from service.records.storage import Checkpoint

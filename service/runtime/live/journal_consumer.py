@@ -19,11 +19,11 @@ from service.records.inputs import (
     AttitudeReference,
     CalibrationActivation,
     Correction,
+    JournalEntry,
     PolarizationRecord,
     TelemetryRecord,
     WeatherReport,
 )
-from service.records.journal import JournalEntry
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeRow,

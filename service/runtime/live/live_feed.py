@@ -14,8 +14,7 @@ import numpy as np
 from service.pipeline.control.release.events import StoredRow
 from service.pipeline.estimation.method import RowEvidence
 from service.ports import Storage
-from service.records.inputs import AttitudeReference
-from service.records.journal import JournalEntry
+from service.records.inputs import AttitudeReference, JournalEntry
 from service.records.levels.attitude import AttitudeRow, CarrierResults, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, HeadState, Measurement, MeasurementBatch
 from service.records.operations.alarms import AlarmChange

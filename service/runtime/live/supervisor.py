@@ -18,8 +18,7 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.release.events import StoredRow
 from service.ports import LIVE, Outcome, Storage, Term
-from service.records.inputs import AlignmentSet
-from service.records.journal import JournalEntry
+from service.records.inputs import AlignmentSet, JournalEntry
 from service.records.levels.attitude import AppliedCommand, CarrierState
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.storage import Checkpoint

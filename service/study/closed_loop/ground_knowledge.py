@@ -9,19 +9,20 @@ from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.calibration import Window
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import parse_epoch
-from service.records.inputs import SourceSelection
-from service.records.journal import SlowInput
+from service.records.inputs import SlowInput, SourceSelection
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import ReferenceSeries
 from service.study.closed_loop.plant_process import Line, Opening
-from service.study.estimation.flight.catalogue_lines import (
+from service.study.estimation.flight.world import (
+    AXES,
+    Ground,
+    GroundEvent,
     read_carriers,
     read_ephemeris,
     read_operation,
     read_spacecraft,
     read_telemetry,
 )
-from service.study.estimation.flight.world import AXES, Ground, GroundEvent
 
 _SOURCE = "sa-1"
 _NAN = float("nan")

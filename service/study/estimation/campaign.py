@@ -1,16 +1,35 @@
-"""The campaign: units spread over workers, their results put together and held against the bounds."""
+"""The campaign: units spread over workers, their results put together and held against the bounds.
+
+Effect of eclipse nights on an estimate: the same spacecraft with and without the shadow.
+
+A fault of the simulator never changes its noise, so the world of the same seed without a fault has the same attitude,
+row by row, and what the answers differ by is the doing of the eclipse. What they differed by before the night, other
+orbits and other harmonics, is taken off.
+
+One scenario with one seed: the world exported, the product driven over it, everything measured.
+
+A unit is what a process of the campaign works on, so what it returns travels between processes and stays small.
+"""
 
 import platform
+import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.metadata import version
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from service.records.catalogue import Method
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
+from service.records.levels.measurement import Float32Array
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import (
     AXES,
+    Accuracy,
     Bound,
     Judged,
     Mark,
@@ -18,18 +37,216 @@ from service.study.estimation.bounds import (
     accuracy_statistics,
     idle_baselines,
     judge,
+    measure_accuracy,
 )
-from service.study.estimation.flight.baselines import BASELINES, UNINFORMED
-from service.study.estimation.flight.drive import UndrivenError
-from service.study.estimation.flight.oracle.filter import ORACLE
-from service.study.estimation.measures import statistics_of
-from service.study.estimation.nights import night_statistics
+from service.study.estimation.flight.baselines import BASELINES, UNINFORMED, baseline_answers
+from service.study.estimation.flight.drive import Driven, UndrivenError, drive
+from service.study.estimation.flight.episodes import stretches
+from service.study.estimation.flight.oracle.filter import ORACLE, oracle_series
+from service.study.estimation.flight.world import World, export_world, read_world
+from service.study.estimation.measures import (
+    Measures,
+    SmoothingGain,
+    gain_statistics,
+    judged_rows,
+    measure_gain,
+    measure_method,
+    statistics_of,
+)
 from service.study.estimation.scenarios import SNAPSHOT
-from service.study.estimation.smoothing_gain import gain_statistics
 from service.study.estimation.trials.snapshot_trials import SnapshotTrials, run_trials, trial_statistics
-from service.study.estimation.unit import Course, Unit, UnitResult, run_unit
-from service.study.estimation.yardstick import yardstick_statistics
+from service.study.estimation.yardstick import Yardstick, measure_yardstick, measure_yardsticks, yardstick_statistics
 from service.study.executors import WorkerChoice, do_work, executor_of
+
+
+class Unit(NamedTuple):
+    """One run of a campaign: scenario and seed."""
+
+    scenario: str
+    seed: int
+    #: None = as long as the scenario is
+    operation_days: float | None = None
+
+
+class Drawn(NamedTuple):
+    """Answer of one method as it is drawn; T rows."""
+
+    #: (T, 3) deg, yaw, roll, pitch
+    estimate_deg: Float32Array
+    sigma_deg: Float32Array
+    #: (T,)
+    is_control_allowed: BoolArray
+    #: (T, 3) deg, NaN = none stated
+    protection_deg: Float32Array | None = None
+
+
+class Rain(NamedTuple):
+    """True rain, and the hypotheses of the carriers."""
+
+    #: (T, N) loss by rain and wet antennas, dB
+    loss_db: Float32Array
+    #: (T, N) likeliest hypothesis by position, -1 = none
+    hypothesis: IntArray
+
+
+class Course(NamedTuple):
+    """Operation phase of one world as it is drawn; T rows."""
+
+    #: (T,) since the start of operation
+    hours: Float32Array
+    #: (T, 3) deg
+    truth_deg: Float32Array
+    #: (T,) whether the spacecraft is in the shadow or has not warmed yet
+    is_night: BoolArray
+    methods: dict[str, Drawn]
+    rain: Rain | None = None
+    #: (T, 3) deg, robust rows smoothed by all later ones, NaN = no row
+    smoothed_deg: Float32Array | None = None
+
+
+@dataclass(frozen=True)
+class UnitResult:
+    """Result of one run."""
+
+    unit: Unit
+    seconds: float
+    #: reason why the chain could not run, empty where it could
+    refusal: str = ""
+    methods: dict[str, Measures] = field(default_factory=dict)
+    baselines: dict[str, Accuracy] = field(default_factory=dict)
+    course: Course | None = None
+    #: by name of the answer
+    yardsticks: dict[str, Yardstick] = field(default_factory=dict)
+    #: of the smoothed answers, by name
+    gains: dict[str, SmoothingGain] = field(default_factory=dict)
+
+
+def run_unit(unit: Unit) -> UnitResult:
+    """Export the world of a unit, drive the product over it and measure what it said.
+
+    Raises
+    ------
+    ExportFailedError
+        The simulator wrote no world.
+    """
+    began_s = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="soo-study-") as folder:
+        path = Path(folder) / "world.npz"
+        export_world(unit.scenario, unit.seed, path, unit.operation_days)
+        world = read_world(path)
+    driven = _driven(world)
+    if isinstance(driven, str):
+        return UnitResult(unit, time.monotonic() - began_s, driven)
+    oracle = oracle_series(world, driven.rows)
+    everyone = {**driven.methods, ORACLE: oracle}
+    methods = {name: measure_method(world, driven, series) for name, series in everyone.items()}
+    baselines, course = _baselines(world, driven), _course(world, driven)
+    yardsticks = {**measure_yardsticks(world, driven, Method.ROBUST), ORACLE: measure_yardstick(world, driven, oracle)}
+    robust = driven.methods.get(Method.ROBUST)
+    past = {} if robust is None else driven.smoothed
+    gains = {name: measure_gain(world, driven, robust, series) for name, series in past.items() if robust is not None}
+    return UnitResult(unit, time.monotonic() - began_s, "", methods, baselines, course, yardsticks, gains)
+
+
+def _driven(world: World) -> Driven | str:
+    """Return what the product made of a world, or why it made nothing."""
+    try:
+        return drive(world.ground)
+    except UndrivenError as error:
+        return str(error)
+    except Exception as error:  # noqa: BLE001 - a world that breaks the product must not hide what it does in the others
+        return f"the product failed: {type(error).__name__}: {error}"
+
+
+def _baselines(world: World, driven: Driven) -> dict[str, Accuracy]:
+    """Return what the answers without powers amount to."""
+    judged = judged_rows(world, driven)
+    epochs_us = world.ground.epochs_us[driven.rows]
+    answers = baseline_answers(epochs_us, driven.alignment_epoch_us, driven.alignment_deg, world.ground.corrections)
+    truth_deg = world.truth.attitude_deg[driven.rows[judged]]
+    unknown = np.full(truth_deg.shape, np.nan)
+    return {name: measure_accuracy(answer[judged], unknown, truth_deg) for name, answer in answers.items()}
+
+
+def _course(world: World, driven: Driven) -> Course:
+    """Return what is drawn."""
+    rows = driven.rows
+    hours = (world.ground.epochs_us[rows] - world.ground.phases["operation"].start_us) / 3.6e9
+    return Course(
+        hours.astype(np.float32),
+        world.truth.attitude_deg[rows].astype(np.float32),
+        np.asarray(world.truth.has_flag("eclipse")[rows].any(axis=1)),
+        {
+            name: Drawn(
+                series.estimate_deg.astype(np.float32),
+                series.sigma_deg.astype(np.float32),
+                series.is_control_allowed,
+                None if series.protection_deg is None else series.protection_deg.astype(np.float32),
+            )
+            for name, series in driven.methods.items()
+        },
+        None
+        if driven.hypothesis is None
+        else Rain(world.truth.station_loss_db[rows].astype(np.float32), driven.hypothesis),
+        _smoothed_deg(world.ground.epochs_us[rows], driven),
+    )
+
+
+def _smoothed_deg(epochs_us: IntArray, driven: Driven) -> Float32Array | None:
+    """Return the smoothed angles at each row (T, 3)."""
+    series = driven.smoothed.get("smoothed")
+    if series is None:
+        return None
+    angles = np.full((len(epochs_us), 3), np.nan, dtype=np.float32)
+    _, own, theirs = np.intersect1d(epochs_us, series.epochs_us, return_indices=True)
+    angles[own] = series.estimate_deg[theirs]
+    return angles
+
+
+#: before a night and after its end, h
+BEFORE_H = 1.0
+AFTER_H = 3.0
+#: differences are means over this time: what a single row does is noise, h
+_MEAN_H = 0.5
+
+
+def night_statistics(pairs: Sequence[tuple[Course, Course]], method: str) -> Statistics:
+    """Return the largest shift during the nights and what is left of it afterwards, over all seeds.
+
+    Parameters
+    ----------
+    pairs : sequence of (Course, Course)
+        A world with eclipses and the world of the same seed without.
+    method : str
+        Whose answer.
+    """
+    shifts, left = [], []
+    for dark, bright in pairs:
+        if method not in dark.methods or method not in bright.methods or not np.array_equal(dark.hours, bright.hours):
+            continue
+        apart = np.asarray(dark.methods[method].estimate_deg - bright.methods[method].estimate_deg, dtype=np.float64)
+        for first, last in stretches(dark.is_night):
+            begin_h, end_h = float(dark.hours[first]), float(dark.hours[last - 1])
+            before = apart[(dark.hours >= begin_h - BEFORE_H) & (dark.hours < begin_h)]
+            after = apart[(dark.hours >= end_h + AFTER_H) & (dark.hours < end_h + AFTER_H + BEFORE_H)]
+            if len(before) == 0 or len(after) == 0:
+                continue
+            inside = (dark.hours >= begin_h) & (dark.hours < end_h + AFTER_H)
+            moved = apart[inside] - before.mean(axis=0)
+            shifts.append(_largest_mean(moved, dark.hours[inside]))
+            left.append(np.abs(after.mean(axis=0) - before.mean(axis=0)))
+    if not shifts:
+        return {}
+    worst = {"shift_deg": np.max(shifts, axis=0), "left_deg": np.max(left, axis=0)}
+    return {f"{name}.{axis}": float(values[k]) for name, values in worst.items() for k, axis in enumerate(AXES)}
+
+
+def _largest_mean(moved: FloatArray, hours: Float32Array) -> FloatArray:
+    """Return the largest (3,) of the means over consecutive times."""
+    chunks = np.floor((hours - hours[0]) / _MEAN_H)
+    means = [np.abs(moved[chunks == chunk].mean(axis=0)) for chunk in np.unique(chunks)]
+    return np.asarray(np.max(means, axis=0))
+
 
 METHODS = ("robust", "paper")
 #: the slope of yaw scatters by 0.1 from calibration to calibration; its mean is to be judged to 0.03

@@ -13,9 +13,8 @@ from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
 from service.pipeline.config import InterlockConfig
 from service.records.levels.attitude import FloatArray
 from service.study.estimation.bounds import AXES
-from service.study.estimation.campaign import METHODS, Campaign
+from service.study.estimation.campaign import METHODS, Campaign, Course, Rain, UnitResult
 from service.study.estimation.flight.baselines import BASELINES
-from service.study.estimation.unit import Course, Rain, UnitResult
 
 _COLORS = {
     "robust": "#1f77b4",

@@ -5,7 +5,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from service.core.dynamics.orbital_frame_flight import FlightRecord, Start, fly_spacecraft
+from service.core.dynamics.orbital_frame_analysis import FlightRecord, Start, fly_spacecraft
 from service.core.dynamics.orbital_frame_kernel import Fly
 from service.study.orbital_frame.reproduction import STABILISATION_S, full_spacecraft, transient_flights
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from service.core.dynamics.orbital_frame_flight import (
+from service.core.dynamics.orbital_frame_analysis import (
     FlightRecord,
     Start,
     fly_spacecraft,

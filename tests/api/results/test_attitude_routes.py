@@ -138,6 +138,21 @@ async def test_rate_and_time_to_the_limit_are_the_same_in_every_answer_and_those
     assert [each["rate_deg_h"] for each in old["axes"] + old["axes"]] == [None] * 6
 
 
+async def test_a_commanded_turn_is_over_when_it_is_executed(bench, make):
+    """For half an hour after it the slope of all rows says that the angle goes on to its limit."""
+    epochs_us = [make.now_us + k * 60 * make.s for k in range(41)]
+    rows = bench.append(epochs_us)
+    body = {"start": format_epoch(epochs_us[10]), "stop": format_epoch(epochs_us[20]), "pitch_deg": 0.3}
+    assert (await bench.client.post(f"{bench.url}/corrections:batch", json={"corrections": [body]})).is_success
+    angles = [Axes(0.05, 0.02, 0.3 * min(max(k - 10, 0), 10) / 10.0) for k in range(41)]
+    outcomes = [Outcome((make.row(row, attitude_deg=each),), None) for row, each in zip(rows, angles, strict=True)]
+    bench.consume(outcomes)
+    bench.clock.system = epochs_us[-1]
+    situation = (await bench.get("/status"))["control"]["situation"]
+    assert [each["rate_deg_h"] for each in situation["axes"]] == pytest.approx([0.0] * 3, abs=1e-9)
+    assert situation["code"] == "known"
+
+
 async def test_old_row_expires_under_the_system_clock_only(bench, make):
     (row,) = bench.append([make.now_us])
     bench.consume([Outcome((make.row(row),), None)])

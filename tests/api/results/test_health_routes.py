@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from service.api.monitoring.metric_families import FAMILIES
+from service.api.monitoring.metrics import FAMILIES
 from service.errors import StorageError
 from service.ports import Outcome
 from service.records.levels.attitude import Axes, CarrierState

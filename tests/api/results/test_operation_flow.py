@@ -257,7 +257,7 @@ async def test_no_torque_goes_while_a_chain_is_brought_back(bench, make, monkeyp
 NOT_READY = ["ephemeris", "not_aligned", "estimate_old"]
 INTERLOCKS = {
     "automatic": (Release.AUTOMATIC, {"state": "INHIBITED", "reasons": NOT_READY}),
-    "two steps": (Release.TWO_STEP, {"state": "INHIBITED", "reasons": [*NOT_READY, "yaw_sign", "not_armed"]}),
+    "two steps": (Release.TWO_STEP, {"state": "INHIBITED", "reasons": [*NOT_READY, "not_armed", "yaw_sign"]}),
 }
 
 

@@ -116,7 +116,7 @@ def test_windows_are_dragged_or_written_and_plot_and_fields_stay_equal(page, ope
     assert span_of(page, view, "turns") == pytest.approx(declared, abs=0.002)
     quiet = span_of(page, view, "quiet")
     assert quiet[1] == pytest.approx(declared[0], abs=0.002)
-    expect(view.locator("form").first).to_contain_text("shorter than 70 h")
+    expect(view.locator("form").first).to_contain_text("shorter than 2 days 21 hr")
     view.get_by_role("button", name="Span shown").click()
     view.get_by_role("button", name="Zoom out").click()
     ready(page)

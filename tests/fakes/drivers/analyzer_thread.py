@@ -7,7 +7,7 @@ from types import TracebackType
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.rs import RS
 from analyzer_sim.instrument.instrument import Instrument
-from analyzer_sim.lines.server import SimulatedAnalyzer
+from analyzer_sim.serving import SimulatedAnalyzer
 
 _THREAD_PATIENCE_S = 120.0
 

@@ -1,7 +1,9 @@
 """One ``soo serve`` as a process of its own, spoken to over real sockets on 127.0.0.1."""
 
 import json
+import random
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,6 +19,21 @@ KEY = "a-key-for-tests-only"
 PLAIN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}
 #: a start takes 2 s alone; the machine may be busy with other tests
 START_TIMEOUT_S = 120.0
+
+
+def free_ports(count: int = 1) -> int:
+    """Return the first of some ports in a row that nobody listens on, below those that the system gives out.
+
+    For programs whose port is written down before they start; any other binds port 0 and says where it listens.
+    """
+    first = random.randrange(20_000, 30_000)
+    try:
+        for port in range(first, first + count):
+            with socket.create_server(("127.0.0.1", port)):
+                pass
+    except OSError:
+        return free_ports(count)
+    return first
 
 
 class ServiceProcess:

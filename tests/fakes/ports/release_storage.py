@@ -6,8 +6,7 @@ from types import SimpleNamespace
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Onboard, Site, Spacecraft
-from service.records.inputs import EphemerisChange, Operation, TelemetryRecord
-from service.records.journal import JournalEntry
+from service.records.inputs import EphemerisChange, JournalEntry, Operation, TelemetryRecord
 from service.records.levels.attitude import ReleasedCommand
 from service.records.operations.release import ReleaseChange, StoredRelease
 

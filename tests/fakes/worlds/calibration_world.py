@@ -27,7 +27,7 @@ from service.pipeline.config import CalibrationConfig
 from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
 from service.records.catalogue import CarrierPlan
 from service.records.levels.measurement import MeasurementSeries, ReferenceSeries
-from service.study.estimation.flight.catalogue_lines import read_carriers, read_ephemeris, read_spacecraft
+from service.study.estimation.flight.world import read_carriers, read_ephemeris, read_spacecraft
 
 DAY_US = 86_400_000_000
 _DIFFERENCE_DEG = 0.02

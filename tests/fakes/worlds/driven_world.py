@@ -36,8 +36,7 @@ from service.records.inputs import (
 )
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray, Status
 from service.records.levels.measurement import Measurement
-from service.study.estimation.flight.drive import calibrate
-from service.study.estimation.flight.journal import measurements, slow_entries
+from service.study.estimation.flight.drive import calibrate, measurements, slow_entries
 from service.study.estimation.flight.world import Ground, read_world
 
 HOUR_US = 3_600_000_000

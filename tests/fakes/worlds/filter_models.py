@@ -3,11 +3,15 @@
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, no_motion
-from service.core.estimation.filtering.model.filter_state import Gaussian, initial_gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    CarrierModel,
+    FilterSettings,
+    Gaussian,
+    initial_gaussian,
+    no_motion,
+)
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS
-from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row
-from service.core.estimation.smoothing.row_capture import StepCapture
+from service.core.estimation.smoothing.effective_row import EffectiveRow, StepCapture, effective_row
 
 MINUTE_US = 60_000_000
 

@@ -15,8 +15,13 @@ from analyzer_sim.world.payload.level_terms import dishes_loss_db, nominal_gain_
 from analyzer_sim.world.world import World
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.model.declared import Declared, nothing_declared
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, KnownMotion, no_motion
-from service.core.estimation.filtering.model.filter_state import initial_gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    CarrierModel,
+    FilterSettings,
+    KnownMotion,
+    initial_gaussian,
+    no_motion,
+)
 
 #: correlation times that the learned noise may have, s
 TAUS_S = (300.0, 1200.0, 7200.0, 36000.0)

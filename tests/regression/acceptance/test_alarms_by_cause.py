@@ -11,15 +11,14 @@ import pytest
 from driven_world import rain_db, shared_world
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine
-from service.pipeline.alarms.causes import rain_noise_db
 from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.readings import RowReader
+from service.pipeline.alarms.readings import RowReader, rain_noise_db
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.catalogue import Method
 from service.records.levels.measurement import CarrierDetails
 from service.records.operations.alarms import ChangeKind, EngineMemory
-from service.study.estimation.flight.journal import measurements, slow_entries
+from service.study.estimation.flight.drive import measurements, slow_entries
 
 SEED = 3
 BEGIN_H, END_H, LAST_H = 1.0, 2.5, 4.5

@@ -49,7 +49,7 @@ from service.study.limit_cycles.capture_tables import (
 )
 from service.study.limit_cycles.cycle_tables import basin_count, cycle_of, followed_arrivals, motion_of, wandering_range
 from service.study.limit_cycles.reference import CaptureCase
-from service.study.limit_cycles.schedule_table import schedules
+from service.study.limit_cycles.report import schedules
 
 CASES = list(reference.CYCLES)
 

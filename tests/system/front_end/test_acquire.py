@@ -36,7 +36,7 @@ from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
 from service.frontend.spool.spool import spool_path
-from service.frontend.tasks.zoom_plan import plan_with_zoom
+from service.frontend.tasks.task_plan import plan_with_zoom
 from service.records.levels.measurement import QualityFlag
 
 pytestmark = pytest.mark.system

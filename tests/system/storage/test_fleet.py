@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from release_ground import OPERATION_US, PAYLOAD, SIGMA_DEG, record, seed_archive, until
+from service_process import free_ports
 
 from db.maintenance.doctor import diagnose
 from service.records.epoch import format_epoch
@@ -44,23 +45,18 @@ def url(request):
     cluster.drop(made)
 
 
-def free_port():
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return str(free.getsockname()[1])
-
-
 class Fleet:
     """Two replicas on ports of their own, and two estimators without an interface."""
 
     def __init__(self, start_service, url):
-        replica = [("--no-estimator", "--port", free_port()) for _ in range(2)]
-        self._roles = [*replica, ("--no-http",), ("--no-http",)]
+        self._roles = [("--no-estimator", "--port", "0")] * 2 + [("--no-http",)] * 2
         self._start = lambda role: start_service(*role, "--database", url, environment=PLAIN)
         self.processes = [self._start(role) for role in self._roles]
         for each in self.processes:
             each.await_announcement()
         self.clients = [each.client() for each in self.processes[:2]]
+        # one that starts again is asked where it was
+        self._roles[:2] = [("--no-estimator", "--port", str(each.base_url.port)) for each in self.clients]
 
     def restart(self, position):
         self.processes[position] = self._start(self._roles[position])
@@ -190,18 +186,6 @@ def test_processes_killed_and_stopped_in_turn_lose_and_double_nothing(start_serv
     print(f"{sender.count} rows of {len(NAMES)} spacecraft, {killed} processes killed")
     assert [each for each in diagnose(url, system_now_us(), lambda _: None) if each.state == "fault"] == []
     assert [each.end()[0] for each in fleet.processes] == [0] * 4
-
-
-def free_ports(count):
-    """Return the first of some ports in a row that nobody listens on, below those that the system gives out."""
-    first = random.randrange(20_000, 30_000)
-    try:
-        for port in range(first, first + count):
-            with socket.create_server(("127.0.0.1", port)):
-                pass
-    except OSError:
-        return free_ports(count)
-    return first
 
 
 def test_the_script_starts_the_fleet(url):

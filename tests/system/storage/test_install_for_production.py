@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import sqlite3
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from service_process import free_ports
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "how-to" / "install-for-production.md"
@@ -56,9 +56,7 @@ class Machine:
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("SOO_", "PYTHON"))}
         path = f"{programs}{os.pathsep}{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         self.environment = {**kept, "PATH": path, "no_proxy": "127.0.0.1", "SOO_KERNELS": "numpy"}
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
+        self.port = free_ports()
 
     def run(self, block: str) -> subprocess.CompletedProcess[str]:
         """Run a block of the page below the folder, with the stand-ins."""

@@ -26,10 +26,9 @@ from waiting import wait_until
 from bench.bench_operation import fill
 from db.connection.engines import reading_engine
 from db.encoding.power_codec import unpack_powers
-from db.maintenance.backup import verify_backup
+from db.maintenance.backup import restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import examine
-from db.maintenance.restore import restore_backup
 from db.schema.tables import checkpoint
 from db.storage import SqlStorage
 from service.records.storage import BackupError, worst

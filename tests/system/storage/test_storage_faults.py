@@ -20,8 +20,7 @@ from waiting import wait_until
 from bench.bench_storage import outcome_of, prepare_catalogue
 from bench.bench_summaries import STEP_US, append
 from db.encoding.segments import DAY_US
-from db.maintenance.backup import create_backup
-from db.maintenance.restore import restore_backup
+from db.maintenance.backup import create_backup, restore_backup
 from db.schema.tables import attitude, metadata, result_segment
 from db.storage import SqlStorage
 from service.errors import StorageError

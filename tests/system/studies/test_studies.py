@@ -17,8 +17,7 @@ from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.plant_process import PlantFailedError
 from service.study.closed_loop.run import LoopUnit, fly_unit
 from service.study.estimation.bounds import Mark
-from service.study.estimation.flight.catalogue_lines import read_carriers
-from service.study.estimation.flight.world import ExportFailedError, export_world, read_world
+from service.study.estimation.flight.world import ExportFailedError, export_world, read_carriers, read_world
 from service.study.estimation.trials.snapshot_trials import run_trials, trial_statistics
 
 pytestmark = pytest.mark.system

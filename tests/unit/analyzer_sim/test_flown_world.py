@@ -21,7 +21,7 @@ from analyzer_sim.plant.flown_world import (
     response_factor,
 )
 from analyzer_sim.plant.plant import Plant, PlantOptions, ScheduleError, parse_schedule
-from analyzer_sim.plant.uplink_port import serve_changes
+from analyzer_sim.serving import serve_changes
 from analyzer_sim.world.scenario.events import Gap
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.scenario.story import Scenario

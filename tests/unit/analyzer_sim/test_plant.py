@@ -12,8 +12,15 @@ import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
 from analyzer_sim.export import export_arrays
-from analyzer_sim.plant.plant import Plant, PlantOptions, Schedule, ScheduleError, parse_schedule
-from analyzer_sim.plant.plant_lines import run_plant, telemetry_of
+from analyzer_sim.plant.plant import (
+    Plant,
+    PlantOptions,
+    Schedule,
+    ScheduleError,
+    parse_schedule,
+    run_plant,
+    telemetry_of,
+)
 from analyzer_sim.world.scenario.events import Gap, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
 from analyzer_sim.world.scenario.story import KeepingErrors, RepeaterSettings

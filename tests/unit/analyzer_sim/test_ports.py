@@ -12,12 +12,11 @@ from typing import Any
 import pytest
 from ground_story import ground_lines
 
+from analyzer_sim import serving
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
-from analyzer_sim.plant import uplink_port
 from analyzer_sim.plant.flown_world import FlownWorld
-from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, PlantOptions
-from analyzer_sim.plant.plant_lines import fed_forward_line
-from analyzer_sim.plant.uplink_port import UplinkPort
+from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, PlantOptions, fed_forward_line
+from analyzer_sim.serving import UplinkPort
 from analyzer_sim.world.ground.ground import chunks_of
 from analyzer_sim.world.ground.ground_port import MAX_LINE_BYTES, Gate, serve_ground
 from analyzer_sim.world.scenario.scenario import scenario_named
@@ -160,7 +159,7 @@ async def test_what_was_told_while_nobody_was_there_is_told_to_the_next() -> Non
 
 
 async def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uplink_port, "MAX_WAITING_BYTES", 0)
+    monkeypatch.setattr(serving, "MAX_WAITING_BYTES", 0)
 
     async with served() as (port, subject), connected(port) as deaf:
         await deaf.line()

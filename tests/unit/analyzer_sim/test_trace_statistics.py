@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.instrument.detectors import (
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument_settings import FSW_26, Settings, reset_state
+from analyzer_sim.instrument.painter import (
     FAST_DRAWS,
+    Detail,
     Dwell,
+    TracePainter,
     correlation_kernel,
     draw_envelope,
     draw_rms,
     dwell_variance,
     video_variance,
 )
-from analyzer_sim.instrument.imperfections import IDEAL
-from analyzer_sim.instrument.instrument_settings import FSW_26, Settings, reset_state
-from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.instrument.quantities import store
 from analyzer_sim.instrument.spectrum import ENBW_PER_RBW, MeanTrace, SweepGrid
 

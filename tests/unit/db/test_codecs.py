@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from hypothesis.extra.numpy import arrays
 
-from db.encoding import segment_codec
+from db.encoding import segments
 from db.encoding.column_codec import PackedColumns, pack_columns
 from db.encoding.measurement_runs import details_of, pack_carriers, prepare_details, unpack_carriers
 from db.encoding.power_codec import (
@@ -29,14 +29,24 @@ from db.encoding.power_codec import (
     unpack_powers,
 )
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, encode_all, kind_of
-from db.encoding.segment_codec import CODEC, Blobs, Extras, SealedRows, pack, unpack_columns, unpack_extras
-from db.encoding.segments import SegmentCache, SegmentChunk, SegmentHead, crc32_of
+from db.encoding.segments import (
+    CODEC,
+    Blobs,
+    Extras,
+    SealedRows,
+    SegmentCache,
+    SegmentChunk,
+    SegmentHead,
+    crc32_of,
+    pack,
+    unpack_columns,
+    unpack_extras,
+)
 from db.encoding.summary_codec import pack_day, unpack_level, unpack_rows
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
 from service.core.rows import Summaries
 from service.errors import StorageError
-from service.records.inputs import AttitudeReference, Operation, PlanChange
-from service.records.journal import KINDS
+from service.records.inputs import KINDS, AttitudeReference, Operation, PlanChange
 from service.records.levels.attitude import CARRIER_HYPOTHESES, CARRIER_STATES, STEP_DB, Axes, CarrierResults
 from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails
 
@@ -352,7 +362,7 @@ def test_every_bit_of_a_segment_comes_back(rows):
     columns = unpack_columns(blobs.columns, len(rows.epochs_us))
     for name, column in columns._asdict().items():
         np.testing.assert_array_equal(column, getattr(rows, name), name)
-    powers = segment_codec.unpack_powers(blobs.powers, len(rows.epochs_us))
+    powers = segments.unpack_powers(blobs.powers, len(rows.epochs_us))
     assert powers.tobytes() == rows.power_dbm.tobytes()
     if blobs.extras is None:
         assert not rows.has_flags.any()

@@ -15,8 +15,7 @@ from sqlalchemy.schema import CreateTable
 from db.connection.engines import FileWatch, open_engines, translated_faults
 from db.connection.writer import GROUP_LIMIT, PreparedStatement, Writer, insert_new
 from db.encoding.row_mapping import attitude_values
-from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE
-from db.measurements.ingest_grouped import _READ_STATES
+from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE, _READ_STATES
 from db.schema.columns import checksum_of
 from db.schema.layout import create_tables
 from db.schema.tables import attitude, head, measurement

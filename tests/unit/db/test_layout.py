@@ -15,9 +15,8 @@ from sqlalchemy.exc import OperationalError
 from typer.testing import CliRunner
 
 from db.connection.engines import open_engines
-from db.maintenance.backup import MANIFEST_FILE, create_backup, verify_backup
+from db.maintenance.backup import MANIFEST_FILE, create_backup, restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
-from db.maintenance.restore import restore_backup
 from db.schema.layout import LAYOUT
 from db.schema.tables import metadata
 from db.storage import SqlStorage

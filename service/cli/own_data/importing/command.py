@@ -58,7 +58,7 @@ def import_folder(
         end("--state goes with --propose; after that it stands in soo.yaml")
     # validation and numpy cost more than the command line itself
     from service.cli.own_data.importing.manifest import read_manifest
-    from service.cli.own_data.importing.proposal import require_files
+    from service.cli.own_data.importing.steps import require_files
 
     manifest = read_manifest(folder)
     require_files(manifest, folder)
@@ -93,7 +93,7 @@ def _statements(stated: list[str]) -> dict[str, dict[str, Any]]:
 def _propose(folder: Path, statements: dict[str, dict[str, Any]], *, as_json: bool) -> None:
     """Write the manifest of a folder and show what it leaves open."""
     from service.cli.own_data.importing.manifest import guesses_in, read_stated, write_manifest
-    from service.cli.own_data.importing.proposal import propose_folder
+    from service.cli.own_data.importing.steps import propose_folder
     from service.formats.foreign.layout import ForeignTableError
     from service.frontend.backfill.columns import ArchiveError
 
@@ -159,8 +159,7 @@ def _import(
     is_quiet: bool,
 ) -> dict[str, Any]:
     """Create what is missing and send the files; end where the service has something else."""
-    from service.cli.own_data.importing.catalogue import compared
-    from service.cli.own_data.importing.steps import import_powers, import_references
+    from service.cli.own_data.importing.steps import compared, import_powers, import_references
 
     spacecraft_id, comparison = compared(client, folder, manifest)
     if comparison.differences:

@@ -80,12 +80,11 @@ export function show({ store, spacecraft, session }) {
     const { control } = store.get();
     if (!control) return;
     const { allowed, reasons } = control.control;
-    const worst = control.conditions.find(({ met, consequence }) => met === false && consequence !== "yaw");
+    const [worst, ...others] = reasons;
     const why = allowed || !worst ? meaning("states", control.state) : `${meaning("reasons", worst.code)}; ${meaning("reasons", worst.code, "next")}`;
     fill(verdict, element("h1", {}, symbol(control.control.situation?.severity ?? "off"), " ", words(allowed ? "views.control.allowed" : "views.control.forbidden"), " – ", why));
-    const others = reasons.filter(({ code }) => code !== worst?.code).map(({ code }) => meaning("reasons", code));
     const since = control.since && words("views.control.sinceState", { at: utc(control.since) });
-    verdict.append(element("p", { class: "detail" }, [since, ...others].filter(Boolean).join("; ")));
+    verdict.append(element("p", { class: "detail" }, [since, ...(allowed ? reasons : others).map(({ code }) => meaning("reasons", code))].filter(Boolean).join("; ")));
     fill(diagram, stateDiagram(control.state));
     const wasOpen = table.querySelector("details")?.open;
     fill(table, conditions(control));

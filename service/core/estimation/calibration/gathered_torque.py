@@ -11,8 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import BoolArray, FilterSettings, FloatArray, IntArray
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, RATE, Gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    RATE,
+    BoolArray,
+    FilterSettings,
+    FloatArray,
+    Gaussian,
+    IntArray,
+)
 from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
 from service.core.estimation.filtering.model.wheel_momentum import (
     learned_positions,

@@ -11,11 +11,14 @@ from service.core.estimation.filtering.anchor.anchor_watch import calm_anchor
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.causes.common_change import Cusum
 from service.core.estimation.filtering.filter_records import FilterState
-from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
-from service.core.estimation.filtering.model.filter_state import (
+from service.core.estimation.filtering.model.filter_model import (
     FIRST_COMMON,
     FREE_REFERENCE_DB2,
+    BoolArray,
+    CarrierModel,
+    FloatArray,
     Gaussian,
+    IntArray,
     carrier_states,
     common_states,
     core_size,

@@ -8,21 +8,19 @@ import numpy as np
 from service.core.estimation.filtering.kernels import state_kernels
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import (
-    CarrierModel,
-    FilterSettings,
-    FloatArray,
-    IntArray,
-    KnownMotion,
-    model_variance_db2,
-    no_motion,
-)
-from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     CHAIN,
     RATE,
+    CarrierModel,
+    FilterSettings,
+    FloatArray,
     Gaussian,
+    IntArray,
+    KnownMotion,
     core_size,
     hidden_count,
+    model_variance_db2,
+    no_motion,
     reference_states,
 )
 from service.core.estimation.filtering.model.hidden_motion import hidden_transition, sensor_states, sensors_first

@@ -15,14 +15,17 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.kernels import state_kernels
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray, pattern_change
-from service.core.estimation.filtering.model.filter_state import (
+from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     CHAIN,
     RAIN,
+    CarrierModel,
+    FloatArray,
     Gaussian,
+    IntArray,
     common_states,
     hidden_count,
+    pattern_change,
 )
 
 #: an update that moves the attitude by more than this is linearised again where it leads, deg

@@ -7,8 +7,7 @@ commands derives.
 import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings
-from service.core.estimation.filtering.model.filter_state import Gaussian, core_size
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, Gaussian, core_size
 from service.core.estimation.filtering.model.hidden_motion import (
     SHARE_SIGMA,
     dropped,

@@ -14,13 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    RATE,
+    RATE_FLOOR_DEG_H,
     BoolArray,
     CarrierModel,
     FilterSettings,
     FloatArray,
     KnownMotion,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, RATE, RATE_FLOOR_DEG_H
 from service.core.estimation.filtering.model.step_inputs import step_inputs
 from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
 

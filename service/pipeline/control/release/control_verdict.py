@@ -83,10 +83,10 @@ _NEXT_STEPS = {
     "Stop the other service on this archive; then POST .../control:reset.": "lease",
 }
 _NEXT_STEP = {code: step for step, codes in _NEXT_STEPS.items() for code in codes.split()}
-#: reasons that follow from others or hold back yaw alone, named behind those: the first reason is the one to act on
+#: reasons that follow from others, named behind those: the first reason is the one to act on
 _NAMED_LAST = (
     *("not_aligned", "unannounced_motion", "fade", "redundancy", "expired", "estimate_old", "no_attitude", "invalid"),
-    *("estimator", "tripped", "operation", "yaw_uncertain", "yaw_sign", "good_minutes", "not_armed"),
+    *("estimator", "tripped", "operation", "good_minutes", "not_armed"),
 )
 #: conditions that a verdict names, by code
 CONDITIONS = {each.word: each for each in Condition if each.consequence is not Consequence.ALARM}
@@ -266,11 +266,10 @@ def control_verdict(
     return ControlVerdict(state in _GIVING and not is_forbidden, state, tuple(sorted(found.values(), key=_rank)))
 
 
-def _rank(reason: ControlReason) -> int:
-    """Return the place of a reason among others, least first."""
-    if reason.code == "estimator_failed":
-        return -2
-    return _NAMED_LAST.index(reason.code) if reason.code in _NAMED_LAST else -1
+def _rank(reason: ControlReason) -> tuple[bool, int]:
+    """Return the place of a reason among others, least first; those that hold back yaw alone come last."""
+    named_last = _NAMED_LAST.index(reason.code) if reason.code in _NAMED_LAST else -1
+    return reason.code in _YAW_ONLY, -2 if reason.code == "estimator_failed" else named_last
 
 
 def _in_words(age_s: float) -> str:

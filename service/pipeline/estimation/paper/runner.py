@@ -22,8 +22,7 @@ from service.pipeline.estimation.paper.method import (
 )
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
 from service.records.catalogue import CarrierPlan, Method
-from service.records.inputs import Correction
-from service.records.journal import SlowInput
+from service.records.inputs import Correction, SlowInput
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeFix,

@@ -10,8 +10,7 @@ from service.core.estimation.filtering.causes.carrier_faults import QUIET_ROWS, 
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.hidden_shares import sensors_of
 from service.core.estimation.filtering.model.declared import Declared
-from service.core.estimation.filtering.model.filter_model import FilterSettings
-from service.core.estimation.filtering.model.filter_state import common_states
+from service.core.estimation.filtering.model.filter_model import FilterSettings, common_states
 from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
 from service.core.estimation.filtering.model.torque_prior import is_pushed
 from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, momentum_advice

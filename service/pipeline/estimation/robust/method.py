@@ -15,10 +15,11 @@ from service.core.estimation.filtering.carry_over import carry_over, without_rat
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.hidden_shares import sensors_of, with_stated_torque, with_torque
 from service.core.estimation.filtering.model.declared import Declared
-from service.core.estimation.filtering.model.filter_model import KnownMotion, no_motion
-from service.core.estimation.filtering.model.filter_state import (
+from service.core.estimation.filtering.model.filter_model import (
     FREE_REFERENCE_DB2,
+    KnownMotion,
     initial_gaussian,
+    no_motion,
     rates_deg_h,
 )
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels

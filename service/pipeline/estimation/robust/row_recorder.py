@@ -11,14 +11,18 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep
 from service.core.estimation.filtering.hidden_shares import sensors_of
-from service.core.estimation.filtering.model.filter_model import FilterSettings
-from service.core.estimation.filtering.model.filter_state import DRIFT, RATE
+from service.core.estimation.filtering.model.filter_model import DRIFT, RATE, FilterSettings
 from service.core.estimation.filtering.model.hidden_motion import sensor_states
 from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.model.torque_prior import TORQUES, has_torque
 from service.core.estimation.filtering.rows.row_kernels import RowKernels
-from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row, restarted_states, state_origin
-from service.core.estimation.smoothing.row_capture import StepCapture
+from service.core.estimation.smoothing.effective_row import (
+    EffectiveRow,
+    StepCapture,
+    effective_row,
+    restarted_states,
+    state_origin,
+)
 from service.pipeline.estimation.robust.model import RobustModel
 from service.records.levels.attitude import FloatArray, IntArray
 

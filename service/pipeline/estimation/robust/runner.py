@@ -1,14 +1,36 @@
-"""The robust method in the chain: its model, its state, commanded motion, and what is known of each carrier."""
+"""The robust method in the chain: its model, its state, commanded motion, and what is known of each carrier.
 
+Records of momentum, polarisation and rates.
+
+Released commands that nobody has reported: where the filter goes back to when a report comes.
+
+Between release and report a command's whole effect is uncertain: its pulses act by a share among the filter's states.
+When the report comes the filter goes back to where the command was released, takes what was executed as known from then
+on and the rows again, so that detectors and faults too are those of a filter that always knew. Rows already told stay
+as they were told. A command that takes the place of one before it, on board, takes it here: what that one had left
+stays known until the new one is reported, and is part of what is uncertain. The law of this file: entries in the order
+of the journal; the same entries give the same state.
+"""
+
+import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
 from service.core.estimation.filtering.anchor.anchor_watch import carrier_hypotheses
-from service.core.estimation.filtering.model.filter_state import core_size
-from service.core.estimation.filtering.model.hidden_motion import SHARE_SIGMA
+from service.core.estimation.filtering.hidden_shares import with_share, without_shares
+from service.core.estimation.filtering.model.filter_model import core_size
+from service.core.estimation.filtering.model.hidden_motion import SHARE_SIGMA, momentum_count, sensors_first
+from service.core.estimation.filtering.model.measured_motion import measured_settings
+from service.core.estimation.filtering.model.polarimeter import POLARIMETER
+from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.watches.command_watch import missed_log_ratio, share_log_ratio
+from service.core.estimation.filtering.watches.momentum_watch import NEVER_US, push_record, with_impossible
+from service.core.estimation.filtering.watches.polarimeter_watch import PolarimeterWatch, push_block
+from service.core.estimation.filtering.watches.rate_watch import HELD_US, MovingState, commanded_rate, push_rates
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.estimation.robust.attitude_rows import known_disturbance
@@ -18,39 +40,280 @@ from service.pipeline.estimation.robust.method import (
     carried_state,
     carrier_levels,
     initial_state,
+    step_robust,
 )
 from service.pipeline.estimation.robust.model import RobustModel, robust_model
-from service.pipeline.estimation.robust.motion_records import step_with_record
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.saved_state import SavedRobust, newest_row, saved_robust
-from service.pipeline.estimation.robust.unreported_commands import (
-    MAX_ROWS,
-    Branch,
-    Motion,
-    ReportedMotion,
-    Step,
-    apply_report,
-    closed,
-    open_branch,
-    reported,
-    stepped,
+from service.pipeline.inputs.knowledge import Knowledge, Lookup, records_between
+from service.pipeline.inputs.known_motion import (
+    CommandedMotion,
+    consume,
+    end_us,
+    heard,
+    motions_of_released,
+    without_replaced,
 )
-from service.pipeline.inputs.knowledge import Knowledge, Lookup
-from service.pipeline.inputs.known_motion import CommandedMotion, end_us, heard
+from service.pipeline.inputs.polarization import due_block, orbit_turn_deg
+from service.pipeline.inputs.sensor_angles import inertial_deg_h
 from service.records.calibration import Alignment, Calibration
-from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
+from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft, WheelMomentum
 from service.records.epoch import US_PER_S
-from service.records.inputs import Correction
-from service.records.journal import SlowInput
+from service.records.inputs import Correction, SlowInput, TelemetryRecord
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeRow,
     CarrierState,
     Disturbance,
+    Pulse,
     ReleasedCommand,
     ReportedCommand,
 )
 from service.records.levels.measurement import Measurement, QualityFlag
+
+#: rows that are kept to be taken again, an hour of rows a second; behind them the powers have told what happened
+MAX_ROWS = 3600
+
+#: what the filter did with a row or a change of its model
+Step = Callable[[RobustState], RobustState]
+Motion = Correction | AppliedCommand | ReportedCommand
+
+
+@dataclass(frozen=True)
+class ReportedMotion:
+    """Motion or release known from the ground."""
+
+    content: Motion | ReleasedCommand
+    record: Spacecraft | None
+    model: RobustModel
+
+
+@dataclass(frozen=True)
+class Branch:
+    """State before the oldest command that is not reported, and all that happened since."""
+
+    base: RobustState
+    entries: tuple[ReportedMotion | Step, ...] = ()
+    rows: int = 0
+
+
+def open_branch(branch: Branch | None, state: RobustState, announced: ReportedMotion) -> Branch:
+    """Return the branch with a release, begun at the state before it where there was none."""
+    branch = branch or Branch(state)
+    return replace(branch, entries=(*branch.entries, announced))
+
+
+def stepped(branch: Branch, taken: Step) -> Branch:
+    """Return the branch with a row, or a change of the model."""
+    return replace(branch, entries=(*branch.entries, taken), rows=branch.rows + 1)
+
+
+def apply_report(state: RobustState, announced: ReportedMotion) -> RobustState:
+    """Return the state that has heard of a motion, or of a release whose effect is uncertain."""
+    content, newest_us = announced.content, state.filter.epoch_us
+    if isinstance(content, ReportedCommand):
+        state = _with_replaced(state, content.counter, content.executed)
+    if not isinstance(content, ReleasedCommand):
+        return replace(state, commanded=heard(state.commanded, content, announced.record, newest_us))
+    state = _with_replaced(state, content.counter, content.schedule)
+    motion = motions_of_released(state.commanded, content, announced.record, newest_us)
+    widened = with_share(announced.model.filter, state.filter, len(state.released))
+    return replace(state, filter=widened, released=(*state.released, (content.counter, motion)))
+
+
+def _with_replaced(state: RobustState, counter: int, schedule: Sequence[Pulse]) -> RobustState:
+    """Return the state in which what is uncertain of earlier commands ends where the pulses of a later one begin."""
+    newest_us = state.filter.epoch_us
+    ended = ((n, without_replaced(motion, counter, schedule, newest_us)) for n, motion in state.released)
+    return replace(state, released=tuple(ended))
+
+
+def reported(branch: Branch, report: ReportedCommand) -> tuple[RobustState, Branch | None]:
+    """Return state and branch after a report; the branch is None where nothing is uncertain any longer."""
+    entries: list[ReportedMotion | Step] = []
+    for entry in branch.entries:
+        if not _is_release(entry, report.counter):
+            entries.append(entry)
+        elif isinstance(entry, ReportedMotion) and report.executed:
+            entries.append(replace(entry, content=report))
+    first = next((position for position, entry in enumerate(entries) if _is_release(entry)), len(entries))
+    base = _taken(branch.base, entries[:first])
+    if first == len(entries):
+        return base, None
+    left = tuple(entries[first:])
+    return _taken(base, left), Branch(base, left, sum(not isinstance(entry, ReportedMotion) for entry in left))
+
+
+def closed(state: RobustState, model: RobustModel) -> RobustState:
+    """Return the state without its shares: what they have done stays uncertain until powers tell."""
+    return replace(state, filter=without_shares(model.filter, state.filter, len(state.released)), released=())
+
+
+def _taken(state: RobustState, entries: Sequence[ReportedMotion | Step]) -> RobustState:
+    for entry in entries:
+        state = apply_report(state, entry) if isinstance(entry, ReportedMotion) else entry(state)
+    return state
+
+
+def _is_release(entry: "ReportedMotion | Step", counter: int | None = None) -> bool:
+    if not isinstance(entry, ReportedMotion) or not isinstance(entry.content, ReleasedCommand):
+        return False
+    return counter is None or entry.content.counter == counter
+
+
+def with_polarization(
+    state: RobustState, model: RobustModel, knowledge: Knowledge
+) -> tuple[RobustState, list[SensorEffect]]:
+    """Return the state after the blocks of the polarimeters that are due at its epoch, and the effect of each."""
+    settings, epoch_us = model.settings, state.filter.epoch_us
+    if knowledge.spacecraft is None or not settings.polarimeters:
+        return state, []
+    gaussian, effects = state.filter.gaussian, []
+    first = sensors_first(model.filter, gaussian, settings) + momentum_count(settings)
+    watches = list(state.polarimeters or (PolarimeterWatch(epoch_us),) * len(settings.polarimeters))
+    for number, stated in enumerate(model.polarimeters):
+        read = settings.polarimeters[number]
+        block = due_block(knowledge.polarization.get(stated.source, ()), stated, watches[number].newest_us, epoch_us)
+        if block is None:
+            continue
+        at_us = np.array([block.epoch_us], dtype=np.int64)
+        turned_deg = orbit_turn_deg(knowledge.ephemeris, knowledge.spacecraft, read.sight, at_us)
+        block = block._replace(angle_deg=block.angle_deg - float(turned_deg[0]))
+        if math.isfinite(block.angle_deg):
+            watches[number], gaussian, effect = push_block(
+                watches[number], gaussian, first + POLARIMETER * number, block, epoch_us, read
+            )
+            effects.append(effect)
+    if effects or not state.polarimeters:
+        state = replace(state, filter=state.filter._replace(gaussian=gaussian), polarimeters=tuple(watches))
+    return state, effects
+
+
+_US_PER_H = 3.6e9
+
+
+def with_rates(
+    state: RobustState, model: RobustModel, knowledge: Knowledge, to_us: int
+) -> tuple[RobustState, RobustModel]:
+    """Return state and model for the step up to an epoch: that of the measured rate where one is known."""
+    sensor, watch, from_us = model.rate_sensor, state.rates, state.filter.epoch_us
+    if sensor is None or watch.is_refused or to_us <= from_us:
+        return state, model
+    before = MovingState(from_us, state.filter.gaussian, state.filter.drift, state.filter.command)
+    known, _ = consume(state.commanded, from_us, to_us)
+    commanded = commanded_rate(watch, before) + known.correction_deg * (_US_PER_H / (to_us - from_us))
+    records = records_between(knowledge.rates, max(watch.newest_us, from_us - HELD_US), to_us)
+    watch, moved = push_rates(
+        watch,
+        before,
+        np.array([one.epoch_us for one in records], dtype=np.int64),
+        inertial_deg_h([one.body_rate_deg_s for one in records if one.body_rate_deg_s is not None]),
+        to_us,
+        commanded,
+        model.settings,
+        sensor,
+        is_pushed=bool(known.rate_change_deg_h.any() or state.released),
+    )
+    state = replace(state, filter=state.filter._replace(**moved._asdict()), rates=watch)
+    if not watch.is_measured:
+        return state, model
+    return state, _under_rates(model)
+
+
+@lru_cache(maxsize=64)
+def _under_rates(model: RobustModel) -> RobustModel:
+    """Return the model of a step whose rate is measured."""
+    sensor = model.rate_sensor
+    return model if sensor is None else replace(model, settings=measured_settings(model.settings, sensor))
+
+
+#: a momentum along pitch that is off the stated one by more than this share of it is of other wheels or another unit;
+#: a stated one below the limit, N m s, tells nothing
+_BIAS_SHARE, _LEAST_N_M_S = 0.5, 1.0
+#: a record older than the newest row by more than this is not used
+_LATE_US = 900 * US_PER_S
+
+
+def step_with_record(
+    state: RobustState,
+    *,
+    model: RobustModel,
+    knowledge: Knowledge,
+    measurement: Measurement,
+    is_late: bool,
+    recorder: RowRecorder | None = None,
+    **inputs: Any,
+) -> RobustStep:
+    """Take the records of wheels, polarimeters and rates that are due, then a row, as `step_robust` does."""
+    if not is_late:
+        began = state.filter.gaussian
+        state, of_wheels = with_momenta(state, model, knowledge)
+        state, of_angles = with_polarization(state, model, knowledge)
+        state, model = with_rates(state, model, knowledge, measurement.epoch_us)
+        if recorder is not None:
+            moved = None if model.rate_sensor is None else state.filter
+            recorder.sense(began.mean, (*of_wheels, *of_angles), moved, is_measured=state.rates.is_measured)
+    return step_robust(state, model, knowledge, measurement, is_late=is_late, recorder=recorder, **inputs)
+
+
+def with_momenta(
+    state: RobustState, model: RobustModel, knowledge: Knowledge
+) -> tuple[RobustState, list[SensorEffect]]:
+    """Return the state after the records of the wheels that are due at its epoch, and the effect of each."""
+    if model.settings.momentum is None or model.wheel_axes is None or knowledge.spacecraft is None:
+        return state, []
+    effects = []
+    for record in _due_momenta(state, knowledge):
+        state, effect = _with_momentum(state, model, knowledge.spacecraft, record)
+        effects.append(effect)
+    return state, effects
+
+
+def _due_momenta(state: RobustState, knowledge: Knowledge) -> tuple[TelemetryRecord, ...]:
+    """Return the records up to the epoch of a state that were not used.
+
+    A filter begins with the first record of after its alignment; one of before it serves only while none follows.
+    """
+    epoch_us, newest_us = state.filter.epoch_us, state.momentum.newest_us
+    records = records_between(knowledge.momenta, max(newest_us, epoch_us - _LATE_US - 1), epoch_us)
+    if newest_us != NEVER_US or knowledge.alignment is None or not records:
+        return records
+    after_alignment = records_between(records, knowledge.alignment.epoch_us - 1, epoch_us)
+    return after_alignment or tuple(record for record in records if record is knowledge.momenta[-1])
+
+
+def _with_momentum(
+    state: RobustState, model: RobustModel, spacecraft: Spacecraft, record: TelemetryRecord
+) -> tuple[RobustState, SensorEffect]:
+    """Return the state after a record of the wheels that is not later, and its effect."""
+    wheels, wheel_axes, wheel_n_m_s = model.settings.momentum, model.wheel_axes, record.wheel_momentum_n_m_s
+    if wheels is None or wheel_axes is None or wheel_n_m_s is None or len(wheel_n_m_s) != len(wheel_axes):
+        return state, NO_EFFECT
+    momentum_n_m_s = np.array(wheel_n_m_s) @ wheel_axes
+    too_much = max(map(abs, wheel_n_m_s)) > spacecraft.wheels.momentum_limit_n_m_s
+    if too_much or _is_off_bias(float(momentum_n_m_s[1]), spacecraft.onboard.momentum):
+        # a first record of another unit, sign or spacecraft would be believed, a later one is a wild record
+        return replace(state, momentum=with_impossible(state.momentum)), NO_EFFECT
+    gaussian = state.filter.gaussian
+    watch, gaussian, effect = push_record(
+        state.momentum,
+        gaussian,
+        sensors_first(model.filter, gaussian, model.settings),
+        record.epoch_us,
+        momentum_n_m_s,
+        state.filter.epoch_us,
+        model.settings,
+        wheels,
+        is_unloading=bool(record.thrusters_active),
+    )
+    return replace(state, filter=state.filter._replace(gaussian=gaussian), momentum=watch), effect
+
+
+def _is_off_bias(pitch_n_m_s: float, stated: WheelMomentum | None) -> bool:
+    """Return whether a momentum along pitch cannot be that of the spacecraft, by what the catalogue states."""
+    bias = None if stated is None else stated.pitch_bias_n_m_s
+    return bias is not None and abs(bias) >= _LEAST_N_M_S and abs(pitch_n_m_s - bias) > _BIAS_SHARE * abs(bias)
+
 
 #: a level with one of these is not used
 _UNFIT = int(

@@ -15,7 +15,7 @@ from service.api.access.access_middleware import AccessLayer
 from service.api.access.auth import Principal
 from service.api.access.housekeeping import MAX_GROUPS, AccessHousekeeping, Refusals, StoredKeys
 from service.errors import StorageError
-from service.records.journal import JournalHead
+from service.records.inputs import JournalHead
 from service.records.operations.access import (
     AccessKey,
     AuditHead,

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from service.formats.tabular import parquet_stream, row_text
-from service.formats.tabular.joined_table import JoinedRow, joined_table
 from service.formats.tabular.measurement_file import (
     CsvFile,
     MeasurementColumns,
@@ -30,9 +29,16 @@ from service.formats.tabular.measurement_file import (
     file_bytes,
     measurement_file,
 )
-from service.formats.tabular.row_kernel import compiled_fill_rows
-from service.formats.tabular.row_text import RowFrame, RowText, plain_rows, ready_kernels
-from service.formats.tabular.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, plain_value
+from service.formats.tabular.row_text import RowFrame, RowText, compiled_fill_rows, plain_rows, ready_kernels
+from service.formats.tabular.series_tables import (
+    ATTITUDE,
+    EVENTS,
+    REFERENCES,
+    TORQUES,
+    JoinedRow,
+    joined_table,
+    plain_value,
+)
 from service.formats.tabular.table_file import Column, SeriesTable, TableFormat, table_bytes
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.csv_guard import unguarded

@@ -11,8 +11,7 @@ import pytest
 
 from service.client.backoff import Backoff
 from service.frontend.acquisition import acquisition as module
-from service.frontend.acquisition.acquisition import Acquisition
-from service.frontend.acquisition.epoch_guard import SETTLE_S, EpochGuard
+from service.frontend.acquisition.acquisition import SETTLE_S, Acquisition, EpochGuard
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.states import (
     ACTIONS,

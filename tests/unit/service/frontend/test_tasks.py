@@ -9,8 +9,7 @@ import pytest
 from service.frontend.acquisition.evaluation import TaskEvaluation
 from service.frontend.measurement_task import MeasurementTask, TaskError, load_task, parse_task
 from service.frontend.tasks.station_file import load_station
-from service.frontend.tasks.task_plan import cycle_s, plan_task, recheck
-from service.frontend.tasks.zoom_plan import plan_with_zoom, zoom_rbw_hz
+from service.frontend.tasks.task_plan import cycle_s, plan_task, plan_with_zoom, recheck, zoom_rbw_hz
 from service.records.levels.sweep import SweepSettings
 
 

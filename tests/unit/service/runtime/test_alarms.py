@@ -176,14 +176,6 @@ def test_an_alarm_that_stands_is_not_written_down_again_and_again(rig, monkeypat
     assert len(written) == 1
 
 
-def test_too_many_rows_at_once_are_counted_not_kept(rig):
-    rig.row(1, -40.0, -40.0)
-    seen = [object()] * 6000
-    rig.desk.on_rows("craft", seen)
-    assert rig.desk.rows_skipped == 1000
-    rig.desk._queue.clear()
-
-
 def test_the_thread_looks_by_itself_and_a_stop_looks_a_last_time(rig):
     rig.desk._check_period_s = 0.05
     rig.desk.start()

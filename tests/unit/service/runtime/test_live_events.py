@@ -12,8 +12,7 @@ from stored_records import zeros
 
 from service.ports import Outcome
 from service.records.catalogue import Method
-from service.records.inputs import AlignmentSet, SpacecraftChange
-from service.records.journal import JournalEntry
+from service.records.inputs import AlignmentSet, JournalEntry, SpacecraftChange
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement
 from service.runtime.live.journal_consumer import result_events

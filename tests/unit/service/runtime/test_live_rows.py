@@ -19,13 +19,13 @@ from service.pipeline.config import ChainConfig
 from service.records.inputs import (
     AlignmentSet,
     Correction,
+    JournalEntry,
     Operation,
     PlanChange,
     PolarizationRecord,
     TelemetryRecord,
     WeatherReport,
 )
-from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import BatchReceipt, Measurement
 from service.runtime.live import step_failures

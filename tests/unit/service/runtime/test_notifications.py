@@ -109,7 +109,7 @@ def test_a_receiver_that_fails_for_a_while_gets_every_notice_in_order(receiver):
             channel.offer(change(sequence))
         wait_for(lambda: channel.counts.sent == 2)
     assert [json.loads(body)["sequence"] for _, body in receiver.received] == [1, 1, 1, 1, 2]
-    assert (channel.counts.failed_attempts, channel.counts.failed) == (3, 0)
+    assert channel.counts.failed == 0
 
 
 def test_a_refusal_for_good_is_not_tried_again(receiver):
@@ -123,13 +123,16 @@ def test_a_refusal_for_good_is_not_tried_again(receiver):
 
 
 def test_what_cannot_be_delivered_is_given_up_and_counted():
-    def fail(_notice):
+    asked = []
+
+    def fail(notice):
+        asked.append(notice)
         raise DeliveryError("away")
 
     with running(channel_to(fail)) as channel:
         channel.offer(change())
         wait_for(lambda: channel.counts.failed == 1)
-    assert channel.counts.failed_attempts == ATTEMPTS
+    assert len(asked) == ATTEMPTS
 
 
 def test_a_fault_of_one_notice_does_not_keep_the_next():
@@ -258,10 +261,16 @@ def test_a_letter_says_it_all_and_only_what_is_worth_one():
 
 @pytest.mark.parametrize(("refusal", "attempts"), [("550 no", 1), ("451 later", ATTEMPTS)])
 def test_a_mail_server_that_refuses_for_good_is_not_asked_again(refusal, attempts):
-    with mail_server(refusal=refusal) as server, running(channel_to(Mail(route_to(server)).deliver)) as channel:
+    asked = []
+
+    def deliver(notice):
+        asked.append(notice)
+        Mail(route_to(server)).deliver(notice)
+
+    with mail_server(refusal=refusal) as server, running(channel_to(deliver)) as channel:
         channel.offer(change())
         wait_for(lambda: channel.counts.failed == 1)
-    assert channel.counts.failed_attempts == attempts
+    assert len(asked) == attempts
 
 
 def test_a_mail_server_that_is_away_is_asked_again():

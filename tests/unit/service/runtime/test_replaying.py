@@ -10,16 +10,14 @@ import numpy as np
 import pytest
 from busy_station import BOTH, PAYLOAD, SC, Station, at, text
 
-from db.maintenance.backup import create_backup, verify_backup
-from db.maintenance.restore import restore_backup
+from db.maintenance.backup import create_backup, restore_backup, verify_backup
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.errors import InvalidInputError
 from service.pipeline.config import ChainConfig
 from service.ports import LIVE
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import BodyRateSensor, ControlLaw, GyroOrbitantGains, Method, Polarimeter, WheelMomentum
-from service.records.inputs import PlanChange, PolarizationRecord, TelemetryRecord
-from service.records.journal import JournalEntry
+from service.records.inputs import JournalEntry, PlanChange, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import AppliedCommand, Axes
 from service.records.operations.work import Replay
 from service.records.storage import worst

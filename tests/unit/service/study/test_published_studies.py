@@ -12,8 +12,15 @@ from service.study.limit_cycles import figures
 from service.study.limit_cycles.capture_tables import band_table, capture_table
 from service.study.limit_cycles.comparison import Compared, ComparedTable, holds
 from service.study.limit_cycles.cycle_tables import limit_cycle_table
-from service.study.limit_cycles.report import Reproduction, as_document, cells, markdown, reproduce, summary_lines
-from service.study.limit_cycles.schedule_table import schedule_table
+from service.study.limit_cycles.report import (
+    Reproduction,
+    as_document,
+    cells,
+    markdown,
+    reproduce,
+    schedule_table,
+    summary_lines,
+)
 from service.study.rf_attitude.figures import draw_reproduction
 from service.study.rf_attitude.reproduction import (
     AMPLITUDE_DB,

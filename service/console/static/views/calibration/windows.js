@@ -16,8 +16,8 @@ const LANES = ["operations", "gaps", "fade", "marks"];
 const FIRST_SPAN_S = 4 * 86_400;
 const LEAST_SPAN_S = 600;
 const GREATEST_SPAN_S = 400 * 86_400;
-/** Beyond this slow noise is seen: the service warns of shorter quiet days. */
-const QUIET_S = 70 * 3600;
+/** The service warns of shorter quiet days: slow noise is hardly seen in them. */
+const SHORT_QUIET = "SOO_CALIBRATION__SHORT_QUIET_DAYS";
 const PAGE_ROWS = 10_000;
 const MOST_PAGES = 3;
 const PANEL_PX = 110;
@@ -39,6 +39,7 @@ export function windowPlot({ store, path, mayOperate }) {
   let timeline = null;
   let isCut = false;
   let settling = 0;
+  let shortS = NaN;
   let asking = new AbortController();
 
   const status = element("p", { class: "history-status", role: "status" });
@@ -77,12 +78,13 @@ export function windowPlot({ store, path, mayOperate }) {
     }
     function show() {
       const length = windows[name][1] - windows[name][0];
-      const isShort = name === "quiet" && length < QUIET_S;
-      setText(said, length > 0 ? [duration(length), isShort && w("short")].filter(Boolean).join("; ") : "");
+      const isShort = name === "quiet" && length < shortS;
+      setText(said, length > 0 ? [duration(length), isShort && w("short", { length: duration(shortS) })].filter(Boolean).join("; ") : "");
       drawMarks();
     }
     return {
       declared,
+      show,
       node: element("p", { class: "field" }, element("span", { class: "window-name" }, w(`window.${name}`)), ends[0], " – ", ends[1], w("utc"), declared, said),
       /** Write a window that was dragged. */
       fill() {
@@ -203,6 +205,10 @@ export function windowPlot({ store, path, mayOperate }) {
     }, begin);
   }
 
+  get("/about").then(({ settings }) => {
+    shortS = 86_400 * Number(settings?.find((each) => each.name === SHORT_QUIET)?.value);
+    fields.quiet.show();
+  }, () => {});
   const resized = new ResizeObserver(onFrame(drawLanes));
   resized.observe(lanes);
   begin();

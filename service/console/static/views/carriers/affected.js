@@ -1,21 +1,10 @@
 /** @file Who is affected: all carriers, one transponder, one station, or single users. */
 
-/** Below its model by this or three sigma, the greater, a carrier is down, dB. */
-const DOWN_DB = 1;
-/** Common loss from which it is one of all, dB. */
-const COMMON_DB = 1;
 /** Names that a sentence can carry. */
 export const MOST_NAMED = 5;
 
-/**
- * Return whether a carrier is lost or lower than attitude and common level explain.
- * @param {any} state Newest state, null where there is none.
- */
-export function isDown(state) {
-  if (!state) return false;
-  if (state.state === "absent" || state.state === "excluded") return true;
-  return Number.isFinite(state.residual_db) && state.residual_db < -Math.max(DOWN_DB, 3 * (state.sigma_db ?? 0));
-}
+/** States in which a carrier brings nothing: it left the air, or the estimator found it wrong. */
+const DOWN = ["absent", "excluded"];
 
 /**
  * Return the key of the sentence, and its values.
@@ -24,12 +13,12 @@ export function isDown(state) {
  */
 export function affected(carriers, states, attitude) {
   const held = carriers.filter((carrier) => states.has(carrier.id));
-  const down = held.filter((carrier) => isDown(states.get(carrier.id)));
+  const down = held.filter((carrier) => DOWN.includes(states.get(carrier.id)?.state));
   const ids = down.map((carrier) => carrier.id);
   const common = attitude?.downlink_fade ? -(attitude.downlink_fade_db ?? 0) : (attitude?.common_db ?? 0);
   const found = { count: down.length, total: held.length, name: "", ids, common };
   if (!held.length) return { kind: "waiting", level: "off", ...found };
-  if (attitude?.downlink_fade || common <= -COMMON_DB) return { kind: "common", level: "serious", ...found };
+  if (attitude?.downlink_fade || attitude?.inhibitions?.includes("common_change")) return { kind: "common", level: "serious", ...found };
   if (!down.length) {
     // without a calibration nothing says what is expected
     const isKnown = held.some((carrier) => states.get(carrier.id).state === "used");

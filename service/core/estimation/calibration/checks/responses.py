@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.filtering.model.filter_model import (
+    RATE,
     FilterSettings,
+    Gaussian,
     LearnedFeed,
     PolarimeterModel,
 )
-from service.core.estimation.filtering.model.filter_state import RATE, Gaussian
 from service.core.estimation.filtering.model.polarimeter import (
     POLARIMETER,
     WANDER,

@@ -3,7 +3,14 @@
 The anchor never forgets: every carrier takes part with the reference that the alignment gave it, grown by its random
 walk, whatever the filter learned since. Its answer is the error of the filter's attitude as a mixture over the
 hypotheses of the carriers (`carrier_mixture`), and with it protection levels. Where the references contradict the
-attitude the filter starts again from them (`filtering.new_start`); a smaller difference is left to the filter.
+attitude the filter starts again from them (`filtering.attitude_filter`); a smaller difference is left to the filter.
+
+Protection levels: bounds that the error of roll, pitch or yaw passes with a stated probability.
+
+    smallest L with   sum over combinations of p(h) P(abs(d) > L under h) <= risk
+
+as in satellite navigation, where the combinations are those of faulty satellites. The combinations are those of
+`carrier_mixture`, which have their probabilities after the data.
 """
 
 import math
@@ -12,17 +19,29 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES, Branches, Mixture, solve_mixture
-from service.core.estimation.filtering.anchor.protection import SIGMAS_OF_RISK, protection_levels_deg
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, AnchorKernels
 from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
     BoolArray,
     CarrierModel,
     FloatArray,
+    Gaussian,
     IntArray,
     pattern_change,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
+
+#: probability with which the error of a row may pass the level
+RISK = 1e-4
+#: sigmas that a normal error passes with it, on either side
+SIGMAS_OF_RISK = 3.891
+
+
+def protection_levels_deg(mixture: Mixture, risk: float = RISK, kernels: AnchorKernels = ARRAYS) -> FloatArray:
+    """Return the protection levels (3,) of yaw, roll and pitch, deg, at most 3 deg."""
+    sigma = np.sqrt(np.diagonal(mixture.covariance_deg2, axis1=1, axis2=2))
+    return kernels.levels(mixture.probability, mixture.mean_deg, sigma, risk)
+
 
 #: error of yaw, roll and pitch that the filter may have beyond its own sigma, deg
 ERROR_SIGMA_DEG = (0.15, 0.10, 0.10)

@@ -1,6 +1,6 @@
 """Kernels of the anchor: the mixture over the hypotheses of the carriers, and the levels that follow from it.
 
-`carrier_mixture` and `protection` say what is computed. The law of this file: arrays and numbers only, in expressions
+`carrier_mixture` and `anchor_watch` say what is computed. The law of this file: arrays and numbers only, in expressions
 that numba compiles as they stand; the same source is run by numpy where nothing is compiled. A kernel calls functions
 of this file alone: numba asks no other file whether its machine code is still that of the source.
 

@@ -8,17 +8,15 @@ source where nothing is compiled. What a number means is the callers' business. 
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
-    FloatArray,
-    IntArray,
-    model_error_component,
-)
-from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     CHAIN,
     FIRST_COMMON,
     RAIN,
     RATE,
     RATE_FLOOR_DEG_H,
+    FloatArray,
+    IntArray,
+    model_error_component,
 )
 
 #: attitude, drifts and rates move into one another

@@ -19,15 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
+    RATE,
     BoolArray,
     CarrierModel,
     FilterSettings,
     FloatArray,
-    KnownMotion,
-)
-from service.core.estimation.filtering.model.filter_state import (
-    RATE,
     Gaussian,
+    KnownMotion,
     common_states,
     core_size,
     hidden_count,

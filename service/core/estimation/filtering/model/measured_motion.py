@@ -11,11 +11,14 @@ by the orbit, whatever mode is flown; order yaw, roll, pitch.
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
+    DRIFT,
+    RATE,
+    RATE_FLOOR_DEG_H,
     FilterSettings,
     FloatArray,
+    Gaussian,
     RateSensorModel,
 )
-from service.core.estimation.filtering.model.filter_state import DRIFT, RATE, RATE_FLOOR_DEG_H, Gaussian
 
 #: exchange of roll and yaw in the orbital frame, 1/h
 ORBITAL_RATE_PER_H = 0.2625162

@@ -14,8 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, PolarimeterModel
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, Gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    DRIFT,
+    RATE,
+    FilterSettings,
+    FloatArray,
+    Gaussian,
+    PolarimeterModel,
+)
 from service.core.estimation.filtering.model.sensor_effect import SensorUpdate
 from service.core.estimation.filtering.model.torque_prior import DAY_US
 

@@ -16,13 +16,16 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    DRIFT,
+    RATE,
     CarrierModel,
     FilterSettings,
     FloatArray,
     KnownMotion,
+    core_size,
     no_motion,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, core_size
 from service.core.estimation.filtering.model.hidden_motion import (
     hidden_noise,
     hidden_transition,

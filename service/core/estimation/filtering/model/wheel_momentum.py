@@ -14,8 +14,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings, FloatArray, IntArray, MomentumModel
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE, Gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    DRIFT,
+    RATE,
+    FilterSettings,
+    FloatArray,
+    Gaussian,
+    IntArray,
+    MomentumModel,
+)
 from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensor_states
 from service.core.estimation.filtering.model.sensor_effect import SensorUpdate
 from service.core.estimation.filtering.model.torque_prior import (

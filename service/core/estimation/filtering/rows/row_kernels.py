@@ -18,14 +18,12 @@ from service.core.estimation.filtering import filter_predict, filter_update
 from service.core.estimation.filtering.anchor import anchor_watch
 from service.core.estimation.filtering.causes import (
     carrier_faults,
-    carrier_return,
     common_cause,
     common_change,
-    rain_state,
 )
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.kernels import anchor_kernels, kernels, state_kernels
-from service.core.estimation.filtering.model import filter_model, filter_state, step_inputs
+from service.core.estimation.filtering.model import filter_model, step_inputs
 from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.core.estimation.filtering.rows import row_stages
 from service.core.estimation.filtering.watches import (
@@ -43,12 +41,9 @@ _SOURCES: tuple[ModuleType, ...] = (
     row_stages,
     anchor_watch,
     carrier_faults,
-    carrier_return,
     common_cause,
     common_change,
-    rain_state,
     filter_model,
-    filter_state,
     step_inputs,
     command_watch,
     drift_watch,

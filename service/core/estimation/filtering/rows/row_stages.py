@@ -19,22 +19,31 @@ from service.core.estimation.filtering.causes.carrier_faults import (
     CarrierWatch,
     count_row,
     failed,
+    returning,
     trusted_white_db2,
     watch_flagged,
 )
-from service.core.estimation.filtering.causes.carrier_return import returning
 from service.core.estimation.filtering.causes.common_cause import (
     NOTHING,
     CommonInnovation,
+    RainWatch,
     common_innovation,
+    pass_hold,
+    pass_minutes,
+    push_common,
     suspicion,
 )
-from service.core.estimation.filtering.causes.rain_state import RainWatch, pass_hold, pass_minutes, push_common
 from service.core.estimation.filtering.filter_predict import move_state
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_update import EffectiveUpdate, Innovation, innovate, site_db, update
-from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
-from service.core.estimation.filtering.model.filter_state import CHAIN, Gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    CHAIN,
+    BoolArray,
+    CarrierModel,
+    FloatArray,
+    Gaussian,
+    IntArray,
+)
 from service.core.estimation.filtering.model.step_inputs import StepInputs
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, is_share_likelier, push_row
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch, push_drift

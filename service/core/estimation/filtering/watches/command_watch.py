@@ -18,20 +18,18 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_update import Innovation
 from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    RAIN,
+    RATE,
     BoolArray,
     CarrierModel,
     FilterSettings,
     FloatArray,
-    KnownMotion,
-    no_motion,
-)
-from service.core.estimation.filtering.model.filter_state import (
-    ATTITUDE,
-    RAIN,
-    RATE,
     Gaussian,
+    KnownMotion,
     common_states,
     core_size,
+    no_motion,
 )
 from service.core.estimation.filtering.model.hidden_motion import hidden_transition
 from service.core.estimation.filtering.model.step_inputs import motion_over

@@ -10,8 +10,7 @@ craft that drifts less than it may is no reason to believe less in the measureme
 import math
 from typing import NamedTuple
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings
-from service.core.estimation.filtering.model.filter_state import DRIFT, Gaussian
+from service.core.estimation.filtering.model.filter_model import DRIFT, FilterSettings, Gaussian
 
 #: time in which the factor follows, minutes
 FOLLOW_MINUTES = 600.0

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FloatArray, PolarimeterModel
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, Gaussian
+from service.core.estimation.filtering.model.filter_model import ATTITUDE, FloatArray, Gaussian, PolarimeterModel
 from service.core.estimation.filtering.model.polarimeter import (
     WANDER,
     compared_angle,

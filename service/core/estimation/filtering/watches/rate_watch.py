@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    RATE,
     FilterSettings,
     FloatArray,
+    Gaussian,
     IntArray,
     RateSensorModel,
 )
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, RATE, Gaussian
 from service.core.estimation.filtering.model.measured_motion import (
     with_inertial_drift,
     with_measured_rate,

@@ -12,11 +12,9 @@ from service.core.dynamics.orbital_frame_analysis import (
     MOST_STEPS,
     BeyondOrbitalRate,
     SettlingRequest,
+    Start,
     check_closed_loop,
     fly_closed_loop,
-)
-from service.core.dynamics.orbital_frame_flight import (
-    Start,
     fly_spacecraft,
     harmonic_amplitude,
     largest_after,

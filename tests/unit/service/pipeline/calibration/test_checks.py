@@ -12,13 +12,25 @@ from turned_wheels import ALIKE, MINUTE_US, SCENARIO, WRONG, turned_deg, turned_
 from analyzer_sim.world.scenario.story import WheelTelemetry
 from service.core.estimation.calibration.checks.sensor_axes import MAPPINGS
 from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
-from service.pipeline.calibration.gathered_torque import gathered_quality, gathered_torque, gathered_warnings
-from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.geometry_calibration import (
+    calibrate_geometry,
+    gathered_quality,
+    gathered_torque,
+    gathered_warnings,
+)
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
-from service.pipeline.calibration.momentum_check import momentum_check, momentum_quality, momentum_warnings
 from service.pipeline.calibration.paper_calibration import calibrate_paper
-from service.pipeline.calibration.polarimeter_check import polarimeter_checks, polarimeter_quality, polarimeter_warnings
-from service.pipeline.calibration.rate_check import IN_LOOP, rate_check, rate_quality, rate_warnings
+from service.pipeline.calibration.telemetry_checks import (
+    IN_LOOP,
+    axes_quality,
+    momentum_check,
+    momentum_warnings,
+    polarimeter_checks,
+    polarimeter_quality,
+    polarimeter_warnings,
+    rate_check,
+    rate_warnings,
+)
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.polarization import line_of_sight
 from service.records.calibration import AxesCheck, CalibrationMethod, CalibrationRequest, MotionVerdict, Window
@@ -68,7 +80,7 @@ def data(seed=1, *, stated=STATED, start_h=1.0, every=1, **changes):
 
 def test_nothing_is_checked_where_the_catalogue_states_nothing():
     assert momentum_check(data(stated=None), CONFIG) is None
-    assert momentum_quality(None) == {}
+    assert axes_quality("momentum", None) == {}
     assert momentum_warnings(None) == ()
 
 
@@ -76,7 +88,7 @@ def test_true_telemetry_passes_in_silence_with_its_figures():
     check = momentum_check(data(), CONFIG)
     assert check.verdict is MotionVerdict.CONSISTENT
     assert momentum_warnings(check) == ()
-    figures = momentum_quality(check)
+    figures = axes_quality("momentum", check)
     assert abs(figures["momentum_response_roll"] - 1.0) < 4.0 * figures["momentum_response_roll_sigma"]
     assert figures["momentum_response_yaw_sigma"] < 0.1
 
@@ -222,7 +234,7 @@ def rate_data(stated=GYRO, matrix=None, records=None):
 
 def test_nothing_is_checked_where_the_catalogue_states_no_sensor_or_one_in_the_loop():
     assert rate_check(rate_data(None), CONFIG) is None
-    assert rate_quality(None) == {}
+    assert axes_quality("rate", None) == {}
     assert rate_warnings(rate_data(None), None) == ()
     looped = rate_data(BodyRateSensor(in_loop=True))
     assert rate_check(looped, CONFIG) is None
@@ -234,7 +246,7 @@ def test_true_rates_pass_in_silence_with_their_figures():
     check = rate_check(given, CONFIG)
     assert check.verdict is MotionVerdict.CONSISTENT
     assert rate_warnings(given, check) == ()
-    figures = rate_quality(check)
+    figures = axes_quality("rate", check)
     for axis in ("roll", "pitch", "yaw"):
         assert abs(figures[f"rate_response_{axis}"] - 1.0) < 0.05
         assert figures[f"rate_response_{axis}_sigma"] < 0.05

@@ -24,6 +24,8 @@ ROW = replace(
 ABSENT = tuple(Exclusion(f"c{k:02d}", "absent") for k in range(12))
 #: 4.95 deg of roll, by predictions alone
 AWAY = replace(ROW, status=Status.EXPIRED, attitude_deg=Axes(1.0, 4.95, 0.5), carriers_used=0)
+#: the same, as the service answers it once no row comes any more
+OLD = replace(AWAY, inhibitions=("redundancy", "expired"))
 
 
 def verdict(*codes, allowed=False, state="INHIBITED"):
@@ -61,12 +63,20 @@ def test_control_decides_the_severity_where_the_angles_are_known(said, severity)
 
 
 def test_a_spacecraft_whose_carriers_are_all_gone_is_not_said_to_have_an_uncertain_roll():
-    said = verdict("sigma_roll", "redundancy", "invalid", state="TRIPPED")
+    said = verdict("sigma_roll", "redundancy", "expired", "invalid", state="TRIPPED")
     dark = found(replace(AWAY, excluded=ABSENT), said)
     assert (dark.code, dark.severity, dark.axis, dark.angle_deg) == ("dark", "critical", "roll", 4.95)
     lost = found(replace(AWAY, excluded=(*ABSENT[:-1], Exclusion("c11", "step"))), said)
     assert (lost.code, lost.axis) == ("lost", "roll")
     assert math.isnan(lost.known_deg)
+
+
+def test_an_old_row_says_its_last_angle_in_red_where_that_was_beyond_its_limit():
+    old = found(replace(OLD, excluded=ABSENT), verdict("stop", "expired"))
+    assert (old.code, old.severity, old.axis, old.angle_deg) == ("old", "critical", "roll", 4.95)
+    within = found(replace(OLD, attitude_deg=Axes(0.9, 0.05, -0.1)), verdict("expired"))
+    assert (within.code, within.severity, within.axis, within.angle_deg) == ("old", "serious", "yaw", 0.9)
+    assert found(replace(OLD, attitude_deg=Axes(0.9, 0.05, -0.45))).axis == "pitch"
 
 
 @pytest.mark.parametrize("said", [verdict("stop"), verdict(allowed=True, state="ENGAGED")], ids=["stopped", "allowed"])
@@ -102,10 +112,10 @@ def test_an_axis_that_goes_through_zero_meets_the_other_limit_and_a_slow_one_non
 
 
 @pytest.mark.parametrize(
-    ("row", "said"), [(AWAY, verdict("expired")), (AWAY, verdict()), (ROW, verdict("estimator_failed"))]
+    ("row", "said"), [(OLD, verdict("expired")), (AWAY, verdict()), (ROW, verdict("estimator_failed"))]
 )
 def test_of_a_row_that_is_no_present_angles_alone_are_known(row, said):
-    is_away, row = row is AWAY, replace(row, rates_deg_s=Axes(1e-5, 1e-5, 1e-5))
+    is_away, row = row is not ROW, replace(row, rates_deg_s=Axes(1e-5, 1e-5, 1e-5))
     axes = found(row, said).axes
     assert [each.axis for each in axes] == ["yaw", "roll", "pitch"]
     assert [each.angle_deg for each in axes] == list(row.attitude_deg)
@@ -151,11 +161,10 @@ def test_yaw_is_beyond_its_limit_when_it_surely_is():
     assert found(replace(ROW, attitude_deg=Axes(1.1, 0.0, 0.0))).axis == "yaw"
 
 
-def test_nothing_is_known_before_the_first_row_of_old_rows_and_of_an_estimator_that_fails():
+def test_nothing_is_known_before_the_first_row_and_of_an_estimator_that_fails():
     assert found(None, verdict("no_attitude")).code == "no_attitude"
     assert found(replace(ROW, status=Status.INVALID, attitude_deg=NO_ANGLES)).code == "no_angles"
-    assert found(AWAY, verdict("expired")).code == "old"
-    failed = found(AWAY, verdict("estimator_failed", "expired"))
+    failed = found(OLD, verdict("estimator_failed", "expired"))
     assert (failed.code, failed.severity) == ("estimator_failed", "critical")
 
 

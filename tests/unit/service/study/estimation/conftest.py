@@ -6,11 +6,11 @@ import pytest
 from service.records.calibration import Window
 from service.records.catalogue import Ephemeris, Onboard, Site, Spacecraft
 from service.study.estimation.bounds import measure_accuracy
+from service.study.estimation.campaign import Course, Drawn, Unit, UnitResult
 from service.study.estimation.flight.baselines import BASELINES
 from service.study.estimation.flight.drive import Driven, MethodSeries
 from service.study.estimation.flight.world import Ground, Truth, World
 from service.study.estimation.measures import measure_method
-from service.study.estimation.unit import Course, Drawn, Unit, UnitResult
 
 MINUTE_US = 60_000_000
 START_US = 1_800_000_000_000_000

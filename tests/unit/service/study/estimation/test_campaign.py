@@ -8,18 +8,27 @@ import numpy as np
 import pytest
 
 from service.study import executors
-from service.study.estimation import unit as unit_module
+from service.study.estimation import campaign as campaign_module
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import AXES, Bound, Mark, at_least, at_most
-from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics, versions
+from service.study.estimation.campaign import (
+    CampaignPlan,
+    Course,
+    Drawn,
+    Rain,
+    Unit,
+    assess,
+    collect_metrics,
+    night_statistics,
+    run_unit,
+    versions,
+)
 from service.study.estimation.figures import draw_campaign
 from service.study.estimation.flight.baselines import BASELINES, UNINFORMED
 from service.study.estimation.flight.drive import UndrivenError
 from service.study.estimation.measures import measure_method
-from service.study.estimation.nights import night_statistics
 from service.study.estimation.report import MARKER_BEGIN, MARKER_END, _number, markdown, tables, verdict_lines
 from service.study.estimation.report_document import as_document
-from service.study.estimation.unit import Course, Drawn, Rain, Unit, run_unit
 from service.study.executors import ClusterError
 
 PLAN = CampaignPlan(("octants",), 2)
@@ -106,9 +115,9 @@ def test_a_world_that_cannot_be_driven_is_a_refusal(monkeypatch, toured_world, e
     def drive(ground):
         raise error
 
-    monkeypatch.setattr(unit_module, "export_world", lambda *_: None)
-    monkeypatch.setattr(unit_module, "read_world", lambda _: toured_world)
-    monkeypatch.setattr(unit_module, "drive", drive)
+    monkeypatch.setattr(campaign_module, "export_world", lambda *_: None)
+    monkeypatch.setattr(campaign_module, "read_world", lambda _: toured_world)
+    monkeypatch.setattr(campaign_module, "drive", drive)
     result = run_unit(Unit("octants", 1))
     assert result.refusal == words
     assert (result.methods, result.course) == ({}, None)
@@ -116,11 +125,11 @@ def test_a_world_that_cannot_be_driven_is_a_refusal(monkeypatch, toured_world, e
 
 def test_what_was_said_is_measured_and_kept_for_the_figures(monkeypatch, toured_world, said, driven_world):
     driven = driven_world({"robust": said(toured_world.truth.attitude_deg)})
-    monkeypatch.setattr(unit_module, "export_world", lambda *_: None)
-    monkeypatch.setattr(unit_module, "read_world", lambda _: toured_world)
-    monkeypatch.setattr(unit_module, "drive", lambda _: driven)
+    monkeypatch.setattr(campaign_module, "export_world", lambda *_: None)
+    monkeypatch.setattr(campaign_module, "read_world", lambda _: toured_world)
+    monkeypatch.setattr(campaign_module, "drive", lambda _: driven)
     oracle = said(0.9 * toured_world.truth.attitude_deg)
-    monkeypatch.setattr(unit_module, "oracle_series", lambda _world, _rows: oracle)
+    monkeypatch.setattr(campaign_module, "oracle_series", lambda _world, _rows: oracle)
     result = run_unit(Unit("octants", 1))
     assert result.refusal == ""
     assert set(result.methods) == {"robust", "oracle"}

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from flight_geometry import turned_direction
 
-from service.core.estimation.calibration.geometry_calibration import CalibrationRows, fit_geometry
+from service.core.estimation.calibration.geometry_calibration import (
+    CalibrationRows,
+    fit_geometry,
+    predict_level_dbm,
+    response_of,
+)
 from service.core.estimation.calibration.geometry_columns import (
     CarrierGeometry,
     OrbitMotion,
@@ -24,7 +29,6 @@ from service.core.estimation.calibration.geometry_columns import (
     solar_columns,
     symmetric_matrix,
 )
-from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
 from service.core.estimation.calibration.joint_tukey import trimmed_fit
 from service.core.estimation.calibration.level_drift import level_drift, without_common
 from service.core.estimation.noise_identification import LADDER_S, IdentifiedNoise

@@ -6,30 +6,27 @@ import pytest
 
 from service.core.estimation.filtering.anchor.anchor_watch import ERROR_SIGMA_DEG
 from service.core.estimation.filtering.anchor.carrier_mixture import Mixture
-from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.attitude_filter import start, start_again, step
 from service.core.estimation.filtering.carry_over import carry_over
-from service.core.estimation.filtering.causes.fault_hypotheses import Cause, LikeliestCause
+from service.core.estimation.filtering.causes.common_cause import Cause, LikeliestCause
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, site_db, update
 from service.core.estimation.filtering.model.filter_model import (
-    CarrierModel,
-    FilterSettings,
-    KnownMotion,
-    no_motion,
-    pattern_change,
-)
-from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     CHAIN,
     DRIFT,
     FREE_REFERENCE_DB2,
     RAIN,
+    CarrierModel,
+    FilterSettings,
     Gaussian,
+    KnownMotion,
     carrier_states,
     core_size,
+    no_motion,
+    pattern_change,
     reference_states,
 )
-from service.core.estimation.filtering.new_start import start_again
 from service.core.estimation.filtering.watches.integrity import IntegrityLimits
 
 MINUTE_US = 60_000_000

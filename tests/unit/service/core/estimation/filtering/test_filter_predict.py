@@ -11,15 +11,17 @@ from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.kernels import state_kernels
 from service.core.estimation.filtering.model.declared import nothing_declared
-from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion
-from service.core.estimation.filtering.model.filter_state import (
+from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     CHAIN,
     DRIFT,
     RAIN,
     RATE,
+    FilterSettings,
+    KnownMotion,
     carrier_states,
     core_size,
+    no_motion,
     reference_states,
 )
 from service.core.estimation.filtering.model.hidden_motion import inserted

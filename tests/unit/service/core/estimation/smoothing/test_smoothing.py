@@ -9,32 +9,37 @@ from wheel_filter import WHEELS, H
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.hidden_shares import with_torque
-from service.core.estimation.filtering.model.filter_model import FilterSettings, PolarimeterModel, no_motion
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, FREE_REFERENCE_DB2, RAIN, Gaussian
+from service.core.estimation.filtering.model.filter_model import (
+    ATTITUDE,
+    FREE_REFERENCE_DB2,
+    RAIN,
+    FilterSettings,
+    Gaussian,
+    PolarimeterModel,
+    no_motion,
+)
 from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensors_first
 from service.core.estimation.filtering.model.sensor_effect import SensorEffect
 from service.core.estimation.filtering.model.wheel_momentum import FREE_N_M_S
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS
 from service.core.estimation.filtering.watches.momentum_watch import fresh_watch, push_record
 from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock, PolarimeterWatch, push_block
-from service.core.estimation.smoothing.adjoint import (
+from service.core.estimation.smoothing.effective_row import (
+    EffectiveRow,
     LinearStep,
+    StepCapture,
     before_resize,
     before_row,
     before_start,
     before_step,
-    no_later_rows,
-    smoothed_state,
-    whitened_row,
-)
-from service.core.estimation.smoothing.effective_row import (
-    EffectiveRow,
     effective_row,
+    no_later_rows,
     restarted_states,
     smoothed_rows,
+    smoothed_state,
     state_origin,
+    whitened_row,
 )
-from service.core.estimation.smoothing.row_capture import StepCapture
 
 STATES, ROWS, SEED = 6, 25, 20261124
 

@@ -9,8 +9,7 @@ from service.core.estimation.calibration.geometry_columns import (
     predict_deviation,
     predict_jacobian,
 )
-from service.core.estimation.carrier_sets import judge_set
-from service.core.estimation.observability import crlb_deg
+from service.core.estimation.observability import crlb_deg, judge_set
 from service.core.estimation.snapshot.snapshot import (
     GATE_SIGMAS,
     CarrierUse,

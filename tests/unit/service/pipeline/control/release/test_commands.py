@@ -310,7 +310,7 @@ def test_rows_of_every_status_have_reasons_in_words():
     # a row without angles, told by the service
     driver = ReleaseServiceDriver()
     driver.rows(1, status=Status.INVALID, inhibitions=("no_fix",), control_allowed=False)
-    assert codes(driver.verdict) == ["no_fix", "invalid", "yaw_sign", "not_armed"]
+    assert codes(driver.verdict) == ["no_fix", "invalid", "not_armed", "yaw_sign"]
     assert driver.verdict.reasons[1].text == "the newest row gives no attitude"
     # what another version has stored is told as it is
     stored = control_verdict(CONTROL, replace(GOOD, inhibitions=("of_old",)))
@@ -426,7 +426,7 @@ def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_
 def test_the_estimators_own_reasons_are_told_in_place_of_one_for_all():
     driver = ReleaseServiceDriver()
     driver.rows(1, inhibitions=("chain_step",), control_allowed=False)
-    assert codes(driver.verdict) == ["chain_step", "yaw_sign", "not_armed"]
+    assert codes(driver.verdict) == ["chain_step", "not_armed", "yaw_sign"]
     driver = ReleaseServiceDriver().armed()
     # by its own wider limits the interlock stays armed; the row forbids all the same
     driver.rows(1, attitude_deg=Axes(0.0, 0.35, 0.0), inhibitions=("beyond_validity",), control_allowed=False)

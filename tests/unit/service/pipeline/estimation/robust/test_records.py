@@ -11,14 +11,13 @@ from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.hidden_shares import with_share
-from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, RATE, core_size
+from service.core.estimation.filtering.model.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
 from service.core.estimation.filtering.model.hidden_motion import sensors_first
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS
 from service.pipeline.estimation.robust.attitude_rows import frozen, no_readings, push_readings, telemetry_advice
 from service.pipeline.estimation.robust.method import carried_state
-from service.pipeline.estimation.robust.motion_records import with_momenta, with_polarization, with_rates
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
+from service.pipeline.estimation.robust.runner import with_momenta, with_polarization, with_rates
 from service.records.calibration import GatheredTorque
 from service.records.catalogue import BodyRateSensor, Polarimeter, WheelMomentum
 from service.records.inputs import PolarizationRecord, TelemetryRecord

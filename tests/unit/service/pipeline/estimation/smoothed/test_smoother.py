@@ -9,11 +9,11 @@ import pytest
 from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, CONFIG, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.model.filter_state import ATTITUDE, DRIFT, RATE
+from service.core.estimation.filtering.model.filter_model import ATTITUDE, DRIFT, RATE
 from service.pipeline.estimation import smoothed as lagged_rows
 from service.pipeline.estimation import smoothed as smoother
-from service.pipeline.estimation.robust.motion_records import step_with_record
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
+from service.pipeline.estimation.robust.runner import step_with_record
 from service.pipeline.estimation.smoothed import GRID_US, LaggedRows, SpanSmoother, angles_of, grid_us, lagged_angles
 from service.records.catalogue import BodyRateSensor, Method, Polarimeter, WheelMomentum
 from service.records.inputs import PolarizationRecord, TelemetryRecord

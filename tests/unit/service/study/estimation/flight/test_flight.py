@@ -18,13 +18,7 @@ from service.study.estimation.flight.baselines import (
     baseline_answers,
     commanded_deg,
 )
-from service.study.estimation.flight.catalogue_lines import (
-    read_carriers,
-    read_ephemeris,
-    read_operation,
-    read_spacecraft,
-    read_telemetry,
-)
+from service.study.estimation.flight.drive import measurements, slow_entries
 from service.study.estimation.flight.episodes import (
     measure_alarms,
     measure_dark,
@@ -33,9 +27,16 @@ from service.study.estimation.flight.episodes import (
     measure_rain,
     stretches,
 )
-from service.study.estimation.flight.journal import measurements, slow_entries
 from service.study.estimation.flight.motion_statistics import NOTHING_MEASURED, TrueRates, read_motion_statistics
-from service.study.estimation.flight.world import GroundEvent, Truth
+from service.study.estimation.flight.world import (
+    GroundEvent,
+    Truth,
+    read_carriers,
+    read_ephemeris,
+    read_operation,
+    read_spacecraft,
+    read_telemetry,
+)
 
 MINUTE_US = 60_000_000
 ROWS = 400

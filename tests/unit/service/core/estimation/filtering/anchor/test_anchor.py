@@ -14,13 +14,13 @@ from service.core.estimation.filtering.anchor.anchor_watch import (
     carrier_hypotheses,
     is_contradicted,
     is_question_due,
+    protection_levels_deg,
     protection_now_deg,
     push_residuals,
 )
 from service.core.estimation.filtering.anchor.carrier_mixture import DRY, Branches, Mixture, solve_mixture
-from service.core.estimation.filtering.anchor.protection import protection_levels_deg
 from service.core.estimation.filtering.causes.carrier_faults import healthy
-from service.core.estimation.filtering.model.filter_state import ATTITUDE
+from service.core.estimation.filtering.model.filter_model import ATTITUDE
 from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
 
 MINUTE_US = filter_models.MINUTE_US

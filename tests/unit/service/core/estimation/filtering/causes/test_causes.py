@@ -5,25 +5,21 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.causes.carrier_faults import (
+    MIN_BACK_MINUTES,
     QUIET_ROWS,
     STANDING_ROWS,
+    WET_MINUTES,
     count_row,
     flag_failed,
     healthy,
+    release_quiet,
     trusted_white_db2,
     watch_flagged,
 )
-from service.core.estimation.filtering.causes.carrier_return import MIN_BACK_MINUTES, WET_MINUTES, release_quiet
-from service.core.estimation.filtering.causes.common_change import (
-    THRESHOLD,
-    common_value,
-    push_cusum,
-    quiet_cusum,
-    reset_cusum,
-)
-from service.core.estimation.filtering.causes.fault_hypotheses import Cause, choose_cause
-from service.core.estimation.filtering.causes.rain_state import (
+from service.core.estimation.filtering.causes.common_cause import (
     HOLD_MINUTES,
+    Cause,
+    choose_cause,
     common_fell,
     common_rose,
     dry_watch,
@@ -33,9 +29,15 @@ from service.core.estimation.filtering.causes.rain_state import (
     pass_minutes,
     push_common,
 )
+from service.core.estimation.filtering.causes.common_change import (
+    THRESHOLD,
+    common_value,
+    push_cusum,
+    quiet_cusum,
+    reset_cusum,
+)
 from service.core.estimation.filtering.filter_update import innovate
-from service.core.estimation.filtering.model.filter_model import pattern_change
-from service.core.estimation.filtering.model.filter_state import CHAIN, RAIN, reference_states
+from service.core.estimation.filtering.model.filter_model import CHAIN, RAIN, pattern_change, reference_states
 
 
 def minutes_to_alarm(shift, series, seed, longest):

@@ -12,25 +12,23 @@ from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
 from service.core.estimation.filtering.kernels.state_kernels import know_rate
 from service.core.estimation.filtering.model.filter_model import (
-    FedForward,
-    FilterSettings,
-    LearnedFeed,
-    MomentumModel,
-    PolarimeterModel,
-    model_error_component,
-    model_variance_db2,
-    no_motion,
-    pattern_change,
-)
-from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     DRIFT,
     RATE,
+    FedForward,
+    FilterSettings,
     Gaussian,
+    LearnedFeed,
+    MomentumModel,
+    PolarimeterModel,
     carrier_states,
     core_size,
     freed,
     initial_gaussian,
+    model_error_component,
+    model_variance_db2,
+    no_motion,
+    pattern_change,
     reference_states,
     reset_carriers,
 )

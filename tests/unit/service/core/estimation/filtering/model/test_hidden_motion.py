@@ -8,13 +8,16 @@ from scipy.linalg import expm
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_predict import Weather, predict, waiting_loss_deg
 from service.core.estimation.filtering.hidden_shares import with_share, with_stated_torque, with_torque, without_shares
-from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
-from service.core.estimation.filtering.model.filter_state import (
+from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     RATE,
+    FilterSettings,
+    KnownMotion,
     core_size,
     hidden_count,
     initial_gaussian,
+    no_motion,
+    pattern_change,
 )
 from service.core.estimation.filtering.model.hidden_motion import (
     dropped,

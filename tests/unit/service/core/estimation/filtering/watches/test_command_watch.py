@@ -8,13 +8,13 @@ from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.model.filter_model import (
     FilterSettings,
+    Gaussian,
     KnownMotion,
     LearnedFeed,
     PolarimeterModel,
     no_motion,
     pattern_change,
 )
-from service.core.estimation.filtering.model.filter_state import Gaussian
 from service.core.estimation.filtering.watches.command_watch import (
     CommandWatch,
     believed_motion,

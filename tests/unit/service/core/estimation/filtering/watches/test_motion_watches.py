@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from wheel_filter import FIRST, MINUTE_US, SETTINGS, WHEELS, H, state
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings, RateSensorModel
-from service.core.estimation.filtering.model.filter_state import DRIFT, RATE, Gaussian
+from service.core.estimation.filtering.model.filter_model import DRIFT, RATE, FilterSettings, Gaussian, RateSensorModel
 from service.core.estimation.filtering.model.measured_motion import measured_settings
 from service.core.estimation.filtering.watches.command_watch import executed_commands
 from service.core.estimation.filtering.watches.drift_watch import (
