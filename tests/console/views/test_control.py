@@ -303,6 +303,24 @@ def test_nulls_and_codes_of_another_version_are_shown(ground, new_page, open_vie
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
 
 
+def test_while_the_known_torque_is_balanced_the_title_says_so_and_what_leads_out(
+    ground, new_page, open_view, screenshot
+):
+    def balanced(route):
+        control = route.fetch().json()
+        fade = {"code": "downlink_fade", "text": "", "since": None, "next_step": ""}
+        control["control"] |= {"allowed": False, "state": "BALANCE", "reasons": [fade]}
+        route.fulfill(json=control | {"state": "BALANCE"})
+
+    page = new_page()
+    page.route(re.compile(r"/control$"), balanced)
+    open_view(page, "control")
+    expect(page.get_by_role("heading", level=1)).to_contain_text("Only the known torque is balanced")
+    expect(page.locator(".state.present")).to_have_text("BALANCE")
+    expect(page.locator(".ways")).to_contain_text("the known torque may not be balanced any more \u2192 INHIBITED")
+    screenshot(page, "control-balance")
+
+
 def test_a_narrow_page_does_not_scroll_sideways(ground, new_page, open_view, screenshot):
     """Hold what 200 % zoom of 1280 makes of it."""
     page = open_view(new_page(viewport={"width": 640, "height": 400}), "control")

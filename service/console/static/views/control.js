@@ -79,10 +79,11 @@ export function show({ store, spacecraft, session }) {
   function drawControl() {
     const { control } = store.get();
     if (!control) return;
-    const { allowed, reasons } = control.control;
+    const { allowed, state, reasons } = control.control;
+    const title = allowed ? "allowed" : state === "BALANCE" ? "balance" : "forbidden";
     const [worst, ...others] = reasons;
     const why = allowed || !worst ? meaning("states", control.state) : `${meaning("reasons", worst.code)}; ${meaning("reasons", worst.code, "next")}`;
-    fill(verdict, element("h1", {}, symbol(control.control.situation?.severity ?? "off"), " ", words(allowed ? "views.control.allowed" : "views.control.forbidden"), " – ", why));
+    fill(verdict, element("h1", {}, symbol(control.control.situation?.severity ?? "off"), " ", words(`views.control.${title}`), " – ", why));
     const since = control.since && words("views.control.sinceState", { at: utc(control.since) });
     verdict.append(element("p", { class: "detail" }, [since, ...(allowed ? reasons : others).map(({ code }) => meaning("reasons", code))].filter(Boolean).join("; ")));
     fill(diagram, stateDiagram(control.state));
