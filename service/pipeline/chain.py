@@ -307,17 +307,20 @@ class Chain:
         )
         self._carry_n_m_s = torque.carry_n_m_s
         applied = AppliedCommand(torque.command) if torque.command.is_permitted and is_automatic else None
-        return Outcome(rows, torque.command, applied, disturbance, apart_deg, carriers, self._basis)
+        return Outcome(rows, torque.command, applied, disturbance, apart_deg, carriers)
 
     def _basis_at(
         self, row: AttitudeRow, spacecraft: Spacecraft, disturbance: Disturbance | None
     ) -> BalanceBasis | None:
         """Return what may be balanced from a row on; a trip ends it."""
+        if self._knowledge.is_withheld:
+            return None
+        if any(runner.is_waiting for runner in self._runners):
+            # what an unreported command has moved is not known
+            return self._basis
         if row.control_allowed:
             return basis_of(row, disturbance)
-        if self._basis is None or self._knowledge.is_withheld:
-            return None
-        return basis_at(self._basis, row, spacecraft, self._config.torque.hold_s)
+        return self._basis and basis_at(self._basis, row, spacecraft, self._config.torque.hold_s)
 
     def _row_of_silent(self, row: AttitudeRow, method: Method) -> AttitudeRow:
         """Return the row of a method that cannot run on the measurement of a row of another."""

@@ -20,7 +20,6 @@ from service.records.inputs import JournalEntry, JournalHead, Operation, SlowInp
 from service.records.levels.attitude import (
     AppliedCommand,
     AttitudeRow,
-    BalanceBasis,
     BoolArray,
     CarrierResults,
     Disturbance,
@@ -259,8 +258,6 @@ class Outcome:
     disagreement_deg: float = math.nan
     #: of each row what its method makes of the carriers, None = nothing; empty where none was computed, as of late rows
     carriers: tuple[CarrierResults | None, ...] = field(default=(), compare=False)
-    #: what may be balanced while control is inhibited; None: nothing
-    basis: BalanceBasis | None = None
 
 
 class Results(Protocol):

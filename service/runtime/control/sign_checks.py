@@ -90,10 +90,10 @@ def computed_command(
 ) -> TorqueCommand:
     """Return the command of the law from an instant on, without what the interlock withholds."""
     row, facts, interlock = context.row, context.facts, context.state.interlock
-    outcome = None if context.stored is None else context.stored.outcome
-    balance = outcome.basis if outcome is not None and interlock.state is State.BALANCE else None
-    if balance is not None and interlock.is_yaw_withheld:
-        balance = replace(balance, axes=(False, *balance.axes[1:]))
+    balance = None
+    if interlock.state is State.BALANCE and interlock.row is not None:
+        yaw, roll, pitch = interlock.row.balance_axes
+        balance = yaw and not interlock.is_yaw_withheld, roll, pitch
     rate_age_s = context.torque.rate_stale_periods * context.period_s + context.torque.rate_stale_margin_s
     return command_for(
         allowed_row(row, interlock),
@@ -102,11 +102,11 @@ def computed_command(
         duration_s,
         max_torque_n_m,
         context.torque,
-        None if outcome is None else outcome.disturbance,
+        None if context.stored is None else context.stored.outcome.disturbance,
         facts.momentum_n_m_s(row.epoch_us),
         swing=swing_left(context.storage.releases, context.spacecraft, start_us),
         body_rate_deg_s=facts.body_rate_deg_s(row.epoch_us, rate_age_s),
-        basis=balance,
+        balance=balance,
     )
 
 

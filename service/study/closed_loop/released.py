@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
+from service.pipeline.control.command.balance import NO_AXES
 from service.pipeline.control.command.compute_command import command_for
 from service.ports import Outcome
 from service.records.catalogue import Spacecraft
@@ -86,8 +87,8 @@ class Releaser:
         self._give_up(now_us)
         is_waiting = any(not flying.is_reported for flying in self._flying)
         row = _as_recovery(row)
-        basis = outcome.basis if outcome.command is not None and any(outcome.command.balance_allowed_axes) else None
-        if (row.inhibitions and basis is None) or is_waiting or now_us < self._due_us:
+        axes = NO_AXES if outcome.command is None else outcome.command.balance_allowed_axes
+        if (row.inhibitions and not any(axes)) or is_waiting or now_us < self._due_us:
             return ()
         command = command_for(
             row,
@@ -97,7 +98,7 @@ class Releaser:
             None,
             self.config,
             outcome.disturbance,
-            basis=basis if row.inhibitions else None,
+            balance=axes if row.inhibitions else None,
         )
         if not command.schedule:
             return ()

@@ -148,7 +148,7 @@ class ReleaseServiceDriver:
         elif self.basis is not None:
             self.basis = basis_at(self.basis, self.row, self.archive.record, TorqueConfig().hold_s)
         command = self.command if applied is None else applied.command
-        outcome = Outcome((self.row, *others), command, applied, self.disturbance, basis=self.basis)
+        outcome = Outcome((self.row, *others), command, applied, self.disturbance)
         self.service.on_rows(SC, [StoredRow(outcome, evidence)])
         self.judge()
 

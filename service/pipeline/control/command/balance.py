@@ -1,11 +1,9 @@
-"""Balance: what was learned before an inhibition is commanded against while no angle may be corrected.
+"""Balance: torque and rates, which were learned over hours, are commanded against while no angle may be corrected.
 
-The newest row that control could use is carried on by its own rates, by the torque known then and by what was executed
-since. A command that balances takes this predicted rate and this torque away; rows of the inhibition enter nothing but
-the test that ends it: where the angle that is seen leaves the predicted one by four sigma, more is wrong than the
-reason that inhibits. Tried: rates and torque as the filter goes on to estimate them. Roll and pitch were better by up
-to 0.05 deg through rain of two hours, but a wheel whose sign was wrong drove the spacecraft 0.3 deg away within the
-hour, because a wrong command answered itself. Order everywhere: yaw, roll, pitch.
+Both are slow states of the estimator, which the rows of a fade hardly move. What they would move wrongly is found: the
+newest row that control could use is carried on by its own rates, by the torque known then and by what was executed
+since, and where the angle that is seen leaves this prediction by four sigma, balance ends. Order everywhere: yaw, roll,
+pitch.
 """
 
 from collections.abc import Sequence
@@ -25,7 +23,6 @@ from service.records.levels.attitude import (
     Disturbance,
     FloatArray,
     Pulse,
-    named_axes,
 )
 
 #: sigmas between the angle that is seen and the predicted one
@@ -48,17 +45,18 @@ def basis_of(row: AttitudeRow, disturbance: Disturbance | None) -> BalanceBasis 
 
 
 def with_executed(basis: BalanceBasis, pulses: Sequence[Pulse]) -> BalanceBasis:
-    """Return a basis after pulses that its row did not know."""
-    return replace(basis, executed=(*basis.executed, *pulses))
+    """Return a basis after pulses that its row did not know; they replace all older ones from the first of them on."""
+    first_us = min((pulse.start_us for pulse in pulses), default=None)
+    before = (pulse for pulse in basis.executed if first_us is None or pulse.start_us < first_us)
+    return replace(basis, executed=(*before, *pulses))
 
 
 def basis_at(basis: BalanceBasis, row: AttitudeRow, spacecraft: Spacecraft, hold_s: float) -> BalanceBasis | None:
     """Return a basis as it holds at a row that control may not use; None: it is too old, or the row contradicts it."""
     if row.epoch_us - basis.epoch_us > hold_s * US_PER_S:
         return None
-    predicted_deg, _ = predicted_motion(basis, row.epoch_us, spacecraft)
     ahead_s = (row.epoch_us - basis.epoch_us) / US_PER_S
-    apart_deg = np.abs(np.array(row.steered_deg) - predicted_deg)
+    apart_deg = np.abs(np.array(row.steered_deg) - predicted_deg(basis, row.epoch_us, spacecraft))
     variance_deg2 = np.square(basis.sigma_deg) + np.square(row.steered_sigma_deg)
     if basis.disturbance is not None:
         turned_deg = np.degrees(_turned(np.array(basis.disturbance.sigma_n_m), spacecraft)) * 0.5 * ahead_s**2
@@ -67,22 +65,19 @@ def basis_at(basis: BalanceBasis, row: AttitudeRow, spacecraft: Spacecraft, hold
     return None if (apart_deg > _SIGMAS * np.sqrt(variance_deg2)).any() else basis
 
 
-def predicted_motion(basis: BalanceBasis, at_us: int, spacecraft: Spacecraft) -> tuple[FloatArray, FloatArray]:
-    """Return angles (3,), deg, and rates (3,), deg/s, predicted for an instant from what the basis knows."""
+def predicted_deg(basis: BalanceBasis, at_us: int, spacecraft: Spacecraft) -> FloatArray:
+    """Return the angles (3,), deg, predicted for an instant from what the basis knows."""
     ahead_s = (at_us - basis.epoch_us) / US_PER_S
-    impulse, moment = np.zeros(3), np.zeros(3)
+    moment = np.zeros(3)
     if basis.disturbance is not None:
-        torque = np.array(basis.disturbance.torque_n_m((basis.epoch_us + at_us) // 2))
-        impulse, moment = torque * ahead_s, 0.5 * torque * ahead_s**2
+        moment = 0.5 * np.array(basis.disturbance.torque_n_m((basis.epoch_us + at_us) // 2)) * ahead_s**2
     for pulse in basis.executed:
         lasting_s = min(pulse.duration_s, (at_us - pulse.start_us) / US_PER_S)
         if lasting_s > 0.0:
-            given = np.array(pulse.torque_n_m) * lasting_s
-            impulse = impulse + given
-            moment = moment + given * min(ahead_s, (at_us - pulse.start_us) / US_PER_S - 0.5 * lasting_s)
-    rates_deg_s = np.array(basis.rates_deg_s)
-    angles_deg = np.array(basis.attitude_deg) + rates_deg_s * ahead_s + np.degrees(_turned(moment, spacecraft))
-    return angles_deg, rates_deg_s + np.degrees(_turned(impulse, spacecraft))
+            turning_s = min(ahead_s, (at_us - pulse.start_us) / US_PER_S - 0.5 * lasting_s)
+            moment = moment + np.array(pulse.torque_n_m) * lasting_s * turning_s
+    drift_deg = np.array(basis.rates_deg_s) * ahead_s
+    return np.array(basis.attitude_deg) + drift_deg + np.degrees(_turned(moment, spacecraft))
 
 
 def balance_axes(inhibitions: tuple[str, ...], basis: BalanceBasis | None) -> tuple[bool, bool, bool]:
@@ -90,16 +85,16 @@ def balance_axes(inhibitions: tuple[str, ...], basis: BalanceBasis | None) -> tu
     return basis.axes if basis is not None and inhibitions and BALANCED.issuperset(inhibitions) else NO_AXES
 
 
-def balance_row(row: AttitudeRow, basis: BalanceBasis, spacecraft: Spacecraft) -> AttitudeRow:
-    """Return a row for a command that balances: the predicted rates, and no angle that asks for a correction."""
-    _, rates_deg_s = predicted_motion(basis, row.epoch_us, spacecraft)
+def balance_row(row: AttitudeRow, axes: tuple[bool, bool, bool]) -> AttitudeRow:
+    """Return a row for a command that balances: its rates, and no angle that asks for a correction."""
+    still = Axes(0.0, 0.0, 0.0)
     return replace(
         row,
-        attitude_deg=Axes(0.0, 0.0, 0.0),
+        attitude_deg=still,
         steering_deg=NO_ANGLES,
-        rates_deg_s=named_axes(rates_deg_s),
+        rates_deg_s=row.rates_deg_s or still,
         control_allowed=True,
-        control_allowed_axes=basis.axes,
+        control_allowed_axes=axes,
         inhibitions=(),
     )
 

@@ -95,7 +95,7 @@ def compute_command(
         # the gyro-orbitant law has no torque of its own without angles
         if basis is None or not any(axes) or is_gyro_orbitant(spacecraft):
             return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
-        used, disturbance = balance_row(row, basis, spacecraft), basis.disturbance
+        used = balance_row(row, axes)
     if spacecraft.control.release is Release.AUTOMATIC:
         outcome = _mean_command(
             used, spacecraft, span, carry_n_m_s, config, disturbance, momentum_n_m_s, body_rate_deg_s
@@ -144,7 +144,7 @@ def command_for(
     *,
     swing: PanelSwing | None = None,
     body_rate_deg_s: Axes | None = None,
-    basis: BalanceBasis | None = None,
+    balance: tuple[bool, bool, bool] | None = None,
 ) -> TorqueCommand:
     """Return the command that would be released: from a start that lies ahead, for a whole horizon.
 
@@ -161,8 +161,8 @@ def command_for(
         Greatest torque of a pulse; None: what the spacecraft has.
     body_rate_deg_s : Axes, optional
         As `compute_command` has it.
-    basis : BalanceBasis, optional
-        What the command shall balance, whatever the row forbids; None: it controls.
+    balance : tuple of bool, optional
+        Axes whose known torque and rate the command shall balance, whatever the row forbids; None: it controls.
 
     Returns
     -------
@@ -171,9 +171,7 @@ def command_for(
         settings forbid control.
     """
     span = Span(start_us, duration_s)
-    used = row
-    if basis is not None:
-        used, disturbance = balance_row(row, basis, spacecraft), basis.disturbance
+    used = row if balance is None else balance_row(row, balance)
     inhibitions = control_inhibitions(used, spacecraft, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
         return zero_command(row, spacecraft, span, inhibitions)
@@ -181,7 +179,7 @@ def command_for(
         used, spacecraft, span, max_torque_n_m, config, disturbance, momentum_n_m_s, body_rate_deg_s
     )
     command = _checked(command, spacecraft, config, swing)
-    return command if basis is None else _as_balance(command, row.inhibitions, basis.axes)
+    return command if balance is None else _as_balance(command, row.inhibitions, balance)
 
 
 def _released_command(

@@ -204,7 +204,7 @@ def test_engaged_the_law_sends_once_a_period_while_nothing_waits_for_a_report(dr
 def test_in_rain_the_authorisation_goes_on_for_what_balances_the_known_torque(driver):
     epoch_us = driver.clock.now
     zero = Axes(0.0, 0.0, 0.0)
-    driver.disturbance = Disturbance(epoch_us, 86_400.0, Axes(0.0, 3e-6, 0.0), zero, zero, Axes(1e-7, 1e-7, 1e-7))
+    driver.disturbance = Disturbance(epoch_us, 86_400.0, Axes(0.0, 1e-6, 0.0), zero, zero, Axes(1e-7, 1e-7, 1e-7))
     driver.engaged()
     rain = {"downlink_fade": True, "inhibitions": ("downlink_fade",), "control_allowed": False}
     rain["control_allowed_axes"] = (False, False, False)

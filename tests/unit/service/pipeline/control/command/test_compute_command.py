@@ -7,7 +7,7 @@ import pytest
 
 from service.core.flexible.schedule import analyse_schedule
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.balance import basis_at, basis_of, predicted_motion, with_executed
+from service.pipeline.control.command.balance import basis_at, basis_of, predicted_deg, with_executed
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
 from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS, control_inhibitions
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
@@ -351,39 +351,39 @@ def known(age_s=600.0, rates=(0.0, 0.0, 0.0), axes=(True, True, True), disturban
     return basis_of(replace(then, epoch_us=EPOCH - round(age_s * S)), disturbance)
 
 
-def doubted(basis, record, inhibitions=NIGHT, **changes):
+def doubted(basis, record, inhibitions=NIGHT, rates=(0.0, 0.0, 0.0), **changes):
     """Return what is commanded for a row that control may not use."""
-    inhibited = row(inhibitions=inhibitions, sigma_deg=Axes(0.1, 0.02, 0.03))
+    inhibited = row(rates=rates, inhibitions=inhibitions, sigma_deg=Axes(0.1, 0.02, 0.03))
     inhibited = replace(inhibited, control_allowed=False, control_allowed_axes=(False,) * 3)
-    outcome = compute_command(inhibited, record, NO_CARRY, 3600.0, TorqueConfig(), basis=basis, **changes)
-    return outcome.command
+    return compute_command(inhibited, record, NO_CARRY, 3600.0, TorqueConfig(), PUSHED, basis=basis, **changes).command
 
 
 @pytest.mark.parametrize("release", list(Release))
 def test_while_angles_are_doubted_the_known_torque_is_balanced_and_no_angle_is_corrected(record, release):
     record = replace(record, control=replace(record.control, release=release))
-    found = doubted(known(age_s=0.0), record)
+    found = doubted(known(), record)
     assert (found.control_allowed, found.balance_allowed_axes) == (False, (True, True, True))
     assert (found.is_permitted, found.inhibitions) == (True, NIGHT)
     # the angles, 0.3, 0.4, -0.3 deg, would ask for torques about all axes
     np.testing.assert_allclose(found.torque_n_m, -np.array(PUSHED.constant_n_m), atol=2e-7)
 
 
-def test_a_rate_that_was_known_is_taken_away_too(record):
-    rest, turning = doubted(known(), record), doubted(known(rates=(0.0, 0.0, 2e-5)), record)
+def test_a_rate_is_taken_away_too_and_one_that_is_not_known_counts_as_none(record):
+    rest, turning = doubted(known(), record), doubted(known(), record, rates=(0.0, 0.0, 2e-5))
     assert turning.impulse_n_m_s.pitch < rest.impulse_n_m_s.pitch
+    assert doubted(known(), record, rates=None).impulse_n_m_s == rest.impulse_n_m_s
 
 
-def test_the_predicted_motion_has_rates_torque_and_what_was_executed(record):
+def test_the_prediction_has_rates_torque_and_what_was_executed(record):
     basis = known(3600.0, rates=(0.0, 1e-6, 0.0))
     pulse = Pulse(EPOCH - 1800 * S, 10.0, Axes(0.0, 0.0, 4e-4))
     later = Pulse(EPOCH + 60 * S, 10.0, Axes(0.0, 0.0, 9.0))
-    angle, rate = predicted_motion(with_executed(basis, (pulse, later)), EPOCH, record)
-    pushed = np.degrees(np.array(PUSHED.constant_n_m) / INERTIA)
-    given = np.degrees(4e-3 / 1400.0)
-    np.testing.assert_allclose(rate, [0.0, 1e-6 + 3600.0 * pushed[1], 3600.0 * pushed[2] + given], atol=1e-12)
-    expected = [0.3, 0.4 + 3.6e-3 + 6.48e6 * pushed[1], -0.3 + 6.48e6 * pushed[2] + 1795.0 * given]
-    np.testing.assert_allclose(angle, expected, atol=1e-9)
+    # of an older command, which the pulse replaces
+    older = Pulse(EPOCH - 1500 * S, 10.0, Axes(9.0, 0.0, 0.0))
+    pushed = 6.48e6 * np.degrees(np.array(PUSHED.constant_n_m) / INERTIA)
+    expected = [0.3, 0.4 + 3.6e-3 + pushed[1], -0.3 + pushed[2] + 1795.0 * np.degrees(4e-3 / 1400.0)]
+    found = predicted_deg(with_executed(with_executed(basis, (older,)), (pulse, later)), EPOCH, record)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("reason", [*sorted(set(INHIBITIONS) - BALANCED), "tripped", "mode_onboard", "no_fast_loop"])
@@ -414,6 +414,6 @@ def test_balance_ends_after_three_hours_and_where_the_seen_angle_leaves_the_pred
 
 
 def test_an_axis_that_control_could_not_use_is_not_balanced(record):
-    found = doubted(known(rates=(1e-4, 0.0, 0.0), axes=(False, True, True)), record)
+    found = doubted(known(axes=(False, True, True)), record, rates=(1e-4, 0.0, 0.0))
     assert {tuple(np.flatnonzero(pulse.torque_n_m)) for pulse in found.schedule} <= {(1,), (2,)}
     assert found.torque_n_m.roll < 0.0
