@@ -169,6 +169,8 @@ class Plant:
 
     Attributes
     ----------
+    options : PlantOptions
+        OrbitalFrameSpacecraft and channel.
     world : World
         Rows before operation are its rows, to the last bit.
     row : int
@@ -182,7 +184,7 @@ class Plant:
     def __init__(
         self, scenario: Scenario, seed: int, sweep_noise: float = 1.0, options: PlantOptions | None = None
     ) -> None:
-        options = options or PlantOptions()
+        self.options = options = options or PlantOptions()
         self.world = World(scenario, seed)
         self._epochs_us = self.world.rows.epochs_us
         self.first_row = int(np.searchsorted(self._epochs_us, scenario.operation_start_us))
@@ -193,7 +195,7 @@ class Plant:
         self._disturbance = disturbance(scenario, seed, self._epochs_us[self.first_row :])
         self.reports: list[Report] = []
         is_perfect = options.onboard == "perfect"
-        self._uplink = Uplink(UPLINKS[options.uplink], seed)
+        self.uplink = Uplink(UPLINKS[options.uplink].within(scenario.keeping.slowest_uplink_s), seed)
         self._store = CommandStore(0.0 if is_perfect else QUANTUM_N_M)
         self._acting: list[TorqueElement] = []
         self._counter = 0
@@ -250,19 +252,19 @@ class Plant:
     def send(self, schedule: Schedule) -> int | None:
         """Hand a schedule to the channel at the present row; None = nothing is sent where nothing is wanted."""
         if self.loop is not None and schedule.angles is not None:
-            self._uplink.send(Command(schedule.angles.counter, ()), self.epoch_us, schedule.angles)
+            self.uplink.send(Command(schedule.angles.counter, ()), self.epoch_us, schedule.angles)
         if schedule.counter is None and not schedule.elements:
             return None
         counter = self._counter + 1 if schedule.counter is None else schedule.counter
         self._counter = max(self._counter, counter)
-        self._uplink.send(Command(counter, schedule.elements), self.epoch_us)
+        self.uplink.send(Command(counter, schedule.elements), self.epoch_us)
         return counter
 
     def _receive(self, begin_us: int, end_us: int) -> None:
         """Let the spacecraft take what arrives before the next row."""
         self.reports = []
         roll, pitch, yaw = self.momentum_n_m_s
-        arrivals = self._uplink.arrivals(end_us)
+        arrivals = self.uplink.arrivals(end_us)
         if self.loop is not None:
             for angles, received_us in ((a.angles, a.received_us) for a in arrivals):
                 if angles is not None:

@@ -2,8 +2,8 @@
 
 Out, in this order; fields in brackets are not always there:
 
-    {"type":"start","scenario":..,"seed":..,"carriers":[ids],"open_rows":n,"closed_rows":m,"uplink":..,"onboard":..,
-     "fed_forward_torque":{"epoch":..,"period_s":..,"constant_n_m":{..},"cosine_n_m":{..},"sine_n_m":{..}}}
+    {"type":"start","scenario":..,"seed":..,"carriers":[ids],"open_rows":n,"closed_rows":m,"uplink":..,"slowest_s":..,
+     "onboard":..,"fed_forward_torque":{"epoch":..,"period_s":..,"constant_n_m":{..},"cosine_n_m":{..},"sine_n_m":{..}}}
     {"type":"ground","line":{..}}                what the ground port would send, corrections left out
     {"type":"report","counter":..,"state":"executed|executing|replaced|repeated|late|refused","told":..,"received":..,
      ["executed_from":..,"executed_until":..,"impulse_n_m_s":{..}]}
@@ -32,10 +32,9 @@ from typing import Any, TextIO
 import numpy as np
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, Plant, PlantOptions, Schedule, ScheduleError, parse_schedule
+from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, Plant, Schedule, ScheduleError, parse_schedule
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, reported_lines, truth_row
-from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft.body import rotor_speed_rpm
 from analyzer_sim.world.spacecraft.telemetry import PERIOD_H, fed_forward, with_errors
 from analyzer_sim.world.spacecraft.uplink import Report
@@ -47,24 +46,15 @@ _AXES = ("yaw", "roll", "pitch")
 _US_PER_H = 3_600_000_000
 
 
-def run_plant(
-    scenario: Scenario,
-    seed: int,
-    sweep_noise: float,
-    source: TextIO,
-    sink: TextIO,
-    options: PlantOptions | None = None,
-) -> int:
-    """Play a story over a pair of text streams and return the exit status.
+def run_plant(plant: Plant, source: TextIO, sink: TextIO) -> int:
+    """Play a plant over a pair of text streams and return the exit status.
 
     Raises
     ------
     BrokenPipeError
         The reader has left.
     """
-    options = options or PlantOptions()
-    plant = Plant(scenario, seed, sweep_noise, options)
-    _send(sink, _opening(plant, options))
+    _send(sink, _opening(plant))
     while True:
         _send(sink, _present(plant))
         schedule = _await_schedule(plant, source, sink) if plant.is_measured else Schedule(())
@@ -75,11 +65,11 @@ def run_plant(
             return 0
 
 
-def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
+def _opening(plant: Plant) -> Iterator[Line]:
     """Yield everything before operation."""
-    world = plant.world
+    world, options = plant.world, plant.options
     rows = {"open_rows": plant.first_row, "closed_rows": plant.row_count - plant.first_row}
-    what = {"uplink": options.uplink, "onboard": options.onboard}
+    what = {"uplink": options.uplink, "slowest_s": plant.uplink.figures.latency_s[1], "onboard": options.onboard}
     carriers = list(world.carrier_ids)
     reported = {"fed_forward_torque": fed_forward_line(world)}
     start = {"type": "start", "scenario": world.scenario.name, "seed": world.seed, "carriers": carriers}

@@ -102,9 +102,7 @@ def test_yaw_is_held_by_reported_wheels_whose_torque_nobody_states():
     assert (free.exit_code, groups[1]["survived_share"]) == (0, 0.0)
 
 
-def test_a_silence_is_for_the_loop_on_board():
-    announced = CliRunner().invoke(app, ["study", "closed-loop", "--runs", "1", "--silence-h", "1", "2"])
-    assert (announced.exit_code, "--mode onboard" in announced.output) == (2, True)
+def test_an_unknown_mode_is_refused():
     announced = CliRunner().invoke(app, ["study", "closed-loop", "--mode", "pigeon"])
     assert (announced.exit_code, "no mode 'pigeon'" in announced.output) == (2, True)
 
