@@ -69,7 +69,6 @@ class Opening:
     """Data before the start of operation; T rows, N carriers."""
 
     carrier_ids: tuple[str, ...]
-    closed_rows: int
     ground: tuple[Line, ...]
     epochs_us: tuple[int, ...]
     #: (T, N) dBm
@@ -158,7 +157,6 @@ class PlantProcess:
                 powers.append(_powers(line))
         return Opening(
             tuple(start["carriers"]),
-            start["closed_rows"],
             tuple(ground),
             tuple(epochs_us),
             np.array(powers),
