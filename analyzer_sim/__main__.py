@@ -226,6 +226,7 @@ def _scenario(options: argparse.Namespace) -> "Scenario":
 
     return scenario_named(
         options.scenario,
+        seed=options.seed,
         operation_days=options.operation_days,
         quiet_days=options.quiet_days,
         row_period_s=options.row_period,
@@ -246,12 +247,13 @@ def _flown(options: argparse.Namespace) -> "PlantOptions":
 
 def _run_plant(options: argparse.Namespace) -> int:
     """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
-    from analyzer_sim.plant.plant import run_plant
+    from analyzer_sim.plant.plant import Plant, run_plant
 
     # bytes that are no text must reach the parser of lines, which answers them
     source = io.TextIOWrapper(sys.stdin.buffer, encoding="utf-8", errors="replace")
     try:
-        return run_plant(_scenario(options), options.seed, options.sweep_noise, source, sys.stdout, _flown(options))
+        plant = Plant(_scenario(options), options.seed, options.sweep_noise, _flown(options))
+        return run_plant(plant, source, sys.stdout)
     except BrokenPipeError:
         # the interpreter flushes once more at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -4,8 +4,8 @@ Lines of the plant: the dialogue over a pair of text streams, one JSON object a 
 
 Out, in this order; fields in brackets are not always there:
 
-    {"type":"start","scenario":..,"seed":..,"carriers":[ids],"open_rows":n,"closed_rows":m,"uplink":..,"onboard":..,
-     "fed_forward_torque":{"epoch":..,"period_s":..,"constant_n_m":{..},"cosine_n_m":{..},"sine_n_m":{..}}}
+    {"type":"start","scenario":..,"seed":..,"carriers":[ids],"open_rows":n,"closed_rows":m,"uplink":..,"slowest_s":..,
+     "onboard":..,"fed_forward_torque":{"epoch":..,"period_s":..,"constant_n_m":{..},"cosine_n_m":{..},"sine_n_m":{..}}}
     {"type":"ground","line":{..}}                what the ground port would send, corrections left out
     {"type":"report","counter":..,"state":"executed|executing|replaced|repeated|late|refused","told":..,"received":..,
      ["executed_from":..,"executed_until":..,"impulse_n_m_s":{..}]}
@@ -206,6 +206,8 @@ class Plant:
 
     Attributes
     ----------
+    options : PlantOptions
+        OrbitalFrameSpacecraft and channel.
     world : World
         Rows before operation are its rows, to the last bit.
     row : int
@@ -219,7 +221,7 @@ class Plant:
     def __init__(
         self, scenario: Scenario, seed: int, sweep_noise: float = 1.0, options: PlantOptions | None = None
     ) -> None:
-        options = options or PlantOptions()
+        self.options = options = options or PlantOptions()
         self.world = World(scenario, seed)
         self._epochs_us = self.world.rows.epochs_us
         self.first_row = int(np.searchsorted(self._epochs_us, scenario.operation_start_us))
@@ -230,7 +232,7 @@ class Plant:
         self._disturbance = disturbance(scenario, seed, self._epochs_us[self.first_row :])
         self.reports: list[Report] = []
         is_perfect = options.onboard == "perfect"
-        self._uplink = Uplink(UPLINKS[options.uplink], seed)
+        self.uplink = Uplink(UPLINKS[options.uplink].within(scenario.keeping.slowest_uplink_s), seed)
         self._store = CommandStore(0.0 if is_perfect else QUANTUM_N_M)
         self._acting: list[TorqueElement] = []
         self._counter = 0
@@ -287,19 +289,19 @@ class Plant:
     def send(self, schedule: Schedule) -> int | None:
         """Hand a schedule to the channel at the present row; None = nothing is sent where nothing is wanted."""
         if self.loop is not None and schedule.angles is not None:
-            self._uplink.send(Command(schedule.angles.counter, ()), self.epoch_us, schedule.angles)
+            self.uplink.send(Command(schedule.angles.counter, ()), self.epoch_us, schedule.angles)
         if schedule.counter is None and not schedule.elements:
             return None
         counter = self._counter + 1 if schedule.counter is None else schedule.counter
         self._counter = max(self._counter, counter)
-        self._uplink.send(Command(counter, schedule.elements), self.epoch_us)
+        self.uplink.send(Command(counter, schedule.elements), self.epoch_us)
         return counter
 
     def _receive(self, begin_us: int, end_us: int) -> None:
         """Let the spacecraft take what arrives before the next row."""
         self.reports = []
         roll, pitch, yaw = self.momentum_n_m_s
-        arrivals = self._uplink.arrivals(end_us)
+        arrivals = self.uplink.arrivals(end_us)
         if self.loop is not None:
             for angles, received_us in ((a.angles, a.received_us) for a in arrivals):
                 if angles is not None:
@@ -368,24 +370,15 @@ _AXES = ("yaw", "roll", "pitch")
 _US_PER_H = 3_600_000_000
 
 
-def run_plant(
-    scenario: Scenario,
-    seed: int,
-    sweep_noise: float,
-    source: TextIO,
-    sink: TextIO,
-    options: PlantOptions | None = None,
-) -> int:
-    """Play a story over a pair of text streams and return the exit status.
+def run_plant(plant: Plant, source: TextIO, sink: TextIO) -> int:
+    """Play a plant over a pair of text streams and return the exit status.
 
     Raises
     ------
     BrokenPipeError
         The reader has left.
     """
-    options = options or PlantOptions()
-    plant = Plant(scenario, seed, sweep_noise, options)
-    _send(sink, _opening(plant, options))
+    _send(sink, _opening(plant))
     while True:
         _send(sink, _present(plant))
         schedule = _await_schedule(plant, source, sink) if plant.is_measured else Schedule(())
@@ -396,11 +389,11 @@ def run_plant(
             return 0
 
 
-def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
+def _opening(plant: Plant) -> Iterator[Line]:
     """Yield everything before operation."""
-    world = plant.world
+    world, options = plant.world, plant.options
     rows = {"open_rows": plant.first_row, "closed_rows": plant.row_count - plant.first_row}
-    what = {"uplink": options.uplink, "onboard": options.onboard}
+    what = {"uplink": options.uplink, "slowest_s": plant.uplink.figures.latency_s[1], "onboard": options.onboard}
     carriers = list(world.carrier_ids)
     reported = {"fed_forward_torque": fed_forward_line(world)}
     start = {"type": "start", "scenario": world.scenario.name, "seed": world.seed, "carriers": carriers}

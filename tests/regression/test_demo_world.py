@@ -174,7 +174,7 @@ def test_trivial_answers_miss(name, monkeypatch):
     """Nothing, and corrections that are computed from corrections alone."""
     _, nothing = flown(name, SEED, SHORT_DAYS, Sensing.OFF)
 
-    def by_corrections(unit, ground, documents, plan):
+    def by_corrections(unit, ground, *_):
         aligned_deg = np.nanmean(ground.references[0].attitude_deg[-60:], axis=0)
         return ByCorrections(ByTruth(ground.spacecraft, LEAD_S, 60.0), angles_deg=aligned_deg)
 

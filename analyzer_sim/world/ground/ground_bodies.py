@@ -86,7 +86,7 @@ def spacecraft_body(world: World, *, is_flown: bool = False) -> Line:
             "longitude_deg": site.longitude_deg,
             "height_m": site.height_m,
         },
-        "inertia_kg_m2": np.diag(INERTIA_KG_M2).tolist(),
+        "inertia_kg_m2": np.diag(np.multiply(INERTIA_KG_M2, keeping.stated_inertia)).tolist(),
         "torque_limit_n_m": TORQUE_LIMIT_N_M,
         "onboard": {
             "fast_loop": True,

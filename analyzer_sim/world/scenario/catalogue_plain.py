@@ -2,6 +2,9 @@
 
 from dataclasses import replace
 
+import numpy as np
+
+from analyzer_sim.streams import stream
 from analyzer_sim.world.scenario.events import (
     Burn,
     ChainStep,
@@ -25,6 +28,27 @@ from analyzer_sim.world.sensors import EARTH_SENSOR, RADIO_BEACON
 SLEW_DEG = 0.35
 #: size of the torques that nobody knows, N m
 _RESIDUAL_N_M = (2e-7, 2e-6)
+#: of which each seed of the varied plant has one
+SHAPES, ROWS_S = ("constant", "daily", "eclipse"), (60.0, 10.0, 300.0, 30.0, 120.0, 20.0)
+
+
+def plant_varied(seed: int) -> Scenario:
+    """Return a day on a plant that differs from what its catalogue says, otherwise with each seed."""
+    rng = stream(seed, "varied plant")
+    yaw, roll, pitch = rng.uniform(0.9, 1.1, 3).tolist()
+    keeping = KeepingErrors(
+        residual=ResidualTorque(_RESIDUAL_N_M, SHAPES[seed % len(SHAPES)], kick_n_m_s=5e-4),
+        stated_inertia=(roll, pitch, yaw),
+        slowest_uplink_s=float(np.exp(rng.uniform(*np.log((60.0, 900.0))))),
+    )
+    return Scenario(
+        "plant_varied",
+        "By the seed: shape and size of an unknown torque, inertia 10 % wrong, rows of 10 to 300 s, 30 to 900 s up.",
+        row_period_s=ROWS_S[seed // len(SHAPES) % len(ROWS_S)],
+        keeping=keeping,
+        operation_h=24.0,
+    )
+
 
 CLOSED: tuple[Scenario, ...] = (
     Scenario(
@@ -43,9 +67,10 @@ CLOSED: tuple[Scenario, ...] = (
     Scenario(
         "unknown_residual_daily",
         "As unknown_residual_constant; the torque about each axis is a wave of one day.",
-        keeping=KeepingErrors(residual=ResidualTorque(_RESIDUAL_N_M, is_daily=True)),
+        keeping=KeepingErrors(residual=ResidualTorque(_RESIDUAL_N_M, "daily")),
         operation_h=24.0,
     ),
+    plant_varied(1),
 )
 
 

@@ -3,7 +3,13 @@
 from dataclasses import replace
 
 from analyzer_sim.world.scenario.catalogue_hard import HARD, MOTION, WEATHER, WRONG
-from analyzer_sim.world.scenario.catalogue_plain import CLOSED, PLAIN, SOURCES_OF_REALITY, downlink_rain
+from analyzer_sim.world.scenario.catalogue_plain import (
+    CLOSED,
+    PLAIN,
+    SOURCES_OF_REALITY,
+    downlink_rain,
+    plant_varied,
+)
 from analyzer_sim.world.scenario.story import (
     DEFAULT_START_US,
     KeepingErrors,
@@ -37,12 +43,15 @@ CLOSED_SCENARIOS: dict[str, Scenario] = {**SCENARIOS, **{scenario.name: scenario
 def scenario_named(
     name: str,
     *,
+    seed: int = 1,
     operation_days: float | None = None,
     quiet_days: float | None = None,
     row_period_s: float | None = None,
     start_us: int | None = None,
 ) -> Scenario:
     """Return a scenario of the catalogue, with another length, row period or start where one is given.
+
+    The seed matters to `plant_varied` alone, which differs with it.
 
     Raises
     ------
@@ -51,7 +60,7 @@ def scenario_named(
     """
     if name not in CLOSED_SCENARIOS:
         raise KeyError(f"no scenario {name!r}; there are {', '.join(sorted(CLOSED_SCENARIOS))}")
-    chosen = CLOSED_SCENARIOS[name]
+    chosen = plant_varied(seed) if name == "plant_varied" else CLOSED_SCENARIOS[name]
     return replace(
         chosen,
         operation_h=chosen.operation_h if operation_days is None else 24.0 * operation_days,

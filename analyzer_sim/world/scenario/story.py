@@ -107,8 +107,10 @@ class ResidualTorque:
 
     #: range from which its size about each axis is drawn, N m
     size_n_m: tuple[float, float]
-    #: whether it goes round once a day; otherwise it is constant
-    is_daily: bool = False
+    #: constant; daily: a wave of one day; eclipse: constant, gone in the Earth's shadow
+    shape: str = "constant"
+    #: impulse about each axis that an unloading of the wheels leaves, N m s, of which nobody is told
+    kick_n_m_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +142,10 @@ class KeepingErrors:
     corrections_late_min: float | None = None
     #: flown in place of what is left of the Sun's torque; none = the catalogue knows the profile that is fed forward
     residual: ResidualTorque | None = None
+    #: moments of inertia that the catalogue states about roll, pitch, yaw, share of the true ones
+    stated_inertia: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    #: the slowest way of a command over a link, s
+    slowest_uplink_s: float = 120.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,8 @@ def _rate(gained: list[float], attitude: list[float]) -> tuple[float, float, flo
 #: torque of the Sun's light, N m, order yaw, roll, pitch, and the share of it that is fed forward
 SOLAR_TORQUE_N_M = (0.8e-5, 1.36e-5, 0.72e-5)
 FED_FORWARD_SHARE = 0.95
+#: middle of the shadow at 90 deg East, days UTC, and its length, h
+SHADOW_DAY, SHADOW_H = 0.75, 1.2
 #: constant torque that gathers in wheels, share of the daily wave
 CONSTANT_SHARE = (0.5, 1.0)
 #: positions of yaw, roll, pitch among roll, pitch, yaw, and the other way round
@@ -152,18 +154,25 @@ def disturbance(scenario: Scenario, seed: int, epochs_us: EpochArray) -> Disturb
     drift_deg_s = np.stack(drift_deg_h, axis=1) / 3600.0
     if figures.residual is None:
         return Disturbance(drift_deg_s, solar_n_m, (1.0 - FED_FORWARD_SHARE) * solar_n_m)
-    unseen_n_m = residual_n_m(figures.residual, seed, days)
+    unseen_n_m = residual_n_m(figures.residual, seed, days, step_s)
     return Disturbance(drift_deg_s, solar_n_m + unseen_n_m, unseen_n_m)
 
 
-def residual_n_m(residual: ResidualTorque, seed: int, days: FloatArray) -> FloatArray:
+def residual_n_m(residual: ResidualTorque, seed: int, days: FloatArray, step_s: float) -> FloatArray:
     """Return the torque (T, 3) that nobody knows, at times (T,) in days; its size is drawn evenly by its logarithm."""
     rng = stream(seed, "residual torque")
     least, greatest = np.log(residual.size_n_m)
     size = np.exp(rng.uniform(least, greatest, 3)) * rng.choice([-1.0, 1.0], 3)
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
-    wave = np.cos(2.0 * np.pi * days[:, None] + phase) if residual.is_daily else np.ones((len(days), 1))
-    return np.asarray(size * wave)
+    acts = {
+        "constant": np.ones((len(days), 1)),
+        "daily": np.cos(2.0 * np.pi * days[:, None] + phase),
+        "eclipse": np.abs(days % 1.0 - SHADOW_DAY)[:, None] > SHADOW_H / 48.0,
+    }
+    # an impulse is the torque of the whole step in which it is given
+    is_kicked = days[:, None] * 24.0 % UNLOADING_H < step_s / 3600.0
+    kicks = rng.choice([-1.0, 1.0], (len(days), 3)) * is_kicked * residual.kick_n_m_s / step_s
+    return np.asarray(size * acts[residual.shape] + kicks)
 
 
 #: time between two unloadings, h

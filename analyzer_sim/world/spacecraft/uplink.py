@@ -107,6 +107,10 @@ class UplinkSettings(NamedTuple):
     lost_share: float
     repeated_share: float
 
+    def within(self, slowest_s: float) -> "UplinkSettings":
+        """Return the channel with another slowest way, where it has any latency."""
+        return self._replace(latency_s=(self.latency_s[0], slowest_s)) if self.latency_s[1] else self
+
 
 #: channels by name
 UPLINKS: dict[str, UplinkSettings] = {

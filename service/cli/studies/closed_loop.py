@@ -35,6 +35,7 @@ SCENARIOS = (
     "slew_fade",
     "unknown_residual_constant",
     "unknown_residual_daily",
+    "plant_varied",
 )
 _UPLINKS = ("ideal", "link")
 #: columns of a table that is written to a file
@@ -57,17 +58,18 @@ def closed_loop(
     operation_days: Annotated[
         float | None, typer.Option(help="Length of the operation phase; default: that of each scenario.")
     ] = None,
-    drift_deg_h: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option(help="Drift that the filter believes in: yaw, roll, pitch; default: the product's."),
+    residual_torque_n_m: Annotated[
+        float | None,
+        typer.Option(help="Size of the unknown torque that the catalogue states; default: the scenario's."),
     ] = None,
     mode: Annotated[
         str, typer.Option(help="ground: torques go up; onboard: angles do, for a loop on board.")
     ] = "ground",
     method: Annotated[str, typer.Option(help="Method that drives control: robust or paper.")] = "robust",
-    silence_h: Annotated[
-        tuple[float, float], typer.Option(help="Begin and length of a time without uplink; mode onboard.")
-    ] = (0.0, 0.0),
+    silence_h: Annotated[tuple[float, float], typer.Option(help="Begin and length of a time without uplink, h.")] = (
+        0.0,
+        0.0,
+    ),
     flights: Annotated[
         Path | None,
         typer.Option(help="Keep each flight in this folder; what it has kept is not flown again.", file_okay=False),
@@ -84,6 +86,7 @@ def closed_loop(
     from service.study.closed_loop.controllers import Sensing
     from service.study.closed_loop.plant_process import PlantFailedError
     from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown
+    from service.study.closed_loop.run import LoopUnit
     from service.study.executors import ClusterError, WorkerChoice
 
     _require("uplink", [uplink], _UPLINKS)
@@ -92,10 +95,9 @@ def closed_loop(
     sensings = tuple(one for one in Sensing if not sensing or one.value in sensing)
     _require("mode", [mode], ("ground", "onboard"))
     _require("method", [method], [one.value for one in Method])
-    if silence_h[1] and mode != "onboard":
-        end("--silence-h is for --mode onboard; over a link commands are lost as it is")
-    settings = (uplink, operation_days, drift_deg_h, mode, silence_h, Method(method))
-    plan = LoopPlan(scenarios, runs, WorkerChoice(workers, scheduler), sensings, *settings)
+    settings = (uplink, operation_days, residual_torque_n_m, mode, silence_h, Method(method))
+    unit = LoopUnit("", 0, Sensing.AUTOMATIC, *settings)
+    plan = LoopPlan(scenarios, runs, WorkerChoice(workers, scheduler), sensings, unit)
     with failures_shown(PlantFailedError, BrokenExecutor, ClusterError, OSError), counted("loops") as show:
         campaign = run_loops(plan, show, flights)
     draw(figures, "closed_loop", lambda study, folder: study.draw_campaign(campaign, folder))
@@ -120,11 +122,13 @@ def _require(kind: str, reported: list[str], known: Sequence[str]) -> None:
 
 def _command(plan: "LoopPlan") -> str:
     """Return the command that makes the same figures again."""
-    words = ["soo", "study", "closed-loop", "--runs", str(plan.runs), "--uplink", plan.uplink]
+    unit = plan.unit
+    words = ["soo", "study", "closed-loop", "--runs", str(plan.runs), "--uplink", unit.uplink]
     words += [word for name in plan.scenarios for word in ("--scenario", name)]
-    words += ["--operation-days", f"{plan.operation_days:g}"] if plan.operation_days else []
-    words += ["--drift-deg-h", *(f"{drift:g}" for drift in plan.drift_deg_h)] if plan.drift_deg_h else []
-    words += ["--mode", plan.mode, "--method", plan.method.value]
-    words += ["--silence-h", *(f"{hours:g}" for hours in plan.silence_h)] if plan.silence_h[1] else []
+    words += ["--operation-days", f"{unit.operation_days:g}"] if unit.operation_days else []
+    stated_n_m = unit.residual_torque_n_m
+    words += [] if stated_n_m is None else ["--residual-torque-n-m", f"{stated_n_m:g}"]
+    words += ["--mode", unit.mode, "--method", unit.method.value]
+    words += ["--silence-h", *(f"{hours:g}" for hours in unit.silence_h)] if unit.silence_h[1] else []
     words += [word for sensing in plan.sensings for word in ("--sensing", sensing.value)]
     return shlex.join(words)

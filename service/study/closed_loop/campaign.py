@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from service.records.catalogue import Method
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.flight_store import keep, kept
 from service.study.closed_loop.merit import GroupMerit, group_merit
@@ -25,16 +24,8 @@ class LoopPlan(NamedTuple):
     runs: int
     workers: WorkerChoice = WorkerChoice()
     sensings: tuple[Sensing, ...] = tuple(Sensing)
-    uplink: str = "link"
-    operation_days: float | None = None
-    #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
-    drift_deg_h: tuple[float, float, float] | None = None
-    #: ``ground`` or ``onboard``
-    mode: str = "ground"
-    #: begin and length of a time in which nothing is sent up, h
-    silence_h: tuple[float, float] = (0.0, 0.0)
-    #: that drives control
-    method: Method = Method.ROBUST
+    #: what all runs have in common beside scenario, seed and sensing
+    unit: LoopUnit = LoopUnit("", 0, Sensing.AUTOMATIC)
 
 
 @dataclass(frozen=True)
@@ -73,7 +64,12 @@ def run_loops(plan: LoopPlan, show: Show, folder: Path | None = None) -> LoopCam
     """
     began_s = time.monotonic()
     keys = [(scenario, sensing) for scenario in plan.scenarios for sensing in plan.sensings]
-    units = {key: [LoopUnit(key[0], seed, key[1], *plan[4:]) for seed in range(1, plan.runs + 1)] for key in keys}
+    units = {
+        (scenario, sensing): [
+            plan.unit._replace(scenario=scenario, seed=seed, sensing=sensing) for seed in range(1, plan.runs + 1)
+        ]
+        for scenario, sensing in keys
+    }
     # the slow ones first
     queue = sorted((unit for some in units.values() for unit in some), key=lambda u: u.sensing is not Sensing.AUTOMATIC)
     flown = {} if folder is None else {unit: old for unit in queue if (old := kept(folder, unit)) is not None}

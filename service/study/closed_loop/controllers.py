@@ -35,8 +35,9 @@ from service.records.levels.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
 from service.study.closed_loop.released import Releaser
 
-#: the slowest way to the spacecraft takes two minutes
-LEAD_S = 150.0
+#: a command goes out so long before its first pulse and the slowest way to the spacecraft; that way takes two minutes
+LEAD_MARGIN_S = 30.0
+LEAD_S = 120.0 + LEAD_MARGIN_S
 
 
 class Sensing(StrEnum):
@@ -56,6 +57,8 @@ class ControllerOutput:
     is_inhibited: bool = False
     #: estimate of the ground; None = it made none
     attitude_deg: Axes | None = None
+    #: against control, or against an axis of it
+    reasons: tuple[str, ...] = ()
 
 
 class Controller(Protocol):
@@ -100,7 +103,8 @@ class ByChain:
             schedule = self.release.wanted(outcome, driving, measurement, counter)
         elif outcome.applied is not None:
             self.chain.update(outcome.applied)
-        return ControllerOutput(schedule, not command.control_allowed, angles)
+        reasons = () if driving is None else driving.inhibitions
+        return ControllerOutput(schedule, not command.control_allowed, angles, reasons)
 
     def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Take what the spacecraft has told of released commands."""
@@ -122,7 +126,7 @@ class ByAngles:
         if outcome is None or driving is None:
             return ControllerOutput(is_inhibited=True)
         self._command = outcome.command or self._command
-        return ControllerOutput((), not driving.control_allowed, fit_angles_deg(driving))
+        return ControllerOutput((), not driving.control_allowed, fit_angles_deg(driving), driving.inhibitions)
 
     def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Tell the chain the mean torque of the pulses that were executed."""

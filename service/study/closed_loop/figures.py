@@ -1,6 +1,7 @@
 """Closed loops drawn: the three angles of every run, of one run beside its estimate, and their percentiles."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -34,25 +35,36 @@ def _flights(campaign: LoopCampaign, scenario: str, sensing: Sensing) -> list[Fl
     return [one.flight for one in found if one.flight is not None]
 
 
+@contextmanager
+def _drawing(path: Path, title: str) -> Iterator[Sequence[Axes]]:
+    """Yield the plots of the three angles, and write them with limits, labels and legend."""
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+        plots = figure.subplots(3, 1, sharex=True)
+        plots[0].set_title(title, fontsize=9)
+        for name, limit, plot in zip(_AXES, NARROW_DEG, plots, strict=True):
+            for side in (-1.0, 1.0):
+                plot.axhline(side * limit, color="#111111", linewidth=0.8, linestyle="--")
+            plot.set_ylabel(f"{name}, deg")
+            plot.set_ylim(-_REACH_DEG, _REACH_DEG)
+        yield plots
+        figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+        plots[-1].set_xlabel("hours of operation")
+        figure.savefig(path, dpi=120)
+
+
 def _draw_run(campaign: LoopCampaign, scenario: str, folder: Path) -> Path | None:
     """Draw the first run under the chain: truth, estimate, and when control was inhibited."""
     flights = _flights(campaign, scenario, Sensing.AUTOMATIC)
     if not flights:
         return None
     flight, path = flights[0], folder / f"closed-loop-{scenario}-run.png"
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
-        plots = figure.subplots(3, 1, sharex=True)
-        for axis, (name, plot) in enumerate(zip(_AXES, plots, strict=True)):
+    inhibited: Any = {"where": flight.is_inhibited, "color": "#cccccc", "label": "control inhibited"}
+    with _drawing(path, f"{scenario}: seed 1 under the chain") as plots:
+        for axis, plot in enumerate(plots):
             plot.plot(flight.hours, flight.estimate_deg[:, axis], color="#ff7f0e", linewidth=0.6, label="estimate")
             plot.plot(flight.hours, flight.truth_deg[:, axis], color="#1f77b4", linewidth=1.0, label="truth")
-            plot.fill_between(
-                flight.hours, -1.0, 1.0, where=flight.is_inhibited, color="#cccccc", label="control inhibited"
-            )
-            _frame(plot, name, axis)
-        plots[0].set_title(f"{scenario}: seed 1 under the chain", fontsize=9)
-        _finish(figure, plots)
-        figure.savefig(path, dpi=120)
+            plot.fill_between(flight.hours, -1.0, 1.0, **inhibited)
     return path
 
 
@@ -63,49 +75,21 @@ def _draw_percentiles(campaign: LoopCampaign, scenario: str, folder: Path) -> Pa
         return None
     path, rows = folder / f"closed-loop-{scenario}-percentiles.png", min(len(flight.hours) for flight in flights)
     sizes = np.abs(np.array([flight.truth_deg[:rows] for flight in flights]))
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
-        plots = figure.subplots(3, 1, sharex=True)
-        for axis, (name, plot) in enumerate(zip(_AXES, plots, strict=True)):
+    with _drawing(path, f"{scenario}: size of the angles over {len(flights)} runs under the chain") as plots:
+        for axis, plot in enumerate(plots):
             for share, shade in zip(PERCENTILES, ("#9ecae1", "#3182bd", "#08306b"), strict=True):
                 reached = np.percentile(sizes[:, :, axis], share, axis=0, method="higher")
                 plot.plot(flights[0].hours[:rows], reached, color=shade, linewidth=1.0, label=f"{share} % of runs")
-            _frame(plot, name, axis)
             plot.set_ylim(0.0, _REACH_DEG)
-        plots[0].set_title(f"{scenario}: size of the angles over {len(flights)} runs under the chain", fontsize=9)
-        _finish(figure, plots)
-        figure.savefig(path, dpi=120)
     return path
-
-
-def _frame(plot: Axes, name: str, axis: int) -> None:
-    """Draw limits and label of one angle."""
-    for side in (-1.0, 1.0):
-        plot.axhline(side * NARROW_DEG[axis], color="#111111", linewidth=0.8, linestyle="--")
-    plot.set_ylabel(f"{name}, deg")
-    plot.set_ylim(-_REACH_DEG, _REACH_DEG)
-
-
-def _finish(figure: Figure, plots: Sequence[Axes]) -> None:
-    """Draw the legend and the label of time."""
-    figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
-    plots[-1].set_xlabel("hours of operation")
 
 
 def _draw_all(campaign: LoopCampaign, scenario: str, folder: Path) -> Path:
     path = folder / f"closed-loop-{scenario}.png"
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
-        plots = figure.subplots(3, 1, sharex=True)
-        for axis, (name, plot) in enumerate(zip(_AXES, plots, strict=True)):
-            for result in campaign.results:
-                if result.unit.scenario == scenario and result.flight is not None:
-                    flight, sensing = result.flight, result.unit.sensing
-                    label = sensing.value if result.unit.seed == 1 else None
-                    colour = _COLOURS[sensing]
-                    plot.plot(flight.hours, flight.truth_deg[:, axis], color=colour, linewidth=0.7, label=label)
-            _frame(plot, name, axis)
-        plots[0].set_title(f"{scenario}: truth of {campaign.plan.runs} runs under each sensing", fontsize=9)
-        _finish(figure, plots)
-        figure.savefig(path, dpi=120)
+    with _drawing(path, f"{scenario}: truth of {campaign.plan.runs} runs under each sensing") as plots:
+        for sensing in Sensing:
+            for number, flight in enumerate(_flights(campaign, scenario, sensing)):
+                style: Any = {"color": _COLOURS[sensing], "linewidth": 0.7, "label": None if number else sensing.value}
+                for axis, plot in enumerate(plots):
+                    plot.plot(flight.hours, flight.truth_deg[:, axis], **style)
     return path

@@ -83,7 +83,9 @@ class OwnLimits(NamedTuple):
 
 OWN_LIMITS = {
     FADE_SCENARIO: OwnLimits(lambda merit: merit.is_fade_survived),
-    **dict.fromkeys(UNKNOWN_TORQUE_SCENARIOS, OwnLimits(lambda merit: merit.is_unknown_torque_survived)),
+    **dict.fromkeys(
+        (*UNKNOWN_TORQUE_SCENARIOS, "plant_varied"), OwnLimits(lambda merit: merit.is_unknown_torque_survived)
+    ),
     MEASURED_SCENARIO: OwnLimits(lambda merit: merit.is_measured_yaw_held, NARROW_SHARE),
 }
 

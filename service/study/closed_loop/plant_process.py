@@ -69,11 +69,12 @@ class Opening:
     """Data before the start of operation; T rows, N carriers."""
 
     carrier_ids: tuple[str, ...]
-    closed_rows: int
     ground: tuple[Line, ...]
     epochs_us: tuple[int, ...]
     #: (T, N) dBm
     power_dbm: FloatArray
+    #: the slowest way to the spacecraft, s
+    slowest_s: float
     #: profile that the loop on board feeds forward, as a catalogue states it; None = none is told
     fed_forward: Line | None = None
 
@@ -154,9 +155,14 @@ class PlantProcess:
             elif line["type"] == "row":
                 epochs_us.append(parse_epoch(line["epoch"]))
                 powers.append(_powers(line))
-        carrier_ids = tuple(start["carriers"])
-        announced = start.get("fed_forward_torque")
-        return Opening(carrier_ids, start["closed_rows"], tuple(ground), tuple(epochs_us), np.array(powers), announced)
+        return Opening(
+            tuple(start["carriers"]),
+            tuple(ground),
+            tuple(epochs_us),
+            np.array(powers),
+            start["slowest_s"],
+            start["fed_forward_torque"],
+        )
 
     def rows(self) -> Iterator[PlantRow]:
         """Yield the rows of operation; after each one with powers a schedule must be sent."""

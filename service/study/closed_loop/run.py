@@ -2,6 +2,8 @@
 
 import math
 import time
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -17,6 +19,7 @@ from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChan
 from service.records.levels.attitude import BoolArray, FloatArray
 from service.records.levels.measurement import Measurement
 from service.study.closed_loop.controllers import (
+    LEAD_MARGIN_S,
     LEAD_S,
     ByAngles,
     ByChain,
@@ -51,8 +54,8 @@ class LoopUnit(NamedTuple):
     uplink: str = "link"
     #: None = as long as the scenario is
     operation_days: float | None = None
-    #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
-    drift_deg_h: tuple[float, float, float] | None = None
+    #: size of the residual torque that the catalogue states, N m; None = what the scenario's says
+    residual_torque_n_m: float | None = None
     #: ``ground``: torques go up; ``onboard``: angles do
     mode: str = "ground"
     #: begin and length of a time in which nothing is sent up, h of operation
@@ -80,6 +83,8 @@ class FlownRun:
     #: refused
     sent: int
     reported: dict[str, int]
+    #: rows that state each reason against control
+    reasons: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -104,38 +109,55 @@ def fly_unit(unit: LoopUnit) -> LoopResult:
     began_s = time.monotonic()
     options = ("--age-limit", str(AGE_LIMIT_S)) if unit.mode == "onboard" else ()
     with PlantProcess(unit.scenario, unit.seed, unit.uplink, unit.operation_days, options) as plant:
-        ground = ground_of(plant.opening())
-        documents = JournalDocuments()
-        plan = documents.add_plan(ground.carriers)
         try:
-            controller = controller_of(unit, ground, documents, plan)
+            return LoopResult(unit, time.monotonic() - began_s, "", fly(plant, unit))
         except UndrivenError as error:
             return LoopResult(unit, time.monotonic() - began_s, str(error))
-        flight = _fly(plant, controller, GroundJournal(ground, documents, plan.plan_id), unit)
-    return LoopResult(unit, time.monotonic() - began_s, "", flight)
 
 
-def controller_of(unit: LoopUnit, ground: Ground, documents: JournalDocuments, plan: PlanChange) -> Controller:
-    """Return who closes the loop."""
+def fly(plant: PlantProcess, unit: LoopUnit, restate: Callable[[Spacecraft], Spacecraft] | None = None) -> FlownRun:
+    """Fly a plant to its end, its catalogue stated otherwise where that is wanted.
+
+    Raises
+    ------
+    UndrivenError
+        The calibration is not good enough to control by.
+    """
+    opening = plant.opening()
+    ground, documents = ground_of(opening), JournalDocuments()
+    spacecraft = ground.spacecraft if restate is None else restate(ground.spacecraft)
+    if unit.residual_torque_n_m is not None:
+        onboard = replace(spacecraft.onboard, residual_torque_n_m=unit.residual_torque_n_m)
+        spacecraft = replace(spacecraft, onboard=onboard)
+    ground = replace(ground, spacecraft=spacecraft)
+    plan = documents.add_plan(ground.carriers)
+    controller = controller_of(unit, ground, documents, plan, opening.slowest_s + LEAD_MARGIN_S)
+    return _fly(plant, controller, GroundJournal(ground, documents, plan.plan_id), unit)
+
+
+def controller_of(
+    unit: LoopUnit, ground: Ground, documents: JournalDocuments, plan: PlanChange, lead_s: float = LEAD_S
+) -> Controller:
+    """Return who closes the loop; commands go out a lead time ahead."""
     is_ideal = unit.uplink == "ideal"
     spacecraft = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC if is_ideal else Release.TWO_STEP)
     if unit.sensing is Sensing.OFF:
         return Idle()
     if unit.sensing is Sensing.TRUTH:
         automatic = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC)
-        return ByTruth(automatic, 0.0 if is_ideal else LEAD_S, float(np.median(np.diff(ground.epochs_us))) / 1e6)
+        return ByTruth(automatic, 0.0 if is_ideal else lead_s, float(np.median(np.diff(ground.epochs_us))) / 1e6)
     spacecraft = replace(spacecraft, control=replace(spacecraft.control, method=unit.method))
     opening = (SpacecraftChange(spacecraft, 1), plan, documents.add_ephemeris(ground.ephemeris))
     by = CalibrationMethod.PAPER if unit.method is Method.PAPER else CalibrationMethod.GEOMETRY
     documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1], by)
     documents.alignments[1] = align(ground, documents)
-    config = _config(unit)
+    config = ChainConfig()
     chain = Chain(documents, config, methods=(unit.method,))
     for content in (*opening, CalibrationActivation(1, 1), AlignmentSet(1)):
         chain.update(content)
     if unit.mode == "onboard":
         return ByAngles(chain)
-    return ByChain(chain, None if is_ideal else Releaser(chain, spacecraft, LEAD_S, config.torque))
+    return ByChain(chain, None if is_ideal else Releaser(chain, spacecraft, lead_s, config.torque))
 
 
 def flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
@@ -148,16 +170,6 @@ def flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
     if release is Release.TWO_STEP and (onboard.residual_torque_n_m is not None or onboard.momentum is not None):
         control = replace(control, period_s=LOOP_PERIOD_S, command_period_s=COMMAND_PERIOD_S)
     return replace(spacecraft, control=control)
-
-
-def _config(unit: LoopUnit) -> ChainConfig:
-    """Return the numbers of the stages: the product's but for what the unit says."""
-    config = ChainConfig()
-    if unit.drift_deg_h is not None:
-        yaw, roll, pitch = unit.drift_deg_h
-        drift = {"yaw_drift_deg_h": yaw, "roll_drift_deg_h": roll, "pitch_drift_deg_h": pitch}
-        config = replace(config, robust=replace(config.robust, **drift))
-    return config
 
 
 @dataclass
@@ -200,7 +212,7 @@ def _product(epoch_us: int, counter: int, decision: ControllerOutput) -> dict[st
 def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> FlownRun:
     """Fly to the end of the story."""
     truth: list[SpacecraftTruth] = []
-    estimates, inhibited, faded = [], [], []
+    estimates, inhibited, faded, reasons = [], [], [], Counter[str]()
     impulse, reported, sent = np.zeros(3), dict.fromkeys(STATES, 0), 0
     nothing = (np.nan,) * 3
     for row in plant.rows():
@@ -214,18 +226,16 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, un
         if row.power_dbm is not None:
             decision = controller.decide(journal.measurement(row), row.truth, sent + 1)
             angles, is_inhibited = decision.attitude_deg, decision.is_inhibited
-            if unit.mode == "onboard":
-                first_us = truth[0].epoch_us if truth else row.truth.epoch_us
-                silent_h = (row.truth.epoch_us - first_us) / 3.6e9 - unit.silence_h[0]
-                announced = (
-                    None if 0.0 <= silent_h < unit.silence_h[1] else _product(row.truth.epoch_us, sent + 1, decision)
-                )
-                sent += announced is not None
-                plant.send((), None, announced)
+            reasons.update(decision.reasons)
+            first_us = truth[0].epoch_us if truth else row.truth.epoch_us
+            silent_h = (row.truth.epoch_us - first_us) / 3.6e9 - unit.silence_h[0]
+            is_silent, is_onboard = 0.0 <= silent_h < unit.silence_h[1], unit.mode == "onboard"
+            announced = _product(row.truth.epoch_us, sent + 1, decision) if is_onboard and not is_silent else None
+            sent += bool(announced or decision.schedule)
+            schedule = () if is_silent else decision.schedule
+            plant.send(schedule, sent if schedule else None, announced)
+            if is_onboard:
                 is_inhibited = row.truth.is_holding
-            else:
-                sent += bool(decision.schedule)
-                plant.send(decision.schedule, sent if decision.schedule else None)
         truth.append(row.truth)
         estimates.append(nothing if angles is None else tuple(angles))
         inhibited.append(is_inhibited)
@@ -240,4 +250,5 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, un
         impulse_n_m_s=(float(impulse[0]), float(impulse[1]), float(impulse[2])),
         sent=sent,
         reported=reported,
+        reasons=dict(reasons.most_common()),
     )

@@ -53,7 +53,7 @@ ANGLES = {
 
 def played(text: str, scenario: Scenario = SHORT, options: PlantOptions | None = None) -> list[dict]:
     sink = io.StringIO()
-    assert run_plant(scenario, 1, 1.0, io.StringIO(text), sink, options) == 0
+    assert run_plant(Plant(scenario, 1, 1.0, options), io.StringIO(text), sink) == 0
     return [json.loads(line) for line in sink.getvalue().splitlines()]
 
 

@@ -284,9 +284,11 @@ def _with_findings(
     """Return the used row after what it found: motion of its own, commands that are not obeyed, failed carriers."""
     gaussian, motion, command = used.gaussian, used.motion, used.command
     # a torque that was called small, about a spacecraft that is turned by torques, explains motion as one that was not
-    is_small = torque_size_deg_h2(settings) < np.array(settings.unknown_torque_deg_h2)
+    unknown_deg_h2 = np.array(settings.unknown_torque_deg_h2)
+    is_small = torque_size_deg_h2(settings) < unknown_deg_h2
     is_explained = is_pushed(settings) and (not is_small.any() or command.is_by_torque)
-    unproven = is_small & is_explained & (not motion.alarms.any())
+    # one that nobody knows may have changed, as at the edge of a shadow
+    unproven = (unknown_deg_h2 > 0.0) & is_explained & (not motion.alarms.any())
     if used.is_moving:
         motion = with_alarms(motion, is_pushed=is_explained)
         axes = newly_explained(freed.motion, motion)

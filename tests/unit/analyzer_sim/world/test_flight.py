@@ -231,6 +231,34 @@ def test_a_torque_that_nobody_knows_has_its_size_and_is_not_announced(name: str,
     assert fed_forward_line(World(story, seed)) is None
 
 
+@pytest.mark.parametrize("seed", range(1, 19))
+def test_the_varied_plant_differs_from_its_catalogue_as_far_as_it_may(seed: int) -> None:
+    story = scenario_named("plant_varied", seed=seed)
+    residual, period_s = story.keeping.residual, story.row_period_s
+    epochs_us = story.operation_start_us + round(period_s * 1e6) * np.arange(round(86_400.0 / period_s))
+    calm = replace(story, keeping=replace(story.keeping, residual=replace(residual, kick_n_m_s=0.0)))
+    torque = disturbance(calm, seed, epochs_us).unseen_n_m
+    impulse = (disturbance(story, seed, epochs_us).unseen_n_m - torque) * period_s
+    size_n_m = np.abs(torque).max(axis=0)
+    assert ((size_n_m > 1.99e-7) & (size_n_m <= 2e-6)).all()
+    # by 5e-4 N m s about each axis, twice a day
+    kicked = epochs_us % 43_200_000_000 == 0
+    assert kicked.sum() == 2
+    np.testing.assert_allclose(np.abs(impulse), np.where(kicked, 5e-4, 0.0)[:, None] * np.ones(3), atol=1e-12)
+    dark_h = (torque == 0.0).all(axis=1).sum() * period_s / 3600.0
+    assert dark_h == pytest.approx(1.2 if residual.shape == "eclipse" else 0.0, abs=period_s / 3600.0)
+    moves = size_n_m > 1.5 * np.abs(torque.mean(axis=0))
+    assert moves.all() if residual.shape == "daily" else not moves.any()
+    stated = np.diag(spacecraft_body(World(replace(story, quiet_h=1.0, operation_h=0.1), seed))["inertia_kg_m2"])
+    assert (np.abs(stated / np.array(INERTIA_KG_M2) - 1.0) <= 0.1).all()
+    assert 60.0 <= story.keeping.slowest_uplink_s <= 900.0
+
+
+def test_seeds_of_the_varied_plant_have_each_shape_with_each_row_period() -> None:
+    stories = [scenario_named("plant_varied", seed=seed) for seed in range(18)]
+    assert len({(story.keeping.residual.shape, story.row_period_s) for story in stories}) == 18
+
+
 S = 1_000_000
 FLOWN_INERTIA = np.array(INERTIA_KG_M2)
 

@@ -263,9 +263,9 @@ UNIT = LoopUnit("nominal", 3, Sensing.AUTOMATIC, "link", 0.5, (0.1, 0.2, 0.3))
 def flight():
     rng = np.random.default_rng(1)
     flags = rng.uniform(size=5) < 0.5
-    return FlownRun(
-        np.arange(5.0), rng.normal(size=(5, 3)), np.full((5, 3), np.nan), flags, ~flags, (0.1, 0.2, 0.3), 7, {"late": 1}
-    )
+    truth_deg, estimate_deg = rng.normal(size=(5, 3)), np.full((5, 3), np.nan)
+    counts = {"late": 1}, {"fade": 2}
+    return FlownRun(np.arange(5.0), truth_deg, estimate_deg, flags, ~flags, (0.1, 0.2, 0.3), 7, *counts)
 
 
 def test_a_flight_comes_back_as_it_was_kept(tmp_path):
@@ -276,10 +276,11 @@ def test_a_flight_comes_back_as_it_was_kept(tmp_path):
     for name in ("hours", "truth_deg", "estimate_deg", "is_inhibited", "is_faded"):
         np.testing.assert_array_equal(getattr(again.flight, name), getattr(result.flight, name))
     assert (again.flight.impulse_n_m_s, again.flight.sent, again.flight.reported) == ((0.1, 0.2, 0.3), 7, {"late": 1})
+    assert again.flight.reasons == {"fade": 2}
     assert not list((tmp_path / "new").glob("*.half"))
 
 
-@pytest.mark.parametrize("changes", [{"operation_days": 1.0}, {"uplink": "ideal"}, {"drift_deg_h": None}])
+@pytest.mark.parametrize("changes", [{"operation_days": 1.0}, {"uplink": "ideal"}, {"residual_torque_n_m": 6.3e-7}])
 def test_a_unit_of_another_setting_is_not_there(tmp_path, changes):
     keep(tmp_path, LoopResult(UNIT, 1.0, "no calibration"))
     assert kept(tmp_path, UNIT._replace(**changes)) is None
@@ -333,6 +334,7 @@ def settled_flight(largest_deg=(0.1, 0.1, 0.1), faded_rows=(0, 0), settles_at=0,
         impulse_n_m_s=(0.01, 0.02, 0.03),
         sent=3,
         reported={"executed": 3},
+        reasons={},
     )
 
 
