@@ -10,7 +10,6 @@ from functools import lru_cache
 import numpy as np
 
 from service.core.estimation.noise_model import averaged_sigma_db
-from service.core.estimation.paper.loop_observer import LinearFix, linear_fix
 from service.core.estimation.paper.octants import OctantFix, predict_deviation_db
 from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.pipeline.config import EstimationConfig
@@ -89,13 +88,6 @@ def solve_attitude(
         int(np.count_nonzero(is_used)),
         _exclusions(model, outcome.reason),
     )
-
-
-def linear_solution(deviation_db: FloatArray, fix: AttitudeFix, model: SensitivityModel) -> LinearFix | None:
-    """Return the fix of the same deviation by the carriers of a fix, each angle with one slope for both signs."""
-    excluded = {item.carrier for item in fix.excluded}
-    is_used = model.is_selected & np.array([name not in excluded for name in model.carrier_ids])
-    return linear_fix(deviation_db, model.plus_db_per_deg, model.minus_db_per_deg, is_used)
 
 
 @lru_cache(maxsize=256)

@@ -38,7 +38,8 @@ class Bench:
         self.knowledge = Knowledge()
         for content in synthetic.opening(payload.spacecraft()):
             self.knowledge = update(self.knowledge, content, self.documents)
-        self.model = paper_model(self.knowledge, self.documents.calibration(1), CONFIG)
+        self.plan = self.knowledge.plan
+        self.model = paper_model(self.knowledge, self.plan, self.documents.calibration(1), CONFIG)
         loop = initial_loop(self.knowledge.alignment, self.model.loop)
         self.state = initial_state(len(payload.ids), CONFIG, loop)
 
@@ -72,9 +73,9 @@ def bench(payload):
 
 def test_no_model_without_calibration_ephemeris_or_alignment(bench):
     aligned_with = bench.documents.calibration(1)
-    assert paper_model(replace(bench.knowledge, active={}), aligned_with, CONFIG) is None
-    assert paper_model(replace(bench.knowledge, ephemeris=None), aligned_with, CONFIG) is None
-    assert paper_model(replace(bench.knowledge, alignment=None), aligned_with, CONFIG) is None
+    assert paper_model(replace(bench.knowledge, active={}), bench.plan, aligned_with, CONFIG) is None
+    assert paper_model(replace(bench.knowledge, ephemeris=None), bench.plan, aligned_with, CONFIG) is None
+    assert paper_model(replace(bench.knowledge, alignment=None), bench.plan, aligned_with, CONFIG) is None
 
 
 def test_the_method_settles_and_then_tells_the_exact_attitude(bench):
