@@ -127,7 +127,7 @@ def fade_sign_test(
     deviation_db: FloatArray,
     *,
     depth_db: float = 0.3,
-    share: float = 0.9,
+    share: float = 0.8,
     spread_ratio: float = 0.5,
     fix_residual_db: FloatArray | None = None,
 ) -> FadeTest:
@@ -196,7 +196,7 @@ def step_fade_watch(
     test: FadeTest,
     *,
     depth_db: float = 0.3,
-    stop_after_s: float = 180.0,
+    stop_after_s: float = 300.0,
     return_after_s: float = 600.0,
     max_gap_s: float = 300.0,
 ) -> FadeWatch:

@@ -28,15 +28,16 @@ from service.core.estimation.filtering.model.torque_prior import TORQUES, torque
 #: places of torques and of the error of fixes
 TORQUE = slice(RATE.stop, RATE.stop + TORQUES)
 ERROR = slice(TORQUE.stop, TORQUE.stop + 3)
-#: what levels have wrong for long, each one by itself, dB, and for how long, h: means of two hours are wrong by 0.12 dB
-#: on the plant outside, and 0.08 of it in common
-_LASTING_DB = 0.12
+#: the least that levels have wrong for long, each one by itself, dB, and for how long, h: means of two hours are wrong
+#: by 0.12 dB on the plant outside, and 0.08 of it in common
+_LASTING_DB = 0.1
 _LASTING_H = 24.0
 #: variance of what levels have wrong in common over that of each one
 _COMMON_VARIANCE = 0.5
 #: fewest carriers of a fix
 _MIN_CARRIERS = 4
-_MAX_CONDITION = 1e6
+#: dB^2/deg^2, an axis of which levels tell less counts as zero within 50 deg/dB: stations in one place tell no yaw
+_LEAST_INFORMATION = 50.0**-2
 _CALM = (False, False, False)
 _NONE = np.zeros(0)
 _NO_CARRIERS = CarrierModel(
@@ -116,20 +117,26 @@ def linear_fix(level_db: FloatArray, slope: FloatArray, is_used: BoolArray) -> L
     is_used = is_used & np.isfinite(slope).all(axis=1) & np.isfinite(level_db)
     own, count = slope[is_used], np.count_nonzero(is_used)
     weight = np.eye(count) - _COMMON_VARIANCE / (1.0 + count * _COMMON_VARIANCE)
-    normal = own.T @ weight @ own
-    if count < _MIN_CARRIERS or np.linalg.cond(normal) > _MAX_CONDITION:
+    if count < _MIN_CARRIERS:
         return None
-    unit_covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    information, axes = np.linalg.eigh(own.T @ weight @ own)
+    unit_covariance = np.asarray((axes / np.maximum(information, _LEAST_INFORMATION)) @ axes.T, dtype=np.float64)
     angles_deg = unit_covariance @ (own.T @ weight @ level_db[is_used])
     residual_db = level_db[is_used] - own @ angles_deg
     scatter_db = math.sqrt(float(residual_db @ weight @ residual_db) / (count - 3))
     return LinearFix(angles_deg, unit_covariance, scatter_db)
 
 
-def loop_model(motion: FilterSettings, slope: FloatArray, is_used: BoolArray) -> LoopModel:
-    """Return the model for the carriers of a calibration; of too few nothing is known of fixes."""
+def loop_model(
+    motion: FilterSettings, slope: FloatArray, is_used: BoolArray, coloured_db: float = _LASTING_DB
+) -> LoopModel:
+    """Return the model for the carriers of a calibration, whose levels had a coloured noise on quiet days.
+
+    Of too few carriers nothing is known of fixes.
+    """
     fix = linear_fix(np.zeros(len(slope)), slope, is_used)
-    return LoopModel(motion, slope, is_used, np.zeros((3, 3)) if fix is None else _LASTING_DB**2 * fix.unit_covariance)
+    lasting_db = max(_LASTING_DB, coloured_db)
+    return LoopModel(motion, slope, is_used, np.zeros((3, 3)) if fix is None else lasting_db**2 * fix.unit_covariance)
 
 
 def initial_estimate(epoch_us: int, attitude_deg: FloatArray, sigma_deg: FloatArray, model: LoopModel) -> LoopEstimate:

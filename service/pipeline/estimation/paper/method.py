@@ -121,7 +121,9 @@ def _loop_model(
         sensitivity.minus_db_per_deg,
         *_directions_deg(sensitivity.carrier_ids, spacecraft, plan),
     )
-    return loop_model(_motion(spacecraft, config), slope, sensitivity.is_selected)
+    coloured_db = np.sqrt(np.square(sensitivity.sigma_coloured_db).sum(axis=1))[sensitivity.is_selected]
+    usual_db = float(np.median(coloured_db)) if len(coloured_db) else 0.0
+    return loop_model(_motion(spacecraft, config), slope, sensitivity.is_selected, usual_db)
 
 
 def _directions_deg(carrier_ids: tuple[str, ...], spacecraft: Spacecraft | None, plan: CarrierPlan) -> AntennaDirection:

@@ -90,6 +90,15 @@ def test_a_fix_tells_angles_and_hardly_feels_what_all_levels_have_in_common():
     np.testing.assert_array_less(np.abs(fade.angles_deg - angles), 0.4 * np.abs(plain))
 
 
+def test_stations_in_one_place_tell_roll_and_pitch_and_no_yaw():
+    slopes = loop_slopes(TURNED, TURNED, np.full(16, 3.0), np.full(16, 8.0))
+    fix = linear_fix(slopes @ [0.0, 0.2, -0.1], slopes, ALL)
+    np.testing.assert_allclose(fix.angles_deg, [0.0, 0.2, -0.1], atol=0.05)
+    yaw, roll, pitch = np.sqrt(np.diag(fix.unit_covariance))
+    assert yaw > 40.0
+    assert max(roll, pitch) < 10.0
+
+
 @pytest.mark.parametrize("carriers", [0, 3])
 def test_too_few_carriers_make_no_fix(carriers):
     levels = np.where(np.arange(16) < carriers, 0.1, math.nan)
