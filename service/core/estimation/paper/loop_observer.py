@@ -115,7 +115,7 @@ def linear_fix(level_db: FloatArray, slope: FloatArray, is_used: BoolArray) -> L
     Levels are wrong by an error of their own and by one that all have in common: the receiving chain, a wet feed.
     """
     is_used = is_used & np.isfinite(slope).all(axis=1) & np.isfinite(level_db)
-    own, count = slope[is_used], np.count_nonzero(is_used)
+    own, count = slope[is_used], int(np.count_nonzero(is_used))
     weight = np.eye(count) - _COMMON_VARIANCE / (1.0 + count * _COMMON_VARIANCE)
     if count < _MIN_CARRIERS:
         return None

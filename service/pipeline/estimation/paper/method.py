@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.paper import downlink_fade
 from service.core.estimation.paper.downlink_fade import (
     FadeTest,
@@ -115,35 +114,31 @@ def paper_model(
 def _loop_model(
     sensitivity: SensitivityModel, spacecraft: Spacecraft | None, plan: CarrierPlan, config: RobustConfig
 ) -> LoopModel:
-    """Return the model of the loop; its carriers stand in the order of the calibration."""
-    slope = loop_slopes(
-        sensitivity.plus_db_per_deg,
-        sensitivity.minus_db_per_deg,
-        *_directions_deg(sensitivity.carrier_ids, spacecraft, plan),
-    )
-    coloured_db = np.sqrt(np.square(sensitivity.sigma_coloured_db).sum(axis=1))[sensitivity.is_selected]
-    usual_db = float(np.median(coloured_db)) if len(coloured_db) else 0.0
-    return loop_model(_motion(spacecraft, config), slope, sensitivity.is_selected, usual_db)
-
-
-def _directions_deg(carrier_ids: tuple[str, ...], spacecraft: Spacecraft | None, plan: CarrierPlan) -> AntennaDirection:
-    """Return where the satellite sees the stations of some carriers; NaN where it does not."""
-    stations = {carrier.id: carrier.station for carrier in plan.carriers}
-    places = np.array(
-        [(s.longitude_deg, s.latitude_deg) if (s := stations.get(name)) else (np.nan,) * 2 for name in carrier_ids]
-    ).reshape(-1, 2)
-    longitude_deg = math.nan if spacecraft is None else spacecraft.longitude_deg
-    return station_direction(places[:, 0], places[:, 1], np.zeros(len(places)), longitude_deg)
-
-
-def _motion(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
-    """Return how the spacecraft moves; a torque that was called small would hold the estimate where nobody is.
+    """Return the model of the loop; a torque that was called small would hold the estimate where nobody is.
 
     The robust filter looks for a greater torque when motion contradicts the statement. Nothing does here.
     """
     motion = motion_settings(spacecraft, config)
     yaw, roll, pitch = map(max, motion.torque_deg_h2, motion.unknown_torque_deg_h2)
-    return motion._replace(torque_deg_h2=(yaw, roll, pitch))
+    direction = _station_directions(sensitivity.carrier_ids, spacecraft, plan)
+    slope = loop_slopes(sensitivity.plus_db_per_deg, sensitivity.minus_db_per_deg, *direction)
+    is_used = sensitivity.is_selected
+    coloured_db = np.sqrt(np.square(sensitivity.sigma_coloured_db).sum(axis=1))[is_used]
+    usual_db = float(np.median(coloured_db)) if len(coloured_db) else 0.0
+    return loop_model(motion._replace(torque_deg_h2=(yaw, roll, pitch)), slope, is_used, usual_db)
+
+
+def _station_directions(
+    carrier_ids: tuple[str, ...], spacecraft: Spacecraft | None, plan: CarrierPlan
+) -> AntennaDirection:
+    """Return where the satellite sees the stations of some carriers; NaN where it does not."""
+    stations = {carrier.id: carrier.station for carrier in plan.carriers}
+    places = [
+        (s.longitude_deg, s.latitude_deg) if (s := stations.get(name)) else (math.nan,) * 2 for name in carrier_ids
+    ]
+    longitude_deg, latitude_deg = np.array(places).reshape(-1, 2).T
+    subsatellite_deg = math.nan if spacecraft is None else spacecraft.longitude_deg
+    return station_direction(longitude_deg, latitude_deg, np.zeros(len(places)), subsatellite_deg)
 
 
 def initial_state(carriers: int, config: ChainConfig, loop: LoopState) -> PaperState:
@@ -264,8 +259,7 @@ def _step_loop(state: PaperState, model: PaperModel, fix: AttitudeFix, config: C
     span_s = float(epochs_us[-1] - epochs_us[0]) / US_PER_S
     rows = RowsOfMean(fix.epoch_us, span_s, max(1.0, span_s / max(1, len(epochs_us) - 1)))
     is_enough = len(epochs_us) >= config.estimation.min_rows
-    excluded = {item.carrier for item in fix.excluded}
-    is_used = model.loop.is_used & np.array([name not in excluded for name in model.sensitivity.carrier_ids])
+    is_used = model.loop.is_used & ~np.isin(model.sensitivity.carrier_ids, [item.carrier for item in fix.excluded])
     linear = linear_fix(_mean_db(state, config), model.loop.slope_db_per_deg, is_used) if is_enough else None
     return loop_with_fix(state.loop, linear, rows, model.loop, config)
 

@@ -126,7 +126,7 @@ def _common_covariance_deg2(
     slope = np.where(attitude_deg < 0.0, model.minus_db_per_deg, model.plus_db_per_deg)[is_used]
     common_db = np.full(len(slope), np.median(deviation_db[is_used]))
     turned_deg = np.linalg.lstsq(slope, common_db, rcond=None)[0]
-    return np.multiply.outer(turned_deg, turned_deg)
+    return np.asarray(np.outer(turned_deg, turned_deg))
 
 
 def _exclusions(model: SensitivityModel, reason: IntArray) -> tuple[Exclusion, ...]:
