@@ -24,6 +24,7 @@ from service.core.estimation.filtering.model.filter_model import (
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, RATE, RATE_FLOOR_DEG_H
 from service.core.estimation.filtering.model.step_inputs import step_inputs
 from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
+from service.core.estimation.paper.downlink_fade import SIGMA_OF_MAD
 
 #: places of torques and of the error of fixes
 TORQUE = slice(RATE.stop, RATE.stop + TORQUES)
@@ -34,6 +35,8 @@ _LASTING_DB = 0.1
 _LASTING_H = 24.0
 #: variance of what levels have wrong in common over that of each one
 _COMMON_VARIANCE = 0.5
+#: least squares again, each with the weights that the one before leaves
+_REWEIGHTINGS = 3
 #: fewest carriers of a fix
 _MIN_CARRIERS = 4
 #: dB^2/deg^2, an axis of which levels tell less counts as zero within 50 deg/dB: stations in one place tell no yaw
@@ -112,19 +115,31 @@ def loop_slopes(plus: FloatArray, minus: FloatArray, azimuth_deg: FloatArray, el
 def linear_fix(level_db: FloatArray, slope: FloatArray, is_used: BoolArray) -> LinearFix | None:
     """Return the least squares fix of level changes (N,) by slopes (N, 3); fewer than four carriers make none.
 
-    Levels are wrong by an error of their own and by one that all have in common: the receiving chain, a wet feed.
+    Levels are wrong by an error of their own and by one that all have in common: the receiving chain, a wet feed. Users
+    change their levels for good, so a carrier far from the others counts less, as its square.
     """
     is_used = is_used & np.isfinite(slope).all(axis=1) & np.isfinite(level_db)
     own, count = slope[is_used], int(np.count_nonzero(is_used))
-    weight = np.eye(count) - _COMMON_VARIANCE / (1.0 + count * _COMMON_VARIANCE)
     if count < _MIN_CARRIERS:
         return None
+    level_db = level_db[is_used]
+    fix, apart_db = _weighted_fix(own, level_db, np.ones(count))
+    for _ in range(_REWEIGHTINGS):
+        near_db = 2.0 * max(_LASTING_DB, SIGMA_OF_MAD * float(np.median(apart_db)))
+        fix, apart_db = _weighted_fix(own, level_db, np.square(near_db / np.maximum(apart_db, near_db)))
+    return fix
+
+
+def _weighted_fix(own: FloatArray, level_db: FloatArray, share: FloatArray) -> tuple[LinearFix, FloatArray]:
+    """Return the fix of levels (N,) by slopes (N, 3) under weights (N,), and how far each is from the others, dB."""
+    weight = np.linalg.inv(np.diag(1.0 / share) + _COMMON_VARIANCE)
     information, axes = np.linalg.eigh(own.T @ weight @ own)
     unit_covariance = np.asarray((axes / np.maximum(information, _LEAST_INFORMATION)) @ axes.T, dtype=np.float64)
-    angles_deg = unit_covariance @ (own.T @ weight @ level_db[is_used])
-    residual_db = level_db[is_used] - own @ angles_deg
-    scatter_db = math.sqrt(float(residual_db @ weight @ residual_db) / (count - 3))
-    return LinearFix(angles_deg, unit_covariance, scatter_db)
+    angles_deg = unit_covariance @ (own.T @ weight @ level_db)
+    residual_db = level_db - own @ angles_deg
+    scatter_db = math.sqrt(float(residual_db @ weight @ residual_db) / (len(own) - 3))
+    apart_db = np.asarray(np.abs(residual_db - np.median(residual_db)), dtype=np.float64)
+    return LinearFix(angles_deg, unit_covariance, scatter_db), apart_db
 
 
 def loop_model(

@@ -90,6 +90,14 @@ def test_a_fix_tells_angles_and_hardly_feels_what_all_levels_have_in_common():
     np.testing.assert_array_less(np.abs(fade.angles_deg - angles), 0.4 * np.abs(plain))
 
 
+def test_a_level_that_its_user_changed_hardly_turns_a_fix():
+    angles, changed = np.array([0.3, 0.2, -0.1]), np.zeros(16)
+    changed[4] = 1.5
+    plain = np.linalg.lstsq(SLOPES, changed, rcond=None)[0]
+    fix = linear_fix(SLOPES @ angles + changed, SLOPES, ALL)
+    np.testing.assert_array_less(np.abs(fix.angles_deg - angles), 0.3 * np.abs(plain) + 0.01)
+
+
 def test_stations_in_one_place_tell_roll_and_pitch_and_no_yaw():
     slopes = loop_slopes(TURNED, TURNED, np.full(16, 3.0), np.full(16, 8.0))
     fix = linear_fix(slopes @ [0.0, 0.2, -0.1], slopes, ALL)
