@@ -164,9 +164,9 @@ def test_the_published_method_loses_nothing_in_twelve_hours(ground):
 @pytest.mark.parametrize("stated_n_m", [None, 0.0])
 @pytest.mark.parametrize("seed", [1, 3, 5, 6])
 def test_the_published_method_holds_roll_and_pitch_for_twelve_hours(ground, seed, stated_n_m):
-    """Yaw shows in roll alone, which a torque about roll hides: it may leave 8 deg within two days."""
+    """The powers of this world tell yaw by 0.03 dB/deg, and a torque about roll hides it."""
     flight = flown(ground, RigidPlant(seed, residual_torque(seed)), 12.0, stated_n_m=stated_n_m, method="paper")
-    held(flight, 720, 6.5, level_deg=0.4)
+    held(flight, 720, 3.0, level_deg=0.3)
 
 
 @pytest.mark.nightly

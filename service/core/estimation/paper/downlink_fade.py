@@ -110,7 +110,7 @@ class FadeWatch(NamedTuple):
     is_stopped : bool
         Control is stopped because of a fade.
     wet_s : float, s
-        How long the condition has stood without a break.
+        How long the condition has stood without a break; a change of twice the depth counts twice.
     dry_s : float, s
         How long the median has been above minus the depth without a break.
     blind_s : float, s
@@ -213,7 +213,7 @@ def step_fade_watch(
     depth_db : float, dB
         The depth with which the test was made.
     stop_after_s, return_after_s : float, s
-        How long the condition must stand, and how long it must be dry.
+        How long the condition must stand at the depth, a deeper change for less, and how long it must be dry.
     max_gap_s : float, s
         Time without a judged row above this starts both counters again and adds nothing to them. A standing stop stays:
         a gap is no evidence of dry weather.
@@ -236,7 +236,7 @@ def step_fade_watch(
         return state._replace(blind_s=elapsed_s)
     is_gap = elapsed_s > max_gap_s
     wet_before_s, dry_before_s, elapsed_s = (0.0, 0.0, 0.0) if is_gap else (state.wet_s, state.dry_s, elapsed_s)
-    wet_s = wet_before_s + elapsed_s if test.is_fade else 0.0
+    wet_s = wet_before_s + elapsed_s * abs(test.median_db) / depth_db if test.is_fade else 0.0
     dry_s = dry_before_s + elapsed_s if test.median_db > -depth_db else 0.0
     is_stopped = dry_s < return_after_s if state.is_stopped else wet_s >= stop_after_s
     return FadeWatch(is_stopped, wet_s, dry_s)

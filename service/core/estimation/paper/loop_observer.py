@@ -1,6 +1,6 @@
 """Observer of the published loop: fixes of the paper method carried on by the dynamics of the spacecraft.
 
-    x = [yaw roll pitch | 3 drifts | 3 commanded rates | 9 torques | 2 errors of fixes]
+    x = [yaw roll pitch | 3 drifts | 3 commanded rates | 9 torques | 3 errors of fixes]
                                                             deg, deg/h, deg/h^2 as in `hidden_motion`, deg
 
 A fix is late by half of its mean, its slope is no rate, and it is wrong by the same for a day: levels drift. What moves
@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.calibration.geometry_columns import displacement_matrix
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     RATE,
@@ -25,17 +26,23 @@ from service.core.estimation.filtering.model.filter_model import (
 )
 from service.core.estimation.filtering.model.step_inputs import step_inputs
 from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
+from service.core.estimation.paper.downlink_fade import SIGMA_OF_MAD
 
 #: places of torques and of the error of fixes
 TORQUE = slice(RATE.stop, RATE.stop + TORQUES)
-ERROR = slice(TORQUE.stop, TORQUE.stop + 2)
-#: what levels have wrong for long, dB, and for how long, h: means of six hours of fixes in the study's worlds are wrong
-#: by 0.2 to 0.8 deg in yaw, 0.03 in roll, 0.04 to 0.14 in pitch, which is 0.2 dB by their geometry
-_LASTING_DB = 0.2
+ERROR = slice(TORQUE.stop, TORQUE.stop + 3)
+#: the least that levels have wrong for long, each one by itself, dB, and for how long, h: means of two hours are wrong
+#: by 0.12 dB on the plant outside, and 0.08 of it in common
+_LASTING_DB = 0.1
 _LASTING_H = 24.0
+#: variance of what levels have wrong in common over that of each one
+_COMMON_VARIANCE = 0.5
+#: least squares again, each with the weights that the one before leaves
+_REWEIGHTINGS = 3
 #: fewest carriers of a fix
 _MIN_CARRIERS = 4
-_MAX_CONDITION = 1e6
+#: dB^2/deg^2, an axis of which levels tell less counts as zero within 50 deg/dB: stations in one place tell no yaw
+_LEAST_INFORMATION = 50.0**-2
 _CALM = (False, False, False)
 _NONE = np.zeros(0)
 _NO_CARRIERS = CarrierModel(
@@ -54,14 +61,19 @@ _NO_CARRIERS = CarrierModel(
 
 
 class LoopModel(NamedTuple):
-    """Motion of the spacecraft, and the covariance (2, 2) of what fixes have wrong for long, deg^2."""
+    """Motion of the spacecraft, slopes (N, 3) of its carriers, dB/deg, and which (N,) make fixes.
+
+    What fixes have wrong for long has a covariance (3, 3), deg^2.
+    """
 
     motion: FilterSettings
+    slope_db_per_deg: FloatArray
+    is_used: BoolArray
     lasting_deg2: FloatArray
 
 
 class LoopEstimate(NamedTuple):
-    """Mean (20,) and covariance (20, 20) at an epoch."""
+    """Mean (21,) and covariance (21, 21) at an epoch."""
 
     epoch_us: int
     mean: FloatArray
@@ -69,61 +81,79 @@ class LoopEstimate(NamedTuple):
 
 
 class LinearFix(NamedTuple):
-    """Roll and pitch of some levels, with what yaw does to them.
+    """Angles of some levels.
 
     Parameters
     ----------
-    angles_deg : ndarray, shape (2,), deg
-        Roll and pitch, if yaw were zero.
-    response : ndarray, shape (2, 3), deg/deg
-        Of these numbers to yaw, roll and pitch.
-    unit_covariance : ndarray, shape (2, 2), deg^2/dB^2
+    angles_deg : ndarray, shape (3,), deg
+        Yaw, roll, pitch.
+    unit_covariance : ndarray, shape (3, 3), deg^2/dB^2
         For a noise of 1 dB of each level.
     scatter_db : float, dB
-        What the levels differ by from any roll and pitch, rms.
+        What the levels differ by from any angles, rms.
     """
 
     angles_deg: FloatArray
-    response: FloatArray
     unit_covariance: FloatArray
     scatter_db: float
 
 
-def linear_fix(level_db: FloatArray, plus: FloatArray, minus: FloatArray, is_used: BoolArray) -> LinearFix | None:
-    """Return the least squares fix of level changes (N,) by the slope in the middle of both signs.
+def loop_slopes(plus: FloatArray, minus: FloatArray, azimuth_deg: FloatArray, elevation_deg: FloatArray) -> FloatArray:
+    """Return the slopes (N, 3) in the middle of both signs, dB/deg, those of yaw by the places of the stations.
 
     The published system lets each angle choose its sign, which is right at the reach of the turns; in a loop angles are
-    small. Its yaw is left out: what a calibration tells of yaw beside roll and pitch is mostly noise of the turns, so
-    that a fix shows an eighth to a quarter of the true yaw (plant outside, seeds 101 and 102). What yaw does to roll
-    and pitch it tells well: through a tenth of it the stations seem to move.
-
-    Parameters
-    ----------
-    level_db : ndarray, shape (N,), dB
-        Changes of the levels.
-    plus, minus : ndarray, shape (N, 3), dB/deg
-        Sensitivities for positive and negative angles.
-    is_used : ndarray, shape (N,)
-        Which carriers take part; fewer than four make no fix.
+    small. Yaw moves a station in the frame of the antenna as pitch and roll do, by its direction: so its column follows
+    from theirs to 0.04 dB/deg, where the turns tell it to 0.10 (plant outside). A carrier whose station has no
+    direction (NaN) has no slope of yaw and takes no part, unless too few others have one.
     """
     slope = 0.5 * (plus + minus)
+    moved = displacement_matrix(azimuth_deg, elevation_deg)
+    yaw = np.einsum("nj,njk,nk->n", moved[..., 0], np.linalg.inv(np.swapaxes(moved[..., 1:], 1, 2)), slope[:, 1:])
+    if np.count_nonzero(np.isfinite(yaw)) >= _MIN_CARRIERS:
+        slope[:, 0] = yaw
+    return slope
+
+
+def linear_fix(level_db: FloatArray, slope: FloatArray, is_used: BoolArray) -> LinearFix | None:
+    """Return the least squares fix of level changes (N,) by slopes (N, 3); fewer than four carriers make none.
+
+    Levels are wrong by an error of their own and by one that all have in common: the receiving chain, a wet feed. Users
+    change their levels for good, so a carrier far from the others counts less, as its square.
+    """
     is_used = is_used & np.isfinite(slope).all(axis=1) & np.isfinite(level_db)
-    own = slope[is_used, 1:]
-    normal = own.T @ own
-    if np.count_nonzero(is_used) < _MIN_CARRIERS or np.linalg.cond(normal) > _MAX_CONDITION:
+    own, count = slope[is_used], int(np.count_nonzero(is_used))
+    if count < _MIN_CARRIERS:
         return None
-    unit_covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
-    solution = unit_covariance @ own.T
-    angles_deg = solution @ level_db[is_used]
-    residual_db = level_db[is_used] - own @ angles_deg
-    scatter_db = math.sqrt(float(residual_db @ residual_db) / (len(residual_db) - 2))
-    return LinearFix(angles_deg, solution @ slope[is_used], unit_covariance, scatter_db)
+    level_db = level_db[is_used]
+    fix, apart_db = _weighted_fix(own, level_db, np.ones(count))
+    for _ in range(_REWEIGHTINGS):
+        near_db = 2.0 * max(_LASTING_DB, SIGMA_OF_MAD * float(np.median(apart_db)))
+        fix, apart_db = _weighted_fix(own, level_db, np.square(near_db / np.maximum(apart_db, near_db)))
+    return fix
 
 
-def loop_model(motion: FilterSettings, plus: FloatArray, minus: FloatArray, is_used: BoolArray) -> LoopModel:
-    """Return the model for the carriers of a calibration; of too few nothing is known of fixes."""
-    fix = linear_fix(np.zeros(len(plus)), plus, minus, is_used)
-    return LoopModel(motion, np.zeros((2, 2)) if fix is None else _LASTING_DB**2 * fix.unit_covariance)
+def _weighted_fix(own: FloatArray, level_db: FloatArray, share: FloatArray) -> tuple[LinearFix, FloatArray]:
+    """Return the fix of levels (N,) by slopes (N, 3) under weights (N,), and how far each is from the others, dB."""
+    weight = np.linalg.inv(np.diag(1.0 / share) + _COMMON_VARIANCE)
+    information, axes = np.linalg.eigh(own.T @ weight @ own)
+    unit_covariance = np.asarray((axes / np.maximum(information, _LEAST_INFORMATION)) @ axes.T, dtype=np.float64)
+    angles_deg = unit_covariance @ (own.T @ weight @ level_db)
+    residual_db = level_db - own @ angles_deg
+    scatter_db = math.sqrt(float(residual_db @ weight @ residual_db) / (len(own) - 3))
+    apart_db = np.asarray(np.abs(residual_db - np.median(residual_db)), dtype=np.float64)
+    return LinearFix(angles_deg, unit_covariance, scatter_db), apart_db
+
+
+def loop_model(
+    motion: FilterSettings, slope: FloatArray, is_used: BoolArray, coloured_db: float = _LASTING_DB
+) -> LoopModel:
+    """Return the model for the carriers of a calibration, whose levels had a coloured noise on quiet days.
+
+    Of too few carriers nothing is known of fixes.
+    """
+    fix = linear_fix(np.zeros(len(slope)), slope, is_used)
+    lasting_db = max(_LASTING_DB, coloured_db)
+    return LoopModel(motion, slope, is_used, np.zeros((3, 3)) if fix is None else lasting_db**2 * fix.unit_covariance)
 
 
 def initial_estimate(epoch_us: int, attitude_deg: FloatArray, sigma_deg: FloatArray, model: LoopModel) -> LoopEstimate:
@@ -168,8 +198,8 @@ def predict_estimate(estimate: LoopEstimate, model: LoopModel, epoch_us: int, kn
 
 def update_estimate(estimate: LoopEstimate, fix: LinearFix, noise_db: float) -> LoopEstimate:
     """Return the estimate corrected by a fix of its epoch whose levels have a noise of some dB."""
-    seen = np.zeros((2, ERROR.stop))
-    seen[:, ATTITUDE], seen[:, ERROR] = fix.response, np.eye(2)
+    seen = np.zeros((3, ERROR.stop))
+    seen[:, ATTITUDE] = seen[:, ERROR] = np.eye(3)
     noise_deg2 = noise_db**2 * fix.unit_covariance
     columns = estimate.covariance @ seen.T
     gain = np.linalg.solve(seen @ columns + noise_deg2, columns.T).T

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings
 from service.core.estimation.paper import downlink_fade
 from service.core.estimation.paper.downlink_fade import (
     FadeTest,
@@ -21,8 +20,9 @@ from service.core.estimation.paper.downlink_fade import (
     fade_sign_test,
     step_fade_watch,
 )
-from service.core.estimation.paper.loop_observer import LoopModel, loop_model
+from service.core.estimation.paper.loop_observer import LoopModel, linear_fix, loop_model, loop_slopes
 from service.core.estimation.paper.rejection import reject_faded_carriers
+from service.core.geometry.frames import AntennaDirection, station_direction
 from service.pipeline.config import ChainConfig, RobustConfig
 from service.pipeline.estimation.paper.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
 from service.pipeline.estimation.paper.loop_state import (
@@ -36,7 +36,6 @@ from service.pipeline.estimation.paper.loop_state import (
 from service.pipeline.estimation.paper.snapshot_fix import (
     SensitivityModel,
     answer_db,
-    linear_solution,
     sensitivity_model,
     solve_attitude,
 )
@@ -44,7 +43,7 @@ from service.pipeline.estimation.row_inhibitions import RowContext, judge
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2, motion_settings
 from service.records.calibration import Calibration
-from service.records.catalogue import Ephemeris, Method, Spacecraft
+from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import (
     NO_ANGLES,
@@ -92,7 +91,9 @@ class PaperStep(NamedTuple):
     state: PaperState
 
 
-def paper_model(knowledge: Knowledge, aligned_with: Calibration, config: ChainConfig) -> PaperModel | None:
+def paper_model(
+    knowledge: Knowledge, plan: CarrierPlan, aligned_with: Calibration, config: ChainConfig
+) -> PaperModel | None:
     """Return the model that holds, or None while calibration, ephemeris or alignment is missing."""
     calibration = knowledge.calibration_for(Method.PAPER)
     if calibration is None or knowledge.ephemeris is None or knowledge.alignment is None:
@@ -103,26 +104,41 @@ def paper_model(knowledge: Knowledge, aligned_with: Calibration, config: ChainCo
     return PaperModel(
         expected,
         sensitivity,
-        loop_model(
-            _motion(spacecraft, config.robust),
-            sensitivity.plus_db_per_deg,
-            sensitivity.minus_db_per_deg,
-            sensitivity.is_selected,
-        ),
+        _loop_model(sensitivity, spacecraft, plan, config.robust),
         None if spacecraft is None else angle_inertia_kg_m2(spacecraft),
         calibration.id,
         knowledge.alignment.id,
     )
 
 
-def _motion(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
-    """Return how the spacecraft moves; a torque that was called small would hold the estimate where nobody is.
+def _loop_model(
+    sensitivity: SensitivityModel, spacecraft: Spacecraft | None, plan: CarrierPlan, config: RobustConfig
+) -> LoopModel:
+    """Return the model of the loop; a torque that was called small would hold the estimate where nobody is.
 
     The robust filter looks for a greater torque when motion contradicts the statement. Nothing does here.
     """
     motion = motion_settings(spacecraft, config)
     yaw, roll, pitch = map(max, motion.torque_deg_h2, motion.unknown_torque_deg_h2)
-    return motion._replace(torque_deg_h2=(yaw, roll, pitch))
+    direction = _station_directions(sensitivity.carrier_ids, spacecraft, plan)
+    slope = loop_slopes(sensitivity.plus_db_per_deg, sensitivity.minus_db_per_deg, *direction)
+    is_used = sensitivity.is_selected
+    coloured_db = np.sqrt(np.square(sensitivity.sigma_coloured_db).sum(axis=1))[is_used]
+    usual_db = float(np.median(coloured_db)) if len(coloured_db) else 0.0
+    return loop_model(motion._replace(torque_deg_h2=(yaw, roll, pitch)), slope, is_used, usual_db)
+
+
+def _station_directions(
+    carrier_ids: tuple[str, ...], spacecraft: Spacecraft | None, plan: CarrierPlan
+) -> AntennaDirection:
+    """Return where the satellite sees the stations of some carriers; NaN where it does not."""
+    stations = {carrier.id: carrier.station for carrier in plan.carriers}
+    places = [
+        (s.longitude_deg, s.latitude_deg) if (s := stations.get(name)) else (math.nan,) * 2 for name in carrier_ids
+    ]
+    longitude_deg, latitude_deg = np.array(places).reshape(-1, 2).T
+    subsatellite_deg = math.nan if spacecraft is None else spacecraft.longitude_deg
+    return station_direction(longitude_deg, latitude_deg, np.zeros(len(places)), subsatellite_deg)
 
 
 def initial_state(carriers: int, config: ChainConfig, loop: LoopState) -> PaperState:
@@ -243,7 +259,8 @@ def _step_loop(state: PaperState, model: PaperModel, fix: AttitudeFix, config: C
     span_s = float(epochs_us[-1] - epochs_us[0]) / US_PER_S
     rows = RowsOfMean(fix.epoch_us, span_s, max(1.0, span_s / max(1, len(epochs_us) - 1)))
     is_enough = len(epochs_us) >= config.estimation.min_rows
-    linear = linear_solution(_mean_db(state, config), fix, model.sensitivity) if is_enough else None
+    is_used = model.loop.is_used & ~np.isin(model.sensitivity.carrier_ids, [item.carrier for item in fix.excluded])
+    linear = linear_fix(_mean_db(state, config), model.loop.slope_db_per_deg, is_used) if is_enough else None
     return loop_with_fix(state.loop, linear, rows, model.loop, config)
 
 

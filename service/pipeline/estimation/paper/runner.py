@@ -183,8 +183,8 @@ class PaperRunner:
         if alignment is None or calibration is None:
             return None, None
         aligned_id = alignment.calibration_by_method.get(Method.PAPER.value, alignment.calibration_id)
-        model = paper_model(knowledge, self._lookup.calibration(aligned_id), self._config)
+        plan = self._lookup.plan(calibration.plan_id)
+        model = paper_model(knowledge, plan, self._lookup.calibration(aligned_id), self._config)
         if model is None:
             return None, None
-        plan = self._lookup.plan(calibration.plan_id)
         return model, CalibratedColumns(model.expected.carrier_ids, plan)

@@ -10,7 +10,6 @@ from functools import lru_cache
 import numpy as np
 
 from service.core.estimation.noise_model import averaged_sigma_db
-from service.core.estimation.paper.loop_observer import LinearFix, linear_fix
 from service.core.estimation.paper.octants import OctantFix, predict_deviation_db
 from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.pipeline.config import EstimationConfig
@@ -83,19 +82,13 @@ def solve_attitude(
     return AttitudeFix(
         epoch_us,
         outcome.fix.attitude_deg,
-        outcome.fix.covariance_deg2 * _variance_ratio(outcome.fix, sigma_db[is_used]),
+        outcome.fix.covariance_deg2 * _variance_ratio(outcome.fix, sigma_db[is_used])
+        + _common_covariance_deg2(model, outcome.fix.attitude_deg, considered_db, is_used),
         outcome.residual_db,
         sigma_db,
         int(np.count_nonzero(is_used)),
         _exclusions(model, outcome.reason),
     )
-
-
-def linear_solution(deviation_db: FloatArray, fix: AttitudeFix, model: SensitivityModel) -> LinearFix | None:
-    """Return the fix of the same deviation by the carriers of a fix, each angle with one slope for both signs."""
-    excluded = {item.carrier for item in fix.excluded}
-    is_used = model.is_selected & np.array([name not in excluded for name in model.carrier_ids])
-    return linear_fix(deviation_db, model.plus_db_per_deg, model.minus_db_per_deg, is_used)
 
 
 @lru_cache(maxsize=256)
@@ -119,6 +112,21 @@ def _variance_ratio(fix: OctantFix, sigma_db: FloatArray) -> float:
     known_db = sigma_db[np.isfinite(sigma_db)]
     known_mean_db2 = float((known_db**2).sum()) / len(known_db) if len(known_db) else 0.0
     return max(1.0, known_mean_db2 / scatter_db2) if scatter_db2 > 0.0 else 1.0
+
+
+def _common_covariance_deg2(
+    model: SensitivityModel, attitude_deg: FloatArray, deviation_db: FloatArray, is_used: BoolArray
+) -> FloatArray:
+    """Return the covariance (3, 3) that a fix has if what its levels have in common is no attitude, deg^2.
+
+    A fade too shallow for the rule of one sign turns the angles by as much as its median does.
+    """
+    if not is_used.any():
+        return np.zeros((3, 3))
+    slope = np.where(attitude_deg < 0.0, model.minus_db_per_deg, model.plus_db_per_deg)[is_used]
+    common_db = np.full(len(slope), np.median(deviation_db[is_used]))
+    turned_deg = np.linalg.lstsq(slope, common_db, rcond=None)[0]
+    return np.asarray(np.outer(turned_deg, turned_deg))
 
 
 def _exclusions(model: SensitivityModel, reason: IntArray) -> tuple[Exclusion, ...]:

@@ -269,7 +269,8 @@ def test_one_level_on_a_side_measures_no_curvature():
     assert np.isnan(curvature.q_db_per_deg2).all()
 
 
-WET = FadeTest(is_fade=True, median_db=-1.0, spread_db=0.1, share_below=1.0)
+WET = FadeTest(is_fade=True, median_db=-0.3, spread_db=0.1, share_below=1.0)
+DEEP = WET._replace(median_db=-1.2)
 DRY = FadeTest(is_fade=False, median_db=0.0, spread_db=0.1, share_below=0.0)
 LOW = FadeTest(is_fade=False, median_db=-0.5, spread_db=0.6, share_below=0.6)
 BLIND = FadeTest(is_fade=False, median_db=math.nan, spread_db=math.nan, share_below=math.nan)
@@ -325,6 +326,7 @@ def steps(tests, dt_s=60.0, state=None):
     ("minutes", "stopped"),
     [
         pytest.param([WET] * 6, [4, 5], id="five minutes of the condition stop"),
+        pytest.param([DEEP] * 3, [1, 2], id="a change four times as deep stops in a quarter of the time"),
         pytest.param([WET] * 4 + [DRY] + [WET] * 4, [], id="a break starts the five minutes again"),
         pytest.param([WET] * 5 + [DRY] * 10, range(4, 14), id="ten dry minutes return control"),
         pytest.param([LOW] * 30, [], id="a low median alone does not stop"),

@@ -38,7 +38,8 @@ class Bench:
         self.knowledge = Knowledge()
         for content in synthetic.opening(payload.spacecraft()):
             self.knowledge = update(self.knowledge, content, self.documents)
-        self.model = paper_model(self.knowledge, self.documents.calibration(1), CONFIG)
+        self.plan = self.knowledge.plan
+        self.model = paper_model(self.knowledge, self.plan, self.documents.calibration(1), CONFIG)
         loop = initial_loop(self.knowledge.alignment, self.model.loop)
         self.state = initial_state(len(payload.ids), CONFIG, loop)
 
@@ -72,9 +73,9 @@ def bench(payload):
 
 def test_no_model_without_calibration_ephemeris_or_alignment(bench):
     aligned_with = bench.documents.calibration(1)
-    assert paper_model(replace(bench.knowledge, active={}), aligned_with, CONFIG) is None
-    assert paper_model(replace(bench.knowledge, ephemeris=None), aligned_with, CONFIG) is None
-    assert paper_model(replace(bench.knowledge, alignment=None), aligned_with, CONFIG) is None
+    assert paper_model(replace(bench.knowledge, active={}), bench.plan, aligned_with, CONFIG) is None
+    assert paper_model(replace(bench.knowledge, ephemeris=None), bench.plan, aligned_with, CONFIG) is None
+    assert paper_model(replace(bench.knowledge, alignment=None), bench.plan, aligned_with, CONFIG) is None
 
 
 def test_the_method_settles_and_then_tells_the_exact_attitude(bench):
@@ -152,10 +153,8 @@ def test_downlink_rain_stops_control_says_how_deep_and_clears_by_itself(bench):
     assert wet[-1].downlink_fade
     assert wet[-1].downlink_fade_db == pytest.approx(2.0, abs=1e-9)  # a mean of wet minutes only
     first = next(k for k, row in enumerate(wet) if row.downlink_fade)
-    # the rule has to stand for so long, and the short mean has to fall below the depth before
-    mean_rows = int(CONFIG.fade.averaging_window_s / 60)
-    entry_rows, exit_rows = int(CONFIG.fade.entry_s / 60), int(CONFIG.fade.exit_s / 60)
-    assert entry_rows <= first + 1 <= entry_rows + mean_rows
+    assert first < 3
+    mean_rows, exit_rows = int(CONFIG.fade.averaging_window_s / 60), int(CONFIG.fade.exit_s / 60)
     dry = [step.row for step in bench.run(range(40, 80), angles=(0.0, 0.0, 0.0))]
     back = next(k for k, row in enumerate(dry) if not row.downlink_fade)
     assert exit_rows <= back + 1 <= exit_rows + mean_rows
@@ -163,11 +162,12 @@ def test_downlink_rain_stops_control_says_how_deep_and_clears_by_itself(bench):
     assert dry[-1].downlink_fade_db == 0.0
 
 
-@pytest.mark.parametrize("rise_db", [0.5, 1.5])
-def test_a_rise_of_all_levels_stops_control_and_gives_no_angles(bench, rise_db):
+@pytest.mark.parametrize(("rise_db", "within_rows"), [(0.5, 5), (1.5, 3)])
+def test_a_rise_of_all_levels_stops_control_and_gives_no_angles(bench, rise_db, within_rows):
     bench.run(range(1, 20), angles=(0.0, 0.0, 0.0))
     risen = [step.row for step in bench.run(range(20, 50), angles=(0.0, 0.0, 0.0), common_db=rise_db)]
     stopped = next(k for k, row in enumerate(risen) if "common_change" in row.inhibitions)
+    assert stopped < within_rows
     assert all(row.status is Status.INVALID and not row.control_allowed for row in risen[stopped:])
     # what was measured of it never reached the angles that control steers by
     np.testing.assert_allclose([row.steering_deg for row in risen], 0.0, atol=1e-3)
@@ -285,17 +285,24 @@ def test_too_few_carriers_give_no_fix_and_no_exception(model, deviation, present
 def test_the_sigma_is_never_better_than_the_learned_noise_allows(payload, model, deviation):
     """Residuals that agree by chance do not shrink it: then the learned noise of the mean holds."""
     rng = np.random.default_rng(11)
-    fix = solve(model, deviation + 1e-4 * rng.normal(size=12))
-    slopes = np.where(ANGLES >= 0.0, payload.plus, payload.minus)
+    fix = solve(model, 1e-4 * rng.normal(size=12))
+    slopes = np.where(fix.attitude_deg >= 0.0, payload.plus, payload.minus)
     identified = np.sqrt(np.mean(fix.sigma_db**2) * np.diag(np.linalg.inv(slopes.T @ slopes)))
-    np.testing.assert_allclose(np.sqrt(np.diag(fix.covariance_deg2)), identified, rtol=1e-9)  # the same products
+    np.testing.assert_allclose(np.sqrt(np.diag(fix.covariance_deg2)), identified, rtol=1e-5)  # 1e-4 dB in common
     rough = solve(model, deviation + 0.3 * rng.normal(size=12))
     assert (np.diag(rough.covariance_deg2) > 4.0 * np.diag(fix.covariance_deg2)).all()
 
 
-def test_a_sigma_that_is_not_known_does_not_hide_those_that_are(model, deviation):
+def test_the_sigma_covers_a_fade_that_is_too_shallow_to_be_found(model, deviation):
+    faded = solve(model, deviation - 0.35)
+    assert (np.abs(faded.attitude_deg - ANGLES)[1:] > 0.05).any()
+    still = solve(model, np.full(12, -0.35))
+    np.testing.assert_array_less(np.abs(still.attitude_deg), 1.05 * np.sqrt(np.diag(still.covariance_deg2)) + 1e-9)
+
+
+def test_a_sigma_that_is_not_known_does_not_hide_those_that_are(model):
     rng = np.random.default_rng(12)
-    noisy = deviation + 1e-4 * rng.normal(size=12)
+    noisy = 1e-4 * rng.normal(size=12)
     holed = replace(model, sigma_white_db=np.where(np.arange(12) == 4, np.nan, model.sigma_white_db))
     whole = np.diag(solve(model, noisy).covariance_deg2)
     # one of twelve like carriers less in the mean of the learned variances: at most 12 % either way
