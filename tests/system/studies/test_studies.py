@@ -65,6 +65,18 @@ def test_the_chain_holds_roll_and_pitch_over_a_link():
 
 
 @pytest.mark.slow
+def test_the_known_torque_is_balanced_through_a_fade_in_mid_slew():
+    """Before, control stood still in the fade, and pitch of this seed went to 0.44 deg."""
+    flight = fly_unit(LoopUnit("slew_fade", SEED, Sensing.AUTOMATIC, "link", 0.25)).flight
+    largest = np.abs(flight.truth_deg).max(axis=0)
+    print(
+        f"seed {SEED}, yaw/roll/pitch: {largest.round(3)} deg, inhibited {flight.is_inhibited.mean():.2f} of the rows"
+    )
+    assert flight.is_inhibited.mean() > 0.15
+    assert largest[1:].max() < 0.4
+
+
+@pytest.mark.slow
 def test_a_loop_on_board_holds_on_angles_and_stops_without_them():
     """Angles go up in place of torques; an hour and a half without uplink, of which half an hour is bridged."""
     unit = LoopUnit("nominal", SEED, Sensing.AUTOMATIC, "link", 6.0 / 24.0, mode="onboard", silence_h=(3.0, 1.5))
