@@ -163,7 +163,6 @@ _EXCEPTIONS: dict[str, tuple[dict[str, Kind], Code]] = {
 #: values of the columns of a field that are not the value itself
 _CODES: dict[FieldKind, Code] = {
     FieldKind.TEXTS: lambda texts: (";".join(texts),),
-    FieldKind.AXIS_TRUTHS: tuple,
     FieldKind.RECORDS: lambda records: (plain_value(records),),
 }
 
@@ -174,7 +173,10 @@ def _columns(field: RecordField, axes: tuple[str, ...]) -> tuple[dict[str, Kind]
         return *_EXCEPTIONS[field.name], (field.name,)
     kind, code = _KINDS.get(field.kind, "text"), _CODES.get(field.kind)
     if field.kind in {FieldKind.AXES, FieldKind.AXIS_TRUTHS}:
-        if field.is_optional:
+        if field.kind is FieldKind.AXIS_TRUTHS:
+            places = [Axes._fields.index(axis) for axis in axes]
+            code = lambda truths: [truths[place] for place in places]  # noqa: E731
+        elif field.is_optional:
             code = lambda value: [None if value is None else getattr(value, axis) for axis in axes]  # noqa: E731
         paths = [f"{field.name}.{axis}" for axis in axes] if code is None else [field.name]
         return dict.fromkeys(field.axis_names(axes), kind), code, paths

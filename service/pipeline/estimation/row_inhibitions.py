@@ -64,7 +64,7 @@ INHIBITIONS: dict[str, str] = {
 #: the present, not what was learned before them
 BALANCED = frozenset(
     {
-        *("no_fix", "redundancy", "downlink_fade", "common_change", "chain_step", "sigma_roll", "sigma_pitch"),
+        *("no_fix", "redundancy", "downlink_fade", "chain_step", "sigma_roll", "sigma_pitch"),
         *("integrity_unmonitored", "protection_level"),
     }
 )

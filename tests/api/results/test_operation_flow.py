@@ -211,6 +211,7 @@ async def test_command_is_told_field_by_field(bench, make):
             "wheel_momentum_n_m_s": [0.12, -0.18, 0.0],
         },
         "control_allowed": True,
+        "balance_allowed_axes": {"yaw": False, "roll": False, "pitch": False},
         "inhibitions": [],
         "schedule_check": None,
     }

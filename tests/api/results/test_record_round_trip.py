@@ -88,7 +88,7 @@ def cells(record: Any) -> Iterator[tuple[str, Any]]:
         match field.kind:
             case FieldKind.EPOCH:
                 yield name.removesuffix("_us"), format_epoch(value)
-            case FieldKind.AXES:
+            case FieldKind.AXES | FieldKind.AXIS_TRUTHS:
                 yield from zip(field.axis_names(), value, strict=True)
             case FieldKind.TEXTS:
                 yield name, ";".join(value)

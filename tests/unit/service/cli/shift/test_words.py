@@ -24,8 +24,9 @@ def reason(code: str, since: str | None = None) -> dict[str, object]:
 def said(
     *reasons: dict[str, object], allowed: bool = False, found: dict[str, object] | None = None, **control: object
 ) -> str:
+    state = "ARMED" if allowed else "INHIBITED"
     status = {
-        "control": {"allowed": allowed, "reasons": list(reasons), "situation": found or situation()},
+        "control": {"allowed": allowed, "state": state, "reasons": list(reasons), "situation": found or situation()},
         "newest_measurement": control.pop("newest", "t"),
     }
     return sentence(status, ROW, {"conditions": [], "open_commands": [], "unreported_commands": [], **control})
@@ -90,7 +91,8 @@ def test_a_code_of_a_newer_service_is_said_in_the_words_of_the_service() -> None
 
 
 def test_values_are_not_read_as_words_again() -> None:
-    assert words("views.now.sentence.forbidden", known="{next}", reason="r", next="n") == "{next}; no torque: r; n"
+    found = words("views.now.sentence.forbidden", known="{next}", torque="{known}", reason="r", next="n")
+    assert found == "{next}; {known}: r; n"
 
 
 def test_what_waits_for_a_person_and_what_must_be_mended_first() -> None:

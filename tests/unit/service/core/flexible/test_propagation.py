@@ -296,7 +296,7 @@ def test_states_are_continuous_over_events():
 
 
 def test_a_law_that_chatters_is_refused_and_said_so(monkeypatch):
-    monkeypatch.setattr("service.core.flexible.spacecraft.MOST_EVENTS", 3)
+    monkeypatch.setattr("service.core.flexible.motion.MOST_EVENTS", 3)
     relay = SwitchingLaw(0.0349, 0.0349, math.inf)
     with pytest.raises(ValueError, match=r"more than 3 events in .* the law chatters; widen the distance"):
         follow_motion(BodyState(0.0349, 1e-4, 0.0, 0.01), FREE, HubMode(2.0, 0.01, 3.0), relay, 100.0)

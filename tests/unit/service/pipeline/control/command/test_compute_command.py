@@ -348,7 +348,7 @@ NIGHT = ("downlink_fade",)
 def known(age_s=600.0, rates=(0.0, 0.0, 0.0), axes=(True, True, True), disturbance=PUSHED, of=None):
     """Return what a row that control could use, some time ago, lets be balanced."""
     then = row(rates=rates, allowed=axes, sigma_deg=Axes(0.1, 0.02, 0.03)) if of is None else of
-    return basis_of(replace(then, epoch_us=EPOCH - round(age_s * S)), disturbance)
+    return basis_of(replace(then, epoch_us=EPOCH - round(age_s * S), method=Method.ROBUST), disturbance)
 
 
 def doubted(basis, record, inhibitions=NIGHT, rates=(0.0, 0.0, 0.0), **changes):
@@ -390,6 +390,10 @@ def test_the_prediction_has_rates_torque_and_what_was_executed(record):
 def test_nothing_is_balanced_where_more_than_the_angle_is_doubted(record, reason):
     found = doubted(known(), record, (*NIGHT, reason))
     assert (found.is_permitted, found.schedule) == (False, ())
+
+
+def test_of_a_method_that_sees_nothing_in_a_fade_nothing_is_balanced():
+    assert basis_of(row(sigma_deg=Axes(0.1, 0.02, 0.03)), PUSHED) is None
 
 
 def test_a_trip_ends_balance(record):
