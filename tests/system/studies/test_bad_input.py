@@ -109,14 +109,10 @@ CASES = {
     "pitch wheel full in a hold": Case("nominal", change=saturated, faults=(HOLD,), limit_deg=None),
     "uplink gone for 6 h": Case("nominal", unit={"silence_h": (6.0, 6.0)}, limit_deg=None),
     "uplink gone, torque unknown": Case(UNKNOWN, unit={"silence_h": (6.0, 6.0)}, limit_deg=None),
-    "bent reflector learned before a hold": Case(
-        UNKNOWN, faults=(PatternWave("bent", (0.15, 0.1)), HOLD), limit_deg=1.0
-    ),
-    "four references moved in a hold": Case(
-        UNKNOWN, faults=(HOLD, Step("moved", 4, start_h=(8.75, 8.75))), limit_deg=1.0
-    ),
+    "bent reflector learned before a hold": Case(UNKNOWN, faults=(PatternWave("bent", (0.15, 0.1)), HOLD)),
+    "four references moved in a hold": Case(UNKNOWN, faults=(HOLD, Step("moved", 4, start_h=(8.75, 8.75)))),
     "all references moved in a hold": Case(UNKNOWN, faults=(HOLD, Relevel("in the rain", 8.75)), limit_deg=None),
-    "a hold, torque unknown": Case(UNKNOWN, faults=(HOLD,), limit_deg=1.0),
+    "a hold, torque unknown": Case(UNKNOWN, faults=(HOLD,)),
 }
 
 
