@@ -306,7 +306,7 @@ class Chain:
             basis=self._basis,
         )
         self._carry_n_m_s = torque.carry_n_m_s
-        applied = AppliedCommand(torque.command) if torque.command.is_permitted and is_automatic else None
+        applied = AppliedCommand(torque.command) if torque.command.control_allowed and is_automatic else None
         return Outcome(rows, torque.command, applied, disturbance, apart_deg, carriers)
 
     def _basis_at(

@@ -92,8 +92,10 @@ def compute_command(
     axes = balance_axes(inhibitions, basis)
     used = row
     if inhibitions:
-        # the gyro-orbitant law has no torque of its own without angles
-        if basis is None or not any(axes) or is_gyro_orbitant(spacecraft):
+        # the gyro-orbitant law has no torque of its own without angles, and of a computed command that counts as
+        # applied nobody says whether a centre flies it that looks at `control_allowed`
+        is_automatic = spacecraft.control.release is Release.AUTOMATIC
+        if not any(axes) or is_automatic or is_gyro_orbitant(spacecraft):
             return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
         used = balance_row(row, axes)
     if spacecraft.control.release is Release.AUTOMATIC:

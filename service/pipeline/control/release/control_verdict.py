@@ -260,9 +260,7 @@ def control_verdict(
     is_forbidden = not _YAW_ONLY.issuperset(found)
     state = State.INHIBITED.name if view is None else view.state
     if view is not None and view.release == Release.AUTOMATIC and state != State.TRIPPED.name:
-        is_balanced = isinstance(newest, TorqueCommand) and any(newest.balance_allowed_axes)
-        inhibited = State.BALANCE if is_balanced else State.INHIBITED
-        state = inhibited.name if is_forbidden else State.ENGAGED.name
+        state = State.INHIBITED.name if is_forbidden else State.ENGAGED.name
     return ControlVerdict(state in _GIVING and not is_forbidden, state, tuple(sorted(found.values(), key=_rank)))
 
 

@@ -351,16 +351,15 @@ def known(age_s=600.0, rates=(0.0, 0.0, 0.0), axes=(True, True, True), disturban
     return basis_of(replace(then, epoch_us=EPOCH - round(age_s * S), method=Method.ROBUST), disturbance)
 
 
-def doubted(basis, record, inhibitions=NIGHT, rates=(0.0, 0.0, 0.0), **changes):
+def doubted(basis, record, inhibitions=NIGHT, rates=(0.0, 0.0, 0.0), release=Release.TWO_STEP, **changes):
     """Return what is commanded for a row that control may not use."""
+    record = replace(record, control=replace(record.control, release=release))
     inhibited = row(rates=rates, inhibitions=inhibitions, sigma_deg=Axes(0.1, 0.02, 0.03))
     inhibited = replace(inhibited, control_allowed=False, control_allowed_axes=(False,) * 3)
     return compute_command(inhibited, record, NO_CARRY, 3600.0, TorqueConfig(), PUSHED, basis=basis, **changes).command
 
 
-@pytest.mark.parametrize("release", list(Release))
-def test_while_angles_are_doubted_the_known_torque_is_balanced_and_no_angle_is_corrected(record, release):
-    record = replace(record, control=replace(record.control, release=release))
+def test_while_angles_are_doubted_the_known_torque_is_balanced_and_no_angle_is_corrected(record):
     found = doubted(known(), record)
     assert (found.control_allowed, found.balance_allowed_axes) == (False, (True, True, True))
     assert (found.is_permitted, found.inhibitions) == (True, NIGHT)
@@ -390,6 +389,10 @@ def test_the_prediction_has_rates_torque_and_what_was_executed(record):
 def test_nothing_is_balanced_where_more_than_the_angle_is_doubted(record, reason):
     found = doubted(known(), record, (*NIGHT, reason))
     assert (found.is_permitted, found.schedule) == (False, ())
+
+
+def test_of_commands_that_count_as_applied_nothing_is_balanced(record):
+    assert not doubted(known(), record, release=Release.AUTOMATIC).is_permitted
 
 
 def test_of_a_method_that_sees_nothing_in_a_fade_nothing_is_balanced():
