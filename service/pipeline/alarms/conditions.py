@@ -182,7 +182,7 @@ def _of_release() -> tuple[AlarmCondition, ...]:
         ),
         _condition(
             ("control_balance", Kind.ABOVE, "s", "control", Origin.CLOCK),
-            "feedback is inhibited, and the {thing} known before is balanced for {value}",
+            "control is inhibited, and only the known {thing} has been balanced for {value}",
             "see the reasons in GET .../control; bring the angles back by another sensor before balance ends",
             # an hour is left of hold_s
             ConditionLimits(warning=0.0, distress=2.0 * _HOUR_S, repeat_s=None),

@@ -1,8 +1,8 @@
 """Control over a link, released in two steps: what the centre does with the commands of the service.
 
-Every command period, while nothing is inhibited, one command goes out for its whole horizon; beyond 0.4 deg of roll or
-pitch it is a person who releases it (RECOVERY), up to 0.6 deg. From its release to its
-report the chain takes its effect for uncertain. The report comes when the slew has been told by the spacecraft, or
+Every command period, while nothing is inhibited or the known torque may be balanced, one command goes out for its whole
+horizon; beyond 0.4 deg of roll or pitch it is a person who releases it (RECOVERY), up to 0.6 deg. From its release to
+its report the chain takes its effect for uncertain. The report comes when the slew has been told by the spacecraft, or
 when it should have been and was not: then nothing of it was executed, as far as anybody knows. What the spacecraft
 executes afterwards, the pulses against the known torque, the chain hears of as it is told.
 """

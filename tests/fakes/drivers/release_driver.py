@@ -144,13 +144,13 @@ class ReleaseDriver:
         return step
 
     def is_bad(self) -> bool:
-        """Whether no angle may be corrected, by the facts alone."""
+        """Facts that forbid every correction of an angle."""
         row = self.row
         is_doubted = row is None or bool(set(row.inhibitions) - {"beyond_validity"}) or row.is_fading
         return is_doubted or row.redundancy < 2 or self.is_forbidden()
 
     def is_forbidden(self) -> bool:
-        """Whether nothing may go, not even what balances the known torque."""
+        """Facts that forbid every torque, the balance of the known one too."""
         row, inputs = self.row, self.inputs
         if row is None or not inputs.is_aligned or inputs.has_inhibiting_operation or inputs.lease_holders > 1:
             return True

@@ -223,13 +223,13 @@ class ReleaseServiceDriver:
         self.restart()
 
     def is_bad(self) -> bool:
-        """Whether no angle may be corrected, by the facts alone."""
+        """Facts that forbid every correction of an angle."""
         row = self.row
         is_doubted = row is None or bool(set(row.inhibitions) - OWN) or row.downlink_fade or row.carriers_used < 5
         return is_doubted or self.is_forbidden()
 
     def is_forbidden(self) -> bool:
-        """Whether nothing may go, not even what balances the known torque."""
+        """Facts that forbid every torque, the balance of the known one too."""
         row, archive = self.row, self.archive
         if row is None or not archive.is_aligned or archive.operations:
             return True

@@ -74,8 +74,8 @@ class State(Enum):
     ARMED = "each command needs to be prepared and confirmed"
     ENGAGED = "commands within the authorised envelope go by themselves, until the authorisation ends"
     RECOVERY = "roll or pitch beyond 0.4 deg: single commands, each confirmed by an approver"
-    #: feedback is inhibited, and the reason doubts the angles of the present alone
-    BALANCE = "no angle is corrected; commands balance the torque known before, as released until then"
+    #: the reason that inhibits doubts the angles of the present alone
+    BALANCE = "no angle is corrected; commands that balance the known torque may go, released as before"
     TRIPPED = "no torque may go until a person resets"
 
 
