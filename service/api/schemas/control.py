@@ -29,6 +29,7 @@ from service.records.catalogue import ControlMode, Method, Spacecraft
 from service.records.levels.attitude import (
     CARRIER_STATES,
     NO_ANGLES,
+    NO_AXES,
     STEP_DB,
     AttitudeRow,
     CarrierResults,
@@ -342,7 +343,7 @@ class TorqueAnswer(
     def before_the_first(cls, mode: ControlMode, attitude_epoch_us: int | None) -> Self:
         """Return the answer while no command was ever computed."""
         nothing = {"saturated": False, "schedule": [], "impulse_n_m_s": NO_ANGLES, "control_allowed": False}
-        nothing["balance_allowed_axes"] = (False, False, False)
+        nothing["balance_allowed_axes"] = NO_AXES
         known = {"mode": mode, "attitude_epoch": attitude_epoch_us, "inhibitions": ["no_attitude"]}
         return cls.model_validate(dict.fromkeys(cls.model_fields) | nothing | known)
 

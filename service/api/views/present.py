@@ -31,7 +31,7 @@ from service.records.calibration import CalibrationState, Window
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation
-from service.records.levels.attitude import AttitudeRow, Axes, ReleasedCommand, Status, TorqueCommand
+from service.records.levels.attitude import NO_AXES, AttitudeRow, Axes, ReleasedCommand, Status, TorqueCommand
 from service.records.operations.alarms import Alarm, Cover
 from service.records.operations.work import Job, LinkReport, LinkState
 from service.runtime.jobs.archive_maintenance import newest_advice, runnable_methods
@@ -153,7 +153,7 @@ def _not_present(row: AttitudeRow, status: Status, reason: str) -> AttitudeRow:
         row,
         status=status,
         control_allowed=False,
-        control_allowed_axes=(False, False, False),
+        control_allowed_axes=NO_AXES,
         inhibitions=tuple(dict.fromkeys((*row.inhibitions, reason))),
     )
 

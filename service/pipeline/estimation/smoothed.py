@@ -12,7 +12,7 @@ from service.core.estimation.smoothing.effective_row import EffectiveRow, Smooth
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import NO_ANGLES, AttitudeRow, named_axes
+from service.records.levels.attitude import NO_ANGLES, NO_AXES, AttitudeRow, named_axes
 
 _US_PER_H = 3_600_000_000
 #: rows of a block leave together when the rows after it reach so far, h
@@ -128,7 +128,7 @@ def smoothed_attitude(row: AttitudeRow, found: SmoothedRow) -> AttitudeRow:
         sigma_deg=named_axes(np.sqrt(found.state.covariance.diagonal()[ATTITUDE])),
         rates_deg_s=named_axes(rates_deg_h(mean, found.coupling_per_h) / 3600.0),
         control_allowed=False,
-        control_allowed_axes=(False, False, False),
+        control_allowed_axes=NO_AXES,
         inhibitions=(*row.inhibitions, "smoothed"),
         advice=(),
         protection_deg=NO_ANGLES,

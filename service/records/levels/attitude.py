@@ -30,6 +30,8 @@ def named_axes(values: FloatArray) -> Axes:
 
 
 NO_ANGLES = Axes(math.nan, math.nan, math.nan)
+#: permission for no axis; yaw, roll, pitch
+NO_AXES = (False, False, False)
 
 
 class Status(StrEnum):
@@ -158,7 +160,7 @@ def row_without_attitude(
         rates_deg_s=None,
         status=Status.INVALID,
         control_allowed=False,
-        control_allowed_axes=(False, False, False),
+        control_allowed_axes=NO_AXES,
         inhibitions=inhibitions,
         carriers_used=0,
         excluded=(),
@@ -275,7 +277,7 @@ class TorqueCommand:
         tuple[bool, bool, bool],
         "While control is not allowed: axes whose known torque and rate the schedule balances, without a correction of "
         "the angle.",
-    ] = (False, False, False)
+    ] = NO_AXES
 
     @property
     def is_permitted(self) -> bool:

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.command.balance import NO_AXES
 from service.pipeline.control.command.compute_command import command_for
 from service.ports import Outcome
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import (
+    NO_AXES,
     AppliedCommand,
     AttitudeRow,
     Pulse,

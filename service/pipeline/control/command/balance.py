@@ -18,6 +18,7 @@ from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import (
     NO_ANGLES,
+    NO_AXES,
     AttitudeRow,
     Axes,
     BalanceBasis,
@@ -28,7 +29,6 @@ from service.records.levels.attitude import (
 
 #: sigmas between the angle that is seen and the predicted one
 _SIGMAS = 4.0
-NO_AXES = (False, False, False)
 
 
 def basis_of(row: AttitudeRow, disturbance: Disturbance | None) -> BalanceBasis | None:

@@ -16,7 +16,16 @@ from service.core.dynamics.orbital_frame_model import Law, OrbitalFrameGains
 from service.pipeline.config import TorqueConfig
 from service.records.catalogue import ControlLaw, ControlMode, Release, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, Axes, Disturbance, FloatArray, Pulse, TorqueCommand, named_axes
+from service.records.levels.attitude import (
+    NO_AXES,
+    AttitudeRow,
+    Axes,
+    Disturbance,
+    FloatArray,
+    Pulse,
+    TorqueCommand,
+    named_axes,
+)
 
 _ZERO = Axes(0.0, 0.0, 0.0)
 
@@ -94,7 +103,7 @@ def _nothing(wheels: int, inhibitions: tuple[str, ...]) -> dict[str, Any]:
     """Return the fields of a command that does nothing."""
     names = ("torque_n_m", "impulse_n_m_s", "predicted_angle_change_deg", "predicted_rate_change_deg_s")
     still = dict.fromkeys(("wheels_n_m", "predicted_wheel_momentum_n_m_s"), (0.0,) * wheels)
-    said = {"control_allowed": False, "inhibitions": inhibitions, "balance_allowed_axes": (False, False, False)}
+    said = {"control_allowed": False, "inhibitions": inhibitions, "balance_allowed_axes": NO_AXES}
     return {**dict.fromkeys(names, _ZERO), **still, **said, "saturated": False, "schedule": (), "schedule_check": None}
 
 

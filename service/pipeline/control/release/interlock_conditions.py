@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from service.core.control.slew_schedule import Envelope
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, Axes, Status, TorqueCommand
+from service.records.levels.attitude import NO_AXES, AttitudeRow, Axes, Status, TorqueCommand
 from service.records.setting import CHOSEN, PUBLISHED, TUNED, setting
 
 
@@ -201,7 +201,7 @@ class InterlockRow:
     #: whether the estimator lets yaw be controlled
     is_yaw_allowed: bool = False
     #: (yaw, roll, pitch) whose known torque may be balanced while control is inhibited
-    balance_axes: tuple[bool, bool, bool] = (False, False, False)
+    balance_axes: tuple[bool, bool, bool] = NO_AXES
     #: set by the interlock
     is_after_gap: bool = False
 
@@ -213,7 +213,7 @@ def interlock_row(
 
     The next one is expected after `period_s`; a method without the statistic of innovations says that it is in band.
     """
-    balance = (False, False, False) if command is None else command.balance_allowed_axes
+    balance = NO_AXES if command is None else command.balance_allowed_axes
     not_acquired = () if row.status is Status.ACQUIRED else (row.status.value.lower(),)
     return InterlockRow(
         epoch_us=row.epoch_us,

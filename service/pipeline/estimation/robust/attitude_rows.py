@@ -23,6 +23,7 @@ from service.pipeline.inputs.known_motion import disturbance_of
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import (
+    NO_AXES,
     AttitudeRow,
     BoolArray,
     Disturbance,
@@ -124,7 +125,7 @@ def filtered_row(
         rates_deg_s=named_axes(fixed.rates_deg_s),
         status=Status.ACQUIRED if len(announced.used) >= MIN_CARRIERS else Status.EXPIRED,
         control_allowed=not inhibitions,
-        control_allowed_axes=(False, False, False) if inhibitions else announced.integrity.is_axis_allowed,
+        control_allowed_axes=NO_AXES if inhibitions else announced.integrity.is_axis_allowed,
         inhibitions=inhibitions,
         carriers_used=len(announced.used),
         excluded=_exclusions(model, fixed),
@@ -161,7 +162,7 @@ def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, 
         rates_deg_s=None,
         status=Status.ACQUIRED if is_fix else Status.INVALID,
         control_allowed=False,
-        control_allowed_axes=(False, False, False),
+        control_allowed_axes=NO_AXES,
         inhibitions=("late",) if is_fix else ("late", "no_fix"),
         carriers_used=int(fixes.carriers_used[0]),
         excluded=tuple(sorted(excluded)),
