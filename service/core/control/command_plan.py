@@ -39,11 +39,17 @@ class Forecast(NamedTuple):
     slice_s: float
     #: (1 + K, 3) N m: mean over the slew and over each slice after it
     torque_n_m: FloatArray
+    #: s; the envelope holds until then also where fewer slices follow the slew
+    least_horizon_s: float = 0.0
 
     @property
     def slices(self) -> int:
         """Number of slices K."""
         return len(self.torque_n_m) - 1
+
+    def envelope_horizon_s(self, slices: int) -> float:
+        """Return until when a command with so many slices must keep to the envelope."""
+        return max(self.slew_s + slices * self.slice_s, self.least_horizon_s)
 
 
 class PlannedPulses(NamedTuple):
@@ -146,21 +152,25 @@ def _fitted(
     numbers = (values.tolist() for values in (*request, inertia, forecast.torque_n_m[1:].T))
     axes = [_AxisRequest(*each) for each in zip(*numbers, counts, strict=True)]
     slices = forecast.slices
-    while slices and not all(_is_inside(axis, forecast, slices, envelope) for axis in axes if axis.counts):
+    while slices and not all(_has_room(axis, forecast, slices, envelope) for axis in axes):
         slices -= 1
     change, rate = zip(*(_limited(axis, forecast, slices, envelope) for axis in axes), strict=True)
     return _Request(np.array(change), np.array(rate)), slices
 
 
-def _is_inside(axis: _AxisRequest, forecast: Forecast, slices: int, envelope: Envelope) -> bool:
-    """Return whether the envelope has room for a request and some slices after it."""
+def _has_room(axis: _AxisRequest, forecast: Forecast, slices: int, envelope: Envelope) -> bool:
+    """Return whether the envelope has room for some slices, and where the axis counts for its request before them."""
+    if not axis.counts:
+        gross, turned = _balance(axis, forecast, slices)
+        room = envelope.impulse_n_m_s / axis.inertia_kg_m2
+        return gross <= room and abs(turned) <= math.radians(envelope.angle_change_deg)
     lower, upper = _bounds(axis, axis.rate_rad_s, forecast, slices, envelope)
     return lower <= axis.change_rad <= upper
 
 
 def _limited(axis: _AxisRequest, forecast: Forecast, slices: int, envelope: Envelope) -> tuple[float, float]:
     """Return change and rate of the part of a request that the envelope has room for."""
-    horizon_s = forecast.slew_s + slices * forecast.slice_s
+    horizon_s = forecast.envelope_horizon_s(slices)
     gross, turned = _balance(axis, forecast, slices)
     # the greatest rate that any slew may lose
     greatest = min(
@@ -175,7 +185,7 @@ def _limited(axis: _AxisRequest, forecast: Forecast, slices: int, envelope: Enve
 
 def _balance(axis: _AxisRequest, forecast: Forecast, slices: int) -> tuple[float, float]:
     """Return the sum of the rates that balancing gives, rad/s, and what they turn until the horizon, rad."""
-    horizon_s = forecast.slew_s + slices * forecast.slice_s
+    horizon_s = forecast.envelope_horizon_s(slices)
     gross = turned = 0.0
     for number, torque_n_m in enumerate(axis.torques_n_m[:slices]):
         given = torque_n_m * forecast.slice_s / axis.inertia_kg_m2
@@ -193,7 +203,7 @@ def _bounds(
     until the horizon ends they turn the spacecraft by change - rate * horizon, the slices by their own part.
     """
     apart_s = (1.0 - LONGEST_SHARE) * forecast.slew_s
-    horizon_s = forecast.slew_s + slices * forecast.slice_s
+    horizon_s = forecast.envelope_horizon_s(slices)
     gross, turned = _balance(axis, forecast, slices)
     angle, step = math.radians(envelope.angle_change_deg), math.radians(envelope.rate_change_deg_s)
     room = envelope.impulse_n_m_s / axis.inertia_kg_m2 - gross

@@ -14,7 +14,6 @@ from service.errors import ConflictError, GoneError, InvalidInputError, NotFound
 from service.pipeline.control.release import events
 from service.pipeline.control.release.advance import settled_at
 from service.pipeline.control.release.command_states import CommandTransition
-from service.pipeline.control.release.command_transitions import command_of
 from service.pipeline.control.release.control_verdict import ControlView, control_view
 from service.pipeline.control.release.events import OrderKind, Report, digest_of, state_of
 from service.pipeline.control.release.interlock import Instant
@@ -28,6 +27,7 @@ from service.runtime.control.sign_checks import (
     begin_sign_check,
     continue_sign_check,
     error_of,
+    judge_report,
     release_refusal,
     requested,
 )
@@ -116,7 +116,7 @@ class ReleaseService(ReleaseLoop):
             if at_us is not None:
                 _require_time(command, at_us, at, is_data=self.clock.is_data(spacecraft_id))
             self._handle(context, event)
-            self._hold_against_powers(context, event)
+            judge_report(context, event)
             continue_sign_check(context, at)
             return context.release.command(counter)
 
@@ -194,15 +194,6 @@ class ReleaseService(ReleaseLoop):
         refusal = release_refusal(spacecraft)
         if refusal is not None:
             raise error_of(refusal)
-
-    def _hold_against_powers(self, context: ReleaseContext, event: Report) -> None:
-        """Judge a command that is reported executed whole by its response in the powers before."""
-        command = command_of(context.state, event.counter)
-        evidence = None if context.stored is None else context.stored.evidence
-        if command is None or evidence is None or evidence.unreported_log_ratio is None or command.is_sign_check:
-            return
-        if event.transition is CommandTransition.EXECUTED and command.executed == command.schedule:
-            context.release.handle(events.ResponseJudged(event.at, evidence.unreported_log_ratio))
 
 
 def _require_time(command: Command, at_us: int, at: Instant, *, is_data: bool) -> None:

@@ -14,7 +14,8 @@ from service.pipeline.control.command.compute_command import command_for
 from service.pipeline.control.command.control_design import control_design
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
 from service.pipeline.control.release.advance import settled_at
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, State
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, State
+from service.pipeline.control.release.command_transitions import command_of
 from service.pipeline.control.release.events import (
     AnglesFit,
     Applied,
@@ -22,6 +23,7 @@ from service.pipeline.control.release.events import (
     BeginSignCheck,
     PrepareLeg,
     Refusal,
+    Report,
     ResponseJudged,
     RowSeen,
     SignJudged,
@@ -32,6 +34,7 @@ from service.pipeline.control.release.interlock_conditions import OWN_AFFAIR, Re
 from service.pipeline.control.release.release_checks import (
     effect_of_law,
     effect_of_pulses,
+    envelope_left,
     proposal_of,
     proposed,
     release_checks,
@@ -76,7 +79,7 @@ def requested(context: ReleaseContext, request: CommandRequest, at: Instant) -> 
     if not -US_PER_S <= start_us - at.now_us <= microseconds(settings.latest_stop_s):
         detail = f"start must lie ahead of the spacecraft's clock by at most {settings.latest_stop_s:g} s"
         raise InvalidInputError("command.wish", detail)
-    computed = computed_command(context, start_us, duration_s, request.max_torque_n_m)
+    computed = computed_command(context, at, start_us, duration_s, request.max_torque_n_m)
     try:
         command = proposal_of(computed, spacecraft, request.reason)
     except ValueError as error:
@@ -86,7 +89,7 @@ def requested(context: ReleaseContext, request: CommandRequest, at: Instant) -> 
 
 
 def computed_command(
-    context: ReleaseContext, start_us: int, duration_s: float, max_torque_n_m: float | None = None
+    context: ReleaseContext, at: Instant, start_us: int, duration_s: float, max_torque_n_m: float | None = None
 ) -> TorqueCommand:
     """Return the command of the law from an instant on, without what the interlock withholds."""
     row, facts, interlock = context.row, context.facts, context.state.interlock
@@ -107,6 +110,7 @@ def computed_command(
         swing=swing_left(context.storage.releases, context.spacecraft, start_us),
         body_rate_deg_s=facts.body_rate_deg_s(row.epoch_us, rate_age_s),
         balance=balance,
+        envelope=envelope_left(context.state, at.now_us, context.settings),
     )
 
 
@@ -290,6 +294,16 @@ def handle_row(context: ReleaseContext, stored: StoredRow, row: AttitudeRow, at:
         _give_angles(context, row, at)
 
 
+def judge_report(context: ReleaseContext, event: Report) -> None:
+    """Judge a command that is reported executed whole by its response in the powers before."""
+    command = command_of(context.state, event.counter)
+    evidence = None if context.stored is None else context.stored.evidence
+    if command is None or evidence is None or evidence.unreported_log_ratio is None or command.is_sign_check:
+        return
+    if event.transition is CommandTransition.EXECUTED and command.executed == command.schedule:
+        context.release.handle(ResponseJudged(event.at, evidence.unreported_log_ratio))
+
+
 def _send(context: ReleaseContext, at: Instant) -> None:
     """Offer the law's command to a standing authorisation, once a command period, while nothing else is out.
 
@@ -308,7 +322,7 @@ def _send(context: ReleaseContext, at: Instant) -> None:
     if is_busy or at.now_us - newest_us < microseconds(period_s):
         return
     context.asked_us = at.now_us
-    computed = computed_command(context, soonest_start_us(at.now_us, context.settings), period_s)
+    computed = computed_command(context, at, soonest_start_us(at.now_us, context.settings), period_s)
     if not computed.schedule:
         return
     step = context.release.handle(Automatic(at, proposal_of(computed, spacecraft, _REASON)))

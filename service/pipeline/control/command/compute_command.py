@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.core.control.command_plan import Forecast, Situation, plan_command
-from service.core.control.slew_schedule import AxisPulse, Envelope
+from service.core.control.command_plan import Forecast, PlannedPulses, Situation, plan_command
+from service.core.control.slew_schedule import AxisPulse, Envelope, envelope_excesses, predicted_effect
 from service.core.control.wheel_allocation import Allocation, Wheels, allocate
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.balance import balance_axes, balance_row
@@ -37,6 +37,8 @@ from service.records.levels.attitude import AttitudeRow, Axes, BalanceBasis, Dis
 
 NO_CARRY = np.zeros(3)
 _ENVELOPE = Envelope()
+#: shares of the envelope to plan with where rounded pulses pass a limit; the last one leaves no pulse
+_SMALLER_SHARES = (0.7, 0.4, 0.0)
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,7 @@ def command_for(
     swing: PanelSwing | None = None,
     body_rate_deg_s: Axes | None = None,
     balance: tuple[bool, bool, bool] | None = None,
+    envelope: Envelope = _ENVELOPE,
 ) -> TorqueCommand:
     """Return the command that would be released: from a start that lies ahead, for a whole horizon.
 
@@ -165,6 +168,8 @@ def command_for(
         As `compute_command` has it.
     balance : tuple of bool, optional
         Axes whose known torque and rate the command shall balance, whatever the row forbids; None: it controls.
+    envelope : Envelope
+        Limits of this command; the law keeps its share of them.
 
     Returns
     -------
@@ -172,7 +177,7 @@ def command_for(
         ``command_period_s`` is the horizon that the envelope has room for; zero with the reasons where the row or the
         settings forbid control.
     """
-    span = Span(start_us, duration_s)
+    span = Span(start_us, duration_s, envelope)
     used = row if balance is None else balance_row(row, balance)
     inhibitions = control_inhibitions(used, spacecraft, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
@@ -237,14 +242,24 @@ def _forecast_command(
     try:
         design = _design(spacecraft, config, max_torque_n_m)
         situation = _situation_at(row, span.epoch_us, design, disturbance)
-        envelope = Envelope(*(config.envelope_share * limit for limit in _ENVELOPE))
         forecast = _forecast(spacecraft, span, config, disturbance)
-        plan = plan_command(design.gains, design.drive, situation, forecast, envelope)
+        limits = (
+            Envelope(*(share * limit for limit in span.envelope)) for share in (config.envelope_share, *_SMALLER_SHARES)
+        )
+        plans = (plan_command(design.gains, design.drive, situation, forecast, each) for each in limits)
+        plan = next(each for each in plans if _is_within(each, forecast.least_horizon_s, design, span.envelope))
     except ValueError:
         return zero_command(row, spacecraft, span, ("no_law",))
-    if span.period_s > spacecraft.control.command_period_s:
+    if not forecast.least_horizon_s:
         span = span._replace(period_s=plan.horizon_s)
     return _allocated(row, spacecraft, span, plan.pulses, design, momentum_n_m_s, is_cut=plan.is_shortened)
+
+
+def _is_within(plan: PlannedPulses, least_horizon_s: float, design: ControlDesign, envelope: Envelope) -> bool:
+    """Return whether planned pulses, rounded as they are, keep to an envelope."""
+    horizon_s = max([least_horizon_s, plan.horizon_s, *(pulse.stop_s for pulse in plan.pulses)])
+    effect = predicted_effect(plan.pulses, design.gains.inertia_kg_m2, np.eye(3), horizon_s)
+    return not envelope_excesses(effect, (0.0, 0.0, 0.0), envelope)
 
 
 def _design(spacecraft: Spacecraft, config: TorqueConfig, max_torque_n_m: float | None) -> ControlDesign:
@@ -269,16 +284,19 @@ def _situation_at(row: AttitudeRow, start_us: int, design: ControlDesign, distur
 
 def _forecast(spacecraft: Spacecraft, span: Span, config: TorqueConfig, disturbance: Disturbance | None) -> Forecast:
     """Return the parts of a horizon and the torque expected in each."""
+    # a longer horizon may become as short as the slew, and the command's span with it
+    least_s = span.period_s if span.period_s <= spacecraft.control.command_period_s else 0.0
     slew_s = config.slew_share * min(span.period_s, spacecraft.control.command_period_s)
     left_s = span.period_s - slew_s
     # slices of a whole period where there is room, else one for what is left of the only period
     slices = max(1, int(left_s / config.balance_s)) if left_s > 0.0 else 0
     slice_s = left_s / slices if slices else config.balance_s
     if disturbance is None:
-        return Forecast(slew_s, slice_s, np.zeros((1 + slices, 3)))
+        return Forecast(slew_s, slice_s, np.zeros((1 + slices, 3)), least_s)
     middles_s = [0.5 * slew_s, *(slew_s + slice_s * (k + 0.5) for k in range(slices))]
     instants = [span.epoch_us + round(s * US_PER_S) for s in middles_s]
-    return Forecast(slew_s, slice_s, np.array([disturbance.torque_n_m(at_us) for at_us in instants]))
+    torque_n_m = np.array([disturbance.torque_n_m(at_us) for at_us in instants])
+    return Forecast(slew_s, slice_s, torque_n_m, least_s)
 
 
 def _allocated(

@@ -31,10 +31,11 @@ _ZERO = Axes(0.0, 0.0, 0.0)
 
 
 class Span(NamedTuple):
-    """For when a command is meant."""
+    """When a command acts, and the envelope that the law keeps to."""
 
     epoch_us: int
     period_s: float
+    envelope: Envelope = Envelope()
 
     @property
     def stop_us(self) -> int:
@@ -218,9 +219,6 @@ def _gyro_design(spacecraft: Spacecraft, period_s: int) -> Law:
     return gyro_orbitant_law(tensor, gains, torque_limit_n_m=limit_n_m, command_period_s=float(period_s))
 
 
-_ENVELOPE = Envelope()
-
-
 class MeanPulses(NamedTuple):
     """Pulses whose mean is the torque, what they leave for later, and whether the law wanted more."""
 
@@ -274,7 +272,7 @@ def mean_pulses(
     is_allowed = np.array(row.control_allowed_axes)
     wanted = np.where(is_allowed, wanted, 0.0)
     if is_gyro_orbitant(spacecraft) and spacecraft.control.release is Release.TWO_STEP:
-        share = _share_within_envelope(wanted, design, span.period_s, config.envelope_share)
+        share = _share_within_envelope(wanted, design, span, config.envelope_share)
     train = shape_pulses(
         share * wanted,
         np.where(is_allowed, carry_n_m_s, 0.0),
@@ -309,14 +307,14 @@ def _wanted(
     return feedback_torque(design.gains, row.steered_deg, rates, disturbance_n_m=pushed)
 
 
-def _share_within_envelope(torque_n_m: FloatArray, design: ControlDesign, period_s: float, of_envelope: float) -> float:
+def _share_within_envelope(torque_n_m: FloatArray, design: ControlDesign, span: Span, of_envelope: float) -> float:
     """Return the share of a mean torque that one command may give, whenever within its period it acts."""
-    impulse = np.abs(torque_n_m) * period_s
+    impulse = np.abs(torque_n_m) * span.period_s
     rate_deg_s = np.degrees(np.abs(design.inverse_1_kg_m2) @ impulse)
-    asked = (rate_deg_s * period_s, rate_deg_s, impulse)
-    limits = (_ENVELOPE.angle_change_deg, _ENVELOPE.rate_change_deg_s, _ENVELOPE.impulse_n_m_s)
-    greatest = max(float(value.max()) / limit for value, limit in zip(asked, limits, strict=True))
-    return min(1.0, of_envelope / greatest) if greatest > 0.0 else 1.0
+    asked = (rate_deg_s * span.period_s, rate_deg_s, impulse)
+    limits = span.envelope[: len(asked)]
+    pairs = ((float(value.max()), of_envelope * limit) for value, limit in zip(asked, limits, strict=True))
+    return min(1.0, *(limit / value for value, limit in pairs if value > 0.0), 1.0)
 
 
 #: reasons beside those of the interlock for which a command stays zero, with what each one says

@@ -108,6 +108,14 @@ def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
     return yaw, roll, pitch
 
 
+def envelope_left(state: ReleaseState, now_us: int, settings: ReleaseSettings) -> Envelope:
+    """Return the limits of the next command: those in force, and of the hour's impulse what has not been sent."""
+    authorisation = state.interlock.authorisation
+    limits = settings.envelope if authorisation is None else authorisation.terms.envelope
+    left_n_m_s = limits.impulse_an_hour_n_m_s - max(sent_within_an_hour(state, now_us))
+    return limits._replace(impulse_n_m_s=max(0.0, min(limits.impulse_n_m_s, left_n_m_s)))
+
+
 def _is_yaw_withheld(interlock: Interlock, command: Command) -> bool:
     """Return whether a yaw torque is withheld; an unproven sign does not withhold the check that proves it."""
     standing = {each for each in interlock.standing if each.consequence is Consequence.YAW}

@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.core.control.slew_schedule import Envelope, envelope_excesses
 from service.core.flexible.schedule import analyse_schedule
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.balance import basis_at, basis_of, predicted_deg, with_executed
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
 from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS, control_inhibitions
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
+from service.pipeline.control.release.release_checks import effect_of_law
 from service.pipeline.estimation.row_inhibitions import BALANCED, INHIBITIONS
 from service.records.catalogue import ControlMode, FlexibleMode, Method, Onboard, Release, WheelSet
 from service.records.levels.attitude import Axes, Disturbance, Pulse, row_without_attitude
@@ -255,6 +257,23 @@ def test_a_command_with_a_later_start_knows_where_the_craft_will_be(record):
     assert {abs(pulse.torque_n_m.roll) for pulse in weak.schedule} <= {0.0, 0.002}
     held = command_for(row(inhibitions=("late",)), two_step, EPOCH, 900.0, None, TorqueConfig())
     assert (held.inhibitions, held.schedule, held.schedule_check) == (("late",), (), None)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_the_law_asks_for_the_release_finds_inside_the_envelope(record, seed):
+    rng = np.random.default_rng(seed)
+    for _ in range(60):
+        period_s, duration_s = rng.choice([300.0, 600.0, 900.0]), rng.choice([300.0, 600.0, 900.0, 3600.0])
+        control = replace(record.control, release=Release.TWO_STEP, command_period_s=period_s)
+        two_step = replace(record, control=control)
+        moving = row(rng.uniform(-1.0, 1.0, 3), rng.normal(scale=6e-5, size=3))
+        envelope = Envelope(*(rng.uniform(0.2, 1.0) * limit for limit in Envelope()))
+        envelope = envelope._replace(impulse_n_m_s=min(envelope.impulse_n_m_s, envelope.impulse_an_hour_n_m_s))
+        command = command_for(
+            moving, two_step, EPOCH, duration_s, None, TorqueConfig(), pushed(rng.uniform(0, 3e-6)), envelope=envelope
+        )
+        excesses = envelope_excesses(effect_of_law(command, two_step), (0.0, 0.0, 0.0), envelope)
+        assert not excesses, f"seed {seed}: {', '.join(map(str, excesses))}"
 
 
 def test_a_schedule_is_held_against_the_flexible_modes(record):
