@@ -44,8 +44,8 @@ def kept(folder: Path, unit: LoopUnit) -> LoopResult | None:
             return None
         flight = None
         if head["flight"] is not None:
-            announced = {**head["flight"], "impulse_n_m_s": tuple(head["flight"]["impulse_n_m_s"])}
-            flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **announced)
+            rest = {name: tuple(value) if isinstance(value, list) else value for name, value in head["flight"].items()}
+            flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **rest)
     return LoopResult(unit, head["seconds"], head["refusal"], flight)
 
 

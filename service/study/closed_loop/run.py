@@ -11,27 +11,26 @@ import numpy as np
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.calibration import CalibrationMethod
-from service.records.catalogue import Method, Release, Spacecraft
-from service.records.epoch import US_PER_S, format_epoch
+from service.records.catalogue import ControlMode, Method, Release, Spacecraft
+from service.records.epoch import format_epoch
 from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChange, SpacecraftChange
 from service.records.levels.attitude import BoolArray, FloatArray
 from service.records.levels.measurement import Measurement
+from service.records.operations.release import UplinkProduct
+from service.study.closed_loop.centre import Centre
 from service.study.closed_loop.controllers import (
     LEAD_MARGIN_S,
     LEAD_S,
-    ByAngles,
-    ByChain,
     ByTruth,
     Controller,
-    ControllerOutput,
     Idle,
     Sensing,
 )
 from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow, SpacecraftTruth
-from service.study.closed_loop.released import Releaser
 from service.study.estimation.flight.drive import UndrivenError, align, calibrate
 from service.study.estimation.flight.world import Ground
 
@@ -39,8 +38,8 @@ from service.study.estimation.flight.world import Ground
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
 #: s: of the closed loop and between commands over the link where the catalogue states the torque
 LOOP_PERIOD_S = 2400.0
-#: on board angles older than this are not acted on; the service's product holds for three rows and 30 s
-AGE_LIMIT_S, VALID_S = 1800.0, 210.0
+#: on board angles older than this are not acted on, s
+AGE_LIMIT_S = 1800.0
 COMMAND_PERIOD_S = 600.0
 
 
@@ -85,6 +84,8 @@ class FlownRun:
     reported: dict[str, int]
     #: rows that state each reason against control
     reasons: dict[str, int]
+    #: conditions by which control tripped
+    trips: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,8 @@ def controller_of(
     if unit.sensing is Sensing.TRUTH:
         automatic = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC)
         return ByTruth(automatic, 0.0 if is_ideal else lead_s, float(np.median(np.diff(ground.epochs_us))) / 1e6)
-    spacecraft = replace(spacecraft, control=replace(spacecraft.control, method=unit.method))
+    mode = ControlMode.ONBOARD if unit.mode == "onboard" else ControlMode.GROUND
+    spacecraft = replace(spacecraft, control=replace(spacecraft.control, method=unit.method, mode=mode))
     opening = (SpacecraftChange(spacecraft, 1), plan, documents.add_ephemeris(ground.ephemeris))
     by = CalibrationMethod.PAPER if unit.method is Method.PAPER else CalibrationMethod.GEOMETRY
     documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1], by)
@@ -155,9 +157,7 @@ def controller_of(
     chain = Chain(documents, config, methods=(unit.method,))
     for content in (*opening, CalibrationActivation(1, 1), AlignmentSet(1)):
         chain.update(content)
-    if unit.mode == "onboard":
-        return ByAngles(chain)
-    return ByChain(chain, None if is_ideal else Releaser(chain, spacecraft, lead_s, config.torque))
+    return Centre(chain, ReleaseSettings(uplink_lead_s=lead_s), config.torque)
 
 
 def flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
@@ -186,8 +186,7 @@ class GroundJournal:
         for content in slow_inputs(row.ground, self.documents, 1000 * self.number):
             if isinstance(content, PlanChange):
                 self.plan_id = content.plan_id
-            if isinstance(controller, ByChain | ByAngles):
-                controller.chain.update(content)
+            controller.on_ground(content)
 
     def measurement(self, row: PlantRow) -> Measurement:
         """Return the powers of a row in the order of the plan."""
@@ -198,15 +197,13 @@ class GroundJournal:
         return Measurement(epoch_us, epoch_us, self.number, source, self.plan_id, power_dbm, None, feeds_estimator=True)
 
 
-def _product(epoch_us: int, counter: int, decision: ControllerOutput) -> dict[str, Any] | None:
-    """Return the angles of a row as `attitude/uplink` gives them; None where they are not fit for use."""
-    if decision.attitude_deg is None or decision.is_inhibited:
-        return None
-    until_us = epoch_us + round(VALID_S * US_PER_S)
-    epochs = {"attitude_epoch": format_epoch(epoch_us), "valid_until": format_epoch(until_us)}
-    angles = decision.attitude_deg._asdict().items()
-    fit = {axis: None if math.isnan(angle) else angle for axis, angle in angles}
-    return {"counter": counter, **epochs, "attitude_deg": fit}
+def _angles(product: UplinkProduct) -> dict[str, Any]:
+    """Return angles as `attitude/uplink` gives them."""
+    instants = ("attitude_epoch", product.attitude_epoch_us), ("valid_until", product.valid_until_us)
+    epochs = {name: format_epoch(at_us) for name, at_us in instants}
+    angles = {} if product.attitude_deg is None else product.attitude_deg._asdict()
+    fit = {axis: None if math.isnan(angle) else angle for axis, angle in angles.items()}
+    return {"counter": product.counter, **epochs, "attitude_deg": fit}
 
 
 def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> FlownRun:
@@ -214,7 +211,7 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, un
     truth: list[SpacecraftTruth] = []
     estimates, inhibited, faded, reasons = [], [], [], Counter[str]()
     impulse, reported, sent = np.zeros(3), dict.fromkeys(STATES, 0), 0
-    nothing = (np.nan,) * 3
+    nothing, is_onboard = (np.nan,) * 3, unit.mode == "onboard"
     for row in plant.rows():
         journal.update(row, controller)
         controller.on_input(row.reports)
@@ -224,16 +221,18 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, un
                 impulse += np.abs(report.impulse_n_m_s)
         angles, is_inhibited = None, True
         if row.power_dbm is not None:
-            decision = controller.decide(journal.measurement(row), row.truth, sent + 1)
+            decision = controller.decide(journal.measurement(row), row.truth)
             angles, is_inhibited = decision.attitude_deg, decision.is_inhibited
             reasons.update(decision.reasons)
             first_us = truth[0].epoch_us if truth else row.truth.epoch_us
             silent_h = (row.truth.epoch_us - first_us) / 3.6e9 - unit.silence_h[0]
-            is_silent, is_onboard = 0.0 <= silent_h < unit.silence_h[1], unit.mode == "onboard"
-            announced = _product(row.truth.epoch_us, sent + 1, decision) if is_onboard and not is_silent else None
-            sent += bool(announced or decision.schedule)
-            schedule = () if is_silent else decision.schedule
-            plant.send(schedule, sent if schedule else None, announced)
+            is_sent = not 0.0 <= silent_h < unit.silence_h[1]
+            product = decision.product if is_sent else None
+            schedule = decision.schedule if product is None else product.schedule
+            sent += bool(schedule or product)
+            counter = sent if product is None else product.counter
+            announced = _angles(product) if product is not None and is_onboard else None
+            plant.send(schedule if is_sent else (), counter if schedule and is_sent else None, announced)
             if is_onboard:
                 is_inhibited = row.truth.is_holding
         truth.append(row.truth)
@@ -251,4 +250,5 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, un
         sent=sent,
         reported=reported,
         reasons=dict(reasons.most_common()),
+        trips=controller.trips if isinstance(controller, Centre) else (),
     )

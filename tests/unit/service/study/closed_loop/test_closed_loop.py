@@ -2,33 +2,47 @@
 
 import json
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from service.pipeline.config import TorqueConfig
-from service.records.catalogue import AxisTorques, ControlSettings, Method, Onboard, Release, Site, Spacecraft
+from service.pipeline.control.release.interlock_conditions import ReleaseSettings
+from service.pipeline.estimation.method import CommandEvidence
+from service.pipeline.inputs.knowledge import Knowledge
+from service.ports import Outcome
+from service.records.catalogue import (
+    AxisTorques,
+    ControlMode,
+    ControlSettings,
+    Method,
+    Onboard,
+    Release,
+    Site,
+    Spacecraft,
+)
+from service.records.inputs import PlanChange
 from service.records.levels.attitude import (
     AppliedCommand,
     Axes,
-    Disturbance,
     Pulse,
     ReleasedCommand,
     ReportedCommand,
+    Status,
     TorqueCommand,
     row_without_attitude,
 )
 from service.records.levels.measurement import Measurement
 from service.study.closed_loop.campaign import LoopCampaign, LoopPlan
-from service.study.closed_loop.controllers import LEAD_S, ByAngles, ByChain, ByTruth, Idle, Sensing, postponed
+from service.study.closed_loop.centre import Centre
+from service.study.closed_loop.controllers import LEAD_S, ByTruth, Idle, Sensing, postponed
 from service.study.closed_loop.figures import draw_campaign
 from service.study.closed_loop.flight_store import keep, kept
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR, ground_of
 from service.study.closed_loop.merit import MEASURED_SCENARIO, UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
 from service.study.closed_loop.plant_process import CommandReport, PlantProcess, SpacecraftTruth
-from service.study.closed_loop.released import Releaser
 from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown, verdict
 from service.study.closed_loop.run import (
     COMMAND_PERIOD_S,
@@ -41,7 +55,7 @@ from service.study.closed_loop.run import (
 
 S = 1_000_000
 ZERO = Axes(0.0, 0.0, 0.0)
-RELEASE_LEAD_S, PERIOD_S = 150.0, 600.0
+RELEASE_LEAD_S, PERIOD_S, ROW_S = 150.0, 600.0, 60.0
 CRAFT = Spacecraft(
     "yamal-202",
     "",
@@ -53,39 +67,66 @@ CRAFT = Spacecraft(
     onboard=Onboard(fast_loop=True, forecast_mode=True),
     control=ControlSettings(release=Release.TWO_STEP, command_period_s=PERIOD_S),
 )
-#: needs a pulse every other slice, so that there is a tail
-PUSHED = Disturbance(0, 86_400.0, Axes(0.0, 4e-7, 0.0), ZERO, ZERO, ZERO)
 
 
-@dataclass
-class Journal:
-    """Stands for the chain: remembers what it was told."""
+class RecordedChain:
+    """Stands for the chain: gives the rows that are laid before it and remembers its inputs."""
 
-    announced: list[object] = field(default_factory=list)
+    def __init__(self, spacecraft=CRAFT):
+        plan, ephemeris = SimpleNamespace(id=1), SimpleNamespace(valid_stop_us=30 * 86_400 * S)
+        self.knowledge = Knowledge(spacecraft, plan, ephemeris, alignment=SimpleNamespace(id=1))
+        self.announced, self.outcome, self.evidence = [], None, None
+
+    def step(self, measurement):
+        return self.outcome
+
+    def command_evidence(self):
+        return self.evidence
 
     def update(self, content):
         self.announced.append(content)
+        if isinstance(content, PlanChange):
+            self.knowledge = replace(self.knowledge, plan=SimpleNamespace(id=content.plan_id))
 
 
 class Link:
-    """A releaser, row by row."""
+    """A centre, row by row."""
 
-    def __init__(self):
-        self.journal = Journal()
-        self.releaser = Releaser(self.journal, CRAFT, RELEASE_LEAD_S, TorqueConfig())
-        self.sent = 0
+    def __init__(self, spacecraft=CRAFT):
+        self.chain = RecordedChain(spacecraft)
+        self.centre = Centre(self.chain, ReleaseSettings(), TorqueConfig())
+        self.rows = 0
 
-    def row(self, at_s, roll_deg=0.1, **changes):
-        plain = row_without_attitude(round(at_s * S), round(at_s * S), 1, Method.ROBUST, ())
-        allowed = {"control_allowed": True, "control_allowed_axes": (True, True, True)}
-        row = replace(plain, attitude_deg=Axes(0.0, roll_deg, 0.0), rates_deg_s=ZERO, **{**allowed, **changes})
-        measurement = Measurement(row.epoch_us, row.epoch_us, 1, "sa-1", 1, np.zeros(0), None, feeds_estimator=True)
-        given = self.releaser.wanted(SimpleNamespace(disturbance=PUSHED, command=None), row, measurement, self.sent + 1)
-        self.sent += bool(given)
-        return given
+    def row(self, roll_deg=0.1, **changes):
+        """Return the product that goes out after the next row."""
+        self.rows += 1
+        epoch_us = round(self.rows * ROW_S * S)
+        plain = row_without_attitude(epoch_us, epoch_us, self.rows, Method.ROBUST, ())
+        good = {
+            "status": Status.ACQUIRED,
+            "control_allowed": True,
+            "control_allowed_axes": (True, True, True),
+            "carriers_used": 12,
+        }
+        row = replace(plain, attitude_deg=Axes(0.0, roll_deg, 0.0), rates_deg_s=ZERO, **{**good, **changes})
+        self.chain.outcome = Outcome((row,), None)
+        measurement = Measurement(epoch_us, epoch_us, self.rows, "sa-1", 1, np.zeros(0), None, feeds_estimator=True)
+        return self.centre.decide(measurement, SpacecraftTruth(epoch_us, ZERO, ZERO, 0.0)).product
 
-    def on_input(self, state, until_us=None, counter=1):
-        self.releaser.on_input([CommandReport(counter, state, ZERO, until_us or 0, until_us)])
+    def until_sent(self, **changes):
+        """Return the next product, and after how many rows it went out."""
+        before = self.rows
+        for _ in range(60):
+            product = self.row(**changes)
+            if product is not None:
+                return product, self.rows - before
+        raise AssertionError("nothing went out within an hour")
+
+    def report(self, counter, state, until_us=None):
+        self.centre.on_input([CommandReport(counter, state, ZERO, until_us or 0, until_us)])
+
+    def entries(self, kind):
+        return [content for content in self.chain.announced if isinstance(content, kind)]
 
 
 @pytest.fixture
@@ -93,66 +134,82 @@ def link():
     return Link()
 
 
-def stop_us(pulse):
-    return pulse.start_us + round(pulse.duration_s * S)
+def stop_us(schedule):
+    return max(pulse.start_us + round(pulse.duration_s * S) for pulse in schedule)
 
 
-def slew(schedule):
-    return tuple(pulse for pulse in schedule if pulse.start_us <= (RELEASE_LEAD_S + 0.75 * PERIOD_S) * S)
-
-
-def test_a_command_goes_out_ahead_of_its_pulses_and_is_uncertain_until_it_is_told(link):
-    sent = link.row(0.0)
-    assert min(pulse.start_us for pulse in sent) == RELEASE_LEAD_S * S
-    assert len(slew(sent)) < len(sent)
-    assert link.journal.announced == [ReleasedCommand(1, 0, sent)]
-    # waits for its report, and for the end of its period
-    assert link.row(60.0) == ()
-    first, last = slew(sent)[0], slew(sent)[-1]
-    link.on_input("executing", stop_us(first))
-    assert len(link.journal.announced) == 1
-    link.on_input("executing", stop_us(last))
-    assert link.journal.announced[1:] == [ReportedCommand(1, stop_us(last), slew(sent))]
-    assert link.row(540.0) == ()
-    assert link.row(600.0) != ()
-
-
-def test_what_is_executed_after_the_report_is_told_as_it_comes_and_once(link):
-    sent = link.row(0.0)
-    link.on_input("executing", stop_us(slew(sent)[-1]))
-    link.on_input("executing", stop_us(sent[-2]))
-    link.on_input("executed", stop_us(sent[-1]))
-    link.on_input("executed", stop_us(sent[-1]))
-    later = [content for content in link.journal.announced[2:] if isinstance(content, AppliedCommand)]
-    assert [pulse for content in later for pulse in content.command.schedule] == list(sent[len(slew(sent)) :])
+def test_two_persons_take_control_up_and_a_command_waits_for_its_report(link):
+    product, rows = link.until_sent()
+    # ten good minutes, and a row for the law to be asked
+    assert rows == 12
+    assert min(pulse.start_us for pulse in product.schedule) == round((link.rows * ROW_S + RELEASE_LEAD_S) * S)
+    assert link.entries(ReleasedCommand) == [ReleasedCommand(1, round(link.rows * ROW_S * S), product.schedule)]
+    while link.rows * ROW_S * S < stop_us(product.schedule):
+        assert link.row() is None
+    link.report(1, "executed", stop_us(product.schedule))
+    (executed,) = link.entries(ReportedCommand)
+    assert (executed.counter, executed.executed) == (1, product.schedule)
+    again, _ = link.until_sent()
+    assert again.counter == 2
+    assert link.centre.trips == ()
 
 
 @pytest.mark.parametrize("state", ["late", "refused", "replaced"])
 def test_what_the_craft_does_not_execute_is_reported_as_nothing(link, state):
-    link.row(0.0)
-    link.on_input(state)
-    assert link.journal.announced[1:] == [ReportedCommand(1, 0, ())]
-    assert link.row(600.0) != ()
+    link.until_sent()
+    link.report(1, state)
+    link.report(1, state)
+    assert [entry.executed for entry in link.entries(ReportedCommand)] == [()]
+    assert link.until_sent()[0].counter == 2
 
 
 def test_what_is_lost_is_given_up_and_a_repetition_says_nothing(link):
-    link.row(0.0)
-    link.on_input("repeated")
-    assert len(link.journal.announced) == 1
-    over_s = RELEASE_LEAD_S + 0.75 * PERIOD_S + 60.0
-    assert link.row(over_s - 1.0) == ()
-    assert link.row(over_s) != ()
-    assert link.journal.announced[1] == ReportedCommand(1, round(over_s * S), ())
+    product, _ = link.until_sent()
+    link.report(1, "repeated")
+    while not link.entries(ReportedCommand):
+        assert link.row() is None
+    over_us = stop_us(product.schedule) + 60 * S
+    assert over_us <= link.rows * ROW_S * S < over_us + round(ROW_S * S)
+    assert link.entries(ReportedCommand)[0].executed == ()
 
 
-def test_nothing_goes_out_under_an_inhibition_and_a_person_leads_back_from_afar(link):
-    assert link.row(0.0, inhibitions=("downlink_fade",)) == ()
-    beyond = {"inhibitions": ("beyond_validity",), "control_allowed_axes": (False, False, False)}
-    assert link.row(60.0, 0.7, **beyond) == ()
-    assert link.row(60.0, 0.5, inhibitions=("beyond_validity", "downlink_fade")) == ()
-    back = link.row(60.0, 0.5, **beyond)
-    assert sum(pulse.torque_n_m.roll * pulse.duration_s * -pulse.start_us for pulse in slew(back)) > 0.0
-    assert not any(pulse.torque_n_m.yaw for pulse in back)
+def test_after_an_inhibition_nothing_goes_out_for_ten_good_minutes(link):
+    product, _ = link.until_sent()
+    link.row(inhibitions=("downlink_fade",), control_allowed=False)
+    link.report(1, "executed", stop_us(product.schedule))
+    assert link.until_sent()[1] == 11
+
+
+def test_a_person_leads_back_from_beyond_the_range_of_automatic_control(link):
+    beyond = {
+        "roll_deg": 0.6,
+        "inhibitions": ("beyond_validity",),
+        "control_allowed": False,
+        "control_allowed_axes": (False, False, False),
+    }
+    product, _ = link.until_sent(**beyond)
+    roll = [pulse for pulse in product.schedule if pulse.torque_n_m.roll]
+    assert roll[0].torque_n_m.roll < 0.0
+    assert not any(pulse.torque_n_m.yaw for pulse in product.schedule)
+
+
+def test_the_ground_s_own_change_of_the_plan_trips_and_is_taken_up_again(link):
+    link.until_sent()
+    link.centre.on_ground(PlanChange(2))
+    link.row()
+    link.report(1, "refused")
+    assert link.centre.trips == ("configuration",)
+    assert link.until_sent()[1] >= 10
+
+
+def test_a_missed_response_trips_for_good(link):
+    link.until_sent()
+    link.chain.evidence = CommandEvidence(None, np.zeros(0), 20.0, None)
+    link.row()
+    link.chain.evidence = None
+    link.report(1, "refused")
+    assert [link.row() for _ in range(30)] == [None] * 30
+    assert link.centre.trips == ("response_missed",)
 
 
 NOTHING = Axes(0.0, 0.0, 0.0)
@@ -166,7 +223,7 @@ def truth(roll_deg):
 
 def command():
     announced = ByTruth(AUTOMATIC, 0.0, 60.0)
-    decision = announced.decide(MEASUREMENT, truth(0.5), 1)
+    decision = announced.decide(MEASUREMENT, truth(0.5))
     assert decision.schedule
     return TorqueCommand(
         *(0, 1, 0, "ground", NOTHING, (0.0,) * 3, False, 60.0, 60_000_000, decision.schedule),
@@ -174,29 +231,16 @@ def command():
     )
 
 
-@dataclass
-class RecordedChain:
-    """A chain that gives one command again and again and remembers what it was told."""
-
-    command: TorqueCommand
-    identified: list[AppliedCommand] = field(default_factory=list)
-
-    def step(self, measurement):
-        applied = AppliedCommand(self.command) if self.command.control_allowed else None
-        return SimpleNamespace(rows=(), command=self.command, applied=applied)
-
-    def update(self, content):
-        self.identified.append(content)
-
-
 def test_the_chain_hears_the_mean_torque_of_what_a_loop_on_board_has_done():
-    announced = command()
-    chain = RecordedChain(announced)
-    controller = ByAngles(chain, announced)
+    onboard = replace(CRAFT, control=replace(CRAFT.control, mode=ControlMode.ONBOARD))
+    link = Link(onboard)
+    assert link.row().attitude_deg.roll == 0.1
+    link.chain.outcome = replace(link.chain.outcome, command=command())
     impulse = Axes(0.0, 0.012, -0.006)
     executed = CommandReport(4, "executed", impulse, 120_000_000, 66_000_000, 60_000_000)
-    controller.on_input((executed, CommandReport(5, "refused", NOTHING), replace_state(executed, "repeated")))
-    (applied,) = chain.identified
+    link.centre.decide(MEASUREMENT, truth(0.0))
+    link.centre.on_input((executed, CommandReport(5, "refused", NOTHING), replace_state(executed, "repeated")))
+    (applied,) = link.entries(AppliedCommand)
     (pulse,) = applied.command.schedule
     assert (pulse.start_us, pulse.duration_s) == (60_000_000, 6.0)
     assert pulse.torque_n_m == pytest.approx((0.0, 0.002, -0.001))
@@ -207,15 +251,13 @@ def replace_state(report, state):
 
 
 def test_nobody_sends_nothing():
-    assert Idle().decide(MEASUREMENT, truth(1.0), 1).schedule == ()
+    assert Idle().decide(MEASUREMENT, truth(1.0)).schedule == ()
 
 
 @pytest.mark.parametrize("roll_deg", [0.5, -0.5])
 def test_perfect_sensing_pushes_against_the_angle(roll_deg):
     (pulse,) = [
-        p
-        for p in ByTruth(AUTOMATIC, LEAD_S, 60.0).decide(MEASUREMENT, truth(roll_deg), 1).schedule
-        if p.torque_n_m.roll
+        p for p in ByTruth(AUTOMATIC, LEAD_S, 60.0).decide(MEASUREMENT, truth(roll_deg)).schedule if p.torque_n_m.roll
     ]
     assert pulse.torque_n_m.roll * roll_deg < 0.0
     assert pulse.start_us == round(LEAD_S * 1e6)
@@ -223,7 +265,7 @@ def test_perfect_sensing_pushes_against_the_angle(roll_deg):
 
 def test_what_perfect_sensing_cannot_express_is_carried_on():
     controller = ByTruth(AUTOMATIC, 0.0, 60.0)
-    given = [controller.decide(MEASUREMENT, truth(0.001), k).schedule for k in range(200)]
+    given = [controller.decide(MEASUREMENT, truth(0.001)).schedule for k in range(200)]
     assert 0 < sum(map(bool, given)) < 200
 
 
@@ -236,25 +278,22 @@ def test_a_postponed_command_is_the_same_later():
 
 def test_perfect_sensing_sees_roll_and_yaw_exchange():
     turned = truth(0.0)._replace(attitude_deg=Axes(1.0, 0.0, 0.0))
-    given = [p for p in ByTruth(AUTOMATIC, 0.0, 60.0).decide(MEASUREMENT, turned, 1).schedule if p.torque_n_m.roll]
+    given = [p for p in ByTruth(AUTOMATIC, 0.0, 60.0).decide(MEASUREMENT, turned).schedule if p.torque_n_m.roll]
     # yaw of 1 deg turns roll by 0.26 deg/h, which the law holds up
     assert given
     assert given[0].torque_n_m.roll < 0.0
 
 
 def test_over_an_ideal_uplink_a_command_counts_from_its_epoch():
-    chain = RecordedChain(command())
-    decision = ByChain(chain).decide(MEASUREMENT, truth(0.0), 1)
+    link = Link(AUTOMATIC)
+    link.chain.outcome = Outcome((), command(), AppliedCommand(command()))
+    decision = link.centre.decide(MEASUREMENT, truth(0.0))
     assert decision.schedule == command().schedule
-    assert chain.identified == [AppliedCommand(command())]
-
-
-def test_a_row_without_a_command_is_inhibited():
-    chain = RecordedChain(replace(command(), control_allowed=False, schedule=()))
-    controller = ByChain(chain)
-    assert controller.decide(MEASUREMENT, truth(0.0), 1).is_inhibited
-    controller.on_input((CommandReport(1, "executed", NOTHING),))
-    assert chain.identified == []
+    assert link.entries(AppliedCommand) == [AppliedCommand(command())]
+    link.chain.outcome = Outcome((), replace(command(), control_allowed=False, schedule=()))
+    assert link.centre.decide(MEASUREMENT, truth(0.0)).is_inhibited
+    link.chain.outcome = None
+    assert link.centre.decide(MEASUREMENT, truth(0.0)).is_inhibited
 
 
 UNIT = LoopUnit("nominal", 3, Sensing.AUTOMATIC, "link", 0.5, (0.1, 0.2, 0.3))
@@ -265,7 +304,7 @@ def flight():
     flags = rng.uniform(size=5) < 0.5
     truth_deg, estimate_deg = rng.normal(size=(5, 3)), np.full((5, 3), np.nan)
     counts = {"late": 1}, {"fade": 2}
-    return FlownRun(np.arange(5.0), truth_deg, estimate_deg, flags, ~flags, (0.1, 0.2, 0.3), 7, *counts)
+    return FlownRun(np.arange(5.0), truth_deg, estimate_deg, flags, ~flags, (0.1, 0.2, 0.3), 7, *counts, ("envelope",))
 
 
 def test_a_flight_comes_back_as_it_was_kept(tmp_path):
@@ -276,7 +315,7 @@ def test_a_flight_comes_back_as_it_was_kept(tmp_path):
     for name in ("hours", "truth_deg", "estimate_deg", "is_inhibited", "is_faded"):
         np.testing.assert_array_equal(getattr(again.flight, name), getattr(result.flight, name))
     assert (again.flight.impulse_n_m_s, again.flight.sent, again.flight.reported) == ((0.1, 0.2, 0.3), 7, {"late": 1})
-    assert again.flight.reasons == {"fade": 2}
+    assert (again.flight.reasons, again.flight.trips) == ({"fade": 2}, ("envelope",))
     assert not list((tmp_path / "new").glob("*.half"))
 
 
