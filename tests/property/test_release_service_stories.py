@@ -27,6 +27,11 @@ BAD_ROWS = st.sampled_from(
         {"carriers_used": 4},
         {"inhibitions": ("chain_step",), "control_allowed": False},
         {"attitude_deg": Axes(0.0, 2.1, 0.0), "inhibitions": ("beyond_validity",)},
+        {
+            "attitude_deg": Axes(0.0, 2.6, 0.1),
+            "protection_deg": Axes(1.0, 0.8, 0.7),
+            "inhibitions": ("beyond_validity", "protection_level"),
+        },
         {"attitude_deg": Axes(0.0, 0.45, 0.0), "inhibitions": ("beyond_validity",)},
         {"attitude_deg": Axes(NAN, NAN, NAN)},
     ]

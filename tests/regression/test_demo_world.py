@@ -116,7 +116,7 @@ class ByCorrections:
     rates_deg_s: np.ndarray = field(default_factory=lambda: np.zeros(3))
     sent: list = field(default_factory=list)
 
-    def decide(self, measurement, truth, counter):
+    def decide(self, measurement, truth):
         step_s = (measurement.epoch_us - self.epoch_us) / 1e6 if self.epoch_us else 0.0
         due = [pulse for pulse in self.sent if pulse.start_us < measurement.epoch_us]
         self.sent = [pulse for pulse in self.sent if pulse not in due]
@@ -127,9 +127,12 @@ class ByCorrections:
         self.angles_deg += step_s * (self.rates_deg_s + np.array([-roll, yaw, 0.0]))
         self.epoch_us = measurement.epoch_us
         believed = SpacecraftTruth(measurement.epoch_us, Axes(*self.angles_deg), Axes(*self.rates_deg_s), 0.0)
-        decision = self.law.decide(measurement, believed, counter)
+        decision = self.law.decide(measurement, believed)
         self.sent += decision.schedule
         return decision
+
+    def on_ground(self, content):
+        """Ignore it."""
 
     def on_input(self, reports):
         """Take every command as carried out."""

@@ -30,7 +30,11 @@ from service.pipeline.control.release.events import (
     StoredRow,
 )
 from service.pipeline.control.release.interlock import Instant, Interlock
-from service.pipeline.control.release.interlock_conditions import OWN_AFFAIR, ReleaseSettings, microseconds
+from service.pipeline.control.release.interlock_conditions import (
+    ReleaseSettings,
+    microseconds,
+    own_affair,
+)
 from service.pipeline.control.release.release_checks import (
     effect_of_law,
     effect_of_pulses,
@@ -99,7 +103,7 @@ def computed_command(
         balance = yaw and not interlock.is_yaw_withheld, roll, pitch
     rate_age_s = context.torque.rate_stale_periods * context.period_s + context.torque.rate_stale_margin_s
     return command_for(
-        allowed_row(row, interlock),
+        allowed_row(row, interlock, context.settings),
         context.spacecraft,
         start_us,
         duration_s,
@@ -114,16 +118,21 @@ def computed_command(
     )
 
 
-def allowed_row(row: AttitudeRow, interlock: Interlock) -> AttitudeRow:
+def allowed_row(row: AttitudeRow, interlock: Interlock, settings: ReleaseSettings) -> AttitudeRow:
     """Return a row with the reasons and axes that hold for the release.
 
-    The interlock judges range and sigma itself, by limits that let an approver bring a spacecraft back from beyond the
-    range of automatic control.
+    The interlock judges range and level itself, by limits that let an approver bring a spacecraft back from beyond the
+    range of automatic control: about the axes whose angle, or that range, exceeds the protection level.
     """
-    reasons = tuple(reason for reason in row.inhibitions if reason not in OWN_AFFAIR)
+    own = frozenset() if interlock.row is None else own_affair(interlock.row, settings)
+    reasons = tuple(reason for reason in row.inhibitions if reason not in own)
     yaw, roll, pitch = row.control_allowed_axes
-    if not reasons:
-        roll = pitch = True
+    if row.inhibitions and not reasons:
+        level, size, range_deg = row.protection_deg, row.attitude_deg, settings.recovery_deg
+        yaw = level.yaw < abs(size.yaw)
+        # a method without levels doubts no angle by them
+        roll = not level.roll > max(abs(size.roll), range_deg)
+        pitch = not level.pitch > max(abs(size.pitch), range_deg)
     return replace(
         row,
         inhibitions=reasons,

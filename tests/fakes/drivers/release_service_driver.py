@@ -1,6 +1,7 @@
 """Drives the release service, over an archive in memory, and judges what went out by rules of its own."""
 
 from contextlib import suppress
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -225,8 +226,22 @@ class ReleaseServiceDriver:
     def is_bad(self) -> bool:
         """Facts that forbid every correction of an angle."""
         row = self.row
-        is_doubted = row is None or bool(set(row.inhibitions) - OWN) or row.downlink_fade or row.carriers_used < 5
+        own = OWN | {"protection_level"} if self.is_sign_certain(0.4) else OWN
+        is_doubted = row is None or bool(set(row.inhibitions) - own) or row.downlink_fade or row.carriers_used < 5
         return is_doubted or self.is_forbidden()
+
+    def size_deg(self) -> float:
+        """Greater of roll and pitch; infinite where one is not known."""
+        sizes = [abs(self.row.attitude_deg.roll), abs(self.row.attitude_deg.pitch)]
+        return math.inf if any(map(math.isnan, sizes)) else max(sizes)
+
+    def is_sign_certain(self, beyond_deg: float) -> bool:
+        """Whether one of roll and pitch is beyond an angle, and each that is exceeds its level."""
+        if self.row is None or not self.size_deg() > beyond_deg:
+            return False
+        angle, level = self.row.attitude_deg, self.row.protection_deg
+        pairs = ((abs(angle.roll), level.roll), (abs(angle.pitch), level.pitch))
+        return all(level_deg < angle_deg for angle_deg, level_deg in pairs if angle_deg > beyond_deg)
 
     def is_forbidden(self) -> bool:
         """Facts that forbid every torque, the balance of the known one too."""
@@ -238,7 +253,7 @@ class ReleaseServiceDriver:
         age_s = (self.clock.now - row.epoch_us) / US
         return (
             abs(age_s) > 3.0 * 60.0 + 30.0
-            or not (abs(row.attitude_deg.roll) <= 2.0 and abs(row.attitude_deg.pitch) <= 2.0)
+            or not (self.size_deg() <= 2.0 or self.is_sign_certain(2.0))
             or is_full
             or archive.ephemeris_stop_us - self.clock.now < 6 * 3600 * US
         )

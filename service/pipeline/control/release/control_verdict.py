@@ -173,7 +173,7 @@ def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings 
     Examples
     --------
     >>> reason_of("hand_over").text
-    'roll or pitch beyond 2 deg: over to the sensor mode (alarm)'
+    'roll or pitch beyond 2 deg, its sign in doubt: over to the sensor mode (alarm)'
     """
     known = (
         INHIBITIONS | CONTROL_INHIBITIONS | OTHER_REASONS | {word: each.meaning for word, each in CONDITIONS.items()}

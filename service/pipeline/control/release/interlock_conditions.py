@@ -31,7 +31,9 @@ class ReleaseSettings:
     clock_jump_s: float = setting(2.0, "the clock may differ from the steady one by this much, s", CHOSEN)
     missed_log_ratio: float = setting(9.0, "log-likelihood ratio with which a command's response is missed", TUNED)
     recovery_deg: float = setting(0.4, "roll or pitch beyond it: single commands by an approver, deg", PUBLISHED)
-    hand_over_deg: float = setting(2.0, "roll or pitch beyond it: over to the sensor mode, deg", TUNED)
+    hand_over_deg: float = setting(
+        2.0, "roll or pitch beyond it, its sign in doubt: over to the sensor mode, deg", TUNED
+    )
     entry_modes: str = setting(
         "any", "on-board modes from which control is entered, by commas; `any`: not looked at", CHOSEN
     )
@@ -106,7 +108,10 @@ class Condition(Enum):
     INNOVATION = (Consequence.INHIBIT, "innovations outside their 99 % band for {innovation_min:g} min")
     ONBOARD_MODE = (Consequence.INHIBIT, "the on-board mode is not on the operator's list")
     REPORT_LATE = (Consequence.INHIBIT, "a released command ended {report_min:g} min ago without a report (alarm)")
-    HAND_OVER = (Consequence.INHIBIT, "roll or pitch beyond {hand_over_deg:g} deg: over to the sensor mode (alarm)")
+    HAND_OVER = (
+        Consequence.INHIBIT,
+        "roll or pitch beyond {hand_over_deg:g} deg, its sign in doubt: over to the sensor mode (alarm)",
+    )
     CLOCK_JUMP = (Consequence.TRIP, "the clock jumped by more than {clock_jump_s:g} s against the steady one")
     MOMENTUM = (Consequence.TRIP, "a wheel holds more than {momentum_percent:g} % of its greatest momentum")
     RESPONSE_MISSED = (
@@ -176,6 +181,8 @@ OF_ROW = frozenset(
 )
 #: reasons of the estimator that the interlock judges itself, by wider limits
 OWN_AFFAIR = frozenset({"beyond_validity"})
+#: and those that leave the sign of a large angle certain
+_SIZE_ALONE = frozenset({*OWN_AFFAIR, "protection_level"})
 #: conditions of the row under which it says itself whether the known torque may be balanced
 BALANCED_CONDITIONS = frozenset({Condition.ESTIMATOR, Condition.FADE, Condition.REDUNDANCY})
 #: an attitude has three unknowns
@@ -202,6 +209,8 @@ class InterlockRow:
     is_yaw_allowed: bool = False
     #: (yaw, roll, pitch) whose known torque may be balanced while control is inhibited
     balance_axes: tuple[bool, bool, bool] = NO_AXES
+    #: (yaw, roll, pitch) whose sign is certain
+    certain_axes: tuple[bool, bool, bool] = NO_AXES
     #: set by the interlock
     is_after_gap: bool = False
 
@@ -226,7 +235,14 @@ def interlock_row(
         is_yaw_allowed=row.control_allowed_axes[0],
         # a row that control could use, again, in the minutes before control goes on
         balance_axes=row.control_allowed_axes if row.control_allowed else balance,
+        certain_axes=certain_axes(row),
     )
+
+
+def certain_axes(row: AttitudeRow) -> tuple[bool, bool, bool]:
+    """Return the axes (yaw, roll, pitch) whose sign is certain: the angle exceeds its protection level."""
+    yaw, roll, pitch = (level < abs(angle) for level, angle in zip(row.protection_deg, row.attitude_deg, strict=True))
+    return yaw, roll, pitch
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,6 +271,22 @@ class InterlockInputs:
     is_automatic: bool = False
 
 
+def own_affair(row: InterlockRow, settings: ReleaseSettings) -> frozenset[str]:
+    """Return the estimator's reasons that do not inhibit the release after a row.
+
+    Beyond the range of automatic release an angle is led back by single commands as long as its sign is certain.
+    """
+    return _SIZE_ALONE if _is_sign_certain(row, settings.recovery_deg) else OWN_AFFAIR
+
+
+def _is_sign_certain(row: InterlockRow, beyond_deg: float) -> bool:
+    """Return whether roll or pitch is beyond an angle, and its sign is certain wherever it is."""
+    roll_deg, pitch_deg = abs(row.attitude_deg.roll), abs(row.attitude_deg.pitch)
+    sizes = zip((roll_deg, pitch_deg), row.certain_axes[1:], strict=True)
+    certain = [is_certain for size_deg, is_certain in sizes if size_deg > beyond_deg]
+    return bool(certain) and all(certain)
+
+
 def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSettings) -> dict[Condition, bool]:
     """Return which of the conditions that lie in the newest row stand."""
     if row is None:
@@ -264,11 +296,14 @@ def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSetti
     return {
         # an estimate from the future is as little to be believed as an old one
         Condition.ESTIMATE_OLD: not -stale_us <= now_us - row.epoch_us <= stale_us,
-        Condition.ESTIMATOR: not OWN_AFFAIR.issuperset(row.inhibitions),
+        Condition.ESTIMATOR: not own_affair(row, settings).issuperset(row.inhibitions),
         Condition.FADE: row.is_fading,
         Condition.REDUNDANCY: row.redundancy < settings.min_redundancy,
         Condition.GAP: row.is_after_gap,
-        Condition.HAND_OVER: not greater_angle_deg(row.attitude_deg) <= settings.hand_over_deg,
+        Condition.HAND_OVER: not (
+            greater_angle_deg(row.attitude_deg) <= settings.hand_over_deg
+            or _is_sign_certain(row, settings.hand_over_deg)
+        ),
         Condition.YAW_UNCERTAIN: not (row.is_yaw_allowed or row.inhibitions),
     }
 

@@ -461,6 +461,36 @@ def test_from_beyond_the_range_only_an_approver_brings_it_back_and_in_small_step
     assert -0.1 <= command.peak_angle_deg.roll < -0.05
 
 
+def reason_codes(driver):
+    return {reason.code for reason in driver.view.reasons}
+
+
+def test_beyond_the_model_only_an_angle_whose_sign_is_certain_is_led_back(driver):
+    driver.engaged()
+    doubted = {
+        "attitude_deg": Axes(1.2, -3.1, 0.2),
+        "inhibitions": ("beyond_validity", "protection_level"),
+        "control_allowed": False,
+        "control_allowed_axes": (False, False, False),
+    }
+    driver.rows(1, protection_deg=Axes(2.0, 1.5, 0.9), **doubted)
+    assert driver.state == "RECOVERY"
+    assert reason_codes(driver) == {"yaw_sign", "beyond_validity", "protection_level"}
+    command = driver.sent()
+    # the level of pitch exceeds its angle, that of yaw too
+    assert (command.peak_angle_deg.yaw, command.peak_angle_deg.pitch) == (0.0, 0.0)
+    assert 0.05 < command.peak_angle_deg.roll <= 0.1
+    driver.rows(1, protection_deg=Axes(0.9, 1.5, 0.3), **doubted)
+    assert driver.state == "RECOVERY"
+    driver.rows(1, protection_deg=Axes(0.9, 3.5, 0.3), **doubted)
+    assert driver.state == "INHIBITED"
+    assert {"estimator", "hand_over"} <= reason_codes(driver)
+    driver.rows(
+        1, protection_deg=Axes(0.9, 0.5, 0.3), **doubted | {"inhibitions": ("beyond_validity", "downlink_fade")}
+    )
+    assert {"estimator", "hand_over"} & reason_codes(driver) == {"estimator"}
+
+
 def test_idle_rows_cost_no_write(driver):
     driver.rows(5)
     saves = driver.releases.saves
