@@ -1,7 +1,7 @@
 """Drives the release service, over an archive in memory, and judges what went out by rules of its own."""
 
-from contextlib import suppress
 import math
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np

@@ -28,6 +28,7 @@ from service.records.levels.attitude import (
 )
 
 _ZERO = Axes(0.0, 0.0, 0.0)
+_HOUR_S = 3600.0
 
 
 class Span(NamedTuple):
@@ -268,13 +269,17 @@ def mean_pulses(
     ValueError
         The catalogue makes no law for this period.
     """
-    wanted, share = _wanted(row, spacecraft, span, config, design, disturbance, body_rate_deg_s), 1.0
+    wanted = _wanted(row, spacecraft, span, config, design, disturbance, body_rate_deg_s)
     is_allowed = np.array(row.control_allowed_axes)
     wanted = np.where(is_allowed, wanted, 0.0)
-    if is_gyro_orbitant(spacecraft) and spacecraft.control.release is Release.TWO_STEP:
-        share = _share_within_envelope(wanted, design, span, config.envelope_share)
+    shares, is_automatic = np.ones(3), spacecraft.control.release is Release.AUTOMATIC
+    if not (is_gyro_orbitant(spacecraft) and is_automatic):
+        shares = _shares_within_envelope(wanted, design, span, config.envelope_share)
+    if is_gyro_orbitant(spacecraft):
+        # its axes belong together
+        shares = np.full(3, shares.min())
     train = shape_pulses(
-        share * wanted,
+        shares * wanted,
         np.where(is_allowed, carry_n_m_s, 0.0),
         period_s=span.period_s,
         limit_n_m=design.drive.limit_n_m,
@@ -284,7 +289,7 @@ def mean_pulses(
     )
     reported = enumerate(zip(train.duration_s.tolist(), train.torque_n_m.tolist(), strict=True))
     pulses = tuple(AxisPulse(axis, 0.0, duration_s, torque) for axis, (duration_s, torque) in reported if duration_s)
-    return MeanPulses(pulses, train.carry_n_m_s, share < 1.0 or bool(train.is_saturated.any()))
+    return MeanPulses(pulses, train.carry_n_m_s, bool((shares < 1.0).any() or train.is_saturated.any()))
 
 
 def _wanted(
@@ -307,14 +312,15 @@ def _wanted(
     return feedback_torque(design.gains, row.steered_deg, rates, disturbance_n_m=pushed)
 
 
-def _share_within_envelope(torque_n_m: FloatArray, design: ControlDesign, span: Span, of_envelope: float) -> float:
-    """Return the share of a mean torque that one command may give, whenever within its period it acts."""
+def _shares_within_envelope(
+    torque_n_m: FloatArray, design: ControlDesign, span: Span, of_envelope: float
+) -> FloatArray:
+    """Return the share (3,) of a mean torque that every command of an hour may give, whenever it acts."""
     impulse = np.abs(torque_n_m) * span.period_s
     rate_deg_s = np.degrees(np.abs(design.inverse_1_kg_m2) @ impulse)
-    asked = (rate_deg_s * span.period_s, rate_deg_s, impulse)
-    limits = span.envelope[: len(asked)]
-    pairs = ((float(value.max()), of_envelope * limit) for value, limit in zip(asked, limits, strict=True))
-    return min(1.0, *(limit / value for value, limit in pairs if value > 0.0), 1.0)
+    asked = np.array([rate_deg_s * span.period_s, rate_deg_s, impulse, impulse * max(1.0, _HOUR_S / span.period_s)])
+    limits = of_envelope * np.array(span.envelope)[:, None]
+    return np.asarray(np.minimum(1.0, limits / np.maximum(asked, limits)).min(axis=0))
 
 
 #: reasons beside those of the interlock for which a command stays zero, with what each one says
