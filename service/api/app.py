@@ -33,7 +33,7 @@ from service.api.monitoring.readiness import SharedReadiness
 from service.api.monitoring.request_metrics import RequestMetrics
 from service.api.problems.problems import add_handlers
 from service.api.protocol import openapi
-from service.api.protocol.requests import RequestIds
+from service.api.protocol.requests import KNOWN_PARAMETERS, RequestIds
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.api.stream.event_stream import OpenStreams, StreamParts
 from service.runtime.control.automatic_release import AutomaticRelease
@@ -136,7 +136,7 @@ def _bare_app(limits: Limits, statistics: RequestMetrics, monitoring: Monitoring
     add_handlers(app)
     # each router by itself: a router of routers would be searched on every request
     for router in ROUTERS:
-        app.include_router(router, prefix=BASE_PATH, dependencies=[MAY_READ])
+        app.include_router(router, prefix=BASE_PATH, dependencies=[MAY_READ, KNOWN_PARAMETERS])
     for router in PUBLIC_ROUTERS:
-        app.include_router(router)
+        app.include_router(router, dependencies=[KNOWN_PARAMETERS])
     return app

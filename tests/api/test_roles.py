@@ -186,4 +186,33 @@ async def test_health_checks_that_come_together_share_one_look(limited, monkeypa
 async def test_thousands_of_query_parameters_are_refused(soo):
     answer = await soo.client.get(f"{SC}?" + "&".join(f"a{k}=1" for k in range(2000)))
     assert (answer.status_code, answer.json()["code"]) == (400, "query.too_many")
-    assert (await soo.client.get(f"{SC}?" + "&".join(f"a{k}=1" for k in range(100)))).status_code == 200
+    answer = await soo.client.get(f"{SC}?" + "&".join(f"a{k}=1" for k in range(100)))
+    assert (answer.status_code, answer.json()["code"]) == (422, "request.invalid")
+    assert {each["code"] for each in answer.json()["errors"]} == {"query.unknown"}
+
+
+async def test_every_route_refuses_a_parameter_that_it_does_not_take(soo):
+    """Before, `?START=` and `?sourcee=` were passed over, and the whole archive was the answer."""
+    wrong = []
+    for method, path in sorted(routes(soo.app) - {("GET", soo.app.openapi_url)}):
+        asked = re.sub(r"\{\w+\}", "x", path)
+        answer = await soo.client.request(method, f"{asked}?sourcee=1", content=b"{")
+        faults = [(each["pointer"], each["code"]) for each in answer.json().get("errors", ())]
+        if (answer.status_code, faults) != (422, [("/query/sourcee", "query.unknown")]):
+            wrong.append((method, path, answer.status_code))
+    assert wrong == []
+
+
+@pytest.mark.parametrize(
+    ("path", "query", "detail"),
+    [
+        ("measurements/history", "START=2026-11-22T00:00:00Z", "the nearest that it takes is start"),
+        ("measurements/history", "sourcee=x", "the nearest that it takes is source"),
+        ("attitude-references", "source=star_tracker", "it takes cursor, limit, order, start, stop"),
+        ("operations/1", "zzz=1", "it takes none"),
+    ],
+)
+async def test_an_unknown_parameter_is_answered_with_the_nearest_name(soo, path, query, detail):
+    answer = await soo.client.get(f"{SC}/x/{path}?{query}")
+    assert (answer.status_code, answer.json()["code"]) == (422, "query.unknown")
+    assert answer.json()["detail"].endswith(detail)

@@ -44,6 +44,7 @@ _REQUESTS = {
     "rate.limited": "Go on after Retry-After seconds, at a lower rate.",
     "connection.too_many": "Close connections that are not needed, then try again after Retry-After seconds.",
     "query.too_many": "Leave out the parameters that the path does not take.",
+    "query.unknown": "Correct the name of the parameter, or leave it out.",
     "http.malformed": "Check the client and the proxy.",
     "head.too_large": "Send fewer or shorter headers and parameters.",
     "request.too_slow": "Send the same again in smaller parts; check the network.",

@@ -5,10 +5,12 @@ import json
 import logging
 import re
 import secrets
+from difflib import get_close_matches
 from http import HTTPStatus
 from typing import Any, TypeVar
 
-from fastapi import Depends, Request
+from fastapi import Depends, Request, params
+from fastapi.dependencies.utils import get_flat_params
 from pydantic import BaseModel, RootModel, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
@@ -16,7 +18,15 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.access.auth import digest_body
-from service.api.problems.problems import RequestProblemError, faults_of, invalid_request, render
+from service.api.problems.problems import (
+    MAX_FAULTS,
+    RequestProblemError,
+    faults_of,
+    invalid_request,
+    pointer_of,
+    render,
+)
+from service.errors import FieldError
 from service.records.field_faults import fault_sentence
 from service.records.operations.access import without_secrets
 from service.runtime.log_format import REQUEST_ID
@@ -58,6 +68,29 @@ def decode(adapter: TypeAdapter[M], raw: bytes, prefix: str = "") -> M:
             HTTPStatus.BAD_REQUEST, "json.malformed", f"the body {fault_sentence(faults[0])[:200]}"
         )
     raise invalid_request(faults_of(faults, prefix))
+
+
+async def refuse_unknown_parameters(request: Request) -> None:
+    """Raise 422 ``query.unknown`` for each query parameter that the route does not have, with the nearest name."""
+    if not request.scope["query_string"]:
+        return
+    fields = get_flat_params(request.scope["route"].dependant)
+    names = sorted(field.alias for field in fields if isinstance(field.field_info, params.Query))
+    unknown = sorted(set(request.query_params) - set(names))[:MAX_FAULTS]
+    if unknown:
+        raise invalid_request([_unknown_parameter(name, names) for name in unknown])
+
+
+def _unknown_parameter(name: str, names: list[str]) -> FieldError:
+    nearest = get_close_matches(name.lower(), names, n=1)
+    detail = f"this path takes no such parameter; it takes {', '.join(names) or 'none'}"
+    if nearest:
+        detail = f"this path takes no such parameter; the nearest that it takes is {nearest[0]}"
+    return FieldError(pointer_of(("query", without_secrets(name))), "query.unknown", detail)
+
+
+#: on every route
+KNOWN_PARAMETERS = Depends(refuse_unknown_parameters)
 
 
 def media_type(request: Request) -> str:

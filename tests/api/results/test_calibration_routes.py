@@ -267,10 +267,10 @@ async def test_a_replay_says_whether_it_smooths(bench, make):
 
 async def test_live_rows_are_never_smoothed_ones(bench, make):
     bench.append([make.now_us - 60 * make.s])
-    for path in ("attitude", "attitude/history", "archive/attitude:export", "timeline", "samples"):
-        answer = await bench.client.get(
-            f"{bench.url}/{path}", params={"method": "robust_smoothed", "quantity": "roll_deg", "format": "csv"}
-        )
+    of_samples = "samples?quantity=roll_deg"
+    for path in ("attitude", "attitude/history", "archive/attitude:export?format=csv", "timeline", of_samples):
+        query = f"{'&' if '?' in path else '?'}method=robust_smoothed"
+        answer = await bench.client.get(f"{bench.url}/{path}{query}")
         assert answer.status_code == 422, (path, answer.text)
         assert answer.json()["code"] == "method.smoothed", path
     version = bench.replay()

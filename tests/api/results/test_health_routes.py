@@ -226,7 +226,7 @@ async def test_every_request_has_a_line_with_its_id_and_template(bench, make, ca
         await bench.client.get("/api/v1/spacecraft", headers={"Authorization": "Bearer swordfish"})
     lines = [record.fields for record in caplog.records if record.name == "soo.access"]
     assert [(line["method"], line["route"], line["status"]) for line in lines] == [
-        ("GET", "/api/v1/spacecraft/{spacecraft_id}/status", 200),
+        ("GET", "/api/v1/spacecraft/{spacecraft_id}/status", 422),
         ("GET", "/api/v1/spacecraft", 401),
     ]
     assert lines[0]["key"] == "bootstrap"
