@@ -44,8 +44,8 @@ export function followCarriers({ store, spacecraft }, draw) {
     const inForce = store.get().status?.calibration_id;
     // the results of 128 carriers are not asked for with each row
     if (inForce !== calibratedAs) {
-      const { rows: active } = await get(`${base}/calibrations`, { state: "active" }, options);
-      found.calibration = active.find((each) => each.id === inForce) ?? active[0] ?? null;
+      const { rows: known } = await get(`${base}/calibrations`, {}, options);
+      found.calibration = known.find((each) => each.id === inForce) ?? known.find(({ state }) => state === "active") ?? null;
       calibratedAs = inForce;
     }
     found.states = new Map(rows.map((each) => [each.carrier, each]));
