@@ -345,6 +345,9 @@ def _closed(
 ) -> Window:
     """Return the range that was asked for, open ends at the first and behind the last row."""
     storage, window = context.storage, window_of(*ends, EVERYTHING)
+    if window.start_us < EVERYTHING.start_us or window.stop_us > EVERYTHING.stop_us:
+        pointer = "/query/start" if window.start_us < EVERYTHING.start_us else "/query/stop"
+        raise invalid_request([FieldError(pointer, "epoch.range", "samples lie between the years 2000 and 2100")])
     if None not in ends:
         return window
     starts_us: list[int] = []

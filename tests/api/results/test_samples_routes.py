@@ -192,6 +192,7 @@ async def test_quantities_are_those_of_the_rows(bench, make, seed):
             pairs = [(row.epoch_us, value_of(quantity, method, carrier, row, rows, each)) for row, rows, each in held]
             assert samples == plain_samples(pairs, *bounds_us, interval_us), quantity
         chosen = {"quantity": quantities, "carrier": ["c01", "c04"], "count": count, **span}
+        assert await bench.get("/samples", **chosen | {"quantity": quantities * 2}) == reported
         without = await bench.get("/samples", extreme_epochs=False, **chosen)
         for each in reported["series"]:
             each["min_epoch"] = each["max_epoch"] = []
@@ -211,6 +212,22 @@ def value_of(quantity, method, carrier, row, rows, carriers):
         return np.rint(getattr(carriers, quantity)[position] / 0.004) * 0.004
     of = next(each for each in rows if each.method == method)
     return of.attitude_deg[ANGLES.index(quantity)] if quantity in ANGLES else float(getattr(of, quantity))
+
+
+@pytest.mark.parametrize(
+    ("span", "pointer"),
+    [
+        ({"start": "0001-01-01T00:00:00Z", "stop": "9999-12-31T23:59:59Z"}, "/query/start"),
+        ({"start": "2026-01-01T00:00:00Z", "stop": "9999-12-31T23:59:59Z"}, "/query/stop"),
+        ({"start": "1969-01-01T00:00:00Z", "stop": "1971-01-01T00:00:00Z", "count": 1}, "/query/start"),
+    ],
+)
+async def test_a_span_beyond_the_archive_is_refused(bench, span, pointer):
+    """Before, the first was a 500, and no interval of any length holds both sides of 1970: it was sought for ever."""
+    for quantity in ("roll_deg", "power_dbm", "deviation_db"):
+        answer = await bench.client.get(f"{bench.url}/samples", params={"quantity": quantity, **span})
+        assert (answer.status_code, answer.json()["code"]) == (422, "epoch.range")
+        assert [each["pointer"] for each in answer.json()["errors"]] == [pointer]
 
 
 async def test_quantities_of_nothing(bench):
