@@ -132,7 +132,7 @@ class Settings(BaseSettings):
     )
     future_tolerance_s: float = Field(5.0, ge=0, description="how far ahead of the system clock an epoch may lie, s")
     future_tolerance_data_s: float = Field(
-        2_592_000.0, ge=0, description="how far ahead of the data clock an epoch may lie, s"
+        2_592_000.0, ge=0, le=31_622_400, description="how far ahead of the data clock an epoch may lie, s"
     )
     late_after_s: float = Field(300.0, ge=0, description="age from which a row counts as late, system clock, s")
     max_body_bytes: int = Field(8_388_608, ge=1024, description="greatest request body after unpacking, bytes")

@@ -1,8 +1,8 @@
 """Ingest: which rows of a batch may enter the archive (received rows -> L1).
 
 Pure array work: the caller reads the clock and tells the bounds. A row is refused for its first fault, in the order
-``value.count``, ``time.too_old``, ``time.future``, ``value.out_of_range``; every other row of the batch goes on. A
-row of only absent powers is a row.
+``value.count``, ``time.too_old``, ``time.future``, ``value.out_of_range``, ``flag.reserved``; every other row of the
+batch goes on. A row of only absent powers is a row.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,13 +12,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S, format_epoch
+from service.records.epoch import DAY_US, EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S, format_epoch
 from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, RowRefusal, Sender
+from service.records.levels.measurement import (
+    DETAIL_NAMES,
+    CarrierDetails,
+    MeasurementBatch,
+    QualityFlag,
+    RowRefusal,
+    Sender,
+)
 
 #: no carrier power that an analyzer can see lies outside
 MIN_POWER_DBM = -250.0
 MAX_POWER_DBM = 50.0
+#: nothing measured of a simulated spacecraft lies so far past its newest row: one such epoch would end its clock
+HORIZON_US = 366 * DAY_US
 
 BoolArray = NDArray[np.bool_]
 Powers = Sequence[Sequence[float | None]]
@@ -55,6 +64,8 @@ class ReceivedRows:
     flags: Flags
     #: T mappings of a name of DETAIL_NAMES to N figures, or None when no row states any
     details: Details | None = None
+    #: rows measured within a leap second
+    leap_positions: Sequence[int] = ()
     sender: Sender | None = None
 
 
@@ -125,8 +136,10 @@ def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[Measure
     # compared before the rounding to float32, so that nothing overflows; NaN compares false and stays
     is_outside = np.any((power_dbm < MIN_POWER_DBM) | (power_dbm > MAX_POWER_DBM), axis=1)
     is_old = rows.epochs_us < bounds.earliest_us
+    bounds = _bounded(bounds, rows.epochs_us[~is_old])
     is_ahead = rows.epochs_us > bounds.latest_us
-    index = np.flatnonzero(has_width & ~is_outside & ~is_old & ~is_ahead)
+    is_reserved = np.array([_is_reserved(masks) for masks in rows.flags], dtype=np.bool_)
+    index = np.flatnonzero(has_width & ~is_outside & ~is_old & ~is_ahead & ~is_reserved)
     refusals: list[RowRefusal] = []
     if len(index) < len(has_width):
         faults = {
@@ -134,11 +147,25 @@ def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[Measure
             "time.too_old": is_old,
             "time.future": is_ahead,
             "value.out_of_range": is_outside,
+            "flag.reserved": is_reserved,
         }
         refusals = [
             _refusal(rows, position, faults, width, bounds) for position in np.flatnonzero(_any(faults)).tolist()
         ]
     return _batch(rows, index, power_dbm, bounds), tuple(refusals)
+
+
+def _is_reserved(masks: Sequence[int] | None) -> bool:
+    """Return whether a row states the flag of a leap second, whose epochs may give way to one another."""
+    leap = int(QualityFlag.LEAP_SECOND)
+    return bool(masks) and max(masks or ()) >= leap and any(mask & leap for mask in masks or ())
+
+
+def _bounded(bounds: EpochBounds, epochs_us: IntArray) -> EpochBounds:
+    """Return the bounds; before the first row of all, which nothing bounds, by the first epoch of the batch."""
+    if bounds.latest_us < LATEST_EPOCH_US or not len(epochs_us):
+        return bounds
+    return bounds._replace(latest_us=min(int(epochs_us.min()) + HORIZON_US, LATEST_EPOCH_US))
 
 
 def _batch(rows: ReceivedRows, index: IntArray, power_dbm: FloatArray, bounds: EpochBounds) -> MeasurementBatch:
@@ -154,7 +181,7 @@ def _batch(rows: ReceivedRows, index: IntArray, power_dbm: FloatArray, bounds: E
         index=index,
         epochs_us=epochs_us,
         power_dbm=power_dbm[index].astype(np.float32),
-        flags=tuple(_frozen(rows.flags[position]) for position in index.tolist()),
+        flags=tuple(_flags(rows, position, power_dbm.shape[1]) for position in index.tolist()),
         is_stale=is_stale,
         first_seq=rows.first_seq,
         details=None if rows.details is None else _details(rows.details, index, power_dbm.shape[1]),
@@ -214,6 +241,8 @@ def _detail(code: str, rows: ReceivedRows, position: int, width: int, bounds: Ep
         return f"nothing before {format_epoch(bounds.earliest_us)} is kept"
     if code == "time.future":
         return f"the epoch lies after {format_epoch(bounds.latest_us)}; check the clock of source {rows.source!r}"
+    if code == "flag.reserved":
+        return "the flag LEAP_SECOND is set by the service, by the epoch"
     return f"a power lies outside {MIN_POWER_DBM:g}..{MAX_POWER_DBM:g} dBm; send null for an absent carrier"
 
 
@@ -232,9 +261,12 @@ def _any(faults: dict[str, BoolArray]) -> BoolArray:
     return has_fault
 
 
-def _frozen(masks: Sequence[int] | None) -> tuple[int, ...] | None:
-    """Return bit masks as a tuple."""
-    return None if masks is None else tuple(masks)
+def _flags(rows: ReceivedRows, position: int, width: int) -> tuple[int, ...] | None:
+    """Return the bit masks of a row, those of a leap second marked."""
+    masks = rows.flags[position]
+    if position not in rows.leap_positions:
+        return None if masks is None else tuple(masks)
+    return tuple(mask | QualityFlag.LEAP_SECOND for mask in masks or [0] * width)
 
 
 def _earliest_us(now_us: int, retention_s: float | None) -> int:

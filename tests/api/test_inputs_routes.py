@@ -73,6 +73,27 @@ async def test_corrections_and_telemetry_read_back_as_sent(soo, spacecraft):
     assert (await soo.client.get(f"{BASE}/telemetry")).json()["rows"] == [record]
 
 
+async def test_no_epoch_of_a_simulated_spacecraft_lies_a_year_past_its_newest_row(soo, spacecraft):
+    await soo.client.post(SC, json={**spacecraft, "simulated": True})
+    newest_us = soo.clock.data["yamal-202"] = soo.clock.system_us()
+    day_us = 86_400_000_000
+    within, beyond = (format_epoch(newest_us + 366 * day_us + past_us) for past_us in (0, 1))
+    batches = {
+        "attitude-references": {
+            "source": "other",
+            "references": [{"epoch": e, "roll_deg": 1} for e in (within, beyond)],
+        },
+        "corrections": {"corrections": [{"start": T0, "stop": e, "roll_deg": 1} for e in (within, beyond)]},
+        "telemetry": {"records": [{"epoch": e, "onboard_mode": "normal"} for e in (within, beyond)]},
+    }
+    for path, body in batches.items():
+        answer = (await soo.client.post(f"{BASE}/{path}:batch", json=body)).json()
+        assert (answer["accepted"], [(r["index"], r["code"]) for r in answer["refused"]]) == (1, [(1, "time.future")])
+    soo.clock.data["yamal-202"] = None
+    body = {"records": [{"epoch": "2099-01-01T00:00:00Z", "onboard_mode": "normal"}]}
+    assert (await soo.client.post(f"{BASE}/telemetry:batch", json=body)).json()["accepted"] == 1, "no row bounds it"
+
+
 async def test_pages_follow_one_another_without_loss_or_repetition(soo, spacecraft):
     await soo.client.post(SC, json=spacecraft)
     epochs = [f"2026-11-20T00:00:{k:02d}.000000Z" for k in range(7)]

@@ -149,9 +149,9 @@ async def test_under_the_data_clock_age_makes_nothing_late_and_the_future_is_thi
 ):
     plan_id = await soo.with_plan(spacecraft, carriers)
     soo.clock.data["yamal-202"] = None
-    body = {"plan_id": plan_id, "measurements": [row(-3 * 365 * 86_400), row(50 * 365 * 86_400)]}
+    body = {"plan_id": plan_id, "measurements": [row(-3 * 365 * 86_400)]}
     first = (await soo.client.post(URL, json=body)).json()
-    assert (first["accepted"], first["late"]) == (2, 0), "nothing bounds the first row"
+    assert (first["accepted"], first["late"]) == (1, 0), "nothing bounds the first row"
     soo.clock.data["yamal-202"] = NOW_US
     body["measurements"] = [row(-1000), row(30 * 86_400), row(30 * 86_400 + 1)]
     second = (await soo.client.post(URL, json=body)).json()
@@ -216,6 +216,36 @@ async def test_a_leap_second_is_stored_in_the_second_after_it_and_flagged(soo, s
         ("00.500000Z", [leap, leap + 1, leap, leap]),
         ("00.500001Z", [leap] * 4),
     ]
+
+
+async def test_the_flag_of_a_leap_second_is_not_for_clients(soo, spacecraft, carriers):
+    """Such a row was stored 1 us past the row whose epoch it states, beside it."""
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    leap = 1 << 23
+    rows = [row(-3), row(-2, flags=[0, leap + 1, 0, 0]), row(-1, flags=[1 << 24, 0, 0, 0])]
+    answer = (await soo.client.post(URL, json={"plan_id": plan_id, "measurements": rows})).json()
+    assert (answer["accepted"], [(each["index"], each["code"]) for each in answer["refused"]]) == (
+        2,
+        [(1, "flag.reserved")],
+    )
+    assert answer["refused"][0]["next_step"] == NEXT_STEPS["flag.reserved"]
+
+
+async def test_the_first_batch_of_a_simulated_spacecraft_bounds_itself(soo, spacecraft, carriers):
+    """One epoch of 2099 among the first rows ended the clock of the data: all that followed was late."""
+    plan_id = await soo.with_plan({**spacecraft, "simulated": True}, carriers)
+    soo.clock.data["yamal-202"] = None
+    days = [
+        row(0),
+        row(366 * 86_400),
+        row(366 * 86_400 + 1),
+        {"epoch": "2099-12-31T00:00:00Z", "power_dbm": [None] * 4},
+    ]
+    answer = (await soo.client.post(URL, json={"plan_id": plan_id, "measurements": days})).json()
+    assert (answer["accepted"], [(each["index"], each["code"]) for each in answer["refused"]]) == (
+        2,
+        [(2, "time.future"), (3, "time.future")],
+    )
 
 
 async def test_digits_beyond_the_nanosecond_are_rounded(soo, spacecraft, carriers):

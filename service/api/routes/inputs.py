@@ -39,7 +39,9 @@ from service.api.schemas.inputs import (
     WeatherDocument,
     WeatherPage,
 )
-from service.records.epoch import format_epoch
+from service.pipeline.ingest_screening import HORIZON_US
+from service.records.catalogue import Spacecraft
+from service.records.epoch import LATEST_EPOCH_US, format_epoch
 from service.records.inputs import JournalEntry, SlowInput
 from service.records.levels.measurement import InputReceipt
 
@@ -209,13 +211,20 @@ def _append(
 ) -> InputReceiptAnswer:
     """Store the rows without a fault and return the receipt of all."""
     faults = [fault_of(row) for row in rows]
+    # an unknown spacecraft is a 404 whatever the rows say
+    horizon_us = _horizon_us(context, context.storage.catalogue.spacecraft(spacecraft_id))
+    records = {index: to_record(rows[index]) for index, fault in enumerate(faults) if fault is None}
+    for index, record in records.items():
+        if _last_us(record) > horizon_us:
+            faults[index] = (
+                "time.future",
+                f"the epoch lies after {format_epoch(horizon_us)}, 366 days past the newest row",
+            )
     kept = [index for index, fault in enumerate(faults) if fault is None]
     refused = [(index, *fault) for index, fault in enumerate(faults) if fault is not None]
-    # an unknown spacecraft is a 404 whatever the rows say
-    context.storage.catalogue.spacecraft(spacecraft_id)
     receipt = _NOTHING_STORED
     if kept:
-        receipt = context.storage.archive.append_inputs(spacecraft_id, [to_record(rows[index]) for index in kept])
+        receipt = context.storage.archive.append_inputs(spacecraft_id, [records[index] for index in kept])
     if receipt.accepted:
         context.on_accepted(spacecraft_id)
     refused += [(kept[refusal.index], refusal.code, refusal.detail) for refusal in receipt.refused]
@@ -225,6 +234,17 @@ def _append(
         duplicates=receipt.duplicates,
         refused=[InputRefusalAnswer.of_fault(index, (code, detail)) for index, code, detail in sorted(refused)],
     )
+
+
+def _horizon_us(context: ApiContext, spacecraft: Spacecraft) -> int:
+    """Return the greatest epoch of a record; before the first row of a simulated spacecraft nothing bounds it."""
+    newest_us = context.clock.now_us(spacecraft.id) if spacecraft.simulated else None
+    return LATEST_EPOCH_US if newest_us is None else newest_us + HORIZON_US
+
+
+def _last_us(record: Any) -> int:
+    last_us: int = record.stop_us if hasattr(record, "stop_us") else record.epoch_us
+    return last_us
 
 
 def input_page(

@@ -49,7 +49,7 @@ from service.formats.numbers import text_of_float32
 from service.pipeline.ingest_screening import EpochBounds, ReceivedRows, screen
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import CarrierState
-from service.records.levels.measurement import BatchReceipt, Measurement, QualityFlag, RowNotice, RowRefusal, Sender
+from service.records.levels.measurement import BatchReceipt, Measurement, RowNotice, RowRefusal, Sender
 from service.records.levels.sweep import KeptTrace, Ring
 
 measurements_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/measurements", tags=["measurements"])
@@ -133,8 +133,9 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         first_seq=body.first_seq,
         epochs_us=epochs.epochs_us,
         power_dbm=[row["power_dbm"] for row in body.measurements],
-        flags=_flags(body, epochs.leap_positions),
+        flags=[row.get("flags") for row in body.measurements],
         details=body.details(),
+        leap_positions=epochs.leap_positions,
         sender=Sender(request.state.principal.key_id, context.limits.max_sources_per_key),
     )
     epoch_limits: EpochLimits = request.app.state.epoch_limits
@@ -158,16 +159,6 @@ def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
     if size > limit:
         detail = f"the batch has {size} rows, the limit is {limit}"
         raise RequestProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
-
-
-def _flags(body: MeasurementBatchDocument, leap_positions: Sequence[int]) -> list[Sequence[int] | None]:
-    """Return the bit masks of each row, those of a leap second marked."""
-    flags: list[Sequence[int] | None] = [row.get("flags") for row in body.measurements]
-    for position in leap_positions:
-        masks = flags[position]
-        blank = [0] * len(body.measurements[position]["power_dbm"])
-        flags[position] = [mask | QualityFlag.LEAP_SECOND for mask in (blank if masks is None else masks)]
-    return flags
 
 
 def _epochs(body: MeasurementBatchDocument) -> ParsedEpochs:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.pipeline.ingest_screening import EpochBounds, ReceivedRows, data_bounds, screen, system_bounds
+from service.pipeline.ingest_screening import HORIZON_US, EpochBounds, ReceivedRows, data_bounds, screen, system_bounds
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US
 
 NOW_US = 1_800_000_000_000_000
@@ -92,7 +92,7 @@ def test_the_data_clock_takes_a_first_row_of_this_century_and_never_makes_late()
     assert data_bounds(None, 10.0, 86_400.0) == EpochBounds(EARLIEST_EPOCH_US, LATEST_EPOCH_US, None)
     assert data_bounds(LATEST_EPOCH_US - 1, 10.0, None).latest_us == LATEST_EPOCH_US
     assert data_bounds(NOW_US, 10.0, None) == EpochBounds(EARLIEST_EPOCH_US, NOW_US + 10_000_000, None)
-    epochs_us = [EARLIEST_EPOCH_US, LATEST_EPOCH_US, LATEST_EPOCH_US + 1]
+    epochs_us = [LATEST_EPOCH_US - HORIZON_US, LATEST_EPOCH_US, LATEST_EPOCH_US + 1]
     batch, refused = screen(rows([[1.0]] * 3, epochs_us), 1, data_bounds(None, 1.0, None))
     assert [(refusal.index, refusal.code) for refusal in refused] == [(2, "time.future")]
     assert "2100-01-01" in refused[0].detail
