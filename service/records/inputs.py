@@ -102,6 +102,10 @@ class PolarizationRecord:
         return f"{self.source}/{self.epoch_us}"
 
 
+#: kinds of operations in which the attitude walks
+TURNING_KINDS = ("station_keeping", "momentum_unloading", "calibration_turn", "other")
+
+
 @dataclass(frozen=True, slots=True)
 class Operation:
     """A declared operation that explains or inhibits."""

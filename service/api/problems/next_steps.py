@@ -132,6 +132,7 @@ _INPUTS = {
     "value.out_of_range": "Check the unit and the sign.",
     "value.count": "Send one power for each carrier of the plan, null where none was measured.",
     "value.absent": "Leave the row out.",
+    "telemetry.momentum": "Check the unit; correct wheels.momentum_limit_n_m_s if the wheels can store more.",
     "flag.reserved": "Send the row without this flag.",
     "measurement.conflict": "Send a corrected row under its own epoch, or from another source.",
     "input.conflict": "Send a corrected record under its own epoch, or from another source.",

@@ -33,6 +33,7 @@ from service.api.schemas.inputs import (
     ReferencePage,
     TelemetryAnswer,
     TelemetryBatchDocument,
+    TelemetryDocument,
     TelemetryPage,
     WeatherAnswer,
     WeatherBatchDocument,
@@ -96,9 +97,18 @@ def send_telemetry(
     body: Annotated[TelemetryBatchDocument, body_of(TelemetryBatchDocument)],
     context: Context,
 ) -> InputReceiptAnswer:
-    """Store on-board telemetry."""
+    """Store on-board telemetry; a momentum beyond the catalogue's limit is refused, and alarms after three records."""
     check_batch_size(len(body.records), context, "/records")
-    return _append(spacecraft_id, context, body.records, lambda row: row.to_record())
+    limit_n_m_s = context.storage.catalogue.spacecraft(spacecraft_id).wheels.momentum_limit_n_m_s
+    momenta = [row for row in body.records if row.wheel_momentum_n_m_s]
+    context.on_momenta(spacecraft_id, [row.greatest_n_m_s > limit_n_m_s for row in momenta])
+
+    def fault(row: TelemetryDocument) -> Fault | None:
+        if row.greatest_n_m_s > limit_n_m_s:
+            return "telemetry.momentum", f"a wheel stores at most {limit_n_m_s:g} N m s by the catalogue"
+        return row.fault()
+
+    return _append(spacecraft_id, context, body.records, lambda row: row.to_record(), fault)
 
 
 @inputs_router.post("/weather:batch", dependencies=[MAY_SEND], openapi_extra=accepts(WeatherBatchDocument))

@@ -143,6 +143,11 @@ class TelemetryDocument(Document):
     thrusters_active: bool | None = None
     body_rate_deg_s: AnglesDocument | None = None
 
+    @property
+    def greatest_n_m_s(self) -> float:
+        """Momentum of the fullest wheel; 0 where none is stated."""
+        return max(map(abs, self.wheel_momentum_n_m_s or (0.0,)))
+
     def fault(self) -> Fault | None:
         """Return why the row is refused, None when it is not."""
         fault = _epoch_fault(self.epoch)

@@ -135,6 +135,12 @@ def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
             "see the text of this advice in GET .../status; correct the telemetry, the instrument or the catalogue",
             ConditionLimits(warning=60.0, off_s=600.0),
         ),
+        _condition(
+            ("undeclared_operation", Kind.LASTING, "s", "actuators", Origin.ROW),
+            "{thing} have acted for {value} by telemetry, and no operation is declared",
+            "declare it with POST .../operations; if nobody ordered it, find out what fires",
+            ConditionLimits(warning=0.0, off_s=0.0),
+        ),
     )
 
 
@@ -167,6 +173,12 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
             "missing from source {thing} in the last hour: {value}",
             "see GET .../archive/gaps; `soo send` brings what the front end's spool still holds",
             ConditionLimits(warning=0.0, distress=100.0, on_s=120.0, off_s=60.0, repeat_s=None),
+        ),
+        _condition(
+            ("telemetry_refused", Kind.ABOVE, "records", "quantity", Origin.CLOCK),
+            "telemetry of {thing} beyond its limit, refused one after another: {value}",
+            "check unit and scale of the telemetry; correct wheels.momentum_limit_n_m_s if the wheels can store more",
+            ConditionLimits(warning=2.0),
         ),
     )
 

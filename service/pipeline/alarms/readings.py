@@ -347,6 +347,9 @@ class RowReader:
         is_advised = tuple(float(code in driving.advice) for code in MOTION_ADVICE)
         if not is_settled("measured_motion", max(is_advised)):
             yield Readings("measured_motion", MOTION_ADVICE, is_advised)
+        is_undeclared = float("undeclared_operation" in driving.inhibitions)
+        if not is_settled("undeclared_operation", is_undeclared):
+            yield Readings("undeclared_operation", ("thrusters",), (is_undeclared,))
         apart_deg = facts.disagreement_deg
         if not is_settled("methods_disagree", apart_deg):
             causes = _by_thing("robust, paper", self._causes.of_answer(apart_deg, CHAIN_LOST))

@@ -57,6 +57,7 @@ INHIBITIONS: dict[str, str] = {
     "been asked for half an hour",
     "protection_level": "the error of roll or pitch could be greater than the alert limit",
     "operation": "a declared operation forbids control",
+    "undeclared_operation": "telemetry says that thrusters act, and no operation is declared that explains it",
     "smoothed": "the row is about the past: later rows are in it, and it never drives control",
     "internal_error": "the computation of this row failed; the service log says where",
 }
@@ -80,6 +81,7 @@ class RowContext:
     is_fading: bool
     is_risen: bool
     has_inhibiting_operation: bool
+    is_thrusting_undeclared: bool
 
 
 def judge(fix: AttitudeFix, context: RowContext, config: InterlockConfig) -> tuple[str, ...]:
@@ -97,6 +99,7 @@ def _circumstantial(context: RowContext) -> set[str]:
         "downlink_fade": context.is_fading,
         "common_change": context.is_risen,
         "operation": context.has_inhibiting_operation,
+        "undeclared_operation": context.is_thrusting_undeclared,
     }
     return {reason for reason, stands in conditions.items() if stands}
 

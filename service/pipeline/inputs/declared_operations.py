@@ -15,7 +15,7 @@ import numpy as np
 from service.core.estimation.filtering.model.declared import Declared, nothing_declared
 from service.pipeline.config import OperationConfig
 from service.records.epoch import US_PER_S
-from service.records.inputs import Operation
+from service.records.inputs import TURNING_KINDS, Operation
 from service.records.levels.attitude import BoolArray, FloatArray
 
 _US_PER_H = 3600 * US_PER_S
@@ -23,7 +23,6 @@ _US_PER_H = 3600 * US_PER_S
 _WARMING_US = 3600 * US_PER_S
 #: an operation without an end is spread over this, h
 _OPEN_HOURS = 1.0
-_KINDS_THAT_TURN = ("station_keeping", "momentum_unloading", "calibration_turn", "other")
 
 
 class _Effect:
@@ -140,7 +139,7 @@ def _add_lasting(
         effect.attitude_walk_deg2 += _turned_deg2(operation, 0.0) * (hours / _length_h(operation))
     elif operation.kind == "receive_chain_work":
         effect.chain_walk_db2 += config.gain_step_db**2 * hours
-    elif operation.kind in _KINDS_THAT_TURN:
+    elif operation.kind in TURNING_KINDS:
         effect.attitude_walk_deg2 += _turned_deg2(operation, _usual_deg(operation.kind, config)) * (
             hours / _length_h(operation)
         )

@@ -13,6 +13,7 @@ from service.records.calibration import Alignment, Calibration, CalibrationMetho
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import (
+    TURNING_KINDS,
     AlignmentSet,
     CalibrationActivation,
     EphemerisChange,
@@ -133,6 +134,8 @@ _MOST_RECORDS = 4000
 
 #: a rate that was told longer before, or after, is none of the present, s
 _RATE_S = 600.0
+#: thrusters that telemetry said longer ago to act are not known to act, us
+_THRUSTERS_US = 600 * US_PER_S
 
 
 class Lookup(Protocol):
@@ -165,6 +168,8 @@ class Knowledge:
     operations: dict[int, Operation] = field(default_factory=dict)
     #: newest records of the momentum of the wheels, in order of epochs
     momenta: tuple[TelemetryRecord, ...] = ()
+    #: newest records that say whether thrusters act, in order of epochs
+    thrusters: tuple[TelemetryRecord, ...] = ()
     #: newest records of the rate of the body about every axis, in order of epochs
     rates: tuple[TelemetryRecord, ...] = ()
     #: reports of rain, by station and source
@@ -221,6 +226,18 @@ class Knowledge:
             and (operation.stop_us is None or epoch_us < operation.stop_us)
         )
 
+    def is_thrusting_undeclared(self, epoch_us: int) -> bool:
+        """Return whether thrusters act by the newest record of ten minutes and no operation that turns is declared."""
+        records = records_between(self.thrusters, epoch_us - _THRUSTERS_US, epoch_us)
+        if not records or not records[-1].thrusters_active:
+            return False
+        return not any(
+            one.kind in TURNING_KINDS
+            and one.start_us <= epoch_us
+            and (one.stop_us is None or records[-1].epoch_us < one.stop_us)
+            for one in self.operations.values()
+        )
+
     def live_operations(self, from_us: int) -> tuple[Operation, ...]:
         """Return the operations that had not ended an hour before an epoch: some leave their mark for that long."""
         return tuple(
@@ -262,12 +279,14 @@ def _with_word(
         return replace(knowledge, weather=with_report(knowledge.weather, reported))
     if isinstance(reported, InterlockHold):
         return replace(knowledge, hold=reported)
-    momenta, rates = knowledge.momenta, knowledge.rates
+    momenta, rates, thrusters = knowledge.momenta, knowledge.rates, knowledge.thrusters
     if reported.wheel_momentum_n_m_s is not None:
         momenta = _with_telemetry(momenta, reported)
     if has_body_rate(reported):
         rates = _with_telemetry(rates, reported)
-    return replace(knowledge, momenta=momenta, rates=rates)
+    if reported.thrusters_active is not None:
+        thrusters = _with_telemetry(thrusters, reported)
+    return replace(knowledge, momenta=momenta, rates=rates, thrusters=thrusters)
 
 
 def _with_telemetry(records: tuple[TelemetryRecord, ...], record: TelemetryRecord) -> tuple[TelemetryRecord, ...]:

@@ -59,6 +59,9 @@ from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 _OPERATIONS_BACK_US = 60 * 86_400 * US_PER_S
 #: older telemetry says nothing of the present
 _TELEMETRY_US = 600 * US_PER_S
+#: records that must agree before a momentum trips
+_MOMENTA = 2
+_BEFORE_US = 3600 * US_PER_S
 _AHEAD_US = 86_400 * US_PER_S
 _AT_ONCE = 1000
 _EVERY_NUMBER = 1 << 62
@@ -76,6 +79,8 @@ class KnownFacts:
     operations: tuple[Operation, ...]
     #: newest
     telemetry: TelemetryRecord | None
+    #: momenta of the newest two records that state them, the newest first
+    momenta_n_m_s: tuple[tuple[float, ...], ...] = ()
     #: newest with the rate of the body about every axis
     rated: TelemetryRecord | None = None
 
@@ -116,7 +121,22 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
     )
     known = tuple(each for each in operations if isinstance(each, Operation))
     rated = (each for each in reversed(telemetry) if has_body_rate(each))
-    return KnownFacts(spacecraft, inputs, known, next(reversed(telemetry), None), next(rated, None))
+    momenta_n_m_s = _newest_momenta(storage, spacecraft_id, telemetry)
+    return KnownFacts(spacecraft, inputs, known, next(reversed(telemetry), None), momenta_n_m_s, next(rated, None))
+
+
+def _newest_momenta(
+    storage: Storage, spacecraft_id: str, telemetry: Sequence[TelemetryRecord]
+) -> tuple[tuple[float, ...], ...]:
+    """Return the momenta of the newest two records that state them, of recent telemetry and of an hour before it."""
+    momenta = [one.wheel_momentum_n_m_s for one in reversed(telemetry) if one.wheel_momentum_n_m_s]
+    if len(momenta) == 1:
+        window = Window(telemetry[0].epoch_us - _BEFORE_US, telemetry[0].epoch_us)
+        for entry in storage.archive.inputs(spacecraft_id, "telemetry", window, _AT_ONCE, None, newest_first=True):
+            if isinstance(entry.content, TelemetryRecord) and entry.content.wheel_momentum_n_m_s:
+                momenta.append(entry.content.wheel_momentum_n_m_s)
+                break
+    return tuple(momenta[:_MOMENTA])
 
 
 def read_telemetry(storage: Storage, spacecraft_id: str, from_us: int) -> tuple[TelemetryRecord, ...]:
@@ -142,7 +162,7 @@ def interlock_inputs(facts: KnownFacts, now_us: int, *, lease_holders: int, is_d
         onboard_mode=None if telemetry is None else telemetry.onboard_mode,
         has_inhibiting_operation=any(_is_inhibiting(each, now_us) for each in facts.operations),
         burn_stop_us=max(burns_us, default=None),
-        momentum_share=_momentum_share(facts.spacecraft, facts.momentum_n_m_s(now_us)),
+        momentum_share=_momentum_share(facts.spacecraft, facts.momenta_n_m_s if telemetry else ()),
         lease_holders=lease_holders,
         is_disagreeing=is_disagreeing,
     )
@@ -164,12 +184,15 @@ def _is_inhibiting(operation: Operation, now_us: int) -> bool:
     return operation.inhibit_control and operation.start_us <= now_us and not is_over
 
 
-def _momentum_share(spacecraft: Spacecraft, momentum_n_m_s: Sequence[float] | None) -> float | None:
-    """Return how full the fullest wheel is; infinite for NaN, by which inputs would differ from themselves."""
-    if not momentum_n_m_s:
+def _momentum_share(spacecraft: Spacecraft, momenta_n_m_s: Sequence[Sequence[float]]) -> float | None:
+    """Return how full the fullest wheel is by the better of two records: one alone, perhaps a wild one, trips nothing.
+
+    Infinite for NaN, by which inputs would differ from themselves.
+    """
+    if len(momenta_n_m_s) < _MOMENTA:
         return None
-    fullest_n_m_s = max(math.inf if math.isnan(each) else abs(each) for each in momentum_n_m_s)
-    return fullest_n_m_s / spacecraft.wheels.momentum_limit_n_m_s
+    fullest_n_m_s = (max(math.inf if math.isnan(h) else abs(h) for h in record) for record in momenta_n_m_s)
+    return min(fullest_n_m_s) / spacecraft.wheels.momentum_limit_n_m_s
 
 
 def _ephemeris(storage: Storage, spacecraft_id: str) -> tuple[int | None, int | None]:

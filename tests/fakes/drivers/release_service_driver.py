@@ -160,8 +160,11 @@ class ReleaseServiceDriver:
         self.service.on_rows(SC, [], has_inputs=True)
         self.note()
 
-    def momentum(self, n_m_s: float) -> None:
-        self.archive.telemetry.append(TelemetryRecord(self.clock.now, wheel_momentum_n_m_s=(n_m_s, 0.0, 0.0)))
+    def momentum(self, n_m_s: float, records: int = 2) -> None:
+        """Send the last second's records; one alone trips nothing."""
+        for back_us in range(records - 1, -1, -1):
+            record = TelemetryRecord(self.clock.now - back_us, wheel_momentum_n_m_s=(n_m_s, 0.0, 0.0))
+            self.archive.telemetry.append(record)
         self.tell()
         # the release loop looks at what was told each second; a fact that comes and goes in between is not judged
         self.service.tick()

@@ -131,9 +131,11 @@ class FakeArchive:
     def _calibration(self):
         return SimpleNamespace(id=self.calibration_id, request=SimpleNamespace(method=CalibrationMethod.GEOMETRY))
 
-    def _inputs(self, spacecraft_id, kind, window, limit, after):
+    def _inputs(self, spacecraft_id, kind, window, limit, after, *, newest_first=False):
         records = self.operations if kind == "operation" else self.telemetry
         reported = [each for each in records if getattr(each, "epoch_us", window.stop_us) >= window.start_us]
+        if newest_first:
+            reported = [each for each in reversed(reported) if each.epoch_us < window.stop_us]
         return [JournalEntry(k, each) for k, each in enumerate(reported, start=1)]
 
     def _ephemerides(self, *_):

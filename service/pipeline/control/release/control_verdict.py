@@ -61,6 +61,7 @@ _NEXT_STEPS = {
     "Look at the receiving chain; POST .../alignments if the change stays.": "common_change",
     "Compare with another sensor; align again if the estimate is wrong.": "innovations innovation",
     "Find out what moves the spacecraft; declare it as an operation or a correction.": "unannounced_motion",
+    "Declare the operation with POST .../operations.": "undeclared_operation",
     "Calibrate, then POST .../calibrations/{id}:activate.": "no_calibration",
     "POST .../alignments.": "not_aligned",
     "PUT .../ephemeris with the newest orbit.": "no_ephemeris ephemeris",

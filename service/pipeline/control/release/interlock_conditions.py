@@ -113,7 +113,10 @@ class Condition(Enum):
         "roll or pitch beyond {hand_over_deg:g} deg, its sign in doubt: over to the sensor mode (alarm)",
     )
     CLOCK_JUMP = (Consequence.TRIP, "the clock jumped by more than {clock_jump_s:g} s against the steady one")
-    MOMENTUM = (Consequence.TRIP, "a wheel holds more than {momentum_percent:g} % of its greatest momentum")
+    MOMENTUM = (
+        Consequence.TRIP,
+        "a wheel holds more than {momentum_percent:g} % of its greatest momentum, by two records",
+    )
     RESPONSE_MISSED = (
         Consequence.TRIP,
         "a command did nothing or the reverse by the powers, ratio above {missed_log_ratio:g}",

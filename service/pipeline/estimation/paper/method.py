@@ -179,6 +179,7 @@ def step_paper(
         is_fading=after.fade_watch.is_stopped,
         is_risen=after.rise_watch.is_stopped,
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
+        is_thrusting_undeclared=knowledge.is_thrusting_undeclared(measurement.epoch_us),
     )
     inhibitions = judge(fix, context, config.interlock)
     steered = None

@@ -97,6 +97,7 @@ def filtered_row(
     *,
     is_catch_up: bool,
     has_inhibiting_operation: bool,
+    is_thrusting_undeclared: bool,
     range_deg: float,
     given: dict[str, bool],
 ) -> AttitudeRow:
@@ -105,6 +106,7 @@ def filtered_row(
     conditions = {
         "catch_up": is_catch_up,
         "operation": has_inhibiting_operation,
+        "undeclared_operation": is_thrusting_undeclared,
         "no_ephemeris": fixed.is_without_ephemeris,
         "beyond_validity": max(map(abs, announced.attitude_deg[1:].tolist())) > range_deg,
     }

@@ -186,6 +186,7 @@ def step_robust(
         fixed,
         is_catch_up=is_catch_up,
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
+        is_thrusting_undeclared=knowledge.is_thrusting_undeclared(measurement.epoch_us),
         range_deg=config.interlock.model_range_deg,
         given={
             "state_torque": model.is_torque_unknown and is_torque_shown(found.state, model, len(released)),

@@ -23,6 +23,7 @@ from service.records.inputs import (
     Operation,
     PlanChange,
     SpacecraftChange,
+    TelemetryRecord,
 )
 from service.records.levels.attitude import Axes, Status
 
@@ -321,6 +322,18 @@ def test_a_declared_change_of_gain_moves_no_angle_and_flags_no_carrier():
         row = stepped.step(minute, np.where(own & (30 <= minute < 50), 1.4, 0.0)).row
         np.testing.assert_allclose(row.attitude_deg, [0.0, 0.1, -0.1], atol=0.01)
         assert row.carriers_used == 16
+
+
+def test_thrusters_that_act_undeclared_forbid_control_by_both_methods(flight):
+    flight.run(range(1, 10))
+    assert all("undeclared_operation" not in row.inhibitions for row in flight.chain.step(flight.row(10)).rows)
+    flight.chain.update(TelemetryRecord(flight.at(11), thrusters_active=True))
+    rows = flight.chain.step(flight.row(11)).rows
+    assert len(rows) == 2
+    assert all("undeclared_operation" in row.inhibitions and not row.control_allowed for row in rows)
+    flight.chain.update(Operation(1, "momentum_unloading", flight.at(11), flight.at(20)))
+    rows = flight.chain.step(flight.row(12)).rows
+    assert all("undeclared_operation" not in row.inhibitions for row in rows)
 
 
 def test_work_on_the_receiving_chain_holds_control_at_both_ends():

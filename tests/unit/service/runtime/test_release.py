@@ -334,6 +334,29 @@ def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver, momentum_n_
     assert actions == ["interlock_armed", "interlock_tripped", "interlock_inhibited"]
 
 
+def test_one_record_of_a_momentum_trips_nothing_and_the_second_does(driver):
+    """Before, one wild record of 1e6 N m s took control away until a person reset it."""
+    driver.armed()
+    driver.momentum(1.0)
+    driver.rows(1)
+    driver.momentum(1e6, records=1)
+    driver.rows(1)
+    assert driver.state != "TRIPPED"
+    assert "momentum" not in driver.codes
+    driver.momentum(1.0, records=1)
+    driver.rows(1)
+    driver.momentum(17.0)
+    assert (driver.state, "momentum" in driver.codes) == ("TRIPPED", True)
+
+
+def test_of_slow_telemetry_the_record_of_before_counts(driver):
+    driver.armed()
+    driver.momentum(17.0, records=1)
+    driver.rows(25)
+    driver.momentum(17.0, records=1)
+    assert (driver.state, "momentum" in driver.codes) == ("TRIPPED", True)
+
+
 def test_a_momentum_that_is_no_number_trips_and_is_the_same_fact_at_the_next_look(driver):
     driver.armed()
     driver.momentum(math.nan)

@@ -150,6 +150,26 @@ def test_the_alarm_needs_nothing_that_is_stored(rig, monkeypatch, fault):
     assert rig.open_alarms()["estimator_failed", "step"].state == "returned"
 
 
+def test_three_records_of_a_momentum_refused_one_after_another_alarm(rig):
+    rig.row(1, -40.0, -40.0)
+    for refused in ([True, True], [False], [True], [True]):
+        rig.desk.count_momenta("craft", refused)
+        rig.clock.system += 600_000_000
+        rig.poll()
+        assert ("telemetry_refused", "momentum") not in rig.open_alarms()
+    rig.desk.count_momenta("craft", [True])
+    rig.poll()
+    rig.clock.system += 600_000_000
+    rig.poll()
+    alarm = rig.open_alarms()["telemetry_refused", "momentum"]
+    assert (alarm.severity, alarm.value) == (Severity.WARNING, 3.0)
+    rig.desk.count_momenta("craft", [False])
+    for _ in range(2):
+        rig.clock.system += 600_000_000
+        rig.poll()
+    assert rig.open_alarms()["telemetry_refused", "momentum"].state == "returned"
+
+
 def test_a_spacecraft_without_a_row_is_alarmed_on_too(rig, monkeypatch):
     monkeypatch.setattr(rig.clock, "now_us", lambda _: None)
     for _ in range(step_failures.LASTING):

@@ -201,6 +201,15 @@ def test_references_far_from_the_newest_row_or_without_angles_say_nothing():
     assert rig.reader.read_reference(reference(10, attitude_deg=NO_ANGLES)) == []
 
 
+def test_thrusters_without_a_declared_operation_alarm_while_they_inhibit():
+    rig = Rig()
+    acting = (attitude(0, inhibitions=("undeclared_operation",)), attitude(1, inhibitions=("undeclared_operation",)))
+    assert rig.alarms(-1, rows=(attitude(-1),)) == set()
+    assert rig.alarms(0, rows=acting[:1]) | rig.alarms(1, rows=acting[1:]) == {("undeclared_operation", "thrusters")}
+    ended = [change.kind.value for minute in (2, 3) for change in rig.row(minute, rows=(attitude(minute),))]
+    assert ended == ["returned"]
+
+
 def test_measured_motion_that_is_left_out_or_jumped_alarms_by_its_advice_and_other_advice_does_not():
     rig = Rig()
     advised = ("realign", "rates_in_loop", "momentum_jump", "polarimeter_moved")

@@ -124,7 +124,13 @@ def test_time_without_angles_does_not_make_it_stand():
 
 LIMITS = InterlockConfig()
 CALM = RowContext(
-    is_late=False, is_catch_up=False, is_settled=True, is_fading=False, is_risen=False, has_inhibiting_operation=False
+    is_late=False,
+    is_catch_up=False,
+    is_settled=True,
+    is_fading=False,
+    is_risen=False,
+    has_inhibiting_operation=False,
+    is_thrusting_undeclared=False,
 )
 NAN = float("nan")
 
@@ -145,6 +151,7 @@ CAUSES = [
     ("beyond_validity", fix(angles=(0.0, 2.01, 0.0)), CALM),
     ("beyond_validity", fix(angles=(0.0, 0.0, -2.01)), CALM),
     ("operation", fix(), replace(CALM, has_inhibiting_operation=True)),
+    ("undeclared_operation", fix(), replace(CALM, is_thrusting_undeclared=True)),
 ]
 #: rows without angles, written by the archive's synthesis and by the chain, and what the robust method's filter says
 ELSEWHERE = {"no_calibration", "not_aligned", "internal_error"}
@@ -171,6 +178,7 @@ def test_several_reasons_are_listed_in_the_order_of_the_table():
         is_fading=True,
         is_risen=True,
         has_inhibiting_operation=True,
+        is_thrusting_undeclared=True,
     )
     found = judge(bad, all_at_once, LIMITS)
     assert found == tuple(reason for reason in INHIBITIONS if reason in found)

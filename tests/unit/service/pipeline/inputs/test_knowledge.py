@@ -38,6 +38,7 @@ from service.records.inputs import (
     Operation,
     PolarizationRecord,
     SourceSelection,
+    TelemetryRecord,
     WeatherReport,
 )
 from service.records.levels.attitude import Axes
@@ -122,6 +123,34 @@ def test_an_operation_forbids_control_from_start_to_stop(documents, changes, at_
     operation = replace(Operation(4, "eclipse", 100, 200, inhibit_control=True), **changes)
     known = update(Knowledge(), operation, documents)
     assert bool(known.inhibiting_operations(at_us)) == stands
+
+
+@pytest.mark.parametrize(
+    ("operations", "at_s", "stands"),
+    [
+        ((), 99, False),  # before the record
+        ((), 100, True),
+        ((), 699, True),
+        ((), 700, False),  # too old
+        (("station_keeping", 50, 150), 100, False),
+        (("momentum_unloading", 50, None), 650, False),
+        (("other", 50, 99), 100, True),  # over before the thrusters acted
+        (("other", 120, 200), 110, True),  # not begun
+        (("eclipse", 50, 150), 100, True),  # explains no thrust
+    ],
+)
+def test_thrusters_that_act_without_a_declared_operation(documents, operations, at_s, stands):
+    known = update(Knowledge(), TelemetryRecord(40 * S, thrusters_active=False), documents)
+    known = update(known, TelemetryRecord(100 * S, thrusters_active=True), documents)
+    known = update(known, TelemetryRecord(105 * S, onboard_mode="normal"), documents)
+    if operations:
+        kind, start_s, stop_s = operations
+        operation = Operation(1, kind, start_s * S, None if stop_s is None else stop_s * S)
+        known = update(known, operation, documents)
+    assert known.is_thrusting_undeclared(at_s * S) == stands
+    ended = update(known, TelemetryRecord(at_s * S, thrusters_active=False), documents)
+    if at_s > 100:
+        assert not ended.is_thrusting_undeclared(at_s * S)
 
 
 def test_the_newest_revision_of_an_operation_holds(documents):
