@@ -270,7 +270,8 @@ def _replayer(
         jobs.stop()
 
     # the process reports for itself
-    return Replayer(storage, clock, jobs, lambda sc, version, _: replayed(sc, version)), prepare, end
+    most = settings.workers.max_replays
+    return Replayer(storage, clock, jobs, lambda sc, version, _: replayed(sc, version), most), prepare, end
 
 
 def _lagged_series(settings: Settings, storage: Storage, leading: Leading) -> tuple[LaggedSeries, Callable[[], None]]:

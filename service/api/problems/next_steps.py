@@ -176,6 +176,7 @@ _RESULTS = {
     "selection.too_few": "Add users to the carrier plan, then calibrate again.",
     "replay.not_aligned": "Align the spacecraft first.",
     "replay.unknown": "Look up the version with GET .../replays.",
+    "replay.busy": "Wait for one to end, or delete one that is not needed.",
     "replay.unfinished": "Wait for its job; where that failed, start another replay.",
     "method.smoothed": "Name robust or paper; smoothed rows: version=smoothed, or that of a replay with smooth=true.",
     "replay.deleted": "Start another replay.",

@@ -7,12 +7,14 @@ calibration or alignment, it gives what would have been, with late rows in their
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from threading import Lock
 
-from service.errors import ConflictError, InvalidInputError
+from service.errors import BusyError, ConflictError, InvalidInputError
 from service.ports import Clock, Storage
 from service.records.calibration import Alignment, Window
 from service.records.operations.work import Job, JobState, Replay
 from service.runtime.jobs.job_runner import JobRunner, Progress
+from service.runtime.jobs.workers import WorkerConfig
 
 _LOG = logging.getLogger("soo.replay")
 _UNFINISHED = (JobState.QUEUED, JobState.RUNNING)
@@ -32,15 +34,24 @@ class Replayer:
         Runs one replay after another.
     run : callable
         Runs the replay of a spacecraft that wrote a version and reports its progress, as `ReplayRun` does.
+    most : int
+        Replays that wait or run at once.
     """
 
     def __init__(
-        self, storage: Storage, clock: Clock, jobs: JobRunner, run: Callable[[str, str, Progress], None]
+        self,
+        storage: Storage,
+        clock: Clock,
+        jobs: JobRunner,
+        run: Callable[[str, str, Progress], None],
+        most: int = WorkerConfig().max_replays,
     ) -> None:
         self._storage = storage
         self._clock = clock
         self._jobs = jobs
         self._run = run
+        self._most = most
+        self._starting = Lock()
         #: replays that are queued or run here
         self._here: set[tuple[str, int]] = set()
 
@@ -53,22 +64,28 @@ class Replayer:
             ``range.invalid``: nothing between start and stop.
         ConflictError
             ``replay.not_aligned``: no alignment to start from.
+        BusyError
+            ``replay.busy``: too many wait or run already.
         """
         if wanted.start_us >= wanted.stop_us:
             raise InvalidInputError("range.invalid", "start must lie before stop")
         alignment = self._alignment(spacecraft_id, wanted)
         self._check_calibration(spacecraft_id, wanted.calibration_id)
-        job = self._jobs.add("replay")
-        stated = replace(
-            wanted,
-            alignment_id=alignment.id,
-            is_fixed_alignment=wanted.alignment_id != 0,
-            until_number=self._storage.archive.head(spacecraft_id).newest_number,
-            job_id=job.id,
-            created_at_us=self._clock.system_us(),
-        )
-        replay = self._storage.results.add_replay(spacecraft_id, stated)
-        self._jobs.run(job, self._work(spacecraft_id, replay))
+        with self._starting:
+            if len(self._here) >= self._most:
+                raise BusyError("replay.busy", f"{len(self._here)} replays wait or run already")
+            job = self._jobs.add("replay")
+            stated = replace(
+                wanted,
+                alignment_id=alignment.id,
+                is_fixed_alignment=wanted.alignment_id != 0,
+                until_number=self._storage.archive.head(spacecraft_id).newest_number,
+                job_id=job.id,
+                created_at_us=self._clock.system_us(),
+            )
+            replay = self._storage.results.add_replay(spacecraft_id, stated)
+            work = self._work(spacecraft_id, replay)
+        self._jobs.run(job, work)
         return replay, job
 
     def resume(self) -> None:

@@ -43,6 +43,7 @@ class WorkerConfig:
     processes: int = setting(2, "worker processes that compute analyses and calibrations", CHOSEN)
     max_waiting: int = setting(8, "analyses that wait while all workers compute; one more is 429", CHOSEN)
     max_calibrations: int = setting(8, "calibrations that wait or run; one more is 429", CHOSEN)
+    max_replays: int = setting(8, "replays that wait or run; one more is 429", CHOSEN)
     analysis_timeout_s: float = setting(30.0, "an analysis is ended after this, s", CHOSEN)
     job_timeout_s: float = setting(
         600.0, "a calibration, or a flight in the orbital frame, is ended after this, s", CHOSEN
@@ -50,8 +51,9 @@ class WorkerConfig:
 
     def __post_init__(self) -> None:
         """Refuse bounds under which nothing is computed."""
-        if self.processes < 1 or self.max_calibrations < 1 or min(self.analysis_timeout_s, self.job_timeout_s) <= 0:
-            raise ValueError("at least one process, one calibration and more than 0 s are needed")
+        least = min(self.processes, self.max_calibrations, self.max_replays)
+        if least < 1 or min(self.analysis_timeout_s, self.job_timeout_s) <= 0:
+            raise ValueError("at least one process, one calibration, one replay and more than 0 s are needed")
 
 
 class Workers:

@@ -1,6 +1,7 @@
 """Calibrations, alignments, jobs, replays: shapes and steps over stored figures, and methods that are refused."""
 
 import asyncio
+import threading
 
 import pytest
 from role_keys import RoleKeys
@@ -10,6 +11,7 @@ from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
 from service.records.operations.access import Role
 from service.records.operations.work import JobState
+from service.runtime.jobs.replay_job import Replayer
 
 pytestmark = pytest.mark.anyio
 
@@ -204,6 +206,24 @@ async def test_angles_by_hand_need_an_approver(bench):
     ):
         bench.app.state.key_ring = RoleKeys(role)
         assert (await bench.refused("POST", f"{SC}/alignments", json=MANUAL))[:2] == expected, role
+
+
+async def test_only_so_many_replays_wait_at_once(bench, make):
+    """40 of them were 40 times 202."""
+    begun = threading.Event()
+    replayer = Replayer(bench.storage, bench.clock, bench.jobs, lambda *_: begun.wait(120), 3)
+    object.__setattr__(bench.context, "replayer", replayer)
+    bench.calibrate([make.carrier_calibration(0, Axes(0.1, 1.0, 0.2))])
+    bench.align(make.now_us)
+    span = {"start": "2026-11-21T02:00:00Z", "stop": "2026-11-21T04:00:00Z"}
+    answers = await asyncio.gather(*(bench.client.post(f"{bench.url}/replays", json=span) for _ in range(40)))
+    begun.set()
+    assert sorted(answer.status_code for answer in answers) == [202] * 3 + [429] * 37
+    busy = next(answer for answer in answers if answer.status_code == 429)
+    assert (busy.json()["code"], busy.headers["retry-after"]) == ("replay.busy", "5")
+    for started in (answer for answer in answers if answer.status_code == 202):
+        assert (await job_of(bench, started.json()["job"]))["state"] == "done"
+    assert (await bench.client.post(f"{bench.url}/replays", json=span)).status_code == 202
 
 
 async def test_replay_needs_an_alignment(bench, make):
