@@ -107,6 +107,29 @@ def target(
         service.process.wait()
 
 
+def test_an_address_with_all_its_connections_keeps_health_and_its_keys(start_service):
+    """64 silent ones made its own /healthz 429 for 10 s. A spare place is for one request, which comes at once."""
+    limits = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_MAX_CONNECTIONS_PER_ADDRESS": "4"}
+    service = start_service("--port", "0", environment=limits)
+    target, slow = Target(service.url, service.process.pid), head("POST", SC, "Content-Length: 10")
+    held = [target.connect() for _ in range(4)]
+    try:
+        for each in held:
+            each.sendall(slow)
+        for path, headers in (("/healthz", {}), ("/readyz?", {}), (SC, {"Authorization": f"Bearer {KEY}"})):
+            answer = httpx.get(target.url + path, headers=headers, timeout=120, trust_env=False)
+            assert (answer.status_code, answer.headers["connection"]) == (200, "close")
+        for path in (SC, "/console/", "/healthzz"):
+            answer = httpx.get(target.url + path, timeout=120, trust_env=False)
+            assert (answer.status_code, answer.json()["code"]) == (429, "connection.too_many")
+        status, problem = target.answer(b"GET /healthz HTTP/1.1\r\nHost: x\r\n")
+        assert (status, problem["code"]) == (408, "request.too_slow")
+        assert "after 1 s" in problem["detail"]
+    finally:
+        for each in held:
+            each.close()
+
+
 def sized(body: bytes, *headers: str) -> bytes:
     """Return a POST with a body."""
     return head("POST", SC, f"Content-Length: {len(body)}", "Content-Type: application/json", *headers) + body

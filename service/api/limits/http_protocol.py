@@ -18,6 +18,8 @@ from service.api.problems.problems import RETRY_AFTER_S, RequestProblemError, re
 
 #: between two log lines on refused connections, s
 _LOG_PERIOD_S = 10.0
+#: places of an address beyond its limit, for one request each that comes at once with a key, or asks for health
+SPARE_PLACES = 8
 _LOG = logging.getLogger(__name__)
 
 
@@ -56,16 +58,24 @@ class Connections:
             reason = f"the service keeps {self._limit} connections open (SOO_MAX_CONNECTIONS)"
             self.refuse("total", address, reason)
             return reason
-        if self._open[name] >= self._limit_per_address and not self._is_exempt(address):
-            reason = (
-                f"{self._limit_per_address} connections of one address are open (SOO_MAX_CONNECTIONS_PER_ADDRESS); "
-                "close one, or use those that are open for several requests"
-            )
-            self.refuse("address", address, reason)
-            return reason
+        if self._open[name] >= self._limit_per_address + SPARE_PLACES and not self._is_exempt(address):
+            return self.refuse_above_limit(address)
         self._open[name] += 1
         self.count += 1
         return None
+
+    def is_spare(self, address: str) -> bool:
+        """Return whether the connection that was admitted last has one of the places beyond the limit."""
+        return self._open[network_of(address)] > self._limit_per_address and not self._is_exempt(address)
+
+    def refuse_above_limit(self, address: str) -> str:
+        """Count a connection that an address has too many, and return why."""
+        reason = (
+            f"{self._limit_per_address} connections of one address are open (SOO_MAX_CONNECTIONS_PER_ADDRESS); "
+            "close one, or use those that are open for several requests"
+        )
+        self.refuse("address", address, reason)
+        return reason
 
     def leave(self, address: str) -> None:
         """Forget a connection that was admitted."""
@@ -101,10 +111,18 @@ MAX_HEAD_BYTES = 32 * 1024
 REQUEST_TIMEOUT_S = 60.0
 #: a connection without a whole head by then is closed; slow networks and people at a terminal need less
 HEAD_TIMEOUT_S = 10.0
+#: the same of a spare place
+_SPARE_HEAD_TIMEOUT_S = 1.0
+_HEALTH_PATHS = (b"/healthz", b"/readyz")
+_KEY_HEADERS = (b"authorization", b"cookie")
 
 
 class _HeadTooLargeError(Exception):
     """Raised inside the parser to make it stop."""
+
+
+class _NoPlaceError(Exception):
+    """Raised inside the parser: a spare place is not for this request."""
 
 
 class BoundedProtocol(HttpToolsProtocol):
@@ -123,6 +141,8 @@ class BoundedProtocol(HttpToolsProtocol):
         self._deadline: asyncio.TimerHandle | None = None
         self._address = ""
         self._is_admitted = False
+        self._is_spare = False
+        self._has_place = True
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as in uvicorn
         """Begin, where there is room; a connection that says nothing ends at the deadline of a first head."""
@@ -131,11 +151,9 @@ class BoundedProtocol(HttpToolsProtocol):
         reason = self.connections_open.admit(self._address)
         self._is_admitted = reason is None
         if reason is not None:
-            headers = {"Retry-After": str(RETRY_AFTER_S)}
-            self._refuse(
-                RequestProblemError(HTTPStatus.TOO_MANY_REQUESTS, "connection.too_many", reason, headers=headers)
-            )
+            self._refuse(_too_many(reason))
             return
+        self._is_spare = self.connections_open.is_spare(self._address)
         self._arm()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -181,7 +199,15 @@ class BoundedProtocol(HttpToolsProtocol):
         """Take the end of the head."""
         self._is_head_open, self._unread_bytes = False, 0
         self._disarm()
+        if self._is_spare:
+            is_health = self.url.partition(b"?")[0] in _HEALTH_PATHS
+            self._has_place = is_health or any(name in _KEY_HEADERS for name, _ in self.headers)
+            if not self._has_place:
+                raise _NoPlaceError
         super().on_headers_complete()
+        if self._is_spare:
+            # whoever comes next gets the place
+            self.cycle.keep_alive = False
 
     def on_message_complete(self) -> None:
         """Take the end of a request."""
@@ -192,6 +218,9 @@ class BoundedProtocol(HttpToolsProtocol):
         """Answer what the parser could not read."""
         if self._head_bytes > MAX_HEAD_BYTES:
             self._refuse(_head_too_large())
+            return
+        if not self._has_place:
+            self._refuse(_too_many(self.connections_open.refuse_above_limit(self._address)))
             return
         detail = "the request is not valid HTTP/1.1 (RFC 9112)"
         self._refuse(RequestProblemError(HTTPStatus.BAD_REQUEST, "http.malformed", detail))
@@ -204,7 +233,10 @@ class BoundedProtocol(HttpToolsProtocol):
 
     def _arm(self) -> None:
         """Begin the time for a head, or for what follows it."""
-        timeout_s = min(HEAD_TIMEOUT_S, self.request_timeout_s) if self._is_head_open else self.request_timeout_s
+        timeout_s = self.request_timeout_s
+        if self._is_head_open or self._is_spare:
+            head_s = _SPARE_HEAD_TIMEOUT_S if self._is_spare and self._is_head_open else HEAD_TIMEOUT_S
+            timeout_s = min(head_s, timeout_s)
         self._deadline = self.loop.call_later(timeout_s, self._on_deadline, timeout_s)
 
     def _disarm(self) -> None:
@@ -235,6 +267,11 @@ class BoundedProtocol(HttpToolsProtocol):
         head += b"".join(b"%b: %b\r\n" % header for header in answer.raw_headers)
         self.transport.write(head + b"connection: close\r\n\r\n" + bytes(answer.body))
         self.transport.close()
+
+
+def _too_many(reason: str) -> RequestProblemError:
+    headers = {"Retry-After": str(RETRY_AFTER_S)}
+    return RequestProblemError(HTTPStatus.TOO_MANY_REQUESTS, "connection.too_many", reason, headers=headers)
 
 
 def _head_too_large() -> RequestProblemError:

@@ -11,7 +11,7 @@ import pytest
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 
 from service.api.limits.body_limit import BodyLimit
-from service.api.limits.http_protocol import Connections
+from service.api.limits.http_protocol import SPARE_PLACES, Connections
 from service.api.limits.rate_limits import MAX_ADDRESSES, RateClass, RateLimitConfig, RateLimits, network_of
 from service.api.problems.problems import RequestProblemError
 
@@ -120,17 +120,21 @@ def clock():
 
 
 def test_an_address_has_so_many_and_gets_room_back(clock):
-    connections = Connections(10, 2, "", lambda: clock[0])
-    assert [connections.admit("192.0.2.1") is None for _ in range(3)] == [True, True, False]
+    connections = Connections(20, 2, "", lambda: clock[0])
+    places = [(connections.admit("192.0.2.1") is None, connections.is_spare("192.0.2.1")) for _ in range(11)]
+    assert places == [(True, False)] * 2 + [(True, True)] * SPARE_PLACES + [(False, True)]
     assert connections.admit("192.0.2.2") is None
-    connections.leave("192.0.2.1")
+    assert not connections.is_spare("192.0.2.2")
+    for _ in range(SPARE_PLACES + 1):
+        connections.leave("192.0.2.1")
     assert connections.admit("192.0.2.1") is None
+    assert not connections.is_spare("192.0.2.1")
     assert (connections.count, connections.refused) == (3, {"address": 1})
 
 
 def test_addresses_of_one_ipv6_network_are_one(clock):
-    connections = Connections(10, 1, "", lambda: clock[0])
-    assert connections.admit("2001:db8:1:2::1") is None
+    connections = Connections(20, 1, "", lambda: clock[0])
+    assert [connections.admit(f"2001:db8:1:2::{k}") for k in range(1 + SPARE_PLACES)] == [None] * (1 + SPARE_PLACES)
     assert "SOO_MAX_CONNECTIONS_PER_ADDRESS" in connections.admit("2001:db8:1:2::2")
     assert connections.admit("2001:db8:1:3::1") is None
 
@@ -146,8 +150,9 @@ def test_trusted_proxies_have_the_limit_of_all_alone(clock):
 
 
 def test_refusals_are_logged_every_ten_seconds_with_their_number(clock, caplog):
-    connections = Connections(10, 1, "", lambda: clock[0])
-    connections.admit("192.0.2.1")
+    connections = Connections(20, 1, "", lambda: clock[0])
+    for _ in range(1 + SPARE_PLACES):
+        connections.admit("192.0.2.1")
     with caplog.at_level(logging.WARNING):
         for second in range(25):
             clock[0] = float(second)
