@@ -40,6 +40,8 @@ from service.runtime.control.automatic_release import AutomaticRelease
 
 #: answers shorter than this are sent as they are
 _PACK_FROM_BYTES = 1024
+#: answers of samples that are made at once
+_SAMPLED_AT_ONCE = 2
 #: half the time of level 9 at nearly its size
 _PACK_LEVEL = 5
 
@@ -71,6 +73,8 @@ def create_app(context: ApiContext) -> FastAPI:
     app.state.key_ring = app.state.stored_keys = keys
     app.state.readiness = SharedReadiness(context)
     app.state.large_body = asyncio.Lock()
+    # samples are made of many rows, and other requests wait for the processor meanwhile
+    app.state.sampling = asyncio.Semaphore(_SAMPLED_AT_ONCE)
     app.state.rate_limits = RateLimits(context.limits.rates)
     app.state.refusals = Refusals()
     return app

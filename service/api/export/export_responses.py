@@ -1,13 +1,17 @@
 """Files of the archive as answers: a day or less as a whole with length, digest and byte ranges, more as a stream."""
 
-from collections.abc import Iterable, Iterator
+import asyncio
+from collections.abc import Callable, Iterable, Iterator
 from hashlib import sha256
 from http import HTTPStatus
 from tempfile import SpooledTemporaryFile
+from threading import Event
 from typing import IO
 
 from fastapi import Request
 from fastapi.responses import Response, StreamingResponse
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
 
 from service.api.problems.problems import RequestProblemError
 from service.api.protocol.paging import EVERYTHING
@@ -102,6 +106,49 @@ def whole_answer(chunks: Iterable[bytes], media_type: str, name: str, request: R
         headers["Content-Range"] = f"bytes {first}-{last}/{size}"
     status = HTTPStatus.OK if part is None else HTTPStatus.PARTIAL_CONTENT
     return StreamingResponse(_slice(file, first, last), status, headers, media_type)
+
+
+async def bounded_answer(
+    request: Request, places: asyncio.Semaphore, parts: Callable[[], Iterable[bytes]], media_type: str
+) -> Response:
+    """Return an answer that is made while it has a place, and sent from a file afterwards, however slowly it is read.
+
+    A client that goes, while it waits or while its answer is made, ends it; what the parts raise is raised.
+    """
+    is_gone = Event()
+    leaving = asyncio.ensure_future(_left(request))
+    leaving.add_done_callback(lambda _: is_gone.set())
+    try:
+        async with places:
+            file = await run_in_threadpool(_spooled, parts, is_gone)
+    finally:
+        leaving.cancel()
+    size = file.tell()
+    return StreamingResponse(_slice(file, 0, size - 1), headers={"Content-Length": str(size)}, media_type=media_type)
+
+
+async def _left(request: Request) -> None:
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+
+
+def _spooled(parts: Callable[[], Iterable[bytes]], is_gone: Event) -> IO[bytes]:
+    """Return a file with all parts, on the disk where they are many; ClientDisconnect once the client has gone."""
+    file: IO[bytes] = SpooledTemporaryFile(max_size=_CHUNK_BYTES)  # noqa: SIM115 closed when it has been sent
+    try:
+        _check_present(is_gone)
+        for part in parts():
+            _check_present(is_gone)
+            file.write(part)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _check_present(is_gone: Event) -> None:
+    if is_gone.is_set():
+        raise ClientDisconnect
 
 
 def _wanted_part(request: Request, tag: str, size: int) -> tuple[int, int] | None:

@@ -78,9 +78,10 @@ def decode(adapter: TypeAdapter[M], raw: bytes, prefix: str = "") -> M:
 
 def _refuse_duplicate_keys(raw: bytes) -> None:
     """Raise for an object with a key twice, of which one parser believes the first and another the last."""
+    twice: list[str] = []
     # without lists of numbers, which are nearly all of a batch; what that makes equal is looked at as it was sent
     for text in (_NUMBERS_LIST.sub(b"0", raw), raw):
-        twice: list[str] = []
+        twice.clear()
         json.JSONDecoder(object_pairs_hook=partial(_note_duplicate, twice)).decode(text.decode())
         if not twice:
             return

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from service.api.context import ApiContext, Context, Names, SpacecraftId, WantedVersion, check_method
 from service.api.export.export_chunks import DAY_US, Chunk, by_day
 from service.api.export.export_files import MEDIA_TYPES, OFFERED, ArchiveFile, FileFormat, FileOrder, archive_file
-from service.api.export.export_responses import span_label, stream_answer, whole_answer
+from service.api.export.export_responses import bounded_answer, span_label, stream_answer, whole_answer
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import EVERYTHING, ForwardPage, PageQuery, StartParameter, StopParameter, window_of
 from service.api.schemas.archive import (
@@ -246,12 +246,13 @@ class _Request:
         return Window(self.grid.start_us, self.grid.stop_us)
 
 
-@samples_router.get("/samples")
-def sample_quantities(
+@samples_router.get("/samples", response_model=SampledQuantities)
+async def sample_quantities(
     spacecraft_id: SpacecraftId,
     version: WantedVersion,
     context: Context,
     names: Names,
+    request: Request,
     quantity: QuantityParameter,
     method: MethodsParameter = None,
     carrier: CarrierParameter = None,
@@ -260,7 +261,7 @@ def sample_quantities(
     stop: StopParameter = None,
     count: CountParameter = 500,
     extreme_epochs: ExtremeEpochsParameter = True,  # noqa: FBT002 - a query parameter
-) -> SampledQuantities:
+) -> Response:
     """Return count, mean, least and greatest value of quantities in at most ``count`` intervals, column by column.
 
     `source` is for `power_dbm` and `c_n0_db_hz`; without it they are of the rows of every source. Results are computed
@@ -273,26 +274,40 @@ def sample_quantities(
     for each in methods:
         check_method(each, version)
     _check_source(source, quantities)
-    window = _closed(context, spacecraft_id, version, (start, stop), methods, source)
-    grid = _Grid(*whole_intervals(window.start_us, window.stop_us, count))
-    request = _Request(context, names, spacecraft_id, version, quantities, methods, carrier, source, grid)
-    _check_size(request)
-    columns = [*_of_attitude(request), *_of_impulse(request), *_of_carriers(request), *_of_expected(request)]
-    columns += _of_measured(request)
+
+    def parts() -> Iterator[bytes]:
+        window = _closed(context, spacecraft_id, version, (start, stop), methods, source)
+        grid = _Grid(*whole_intervals(window.start_us, window.stop_us, count))
+        wanted = _Request(context, names, spacecraft_id, version, quantities, methods, carrier, source, grid)
+        _check_size(wanted)
+        yield from _sampled(wanted, has_epochs=extreme_epochs)
+
+    return await bounded_answer(request, request.app.state.sampling, parts, "application/json")
+
+
+def _sampled(request: _Request, *, has_epochs: bool) -> Iterator[bytes]:
+    """Yield the answer series by series: as objects of Python it would take ten times its arrays."""
+    columns, grid = [], request.grid
     is_filled = np.zeros(grid.intervals, dtype=np.bool_)
-    for _, column in columns:
-        is_filled |= column.counts[:, 0] > 0
-    begins_us = grid.bins(1).all_intervals().first_us[is_filled]
-    return SampledQuantities(
+    for family in (_of_attitude, _of_impulse, _of_carriers, _of_expected, _of_measured):
+        for name, column in family(request):
+            columns.append((name, column))
+            is_filled |= column.counts[:, 0] > 0
+            # whoever has gone is noticed here
+            yield b""
+    empty = SampledQuantities(
         range=WindowAnswer.of(request.window),
         interval_s=(grid.stop_us - grid.start_us) // grid.intervals // 1_000_000,
-        version=version,
-        source=source,
-        epochs=begins_us.tolist(),
-        series=[
-            SampledSeries.of_column(name, column.at(is_filled), has_epochs=extreme_epochs) for name, column in columns
-        ],
+        version=request.version,
+        source=request.source,
+        epochs=grid.bins(1).all_intervals().first_us[is_filled].tolist(),
+        series=[],
     )
+    yield empty.model_dump_json().removesuffix("]}").encode()
+    for position, (name, column) in enumerate(columns):
+        series = SampledSeries.of_column(name, column.at(is_filled), has_epochs=has_epochs)
+        yield (b"," if position else b"") + series.model_dump_json().encode()
+    yield b"]}"
 
 
 @samples_router.get("/archive/gaps")

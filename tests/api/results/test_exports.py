@@ -1,19 +1,24 @@
 """Exports: columns, numbers and pages; each joined row holds what the answers hold of its measurement."""
 
+import asyncio
 import csv
 import io
 import json
 import math
+import threading
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 from pyarrow import parquet
+from starlette.requests import ClientDisconnect, Request
 
 from service.api.export import export_chunks
 from service.api.export import export_chunks as archive_chunks
 from service.api.export import export_chunks as joined_rows
 from service.api.export import export_files as archive_files
+from service.api.export.export_responses import bounded_answer
 from service.ports import Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
@@ -21,6 +26,66 @@ from service.records.epoch import format_epoch
 from service.records.levels.attitude import CARRIER_STATES, NO_ANGLES, Axes, CarrierResults
 
 pytestmark = pytest.mark.anyio
+
+
+class Client:
+    """A client that stays until it goes, as an application hears it."""
+
+    def __init__(self):
+        self.gone = asyncio.Event()
+        self.request = Request({"type": "http"}, self._receive)
+        self._is_asked = False
+
+    async def _receive(self):
+        if not self._is_asked:
+            self._is_asked = True
+            return {"type": "http.request", "body": b"", "more_body": False}
+        await self.gone.wait()
+        return {"type": "http.disconnect"}
+
+
+async def test_two_bounded_answers_are_made_at_once():
+    lock, running, most = threading.Lock(), set(), []
+
+    def parts(name):
+        with lock:
+            running.add(name)
+            most.append(len(running))
+        yield b"a" * 400_000
+        yield b"b"
+        with lock:
+            running.discard(name)
+
+    places = asyncio.Semaphore(2)
+    made = [bounded_answer(Client().request, places, partial(parts, k), "text/plain") for k in range(12)]
+    for answer in await asyncio.gather(*made):
+        body = b"".join([part async for part in answer.body_iterator])
+        assert body == b"a" * 400_000 + b"b"
+        assert answer.headers["content-length"] == "400001"
+    assert (max(most), len(most)) == (2, 12)
+
+
+async def test_a_client_that_goes_ends_its_answer_and_gives_its_place_back():
+    places, leaver, waiting = asyncio.Semaphore(1), Client(), Client()
+    loop, asked, made = asyncio.get_running_loop(), [], []
+
+    def parts(name):
+        asked.append(name)
+        for k in range(1000):
+            made.append(k)
+            loop.call_soon_threadsafe(leaver.gone.set)
+            if k == 1:
+                # the loop has heard of it before the next part
+                asyncio.run_coroutine_threadsafe(asyncio.sleep(0.05), loop).result(120)
+            yield b"x"
+
+    first = asyncio.ensure_future(bounded_answer(leaver.request, places, partial(parts, "first"), "text/plain"))
+    waiting.gone.set()
+    second = asyncio.ensure_future(bounded_answer(waiting.request, places, partial(parts, "second"), "text/plain"))
+    for each in (first, second):
+        with pytest.raises(ClientDisconnect):
+            await each
+    assert (asked, len(made) < 10, places.locked()) == (["first"], True, False)
 
 
 #: rows that the chain consumed, and all

@@ -112,6 +112,12 @@ class Flood:
         path = f"/api/v1/spacecraft/{self.spacecraft}/archive/measurements:export"
         self.by_requests(2, 0.2, lambda client: client.get(path, params={"format": "csv"}, headers=self.headers))
 
+    def samples(self) -> None:
+        """40 viewers at a time that want all there is of ten thousand intervals."""
+        path = f"/api/v1/spacecraft/{self.spacecraft}/samples"
+        query = {"quantity": ["power_dbm", "c_n0_db_hz"], "count": 10_000}
+        self.by_requests(40, 0.1, lambda client: client.get(path, params=query, headers=self.headers))
+
     def streams(self) -> None:
         """600 live streams at once."""
         target = urlsplit(self.url)
