@@ -9,7 +9,8 @@ import os
 import re
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from geometry_flight import FlightPayload
 from playwright.sync_api import CDPSession, Locator, Page, expect
 from release_ground import ReleaseGround, record, seed_archive
 from service_process import ServiceProcess, serving_on
+from waiting import wait_until
 
 from service.records.epoch import format_epoch
 
@@ -34,9 +36,20 @@ SPAN_S = 6 * 3600
 CLICK_S = 1.0
 #: divides by rounds and views
 NIGHTLY_ROWS = 45 * 12 * 19
-#: a few hundred nodes are one view: rounds would leave one each
-NODES = 400
+#: of views of a kind that were left, whatever the engine likes to keep: V8 has the closure of a getter of the last plot
+#: in the hidden class of its literal (uPlot, FeedbackVector, AllocationSite, AccessorPair); a leak leaves one a round
+KEPT_OF_A_KIND = 2
+#: nodes a round
+NODES = 150
 HEAP_BYTES = 1_000_000
+#: bounds hangs, s: what is waited for comes when the service has answered, however busy the machine is
+HANG_S = 240.0
+ATTACHED_NODES = """(() => {
+  const walker = document.createTreeWalker(document, NodeFilter.SHOW_ALL);
+  let count = 1;
+  while (walker.nextNode()) count += 1;
+  return count;
+})()"""
 #: remembers when the first angle stands on the page, and when each row does
 WATCH = """
 window.shownRows = {};
@@ -189,39 +202,37 @@ class _Rounds:
                 if rows:
                     self._ground.rows(rows // len(self.names), (0.0, 0.03, 0.0), settle=False)
                 self._page.goto(f"/console/{name}")
-                expect(self._page.locator("nav a[aria-current]")).to_have_attribute("href", name)
-                expect(self._page.locator("main > *").first).to_be_visible()
+                current, view = self._page.locator("nav a[aria-current]"), self._page.locator("main > *").first
+                expect(current).to_have_attribute("href", name, timeout=1000 * HANG_S)
+                expect(view).to_be_visible(timeout=1000 * HANG_S)
             self._ground.settle()
         self._page.goto("/console/#/now")
-        expect(self._page.locator(".gauge .value").first).to_have_text(re.compile(r"\d"))
-        self._collect()
+        expect(self._page.locator(".gauge .value").first).to_have_text(re.compile(r"\d"), timeout=1000 * HANG_S)
 
     def heap_bytes(self) -> int:
         """Return what is in use after a collection."""
         self._collect()
         return int(self._session.send("Runtime.getHeapUsage")["usedSize"])
 
-    def nodes(self) -> int:
-        """Return how many nodes there are after a collection."""
+    def unattached_nodes(self) -> int:
+        """Return how many nodes there are after a collection besides those of the page, whatever it shows just now."""
         self._collect()
-        return int(self._session.send("Memory.getDOMCounters")["nodes"])
+        return int(self._session.send("Memory.getDOMCounters")["nodes"]) - int(self._page.evaluate(ATTACHED_NODES))
 
-    def detached(self) -> list[str]:
-        """Return what a script holds that hangs on no page: tag and attributes of each root, and how many nodes."""
+    def detached(self) -> Counter[str]:
+        """Return what a script holds that hangs on no page: how many trees by tag and class of the root."""
         self._collect()
         # a session holds what it has found: this one ends
         session = self._page.context.new_cdp_session(self._page)
         trees = session.send("DOM.getDetachedDomNodes")["detachedNodes"]
         session.detach()
-        roots = [(each["treeNode"], len(each["retainedNodeIds"])) for each in trees]
-        return [f"{root['nodeName']} {root.get('attributes', '')} {count}" for root, count in roots]
+        # attributes stand alone in the list
+        roots = [each["treeNode"] for each in trees if "attributes" in each["treeNode"]]
+        return Counter(f"{root['nodeName']} {root['attributes'][:2]}" for root in roots)
 
-    def wait_until(self, is_done: Callable[[], bool]) -> None:
-        """Wait until something holds, or for as long as an answer may take."""
-        for _ in range(40):
-            if is_done():
-                return
-            self._page.wait_for_timeout(500)
+    def are_views_let_go(self) -> bool:
+        """Return whether no more is held than the engine may keep; what a request holds goes when it is answered."""
+        return max(self.detached().values(), default=0) <= KEPT_OF_A_KIND
 
     def _collect(self) -> None:
         for _ in range(3):
@@ -237,14 +248,19 @@ def test_rounds_of_all_views_leave_nothing_behind(new_page, ground, open_view, f
     open_view(page, "now")
     rounds = _Rounds(page, ground)
     rounds.run(first, 0)
-    # a request that was given up may hold its view until its answer is thrown away; a leak stays
-    rounds.wait_until(lambda: not rounds.detached())
-    heap, nodes = rounds.heap_bytes(), rounds.nodes()
+    wait_until(rounds.are_views_let_go, rounds.detached, HANG_S)
+    heap, nodes = rounds.heap_bytes(), rounds.unattached_nodes()
     rounds.run(last - first, rows // (last - first))
-    rounds.wait_until(lambda: not rounds.detached() and rounds.nodes() - nodes < NODES)
-    gained, nodes_gained, detached = rounds.heap_bytes() - heap, rounds.nodes() - nodes, rounds.detached()
-    figures[f"heap from round {first} to {last} of {len(rounds.names)} views, {rows} rows, bytes"] = gained
-    figures[f"nodes gained, detached trees, to round {last}"] = [nodes_gained, len(detached)]
-    assert gained <= FACTOR * HEAP_BYTES
-    assert nodes_gained < NODES
-    assert detached == [], detached
+
+    def gained() -> tuple[int, int, Counter[str]]:
+        return rounds.heap_bytes() - heap, rounds.unattached_nodes() - nodes, rounds.detached()
+
+    def is_let_go() -> bool:
+        gained_bytes, gained_nodes, _ = gained()
+        is_small = gained_bytes <= FACTOR * HEAP_BYTES and gained_nodes < NODES * (last - first)
+        return is_small and rounds.are_views_let_go()
+
+    wait_until(is_let_go, gained, HANG_S)
+    gained_bytes, gained_nodes, detached = gained()
+    figures[f"heap from round {first} to {last} of {len(rounds.names)} views, {rows} rows, bytes"] = gained_bytes
+    figures[f"nodes gained, detached trees, to round {last}"] = [gained_nodes, detached.total()]

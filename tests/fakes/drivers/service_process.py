@@ -68,7 +68,12 @@ class ServiceProcess:
     def client(self) -> httpx.Client:
         """Return a client with the key of the tests."""
         return httpx.Client(
-            base_url=self.url, headers={"Authorization": f"Bearer {KEY}"}, timeout=120.0, trust_env=False
+            base_url=self.url,
+            headers={"Authorization": f"Bearer {KEY}"},
+            timeout=120.0,
+            trust_env=False,
+            # well before the server closes an idle connection, after 5 s: a request on one that is being closed is lost
+            limits=httpx.Limits(keepalive_expiry=1.0),
         )
 
     def end(self, number: signal.Signals = signal.SIGTERM, timeout_s: float = 120.0) -> tuple[int, float]:
