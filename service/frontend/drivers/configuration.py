@@ -164,10 +164,11 @@ class Configuration:
 
     def _settings(self, sweep: SweepPart) -> SweepSettings:
         """Return the settings that the analyzer stated last."""
-        start_hz, stop_hz, rbw_hz, vbw_hz, time_s = (parse_number(answer) for answer in self._stated[:5])
-        points = (
-            parse_number(self._stated[5]) if self._has_points else float(self._dialect.fixed_points or sweep.points)
-        )
+        stated = [
+            parse_number(*pair) for pair in zip(self._stated, self.readback[: 5 + self._has_points], strict=False)
+        ]
+        start_hz, stop_hz, rbw_hz, vbw_hz, time_s = stated[:5]
+        points = stated[5] if self._has_points else float(self._dialect.fixed_points or sweep.points)
         if not (stop_hz > start_hz and rbw_hz > 0.0 and vbw_hz > 0.0 and time_s > 0.0 and 1.0 < points < math.inf):
             message = f"settings {self._stated[:6]} make no sweep"
             raise AnswerError(message)

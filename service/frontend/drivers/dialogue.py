@@ -1,7 +1,8 @@
 """Questions and answers with one analyzer: several queries a message, the error queue, and what is known at all.
 
 Law of this file: a query that may be unknown goes out together with one that is not, so that the analyzer always
-answers and no time-out has to be waited for.
+answers and no time-out has to be waited for. An analyzer that does not answer the queries of one message in one line
+gets one query a message.
 """
 
 from collections.abc import Sequence
@@ -27,6 +28,20 @@ class Dialogue:
         self.session = session
         #: errors of the analyzer that did not spoil a sweep, oldest first; the caller empties it
         self.analyzer_messages: list[AnalyzerMessage] = []
+        #: whether the queries of one message are answered in one line
+        self.is_joining = True
+        self._identity = ""
+
+    def find_out_joining(self) -> None:
+        """Find out whether the analyzer answers the queries of one message in one line."""
+        answers = split_answers(self.session.query("*OPC?;:SYST:ERR?"))
+        self.is_joining = len(answers) > 1
+        if self.is_joining:
+            return
+        if answers[0].lstrip("+") == "1":
+            # the second answer comes on a line of its own
+            self.session.read_line(":SYST:ERR?")
+        self._identity = self.session.query("*IDN?")
 
     def report(self, message: str) -> None:
         """Send one message that asks for nothing."""
@@ -34,19 +49,34 @@ class Dialogue:
 
     def ask(self, queries: Sequence[str]) -> list[str]:
         """Return the answers to queries that the analyzer knows."""
-        answers = split_answers(self.session.query(";".join(queries)))
+        if not self.is_joining:
+            return [self.session.query(query).strip() for query in queries]
+        message = ";".join(queries)
+        answers = split_answers(self.session.query(message))
         if len(answers) != len(queries):
-            reason = f"{len(answers)} answers to {len(queries)} queries: {answers}"
+            reason = f"{len(answers)} answers to {len(queries)} queries {message!r}: {answers}"
             raise AnalyzerIOError(f"{self.session.resource} gave {reason}")
         return answers
 
     def try_ask(self, query: str) -> str | None:
         """Return the answer to a query that may be unknown; None when it is, empty when there is nothing to say."""
-        answers = split_answers(self.session.query(f"*OPC?;{query}"))
-        if len(answers) > 1:
-            return ";".join(answers[1:])
+        answers = split_answers(self.session.query(f"*OPC?;{query}"))[1:] if self.is_joining else self._each(query)
+        if answers:
+            return ";".join(answers)
         # A query that is known but has nothing to say now leaves an execution error, not a command error.
         return None if any(entry.is_command_error for entry in self.drain()) else ""
+
+    def _each(self, queries: str) -> list[str]:
+        """Return the answers to queries that may be unknown, asked one by one; none as soon as one is not answered."""
+        answers = []
+        for query in queries.split(";"):
+            self.session.write(query)
+            answer = self.session.query("*IDN?").strip()
+            if answer == self._identity.strip():
+                return []
+            self.session.read_line("*IDN?")
+            answers.append(answer)
+        return answers
 
     def try_set(self, word: Word) -> bool | None:
         """Set a word and read it back: whether it stands, None when the analyzer took it but cannot be asked."""

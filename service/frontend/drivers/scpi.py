@@ -8,7 +8,7 @@ Law of this file: it never trusts a length or a count that the other side names;
 * An ASCII trace is comma separated; some analyzers end it with a comma, some put an ``#A`` header before it.
 * 9.91E37 and -999 mean "no number", 9.9E37 "infinite"; all become NaN.
 * Several queries of one message are answered in one line, joined by ``;`` outside quotes.
-* The error queue answers ``<code>,"<text>[;<detail>]"``; code 0 is the empty queue.
+* The error queue answers ``<code>,"<text>[;<detail>]"``, some analyzers ``<code>`` alone; code 0 is the empty queue.
 """
 
 import re
@@ -26,7 +26,7 @@ NO_RESULT = -999.0
 #: digits that the length of a block may have
 _MAX_LENGTH_DIGITS = 9
 
-_ERROR = re.compile(r'\s*([+-]?\d+)\s*,\s*(?:"((?:[^"]|"")*)"|(.*))\s*', re.DOTALL)
+_ERROR = re.compile(r'\s*([+-]?\d+)\s*(?:,\s*(?:"((?:[^"]|"")*)"|(.*)))?\s*', re.DOTALL)
 _DATE = re.compile(r"\s*(\d{4})\s*,\s*(\d{1,2})\s*,\s*(\d{1,2})\s*")
 _TIME = re.compile(r"\s*(\d{1,2})\s*,\s*(\d{1,2})\s*,\s*(\d{1,2}(?:\.\d+)?)\s*")
 
@@ -95,8 +95,8 @@ def split_answers(line: str) -> list[str]:
     return [answer.strip() for answer in answers]
 
 
-def parse_number(text: str) -> float:
-    """Return one number; NaN for SCPI's not-a-number and infinities.
+def parse_number(text: str, query: str = "") -> float:
+    """Return one number; NaN for SCPI's not-a-number and infinities. An error names the query.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def parse_number(text: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise AnswerError(f"{text[:80]!r} is not a number") from error
+        raise AnswerError(f"{query} answered {text[:80]!r}, which is not a number".strip()) from error
     return value if abs(value) < SCPI_NO_NUMBER else float("nan")
 
 
@@ -132,7 +132,9 @@ def parse_message(text: str) -> AnalyzerMessage:
     if match is None:
         raise AnswerError(f"SYST:ERR? answered {text[:80]!r}")
     quoted = match.group(2)
-    return AnalyzerMessage(int(match.group(1)), quoted.replace('""', '"') if quoted is not None else match.group(3))
+    return AnalyzerMessage(
+        int(match.group(1)), quoted.replace('""', '"') if quoted is not None else match.group(3) or ""
+    )
 
 
 def is_message(text: str) -> bool:

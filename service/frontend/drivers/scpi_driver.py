@@ -69,12 +69,16 @@ class TraceReader:
 
     def read(self, further: list[str]) -> tuple[bytes | str, list[str]]:
         """Return the trace as it came, and the answers to further queries, the last one the error queue's."""
-        payload, line = self._dialogue.session.query_block(";".join([self._dialect.trace_query, *further]))
+        joined = further if self._dialogue.is_joining else []
+        payload, line = self._dialogue.session.query_block(";".join([self._dialect.trace_query, *joined]))
         answers = split_answers(line)
+        if not self._dialogue.is_joining:
+            answers += self._dialogue.ask(further)
         if len(answers) != 1 + len(further):
             if is_message(answers[-1]):
                 self._dialogue.raise_on_errors("the trace", parse_message(answers[-1]))
-            reason = f"{len(answers)} answers to {1 + len(further)} queries: {line[-120:]!r}"
+            message = f"{self._dialect.trace_query} and {';'.join(further)}"
+            reason = f"{len(answers)} answers to {1 + len(further)} queries {message}: {line[-120:]!r}"
             raise AnalyzerIOError(f"{self._dialogue.session.resource} gave {reason}")
         first = answers.pop(0)
         if payload is None and first.strip() in {_NO_TRACE, ""}:
@@ -205,6 +209,7 @@ class ScpiDriver:
 
     def preset(self) -> None:
         """Reset the analyzer, stop its own sweeping, set method and trace format, find out what it can be asked for."""
+        self._dialogue.find_out_joining()
         application = self.dialect.application
         if application is not None:
             self._enter(application.header, application.value, application.stands)
@@ -288,7 +293,7 @@ class ScpiDriver:
         self._dialogue.raise_on_errors(f"sweep {sweep_id}", parse_message(answers.pop()))
         stated = [answers.pop() for _ in readback][::-1]
         is_unchanged = self._configuration.is_unchanged(stated)
-        condition = int(parse_number(answers.pop(0))) if self.features.has_status else 0
+        condition = int(parse_number(answers.pop(0), ":STAT:QUES:COND?")) if self.features.has_status else 0
         epoch_us = self._epoch_us(answers, settings, system_us)
         # What was swept under foreign settings may not even be read: it has another unit, or other points.
         levels = self._traces.levels(trace, settings.points) if is_unchanged else np.full(settings.points, np.nan)

@@ -124,6 +124,13 @@ class VisaSession:
     def _answered(self, message: str, timeout_s: float, grace_s: float, read: Callable[[], _Answer]) -> _Answer:
         """Send a message and return what is read after the first byte of its answer has come."""
         self.write(message)
+        return self._read(message, timeout_s, grace_s, read)
+
+    def read_line(self, message: str) -> str:
+        """Return a line of answer more, to a message that was sent before."""
+        return self._read(message, self._timeout_s, float("inf"), self._line)
+
+    def _read(self, message: str, timeout_s: float, grace_s: float, read: Callable[[], _Answer]) -> _Answer:
         try:
             self._await_first_byte(timeout_s, grace_s)
             self._set_timeout(timeout_s)

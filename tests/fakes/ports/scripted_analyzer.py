@@ -154,6 +154,8 @@ class ScriptedSession:
                 continue
             if (said := self.answer(header)) is not None:
                 answers.append(said)
+            elif header == "*IDN?":
+                answers.append(self.identity)
             elif header == "*OPC?":
                 answers.append("1")
             elif header == ":SYST:ERR?":

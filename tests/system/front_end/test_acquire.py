@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from analyzer_thread import AnalyzerThread, start_in_thread
 from steady_world import CARRIERS, NOISE_DBM_HZ, Steady, steady_task
+from unjoined_line import MODES, unjoined_line
 from waiting import wait_until
 
 from analyzer_sim.dialects.dialects import DIALECTS
@@ -136,6 +137,32 @@ def test_the_generic_driver_measures_any_of_them_as_it_was_switched_on(dialect: 
             judge(rows_of(driver, made, 30), MODULATED)
         finally:
             session.close()
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("dialect", ["rs", "siglent"])
+def test_an_analyzer_that_does_not_join_its_answers_gets_one_query_a_message(dialect: str, mode: str) -> None:
+    print(f"seed {SEED}")
+    spoken, made = DIALECTS[dialect], steady_task()
+    sweeps, features = [], []
+    for is_direct in (True, False):
+        # the same instrument once more: what is measured depends on its seed and on nothing that is asked
+        instrument = Instrument(Steady(), TracePainter(SEED, IDEAL, Detail.FAST), model=spoken.model)
+        with start_in_thread(instrument, dialect=spoken) as analyzer, unjoined_line(analyzer.port, mode) as port:
+            session = VisaSession(f"TCPIP::127.0.0.1::{analyzer.port if is_direct else port}::SOCKET", 5.0)
+            try:
+                identity = identify(session)
+                driver = ScpiDriver(session, identity, dialect_of(identity), lambda: 0, use_analyzer_clock=True)
+                driver.preset()
+                driver.configure(made.sweeps[0], made.input)
+                sweeps.append([driver.measure(made.sweeps[0]) for _ in range(5)])
+                features.append(driver.features)
+            finally:
+                session.close()
+    assert features[0] == features[1]
+    for direct, unjoined in zip(*sweeps, strict=True):
+        np.testing.assert_array_equal(unjoined.power_mw, direct.power_mw)
+        assert (unjoined.epoch_us, unjoined.settings) == (direct.epoch_us, direct.settings)
 
 
 def test_a_narrow_carrier_in_a_sweep_of_its_own() -> None:

@@ -249,6 +249,70 @@ def test_a_missing_answer_is_a_broken_session(session: ScriptedSession, made: Sc
         made.measure(SWEEP)
 
 
+class UnjoinedSession(ScriptedSession):
+    """Session to an analyzer that answers every query of a message on a line of its own, or the last one alone."""
+
+    def __init__(self, *, is_last_alone: bool) -> None:
+        super().__init__()
+        self.is_last_alone = is_last_alone
+        self.lines: list[str] = []
+        self.silent: set[str] = set()
+        self.queries_of_messages = 0
+
+    def write(self, message: str) -> None:
+        units = message.split(";")
+        queries = [unit for unit in units if unit.endswith("?")]
+        super().write(";".join(unit for unit in units if unit not in queries) or "*WAI")
+        self.queries_of_messages = max(len(queries), self.queries_of_messages)
+        answers = [answer for query in queries if query not in self.silent for answer in self._answers(query)]
+        self.lines += answers[-1:] if self.is_last_alone else answers
+
+    def query(self, message: str, timeout_s: float | None = None) -> str:
+        self.write(message)
+        return self.read_line(message)
+
+    def read_line(self, message: str) -> str:
+        if not self.lines:
+            error = f"{self.resource} does not answer {message!r}"
+            raise AnalyzerIOError(error)
+        return self.lines.pop(0)
+
+
+@pytest.mark.parametrize("is_last_alone", [False, True])
+def test_an_analyzer_that_does_not_join_answers_is_asked_one_by_one(*, is_last_alone: bool) -> None:
+    unjoined = UnjoinedSession(is_last_alone=is_last_alone)
+    one_by_one, joined = driver(unjoined, use_analyzer_clock=True), driver(ScriptedSession(), use_analyzer_clock=True)
+    # the first message of a session finds it out
+    assert unjoined.queries_of_messages == 2
+    unjoined.queries_of_messages = 0
+    sweep, wanted = one_by_one.measure(SWEEP), joined.measure(SWEEP)
+    np.testing.assert_array_equal(sweep.power_mw, wanted.power_mw)
+    assert (sweep.epoch_us, sweep.settings, one_by_one.features) == (wanted.epoch_us, wanted.settings, joined.features)
+    assert (unjoined.queries_of_messages, unjoined.lines) == (1, [])
+
+
+@pytest.mark.parametrize("is_last_alone", [False, True])
+def test_the_fault_names_the_query_that_is_not_answered(*, is_last_alone: bool) -> None:
+    unjoined = UnjoinedSession(is_last_alone=is_last_alone)
+    made = driver(unjoined)
+    unjoined.silent = {":SWE:TIME?"}
+    with pytest.raises(AnalyzerIOError, match=r"does not answer ':SWE:TIME\?'"):
+        made.measure(SWEEP)
+    unjoined = UnjoinedSession(is_last_alone=is_last_alone)
+    unjoined.stuck[":BAND"] = "fast"
+    with pytest.raises(AnswerError, match=r":BAND\? answered 'fast', which is not a number"):
+        driver(unjoined)
+
+
+def test_error_codes_without_a_text(session: ScriptedSession, made: ScpiDriver) -> None:
+    assert (parse_message(" -222 "), parse_message("0").code) == (AnalyzerMessage(-222, ""), 0)
+    session.answer = lambda query: "0" if query == ":SYST:ERR?" else None
+    assert np.isfinite(made.measure(SWEEP).power_mw).all()
+    session.answer = lambda query: "-200" if query == ":SYST:ERR?" else None
+    with pytest.raises(AnalyzerIOError, match="error queue without end"):
+        made.measure(SWEEP)
+
+
 def test_an_endless_error_queue_is_a_broken_session(session: ScriptedSession, made: ScpiDriver) -> None:
     session.queue += ['-222,"again"'] * 500
     with pytest.raises(AnalyzerIOError, match="without end"):
