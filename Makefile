@@ -16,9 +16,9 @@ export OPENBLAS_NUM_THREADS := 1
 help: ## show the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "%-14s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-$(STAMP): requirements.lock pyproject.toml
+$(STAMP): requirements-extras.lock pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-extras.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-build.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	# two minutes now, so that the first row does not wait for the compiler
@@ -89,9 +89,9 @@ locks: ## lock files name no address
 check: lint types imports locks test-all docs ## all that must hold before a change lands
 
 # the wheel is built from the sdist, apart from the checkout: what was built before cannot get into it
-dist: $(DEV_STAMP) ## build wheel and sdist into build/dist, with the lock of what they need
+dist: $(DEV_STAMP) ## build wheel and sdist into build/dist, with the locks of what they need
 	$(BIN)/uv build --quiet --offline --no-build-isolation --python $(BIN)/python --out-dir $(DIST)
-	cp requirements.lock $(DIST)
+	cp requirements.lock requirements-extras.lock $(DIST)
 
 coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
 	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered
@@ -128,8 +128,10 @@ archive: $(DEV_STAMP) ## make the archive new that the tests open and estimate f
 	PYTHONPATH=tests/fakes/worlds:tests/fakes/drivers:tests/fakes/ports $(BIN)/python -m fixture_archive
 
 lock: $(DEV_STAMP) ## resolve and pin again
-	$(BIN)/uv pip compile pyproject.toml --all-extras $(LOCK_OPTIONS) -o requirements.lock
-	$(BIN)/uv pip compile --group dev -c requirements.lock $(LOCK_OPTIONS) -o requirements-dev.lock
+	$(BIN)/uv pip compile pyproject.toml --all-extras $(LOCK_OPTIONS) -o requirements-extras.lock
+	# of the service and of a front end: no figures, no cluster, no data frames
+	$(BIN)/uv pip compile pyproject.toml --extra station --extra console -c requirements-extras.lock $(LOCK_OPTIONS) -o requirements.lock
+	$(BIN)/uv pip compile --group dev -c requirements-extras.lock $(LOCK_OPTIONS) -o requirements-dev.lock
 	$(BIN)/uv pip compile --group build -c requirements-dev.lock $(LOCK_OPTIONS) -o requirements-build.lock
 	$(BIN)/uv pip compile --group clients $(LOCK_OPTIONS) -o requirements-clients.lock
 	$(BIN)/uv pip compile --group docs $(LOCK_OPTIONS) -o requirements-docs.lock

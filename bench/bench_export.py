@@ -37,6 +37,7 @@ from service.records.calibration import Window
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.epoch import format_epoch
 from service.records.levels.measurement import MeasurementBatch
+from service.records.storage import sqlite_url
 
 CARRIERS = 16
 STEP_US = 10_000_000
@@ -75,7 +76,7 @@ def main() -> bool:
 
 def fill(path: Path, rows: Rows) -> None:
     """Store the rows and seal their days."""
-    storage = SqlStorage(f"sqlite:///{path}")
+    storage = SqlStorage(sqlite_url(str(path)))
     storage.prepare()
     inertia = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
     storage.catalogue.add_spacecraft(Spacecraft("bench", "Bench", 90.0, Site(55.0, 38.0), inertia, 0.05))
@@ -184,7 +185,7 @@ class Works:
         self._sink = path.with_name("out")
         self._names = [f"c{k:02d}" for k in range(CARRIERS)]
         # what a file of measurements asks of the service's context
-        self._context: Any = SimpleNamespace(storage=SqlStorage(f"sqlite:///{path}"), kernels="numba")
+        self._context: Any = SimpleNamespace(storage=SqlStorage(sqlite_url(str(path))), kernels="numba")
         self._span = Window(START_US, int(rows.epochs_us[-1]) + 1)
         self._by_column = np.ascontiguousarray(rows.levels.T)
 
@@ -257,7 +258,7 @@ def served(path: Path) -> Iterator[tuple[httpx.Client, int]]:
     """Run the service over the archive; give a client and its process."""
     key = secrets.token_urlsafe(16)
     environment = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "service", "serve", "--port", "0", "--database", f"sqlite:///{path}"]
+    command = [sys.executable, "-m", "service", "serve", "--port", "0", "--database", sqlite_url(str(path))]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment)
     try:
         assert process.stdout is not None

@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 from bench.load.http_load import Load, Rate, Shape
 from service.client.service_client import ServiceClient
+from service.records.storage import sqlite_url
 
 BATCHES = Shape(rows=100, carriers=32, connections=8)
 SINGLES = Shape(rows=1, carriers=32, connections=32)
@@ -60,7 +61,7 @@ def main() -> bool:
 
         def new_file(kind: str) -> str:
             """Return the URL of a new file."""
-            return f"sqlite:///{Path(name) / f'{kind}-{secrets.token_hex(4)}.db'}"
+            return sqlite_url(f"{name}/{kind}-{secrets.token_hex(4)}.db")
 
         is_met = [_batches(new_file, options), _singles(new_file, options)]
     return all(is_met)

@@ -33,6 +33,7 @@ from service.records.epoch import format_epoch, parse_epoch
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementBatch
+from service.records.storage import sqlite_url
 from service.runtime.jobs.alignment_service import AlignmentRequest
 from tests.fakes.drivers.busy_station import SC, Station
 from tests.fakes.worlds.geometry_flight import MINUTE, PERIOD_S, START_US, FlightPayload, S
@@ -168,7 +169,7 @@ def _append(station: Station, minutes: range) -> None:
 @contextmanager
 def operated(database: Path) -> Iterator[Operated]:
     """Start the service, and stop it where it lives yet."""
-    command = [sys.executable, "-m", "service", "serve", "--database", f"sqlite:///{database}", "--port", "0"]
+    command = [sys.executable, "-m", "service", "serve", "--database", sqlite_url(str(database)), "--port", "0"]
     began_s = time.perf_counter()
     with running([*command, "--clock", "data"], _KEY) as process:
         headers = {"Authorization": f"Bearer {_KEY}"}
@@ -178,7 +179,7 @@ def operated(database: Path) -> Iterator[Operated]:
 
 def await_consumed(database: Path) -> None:
     """Wait until the service has computed every row."""
-    with closing(SqlStorage(f"sqlite:///{database}")) as storage:
+    with closing(SqlStorage(sqlite_url(str(database)))) as storage:
         while (head := storage.archive.head(SC)).consumed_number < head.newest_number:
             time.sleep(0.05)
 
@@ -216,7 +217,7 @@ def _estimate(service: Operated, database: Path) -> None:
 
 def next_minute(database: Path) -> int:
     """Return the minute after the newest row."""
-    with closing(SqlStorage(f"sqlite:///{database}")) as storage:
+    with closing(SqlStorage(sqlite_url(str(database)))) as storage:
         newest_us = storage.archive.head(SC).newest_epoch_us
     assert newest_us is not None
     return round((newest_us - at(0)) / MINUTE) + 1
@@ -305,7 +306,7 @@ def _replayed(service: Operated, body: Any) -> None:
 def _ask_doctor(database: Path) -> None:
     """Print what the doctor finds, and how long it looks."""
     began_s = time.perf_counter()
-    command = [sys.executable, "-m", "service", "doctor", "--database", f"sqlite:///{database}"]
+    command = [sys.executable, "-m", "service", "doctor", "--database", sqlite_url(str(database))]
     found = subprocess.run(command, capture_output=True, text=True, check=False)
     print(f"  doctor ({time.perf_counter() - began_s:.1f} s, exit code {found.returncode}):")
     print("    " + found.stdout.strip().replace("\n", "\n    "), flush=True)

@@ -25,6 +25,7 @@ from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.levels.measurement import Measurement, MeasurementBatch
 from service.records.operations.work import Job, JobState, Replay
+from service.records.storage import sqlite_url
 from service.runtime.jobs.replay_run import ReplayRun
 from tests.fakes.worlds.geometry_flight import HOUR, MINUTE, SC, START_US, FlightPayload
 
@@ -60,7 +61,7 @@ def main() -> bool:
 
 def measure(database: Path, rows: int, kernels: Literal["numpy", "numba"] = "numba") -> ReplayTimes:
     """Return the times of a replay of some rows."""
-    with closing(SqlStorage(f"sqlite:///{database}")) as storage:
+    with closing(SqlStorage(sqlite_url(str(database)))) as storage:
         _fill(storage, rows)
         config = ChainConfig(kernels=kernels)
         _replay(storage, config, 200)

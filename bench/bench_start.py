@@ -28,6 +28,7 @@ from service.__main__ import main as serve
 from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
 from service.ports import LIVE
 from service.records.levels.measurement import MeasurementBatch
+from service.records.storage import sqlite_url
 from tests.fakes.worlds.synthetic_payload import SC, START_US, S, SyntheticPayload
 
 CARRIERS = 16
@@ -85,7 +86,7 @@ def _show(what: str, value: float, unit: str, goal: float) -> bool:
 
 def started(database: Path, kernels: str = "numba", *, module: str = "service") -> Start:
     """Start a service over a database, wait until it is ready and idle, and end it."""
-    command = [sys.executable, "-m", module, "serve", "--database", f"sqlite:///{database}", "--port", "0"]
+    command = [sys.executable, "-m", module, "serve", "--database", sqlite_url(str(database)), "--port", "0"]
     began_s = time.perf_counter()
     with running([*command, "--clock", "data"], secrets.token_urlsafe(16), SOO_KERNELS=kernels) as process:
         _await_ready(process)
@@ -134,7 +135,7 @@ def fill(database: Path, rows: int) -> None:
 @contextmanager
 def _storage(database: Path) -> Iterator[SqlStorage]:
     """Give a migrated archive and close it."""
-    storage = SqlStorage(f"sqlite:///{database}")
+    storage = SqlStorage(sqlite_url(str(database)))
     storage.prepare()
     yield storage
     storage.close()

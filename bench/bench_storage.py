@@ -23,6 +23,7 @@ from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, CarrierResults, Pulse, Status, TorqueCommand
 from service.records.levels.measurement import Measurement, MeasurementBatch
+from service.records.storage import sqlite_url
 
 START_US = 1_795_000_000_000_000
 #: rows of one day at a row every ten seconds
@@ -49,13 +50,13 @@ def main() -> bool:
     options, _ = parser.parse_known_args()
     with tempfile.TemporaryDirectory(dir=Path.cwd()) as name:
         folder = Path(name)
-        urls = {kind: f"sqlite:///{folder / str(position)}.db" for position, kind in enumerate(KINDS)}
+        urls = {kind: sqlite_url(f"{folder / str(position)}.db") for position, kind in enumerate(KINDS)}
         if options.url:
             urls = {kind: options.url.format(position) for position, kind in enumerate(KINDS)}
         is_met = [measure_reading(url, kind, options) for kind, url in urls.items()]
         options.carriers = 16
         for has_carriers in (False, True):
-            url = f"sqlite:///{folder / 'results'}{has_carriers:d}.db"
+            url = sqlite_url(f"{folder / 'results'}{has_carriers:d}.db")
             is_met.append(measure_results(url, options, has_carriers=has_carriers))
     return all(is_met)
 

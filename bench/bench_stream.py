@@ -29,6 +29,7 @@ from db.storage import SqlStorage
 from service.client.async_service_client import AsyncServiceClient
 from service.records.calibration import CalibrationState
 from service.records.epoch import format_epoch
+from service.records.storage import sqlite_url
 from tests.fakes.worlds.synthetic_payload import HOUR, MINUTE, SC, START_US, SyntheticPayload
 
 CARRIERS = 16
@@ -105,7 +106,7 @@ def measure(seconds: float, clients: int) -> StreamTimes:
 
 def _prepare(database: Path, payload: SyntheticPayload) -> None:
     """Make an archive with a calibrated and aligned spacecraft."""
-    storage = SqlStorage(f"sqlite:///{database}")
+    storage = SqlStorage(sqlite_url(str(database)))
     storage.prepare()
     storage.catalogue.add_spacecraft(payload.spacecraft())
     storage.catalogue.put_plan(SC, payload.carriers(), "bench")

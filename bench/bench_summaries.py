@@ -36,6 +36,7 @@ from service.records.calibration import (
 from service.records.catalogue import Method
 from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.measurement import Measurement
+from service.records.storage import sqlite_url
 
 CARRIERS = 16
 STEP_US = 60_000_000
@@ -109,7 +110,7 @@ def measure(folder: Path, rows: int, repeats: int) -> Tally:
 
 def fill(path: Path, rows: int) -> None:
     """Make an archive of rows a minute with robust results, sealed and summarised."""
-    storage = SqlStorage(f"sqlite:///{path}")
+    storage = SqlStorage(sqlite_url(str(path)))
     storage.prepare()
     plan_id = prepare_catalogue(storage, argparse.Namespace(carriers=CARRIERS))
     align(storage, plan_id)
@@ -174,7 +175,7 @@ def robust_of(row: Measurement, random: np.random.Generator) -> Outcome:
 
 def asked(path: Path, next_row: int, intervals: int) -> dict[str, float]:
     """Open an archive, ask everything once, store a row, and return the processor times."""
-    storage = SqlStorage(f"sqlite:///{path}")
+    storage = SqlStorage(sqlite_url(str(path)))
     settings = Settings.model_validate({"clock": "data", "bootstrap_key": _KEY})
     app = build_app(settings, storage)
     plan_id = storage.catalogue.plan("bench").id

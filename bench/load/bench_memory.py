@@ -26,6 +26,7 @@ from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.work import JobState, Replay
+from service.records.storage import sqlite_url
 from service.runtime.clock import SystemClock
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.calibration_job import Calibrator, fitted
@@ -51,7 +52,7 @@ def main() -> bool:
     options, _ = parser.parse_known_args()
     is_met = []
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
-        made = f"sqlite:///{name}/calibration.db", f"sqlite:///{name}/replay.db"
+        made = sqlite_url(f"{name}/calibration.db"), sqlite_url(f"{name}/replay.db")
         print(f"calibration of {options.days:g} days and the turns at 1 row/s, replay of {options.rows} rows")
         fill_calibration(made[0], options.days)
         fill_replay(made[1], options.rows)

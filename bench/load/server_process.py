@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from service.records.storage import sqlite_url
+
 #: clock ticks of the processor times in /proc
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _KB = 1024
@@ -44,7 +46,7 @@ def served(archive: str, database: Path, key: str) -> Iterator[ServedProcess]:
         "--archive",
         archive,
         "--database",
-        f"sqlite:///{database}",
+        sqlite_url(str(database)),
     ]
     with running(command, key) as process:
         yield process

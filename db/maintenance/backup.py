@@ -39,7 +39,7 @@ from db.maintenance.table_copy import copy_tables
 from db.measurements.checksum_check import damage_of
 from db.schema.layout import LAYOUT, archive_layout, create_tables, layout_of, refusal
 from db.schema.tables import head, metadata, spacecraft
-from service.records.storage import BackupError, Diagnosis, Manifest, SpacecraftCount, worst
+from service.records.storage import BackupError, Diagnosis, Manifest, SpacecraftCount, sqlite_url, worst
 
 ARCHIVE_FILE, MANIFEST_FILE = "archive.db", "manifest.json"
 #: 8 MiB a step, between which the progress is told
@@ -183,7 +183,7 @@ def _copy_pages(path: Path, archive: Path, progress: Progress) -> None:
 
 def _copy_rows(url: str, archive: Path, progress: Progress) -> None:
     """Copy a PostgreSQL archive as one transaction sees it."""
-    source, target = open_engines(url), open_engines(f"sqlite:///{archive}")
+    source, target = open_engines(url), open_engines(sqlite_url(str(archive)))
     try:
         with source.read.connect() as reading:
             _demand_layout(reading)

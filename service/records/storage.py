@@ -3,8 +3,14 @@
 import json
 from dataclasses import asdict, dataclass, field
 from typing import Literal
+from urllib.parse import quote
 
 from service.records.setting import CHOSEN, setting
+
+
+def sqlite_url(path: str) -> str:
+    """Return the URL of the archive in a file, whatever characters its path has."""
+    return f"sqlite:///{quote(path)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -394,7 +394,7 @@ def test_grafana_finds_the_dashboard_and_the_source_that_it_asks_for() -> None:
     for kind in ("datasources", "dashboards"):
         path = f"provisioning/{kind}/soo.yml"
         assert mounts[f"../grafana/{path}"] == f"/etc/grafana/{path}"
-    assert compose["environment"].keys() == {"SOO_PROMETHEUS_URL"}
+    assert compose["environment"].keys() == {"SOO_PROMETHEUS_URL", "GF_SECURITY_ADMIN_PASSWORD__FILE"}
     for word in ("deploy/grafana/provisioning/", provider["options"]["path"], "SOO_PROMETHEUS_URL"):
         assert word in SERVICE_PAGE
 

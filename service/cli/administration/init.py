@@ -3,6 +3,7 @@
 Exit codes: 0 made, 2 the folder holds something already or cannot be written.
 """
 
+import glob
 import json
 import shlex
 import sys
@@ -14,6 +15,7 @@ import typer
 from service.cli.command_group import end
 from service.cli.operation.connection import JsonOption
 from service.cli.operation.profile import ProfileError, write_profile
+from service.records.storage import sqlite_url
 
 _UNIT = """\
 [Unit]
@@ -27,6 +29,12 @@ WorkingDirectory={folder}
 Restart=on-failure
 UMask=0077
 NoNewPrivileges=yes
+ProtectSystem=full
+PrivateTmp=yes
+MemoryMax=4G
+TasksMax=512
+# a worker process that takes too much ends alone, and its job with it
+OOMPolicy=continue
 
 [Install]
 WantedBy=default.target
@@ -71,7 +79,7 @@ def _files(folder: Path, port: int) -> dict[str, str]:
     from service.composition.bootstrap import build_storage, first_administrator
     from service.composition.settings import Settings
 
-    database_url = f"sqlite:///{folder / 'soo.db'}"
+    database_url = sqlite_url(str(folder / "soo.db"))
     # a key of the environment is another service's
     settings = Settings.model_validate({"database_url": database_url, "bootstrap_key": None})
     storage = build_storage(settings)
@@ -83,7 +91,8 @@ def _files(folder: Path, port: int) -> dict[str, str]:
     stated = {"SOO_DATABASE_URL": database_url, "SOO_HOST": "127.0.0.1", "SOO_PORT": str(port)}
     environment.write_text("".join(f"{name}={shlex.quote(value)}\n" for name, value in stated.items()))
     # systemd reads a per cent sign as the begin of a name
-    stands = {"settings": environment, "folder": folder, "python": sys.executable}
+    # and the file of settings as a pattern
+    stands = {"settings": glob.escape(str(environment)), "folder": folder, "python": sys.executable}
     unit.write_text(_UNIT.format(**{name: str(path).replace("%", "%%") for name, path in stands.items()}))
     return {"settings": str(environment), "key_file": str(key_file), "unit": str(unit)}
 

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from service.cli.demonstration.invitation import program
+from service.records.storage import sqlite_url
 
 _QUESTION = "Keep the archive? Name a new folder, or press Enter to remove it"
 
@@ -37,7 +38,7 @@ def offer_archive(console: Console, directory: Path, keep: Path | None, *, is_as
     kept = "database, logs and figure" if any(keep.glob("*.png")) else "database and logs"
     console.print(f"{kept} are in {keep}; to look at the archive again:", soft_wrap=True, highlight=False)
     # the key was this run's own: the archive does not hold it
-    key, database = shlex.quote(str(keep / "administrator.key")), shlex.quote(f"sqlite:///{keep / 'soo.db'}")
+    key, database = shlex.quote(str(keep / "administrator.key")), shlex.quote(sqlite_url(str(keep / "soo.db")))
     command = f'SOO_BOOTSTRAP_KEY="$(cat {key})" {program()} serve --clock data --database {database}'
     console.print(command, soft_wrap=True, highlight=False)
 

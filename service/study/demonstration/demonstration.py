@@ -20,6 +20,7 @@ from typing import Any
 from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import format_epoch, parse_epoch
+from service.records.storage import sqlite_url
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR
 from service.study.demonstration.control_centre import ControlCentre, SpacecraftLine
 from service.study.demonstration.merit import AXES
@@ -111,7 +112,7 @@ def simulated_station(
         *(("--quiet-days", str(quiet_days)) if quiet_days else ()),
         *(("--uplink-port", "0", "--change-port", "0", "--uplink", uplink) if uplink else ()),
     ]
-    database = f"sqlite:///{directory / 'soo.db'}"
+    database = sqlite_url(str(directory / "soo.db"))
     server = ["service", "serve", "--port", "0", "--clock", "data", "--database", database]
     with ExitStack() as stack:
         analyzer = stack.enter_context(

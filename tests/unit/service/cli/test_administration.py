@@ -1,13 +1,16 @@
 """Commands of an archive's keeper: ``soo init``, ``maintenance``, ``audit verify``, ``keys``, ``acquire``."""
 
+import glob
 import json
 import logging
 import os
+import shlex
 import signal
 import sqlite3
 import stat
 import subprocess
 import sys
+from configparser import ConfigParser
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -27,6 +30,7 @@ from service.cli.station.state_folder import state_folder
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.access import AuditEvent
+from service.records.storage import sqlite_url
 
 
 @pytest.fixture(autouse=True)
@@ -54,6 +58,41 @@ def test_a_service_starts_from_the_folder_and_its_key_opens_it(tmp_path):
         finally:
             process.send_signal(signal.SIGTERM)
     assert not list(folder.glob("administrator-*.key")), "one first key"
+
+
+@pytest.mark.parametrize("name", ["a?b", "a#b", "100%20", "a b", "d&e=f", "[a]*"])
+def test_what_it_makes_is_in_the_folder_whatever_its_name(tmp_path, name):
+    folder = tmp_path / name
+    assert init(folder).exit_code == 0
+    assert [each.name for each in tmp_path.iterdir() if each.name != "configuration"] == [name]
+    assert sorted(each.name for each in folder.iterdir()) == ["administrator.key", "soo.db", "soo.env", "soo.service"]
+    stated = dict(shlex.split(line)[0].split("=", 1) for line in (folder / "soo.env").read_text().splitlines())
+    kept, restored = str(folder / "kept"), sqlite_url(str(folder / "again.db"))
+    for command in (
+        ["create", kept, "--database", stated["SOO_DATABASE_URL"]],
+        ["restore", kept, "--database", restored],
+    ):
+        done = CliRunner().invoke(app, ["backup", *command])
+        assert done.exit_code == 0, done.output
+    assert (folder / "again.db").is_file()
+    unit = unit_of(folder)["Service"]
+    # systemd reads the name as a pattern
+    assert glob.glob(unit["EnvironmentFile"].replace("%%", "%")) == [str(folder / "soo.env")]  # noqa: PTH207
+
+
+def unit_of(folder):
+    """Return the unit, parsed."""
+    unit = ConfigParser(interpolation=None)
+    unit.optionxform = str
+    unit.read(folder / "soo.service")
+    return unit
+
+
+def test_the_unit_confines_the_service(tmp_path):
+    assert init(tmp_path / "soo").exit_code == 0
+    unit = unit_of(tmp_path / "soo")["Service"]
+    confined = {"ProtectSystem": "full", "PrivateTmp": "yes", "NoNewPrivileges": "yes", "MemoryMax": "4G"}
+    assert {name: unit[name] for name in confined} == confined
 
 
 def test_what_it_makes_is_its_owners_alone_and_the_unit_names_it(tmp_path):
