@@ -58,6 +58,8 @@ def server_config(
         access_log=False,
         timeout_graceful_shutdown=5,
         server_header=False,
+        # of every answer, those outside of the application included
+        headers=[("X-Content-Type-Options", "nosniff")],
         ssl_certfile=certificate,
         ssl_keyfile=key,
         # uvicorn would believe 127.0.0.1 unasked, and whatever stands in the environment

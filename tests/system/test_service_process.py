@@ -7,6 +7,7 @@ import statistics
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import chaos_clients as chaos
 import pytest
@@ -44,6 +45,26 @@ def test_it_announces_its_address_once_is_ready_never_writes_the_given_key_and_e
     assert service.end(2)[0] == 0
     written = service.written()
     assert [text for text in (KEY, "another-key-than-ours", "Traceback") if text in written] == []
+
+
+def test_no_answer_lets_a_browser_guess_its_type(start_service):
+    service = start_service(environment={"SOO_BOOTSTRAP_KEY": KEY, "SOO_ALLOWED_ORIGINS": "https://elsewhere.test"})
+    address = urlsplit(service.await_announcement()["url"])
+
+    def answer(request):
+        with socket.create_connection((address.hostname, address.port), 30) as client:
+            client.sendall(request.encode() + b"\r\nHost: soo\r\nConnection: close\r\n\r\n")
+            head = b"".join(iter(lambda: client.recv(65536), b"")).partition(b"\r\n\r\n")[0].decode().lower()
+        assert head.count("x-content-type-options: nosniff") == 1, head
+        return int(head.split()[1])
+
+    paths = {"/healthz": 200, "/metrics": 200, "/console/": 200, "/openapi.json": 200, "/nothing": 404, BASE: 401}
+    assert {path: answer(f"GET {path} HTTP/1.1") for path in paths} == paths
+    asking = "Origin: https://elsewhere.test\r\nAccess-Control-Request-Method: GET"
+    assert answer(f"OPTIONS {BASE} HTTP/1.1\r\n{asking}") == 200
+    # outside of the application
+    assert answer("GET / HTTP/1.1\r\nno header") == 400
+    assert answer(f"GET / HTTP/1.1\r\nX: {'x' * 70_000}") == 431
 
 
 def test_sigterm_ends_it_at_once_beside_open_streams_and_idle_connections(start_service, spacecraft, carriers):

@@ -264,7 +264,8 @@ class BoundedProtocol(HttpToolsProtocol):
         self._disarm()
         answer = render(HTTPConnection({"type": "http", "headers": [], "state": {}}), problem)
         head = b"HTTP/1.1 %d %b\r\n" % (problem.status, HTTPStatus(problem.status).phrase.encode())
-        head += b"".join(b"%b: %b\r\n" % header for header in answer.raw_headers)
+        headers = (*self.server_state.default_headers, *answer.raw_headers)
+        head += b"".join(b"%b: %b\r\n" % header for header in headers)
         self.transport.write(head + b"connection: close\r\n\r\n" + bytes(answer.body))
         self.transport.close()
 

@@ -267,7 +267,7 @@ def test_a_method_that_is_overridden_is_there(name: str) -> None:
     assert list(inspect.signature(getattr(HttpToolsProtocol, name)).parameters)[1:] == OVERRIDDEN[name]
 
 
-@pytest.mark.parametrize("name", ["client", "transport", "loop", "cycle"])
+@pytest.mark.parametrize("name", ["client", "transport", "loop", "cycle", "server_state"])
 def test_an_attribute_that_is_read_is_set(name: str) -> None:
     assert f"self.{name}" in inspect.getsource(HttpToolsProtocol.__init__)
 
