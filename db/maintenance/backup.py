@@ -74,6 +74,10 @@ def create_backup(url: str, folder: Path, made_at_us: int, report: Report) -> Ma
     with _unfinished_backups(folder) as partial:
         archive = partial / ARCHIVE_FILE
         kind = _copy(url, archive, lambda share: report("copy", share))
+        # what is made from it is another service, where nobody is signed in
+        with closing(sqlite3.connect(archive)) as connection, connection:
+            connection.execute("DELETE FROM browser_session")
+            connection.execute("UPDATE archive_layout SET service_id = lower(hex(randomblob(8)))")
         settle(archive)
         manifest = _described(archive, kind, made_at_us, report)
         (partial / MANIFEST_FILE).write_text(manifest.as_text(), encoding="utf-8")

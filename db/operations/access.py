@@ -4,11 +4,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields, replace
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, select, update
+from sqlalchemy import ColumnElement, Connection, Row, delete, or_, select, update
 
 from db.audit_chain import append_entry, lock_audit_head
 from db.database import Repository
-from db.schema.tables import access_key, audit_entry, audit_head
+from db.schema.layout import archive_layout
+from db.schema.tables import access_key, audit_entry, audit_head, browser_session
 from service.errors import ConflictError, NotFoundError
 from service.records.operations.access import (
     GENESIS,
@@ -17,6 +18,7 @@ from service.records.operations.access import (
     AuditEvent,
     AuditFilter,
     AuditHead,
+    BrowserSession,
     Role,
     StoredKey,
     name_key,
@@ -24,6 +26,8 @@ from service.records.operations.access import (
 
 #: entries held at once while a chain is walked
 _WALK = 2000
+#: sessions of one key at once; the one that would end first makes room
+SESSIONS_PER_KEY = 100
 _EVENT_FIELDS = tuple(field.name for field in fields(AuditEvent))
 
 
@@ -114,6 +118,7 @@ class SqlKeys(Repository):
             if row is None:
                 raise NotFoundError("key.unknown", f"No key {key_id!r} is in force.")
             connection.execute(update(access_key).where(*is_it).values(revoked_at_us=at_us))
+            connection.execute(delete(browser_session).where(browser_session.c.key_id == key_id))
             return replace(_stored_of(row).key, revoked_at_us=at_us)
 
         return self._database.write(write)
@@ -141,6 +146,35 @@ class SqlKeys(Repository):
             return True
 
         return self._database.submit(write).result()
+
+    def service_id(self) -> str:
+        """Return the id of the service that the archive belongs to."""
+        with self._database.read() as connection:
+            return str(connection.scalar(select(archive_layout.c.service_id)))
+
+    def open_session(self, session: BrowserSession, at_us: int) -> None:
+        """Store a session; those that have ended by then are forgotten."""
+
+        def write(connection: Connection) -> None:
+            of_key = select(browser_session.c.digest).where(browser_session.c.key_id == session.key_id)
+            surplus = of_key.order_by(browser_session.c.ends_at_us.desc()).offset(SESSIONS_PER_KEY - 1)
+            digests = connection.scalars(surplus).all()
+            is_over = or_(browser_session.c.ends_at_us <= at_us, browser_session.c.digest.in_(digests))
+            connection.execute(delete(browser_session).where(is_over))
+            connection.execute(browser_session.insert().values(asdict(session)))
+
+        self._database.write(write)
+
+    def end_session(self, digest: bytes) -> None:
+        """Forget a session."""
+        self._database.write(
+            lambda each: each.execute(delete(browser_session).where(browser_session.c.digest == digest))
+        )
+
+    def sessions(self) -> dict[bytes, BrowserSession]:
+        """Return the sessions by their digests, some that have ended among them."""
+        rows = self._database.fetch(select(browser_session))
+        return {bytes(row.digest): BrowserSession(bytes(row.digest), row.key_id, row.ends_at_us) for row in rows}
 
 
 def _insert(connection: Connection, stored: StoredKey) -> AccessKey:

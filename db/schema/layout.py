@@ -4,23 +4,31 @@ Until release 1.0 an archive is not carried over to another layout: a change of 
 columns mean, raises `LAYOUT`.
 """
 
-from sqlalchemy import Column, Connection, Integer, MetaData, Table, inspect, select
+import secrets
+
+from sqlalchemy import Column, Connection, Integer, MetaData, Table, Text, inspect, select
 
 from db.schema import tables  # noqa: F401 - they add their tables
 from db.schema.tables import metadata, spacecraft
 
 #: number of the layout that this program makes and reads
-LAYOUT = 4
+LAYOUT = 5
 
 #: one row; apart from the tables that a copy of an archive fills
-archive_layout = Table("archive_layout", MetaData(), Column("number", Integer, primary_key=True, autoincrement=False))
+archive_layout = Table(
+    "archive_layout",
+    MetaData(),
+    Column("number", Integer, primary_key=True, autoincrement=False),
+    # of the service: two of them on one host have cookies of different names
+    Column("service_id", Text, nullable=False),
+)
 
 
 def create_tables(connection: Connection) -> None:
     """Make every table of an archive in a database that has none of them."""
     metadata.create_all(connection, checkfirst=False)
     archive_layout.create(connection, checkfirst=False)
-    connection.execute(archive_layout.insert().values(number=LAYOUT))
+    connection.execute(archive_layout.insert().values(number=LAYOUT, service_id=secrets.token_hex(8)))
 
 
 def layout_of(connection: Connection) -> int | None:

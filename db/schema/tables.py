@@ -402,6 +402,14 @@ access_key = Table(
     *optional(BigInteger, "expires_at_us", "last_used_us", "revoked_at_us"),
 )
 
+browser_session = Table(
+    "browser_session",
+    metadata,
+    Column("digest", LargeBinary, primary_key=True),
+    Column("key_id", Text, nullable=False),
+    Column("ends_at_us", BigInteger, nullable=False),
+)
+
 audit_entry = Table(
     "audit_entry",
     metadata,

@@ -69,7 +69,8 @@ def create_app(context: ApiContext) -> FastAPI:
         context.limits.max_connections, context.limits.max_connections_per_address, context.limits.trusted_proxies
     )
     app.state.metrics = Metrics(context, statistics, streams, connections)
-    keys = StoredKeys(context.storage.keys, context.bootstrap_key, context.clock.system_us)
+    app.state.service_id = service_id = context.storage.keys.service_id()
+    keys = StoredKeys(context.storage.keys, context.bootstrap_key, context.clock.system_us, service_id)
     app.state.key_ring = app.state.stored_keys = keys
     app.state.readiness = SharedReadiness(context)
     app.state.large_body = asyncio.Lock()

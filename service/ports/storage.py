@@ -7,7 +7,15 @@ from service.ports.archive import Archive, Results
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
 from service.records.levels.sweep import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
-from service.records.operations.access import AccessKey, AuditEntry, AuditEvent, AuditFilter, AuditHead, StoredKey
+from service.records.operations.access import (
+    AccessKey,
+    AuditEntry,
+    AuditEvent,
+    AuditFilter,
+    AuditHead,
+    BrowserSession,
+    StoredKey,
+)
 from service.records.operations.alarms import Alarm, AlarmChange, AlarmLimits, EngineMemory, Note
 from service.records.operations.release import Command, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
 from service.records.operations.work import LinkReport, LinkState
@@ -31,6 +39,18 @@ class Keys(Protocol):
 
     def add_first_administrator(self, stored: StoredKey, audit_event: AuditEvent) -> bool:
         """Store an administrator's key with its audit entry unless one is in force; return whether it was stored."""
+
+    def service_id(self) -> str:
+        """Return the id of the service that the archive belongs to."""
+
+    def open_session(self, session: BrowserSession, at_us: int) -> None:
+        """Store a session; those that have ended by then are forgotten."""
+
+    def end_session(self, digest: bytes) -> None:
+        """Forget a session."""
+
+    def sessions(self) -> dict[bytes, BrowserSession]:
+        """Return the sessions by their digests, some that have ended among them."""
 
 
 class Audit(Protocol):

@@ -8,10 +8,12 @@ from typing import Any
 import httpx
 import pytest
 
+from db.operations.access import SESSIONS_PER_KEY
 from db.storage import SqlStorage
 from service.api.access import housekeeping as refusals
 from service.api.access import housekeeping as stored_keys
-from service.api.access.auth import COOKIE, LIFE_S
+from service.api.access.housekeeping import LIFE_OF_SESSION_S as LIFE_S
+from service.api.access.housekeeping import StoredKeys
 from service.api.limits.rate_limits import RateLimitConfig, RateLimits
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch
@@ -20,6 +22,7 @@ from service.records.operations.access import AccessKey, Role, StoredKey, digest
 pytestmark = pytest.mark.anyio
 
 
+KEY = "test-key-of-the-administrator"
 KEYS = "/api/v1/keys"
 SC = "/api/v1/spacecraft"
 S = 1_000_000
@@ -429,7 +432,7 @@ async def test_closing_takes_the_cookie_away_and_leaves_the_key(soo, browser):
     await browser.post(SESSION, json={"key": made["key"]})
     closed = await browser.delete(SESSION, headers={"Origin": "https://soo.test"})
     assert closed.status_code == 204
-    assert COOKIE not in browser.cookies
+    assert not browser.cookies
     assert (await browser.get(SESSION)).status_code == 401
     answer = await browser.get(SESSION, headers={"Authorization": f"Bearer {made['key']}"})
     assert answer.json()["session_ends_at"] is None
@@ -462,10 +465,126 @@ async def test_a_second_persons_key_goes_before_the_cookie(soo, browser):
     assert (await browser.get(SESSION)).json()["role"] == "viewer"
 
 
-@pytest.mark.parametrize("value", ["", "x", "1.", ".key", "99999999999999999.x", "-1.key", "1e9.key"])
-async def test_a_cookie_that_is_none_is_no_key(soo, value):
-    answer = await soo.client.get(SESSION, headers={"Authorization": "", "Cookie": f"{COOKIE}={value}"})
+@pytest.mark.parametrize(
+    "value", ["", "x", "bootstrap", "bootstrap.", ".key", "bootstrap.x", f"99999999999999999.{KEY}"]
+)
+async def test_a_cookie_that_is_none_is_no_key(soo, browser, value):
+    answer = await browser.get(SESSION, headers={"Cookie": f"{cookie_name(soo)}={value}"})
     assert answer.status_code == 401
+
+
+def cookie_name(soo, prefix="__Host-"):
+    return f"{prefix}soo-{soo.storage.keys.service_id()}"
+
+
+async def signed_in(soo, browser, key):
+    """Sign in; return the token that the browser now has."""
+    opened = await browser.post(SESSION, json={"key": key})
+    assert opened.status_code == 200, opened.text
+    return browser.cookies[cookie_name(soo)]
+
+
+async def test_the_cookie_is_a_random_token_of_which_the_archive_has_a_digest(soo, browser, tmp_path):
+    made = await session_new_key(soo, "viewer")
+    token = await signed_in(soo, browser, made["key"])
+    assert made["key"].split("_", 2)[2] not in token
+    assert await signed_in(soo, browser, made["key"]) != token
+    soo.storage.close()
+    for file in tmp_path.iterdir():
+        assert token.partition(".")[2].encode() not in file.read_bytes(), file
+
+
+async def test_a_session_that_was_ended_is_not_opened_by_its_old_cookie(soo, browser):
+    token = await signed_in(soo, browser, KEY)
+    assert (await browser.delete(SESSION, headers={"Origin": "https://soo.test"})).status_code == 204
+    kept = {"Cookie": f"{cookie_name(soo)}={token}"}
+    assert (await browser.get(SESSION, headers=kept)).json()["code"] == "key.invalid"
+
+
+async def test_a_session_holds_for_its_key_and_its_service_only(soo, browser):
+    first, second = await session_new_key(soo, "viewer"), await session_new_key(soo, "admin")
+    token = await signed_in(soo, browser, first["key"])
+    other = f"{second['id']}.{token.partition('.')[2]}"
+    assert (await browser.get(SESSION, headers={"Cookie": f"{cookie_name(soo)}={other}"})).status_code == 401
+    soo.app.state.key_ring = StoredKeys(soo.storage.keys, KEY, soo.clock.system_us, "another service")
+    assert (await browser.get(SESSION, headers={"Cookie": f"{cookie_name(soo)}={token}"})).status_code == 401
+
+
+async def test_a_session_of_the_bootstrap_key_ends_when_the_settings_give_another(soo, browser):
+    await signed_in(soo, browser, KEY)
+    service_id = soo.storage.keys.service_id()
+    for key, status in ((KEY, 200), ("another bootstrap key", 401), (None, 401)):
+        soo.app.state.key_ring = StoredKeys(soo.storage.keys, key, soo.clock.system_us, service_id)
+        assert (await browser.get(SESSION)).status_code == status, key
+
+
+async def test_a_session_of_another_process_opens_at_once(soo, browser, monkeypatch):
+    token = await signed_in(soo, browser, KEY)
+    monkeypatch.setattr(stored_keys, "REFRESH_S", 600.0)
+    monkeypatch.setattr(stored_keys, "RECHECK_S", 600.0)
+    other = StoredKeys(soo.storage.keys, KEY, soo.clock.system_us, soo.storage.keys.service_id())
+    assert (await other.session_holder(token)).name == "bootstrap"
+    there, _ = await asyncio.to_thread(other.open_session, await other.principal(KEY))
+    answer = await browser.get(SESSION, headers={"Cookie": f"{cookie_name(soo)}={there}"})
+    assert answer.status_code == 200
+
+
+@pytest.mark.parametrize(("scheme", "prefix"), [("https", "__Host-"), ("http", "")])
+async def test_services_of_one_host_have_cookies_of_their_own(soo, scheme, prefix):
+    transport = httpx.ASGITransport(app=soo.app, client=("127.0.0.1", 50_000))
+    async with httpx.AsyncClient(transport=transport, base_url=f"{scheme}://soo.test") as browser:
+        await browser.post(SESSION, json={"key": KEY})
+        name = cookie_name(soo, prefix)
+        assert list(browser.cookies) == [name]
+        # the other service on another port of this host
+        soo.app.state.service_id = "fedcba9876543210"
+        assert (await browser.get(SESSION)).status_code == 401
+        await browser.post(SESSION, json={"key": KEY})
+        assert list(browser.cookies) == [name, f"{prefix}soo-fedcba9876543210"]
+        assert (await browser.get(SESSION)).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("headers", "status", "code"),
+    [
+        ({"Content-Type": ""}, 415, "media_type.unsupported"),
+        ({"Content-Type": "text/plain"}, 415, "media_type.unsupported"),
+        ({"Content-Type": "application/json", "Origin": "https://elsewhere.test"}, 403, "session.origin"),
+        ({"Content-Type": "application/json", "Origin": "https://soo.test:8443"}, 403, "session.origin"),
+        ({"Content-Type": "application/json", "Origin": "null"}, 403, "session.origin"),
+        ({"Content-Type": "application/json", "Origin": "https://soo.test"}, 200, None),
+    ],
+    ids=["no type", "text", "other site", "other port", "null", "own page"],
+)
+async def test_signing_in_by_a_page_of_another_site_is_refused(soo, browser, headers, status, code):
+    answer = await browser.post(SESSION, content=f'{{"key": "{KEY}"}}', headers=headers)
+    assert (answer.status_code, answer.json().get("code")) == (status, code)
+    assert ("set-cookie" in answer.headers) == (status == 200)
+
+
+async def test_a_page_that_asks_who_is_signed_in_is_no_audit_entry(soo, browser):
+    assert (await browser.get(SESSION)).status_code == 401
+    assert chain(soo) == []
+    assert (await browser.get(SESSION, headers=bearer("wrong"))).status_code == 401
+    assert [entry.audit_event.action for entry in chain(soo)] == ["get_session"]
+
+
+async def test_a_key_has_so_many_sessions_at_once(soo, browser):
+    tokens = []
+    for _ in range(SESSIONS_PER_KEY + 1):
+        soo.clock.system += S
+        token, _ = await asyncio.to_thread(
+            soo.app.state.stored_keys.open_session, await soo.app.state.key_ring.principal(KEY)
+        )
+        tokens.append(token)
+    statuses = []
+    for token in (*tokens[:2], tokens[-1]):
+        answer = await browser.get(SESSION, headers={"Cookie": f"{cookie_name(soo)}={token}"})
+        statuses.append(answer.status_code)
+    assert statuses == [401, 200, 200]
+    soo.clock.system += LIFE_S * S
+    await signed_in(soo, browser, KEY)
+    assert len(soo.storage.keys.sessions()) == 1
 
 
 async def test_wrong_keys_are_refused_and_counted(soo, browser):

@@ -2,6 +2,7 @@
 
 import json
 import sqlite3
+from contextlib import closing
 
 import pytest
 from sqlalchemy import create_engine, func, inspect, select, text
@@ -15,6 +16,7 @@ from db.storage import SqlStorage
 from service.ports import Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import Operation
+from service.records.operations.access import BrowserSession
 from service.records.storage import BackupError, worst
 
 STAMP = "20261122T040302Z"
@@ -66,6 +68,18 @@ def empty(request, tmp_path):
         return made
 
     return make
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_what_is_put_back_is_another_service_where_nobody_is_signed_in(filled, url, empty, tmp_path, kind):
+    filled.storage.keys.open_session(BrowserSession(b"digest", "bootstrap", 2**60), 0)
+    create_backup(url, tmp_path / "b", 5, ignore)
+    elsewhere = empty(kind)
+    restore_backup(tmp_path / "b", elsewhere, STAMP, ignore, may_replace=False)
+    with closing(SqlStorage(elsewhere)) as other:
+        assert other.keys.sessions() == {}
+        assert other.keys.service_id() != filled.storage.keys.service_id()
+    assert len(filled.storage.keys.sessions()) == 1
 
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])

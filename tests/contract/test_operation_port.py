@@ -18,6 +18,7 @@ from service.records.operations.access import (
     AccessKey,
     AuditContext,
     AuditFilter,
+    BrowserSession,
     Role,
     StoredKey,
     digest_of,
@@ -343,6 +344,21 @@ def test_a_key_is_revoked_once_and_stays_known(storage):
         with pytest.raises(NotFoundError, match=r"key\.unknown"):
             storage.keys.revoke(key_id, 60)
     assert storage.keys.all()[0].key.revoked_at_us == 50
+
+
+def test_sessions_end_one_by_one_with_their_key_and_with_their_time(storage):
+    for key_id in ("k1", "k2"):
+        storage.keys.add(stored(key_id))
+    opened = [BrowserSession(bytes([k]), key_id, 100 + k) for k, key_id in enumerate(("k1", "k1", "k2", "k2"))]
+    for session in opened:
+        storage.keys.open_session(session, 50)
+    assert storage.keys.sessions() == {session.digest: session for session in opened}
+    storage.keys.end_session(opened[3].digest)
+    storage.keys.revoke("k1", 60)
+    assert list(storage.keys.sessions().values()) == [opened[2]]
+    storage.keys.open_session(opened[0], 102)
+    assert list(storage.keys.sessions().values()) == [opened[0]]
+    assert storage.keys.service_id() == storage.keys.service_id() != ""
 
 
 def test_the_first_administrator_is_made_only_while_there_is_none(storage):

@@ -136,7 +136,7 @@ EDGES = (
     # pages leave out the row at which they meet
     Mutant("PageQuery.cut", "found[self.limit - 1]", "found[self.limit]"),
     # a key that has expired opens the service
-    Mutant("StoredKeys.principal", "if not stored.key.is_valid(now_us):", "if stored.key.revoked_at_us is not None:"),
+    Mutant("StoredKeys._holder", "if not stored.key.is_valid(now_us):", "if stored.key.revoked_at_us is not None:"),
     # who was silent for an hour may send without a limit
     Mutant("Bucket.consume", "min(self._tokens + gained, self._burst)", "self._tokens + gained"),
     # rows that the service did not answer for leave the spool

@@ -9,10 +9,10 @@ import logging
 from http import HTTPStatus
 
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import HTTPConnection
+from starlette.requests import HTTPConnection, Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.access.auth import BASE_PATH, Principal, address_of, audit_event_of, refuse_above
+from service.api.access.auth import BASE_PATH, Principal, address_of, audit_event_of, has_credentials, refuse_above
 from service.api.access.housekeeping import Refusals, StoredKeys
 from service.api.context import ApiContext
 from service.api.limits.rate_limits import Allowance, RateClass, RateLimits
@@ -26,6 +26,8 @@ _REFUSED = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
 _UNCOUNTED = frozenset({"/healthz", "/readyz", "/metrics"})
 #: comes without a key; counted before its body is read
 _OPENING = ("POST", f"{BASE_PATH}/session")
+#: asked by every page before anybody has signed in
+_ASKING = ("GET", f"{BASE_PATH}/session")
 #: files of the console
 _STATIC_PATH = "/console"
 _LOG = logging.getLogger(__name__)
@@ -111,6 +113,8 @@ class _Answer:
 
     async def _write_refusal(self, status: int) -> None:
         """Write a refusal down, or count it."""
+        if (self._scope["method"], self._scope["path"]) == _ASKING and not has_credentials(Request(self._scope)):
+            return
         refusals: Refusals = self._scope["app"].state.refusals
         if refusals.admit(_refusal(self._scope, status)):
             await self._append_or_log(status)
@@ -128,10 +132,8 @@ class _Answer:
         ring = self._scope["app"].state.key_ring
         if principal is None or not isinstance(ring, StoredKeys):
             return
-        ends_at_us: int | None = self._scope["state"].get("session_ends_at_us")
         try:
-            is_over = ends_at_us is not None and ends_at_us <= _context(self._scope).clock.system_us()
-            holds = not is_over and await ring.still_holds(principal)
+            holds = await ring.still_holds(principal)
         except StorageError:
             holds = False
         if not holds:

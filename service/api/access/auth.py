@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from hashlib import sha256
 from http import HTTPStatus
-from typing import Annotated, NamedTuple, Protocol
+from typing import Annotated, Protocol
 from urllib.parse import urlsplit
 
 from fastapi import Depends, Request, Response
@@ -17,8 +17,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.limits.rate_limits import Allowance, RateLimits, class_of
 from service.api.problems.problems import RequestProblemError, request_id_of
-from service.records.epoch import US_PER_S
-from service.records.operations.access import DONE, AuditContext, AuditEvent, Role, without_secrets
+from service.records.operations.access import DONE, AuditContext, AuditEvent, BrowserSession, Role, without_secrets
 
 _METHODS = ("GET", "HEAD")
 #: headers of answers that a page may read besides those that every page may
@@ -110,6 +109,8 @@ class Principal:
     key_id: str = ""
     #: of the key, microseconds UTC; None = it is valid until it is revoked
     expires_at_us: int | None = None
+    #: by whose cookie the request came; None = it came with the key
+    session: BrowserSession | None = None
 
     def may(self, permission: Permission) -> bool:
         """Return whether the role carries a permission."""
@@ -183,31 +184,15 @@ def _target(scope: Scope) -> str:
     return f"{target}/" if is_collection else target
 
 
-COOKIE = "soo_session"
-LIFE_S = 12 * 3600
-_VALUE = re.compile(r"([0-9]{1,17})\.(\S+)", re.ASCII)
+def cookie_name_of(request: Request) -> str:
+    """Return the name of the cookie of a session: one for each service of a host, and one that TLS alone may set."""
+    prefix = "__Host-" if request.url.scheme == "https" else ""
+    return f"{prefix}soo-{request.app.state.service_id}"
 
 
-class OfferedKey(NamedTuple):
-    """Key that a request offers."""
-
-    text: str
-    #: when the session ends whose cookie carried it, microseconds UTC; None = it came as a Bearer key
-    ends_at_us: int | None = None
-
-
-def offered_key(request: Request) -> OfferedKey | None:
-    """Return the key of the Authorization header, else that of the session's cookie; None where there is neither.
-
-    A header that holds no valid key is not passed over in favour of the cookie: a second person's key at the same desk
-    must not become the first one's.
-    """
-    header = request.headers.get("authorization")
-    if header is not None:
-        scheme, _, key = header.partition(" ")
-        return OfferedKey(key.strip()) if scheme.lower() == "bearer" else None
-    found = _VALUE.fullmatch(request.cookies.get(COOKIE, ""))
-    return None if found is None else OfferedKey(found[2], int(found[1]))
+def has_credentials(request: Request) -> bool:
+    """Return whether a request comes with a key or with the cookie of a session, whatever they are worth."""
+    return "authorization" in request.headers or cookie_name_of(request) in request.cookies
 
 
 def require_same_origin(request: Request) -> None:
@@ -219,24 +204,12 @@ def require_same_origin(request: Request) -> None:
         raise RequestProblemError(HTTPStatus.FORBIDDEN, "session.origin", detail)
 
 
-def open_session(request: Request, response: Response, principal: Principal, key: str, now_us: int) -> int:
-    """Set the cookie of a session and return when it ends, microseconds UTC: after its life, or with its key."""
-    ends_at_us = min(now_us + LIFE_S * US_PER_S, principal.expires_at_us or now_us + LIFE_S * US_PER_S)
-    _set(request, response, f"{ends_at_us}.{key}", (ends_at_us - now_us) // US_PER_S)
-    return ends_at_us
-
-
-def close_session(request: Request, response: Response) -> None:
-    """Take the cookie of a session away."""
-    _set(request, response, "", 0)
-
-
-def _set(request: Request, response: Response, value: str, max_age_s: int) -> None:
-    """Set the cookie for so long."""
+def set_cookie(request: Request, response: Response, token: str, life_s: int) -> None:
+    """Set the cookie of a session for so long; 0 takes it away."""
     response.set_cookie(
-        COOKIE,
-        value,
-        max_age=max_age_s,
+        cookie_name_of(request),
+        token,
+        max_age=life_s,
         path="/",
         secure=request.url.scheme == "https",
         httponly=True,
@@ -261,6 +234,9 @@ class KeyRing(Protocol):
     async def principal(self, key: str) -> Principal | None:
         """Return the holder of a valid key, None for any other text."""
 
+    async def session_holder(self, token: str) -> Principal | None:
+        """Return the holder of the key of an open session, None for any other text."""
+
 
 async def authenticated(request: Request) -> Principal:
     """Return the holder of the request's key; looked up and counted once a request."""
@@ -273,28 +249,28 @@ async def authenticated(request: Request) -> Principal:
 
 async def known_or_counted(request: Request) -> Principal | None:
     """Return the holder of the Bearer key or of the session's; without a valid one None, counted by the address."""
-    principal, offered = None, offered_key(request)
-    if offered is not None and not _is_over(request, offered):
-        principal = await holder_of(request, offered.text)
+    principal = await _offered(request)
     if principal is None:
         limits: RateLimits = request.app.state.rate_limits
         refuse_above(limits.consume_anonymous(address_of(request.scope)))
-    elif offered is not None and offered.ends_at_us is not None:
+    elif principal.session is not None:
         require_same_origin(request)
-        request.state.session_ends_at_us = offered.ends_at_us
     return principal
 
 
-async def holder_of(request: Request, key: str) -> Principal | None:
-    """Return the holder of a valid key, None for any other text."""
+async def _offered(request: Request) -> Principal | None:
+    """Return the holder of the key of the Authorization header, else of the session of the cookie, None without.
+
+    A header that holds no valid key is not passed over in favour of the cookie: a second person's key at the same desk
+    must not become the first one's.
+    """
     ring: KeyRing = request.app.state.key_ring
-    return await ring.principal(key)
-
-
-def _is_over(request: Request, offered: OfferedKey) -> bool:
-    """Return whether a key came by the cookie of a session that has ended."""
-    now_us = request.app.state.context.clock.system_us()
-    return offered.ends_at_us is not None and bool(offered.ends_at_us <= now_us)
+    header = request.headers.get("authorization")
+    if header is not None:
+        scheme, _, key = header.partition(" ")
+        return await ring.principal(key.strip()) if scheme.lower() == "bearer" else None
+    token = request.cookies.get(cookie_name_of(request))
+    return None if token is None else await ring.session_holder(token)
 
 
 async def _holder(request: Request) -> Principal:

@@ -15,8 +15,21 @@ from starlette.concurrency import run_in_threadpool
 from service.api.access.auth import Principal
 from service.errors import StorageError
 from service.ports import Audit, Keys
+from service.records.epoch import US_PER_S
 from service.records.inputs import JournalHead
-from service.records.operations.access import AuditEvent, Role, StoredKey, digest_of, hide, id_of
+from service.records.operations.access import (
+    BOOTSTRAP_ID,
+    AuditEvent,
+    BrowserSession,
+    Role,
+    StoredKey,
+    digest_of,
+    hide,
+    id_of,
+    key_id_of_session,
+    new_session_token,
+    session_digest,
+)
 
 #: age from which what was read is read again
 REFRESH_S = 2.0
@@ -24,7 +37,7 @@ REFRESH_S = 2.0
 RECHECK_S = 0.5
 #: age beyond which what was read no longer holds
 HOLDS_S = 10.0
-BOOTSTRAP_ID = "bootstrap"
+LIFE_OF_SESSION_S = 12 * 3600
 _LOG = logging.getLogger(__name__)
 
 
@@ -39,14 +52,20 @@ class StoredKeys:
         An administrator's key that needs no archive; None or empty = there is none.
     system_us : callable
         The present, for expiry and last use.
+    service_id : str
+        Id of the service, for which alone its sessions hold.
     """
 
-    def __init__(self, keys: Keys, bootstrap_key: str | None, system_us: Callable[[], int]) -> None:
+    def __init__(
+        self, keys: Keys, bootstrap_key: str | None, system_us: Callable[[], int], service_id: str = ""
+    ) -> None:
         self._keys = keys
+        self._service_id = service_id
         self._bootstrap = digest_of(bootstrap_key.encode("utf-8", "surrogateescape")) if bootstrap_key else None
         hide(bootstrap_key or "")
         self._system_us = system_us
         self._known: dict[str, StoredKey] = {}
+        self._sessions: dict[bytes, BrowserSession] = {}
         self._loaded_s = -math.inf
         #: when keys could not be read last, and why
         self._failed_s = -math.inf
@@ -62,7 +81,7 @@ class StoredKeys:
         # headers reach us decoded as Latin-1; this gives back the bytes that were sent
         offered = digest_of(key.encode("latin-1", "replace"))
         if self._bootstrap is not None and hmac.compare_digest(offered, self._bootstrap):
-            return Principal("bootstrap", Role.ADMIN, BOOTSTRAP_ID)
+            return self._holder(BOOTSTRAP_ID)
         key_id = id_of(key)
         if key_id is None:
             return None
@@ -70,20 +89,65 @@ class StoredKeys:
         stored = self._known.get(key_id)
         if stored is None or not hmac.compare_digest(offered, stored.digest):
             return None
-        now_us = self._system_us()
+        return self._holder(key_id)
+
+    def _holder(self, key_id: str) -> Principal | None:
+        """Return the holder of a key that was offered, by itself or by a session; None unless it is valid."""
+        if key_id == BOOTSTRAP_ID:
+            return Principal("bootstrap", Role.ADMIN, BOOTSTRAP_ID)
+        now_us, stored = self._system_us(), self._known[key_id]
         if not stored.key.is_valid(now_us):
             return None
         with self._used_lock:
             self._used_us[key_id] = now_us
         return Principal(stored.key.name, stored.key.role, key_id, stored.key.expires_at_us)
 
+    async def session_holder(self, token: str) -> Principal | None:
+        """Return the holder of the key of an open session, None for any other text."""
+        key_id = key_id_of_session(token)
+        await self._refresh(REFRESH_S)
+        if (digest := self._session_digest(token, key_id)) not in self._sessions:
+            # another process may have opened it just now, and its page comes here next
+            await self._refresh(0.0)
+            digest = self._session_digest(token, key_id)
+        session = self._sessions.get(digest)
+        if session is None or session.ends_at_us <= self._system_us():
+            return None
+        principal = self._holder(key_id)
+        return None if principal is None else replace(principal, session=session)
+
+    def open_session(self, principal: Principal) -> tuple[str, BrowserSession]:
+        """Store a session of the holder of a key; return its token, which is not kept, and the session."""
+        now_us, token = self._system_us(), new_session_token(principal.key_id)
+        ends_at_us = now_us + LIFE_OF_SESSION_S * US_PER_S
+        ends_at_us = min(ends_at_us, principal.expires_at_us or ends_at_us)
+        digest = self._session_digest(token, principal.key_id)
+        session = BrowserSession(digest, principal.key_id, ends_at_us)
+        self._keys.open_session(session, now_us)
+        self.forget()
+        return token, session
+
+    def end_session(self, session: BrowserSession) -> None:
+        """End a session: at once in this process, within seconds in every other."""
+        self._keys.end_session(session.digest)
+        self.forget()
+
+    def _session_digest(self, token: str, key_id: str) -> bytes:
+        """Return the digest of a token; empty, which no session has, for a key that is not known."""
+        known = self._known.get(key_id)
+        key_digest = self._bootstrap if key_id == BOOTSTRAP_ID else known and known.digest
+        return session_digest(token, key_digest, self._service_id) if key_digest else b""
+
     async def still_holds(self, principal: Principal) -> bool:
-        """Return whether a key that was valid is so still, for answers that take long."""
-        if principal.key_id not in self._known:
+        """Return whether a key that was valid is so still, and its session open, for answers that take long."""
+        session = principal.session
+        if principal.key_id not in self._known and session is None:
             return True
         await self._refresh(REFRESH_S)
-        stored = self._known.get(principal.key_id)
-        return stored is not None and stored.key.is_valid(self._system_us())
+        now_us, stored = self._system_us(), self._known.get(principal.key_id)
+        if session is not None and (session.digest not in self._sessions or session.ends_at_us <= now_us):
+            return False
+        return principal.key_id == BOOTSTRAP_ID or (stored is not None and stored.key.is_valid(now_us))
 
     def forget(self) -> None:
         """Read all keys again before the next one is judged; called after each change."""
@@ -111,11 +175,11 @@ class StoredKeys:
         """Read all keys when what was read is older than so many seconds."""
         age_s = time.monotonic() - self._loaded_s
         # one request reads, the others go on with what is known
-        if age_s <= oldest_s or (age_s <= HOLDS_S and self._lock.locked()):
+        if age_s <= oldest_s or (oldest_s and age_s <= HOLDS_S and self._lock.locked()):
             return
         asked_s = time.monotonic()
         async with self._lock:
-            if time.monotonic() - self._loaded_s <= oldest_s:
+            if time.monotonic() - self._loaded_s <= oldest_s or self._loaded_s >= asked_s:
                 return
             if self._failed_s >= asked_s and self._fault is not None:
                 # an archive that does not answer is waited for together, not by one request after another
@@ -123,12 +187,12 @@ class StoredKeys:
                 return
             changes, began_s = self._changes, time.monotonic()
             try:
-                stored = await run_in_threadpool(self._keys.all)
+                stored, sessions = await run_in_threadpool(lambda: (self._keys.all(), self._keys.sessions()))
             except StorageError as error:
                 self._failed_s, self._fault = time.monotonic(), error
                 self._fail(error, began_s)
                 return
-            self._known = {each.key.id: each for each in stored}
+            self._known, self._sessions = {each.key.id: each for each in stored}, sessions
             # a key that changed meanwhile may be missing in what was read
             self._loaded_s = began_s if changes == self._changes else -math.inf
 

@@ -1,6 +1,7 @@
 """Keys, sessions, audit log; the service itself: health, version, reference page."""
 
 import re
+from dataclasses import replace
 from http import HTTPStatus
 from ipaddress import ip_address
 from operator import attrgetter
@@ -18,12 +19,10 @@ from service.api.access.auth import (
     CurrentPrincipal,
     address_of,
     authenticated,
-    close_session,
-    holder_of,
     known_or_counted,
-    offered_key,
-    open_session,
     refusal_of_key,
+    require_same_origin,
+    set_cookie,
 )
 from service.api.access.housekeeping import StoredKeys
 from service.api.context import Context
@@ -32,7 +31,7 @@ from service.api.monitoring.readiness import SharedReadiness, require_ready
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.openapi import render_page
 from service.api.protocol.paging import Page
-from service.api.protocol.requests import accepts, body_of
+from service.api.protocol.requests import accepts, body_of, media_type, unsupported_media
 from service.api.schemas.access import (
     AboutAnswer,
     AuditEntryAnswer,
@@ -50,6 +49,7 @@ from service.api.schemas.access import (
 )
 from service.api.views.shipped import program_version, shipped_distributions
 from service.errors import FieldError, NotFoundError
+from service.records.epoch import US_PER_S
 from service.records.operations.access import AccessKey, AuditFilter, StoredKey, digest_of, new_key
 from service.runtime.live.chain_restart import Restarting
 
@@ -264,32 +264,43 @@ session_router = APIRouter(prefix="/api/v1/session", tags=["access"])
 
 @session_router.post("", openapi_extra=accepts(SessionDocument))
 async def open_browser_session(
-    body: Annotated[SessionDocument, body_of(SessionDocument)], context: Context, request: Request, response: Response
+    body: Annotated[SessionDocument, body_of(SessionDocument)],
+    context: Context,
+    ring: Ring,
+    request: Request,
+    response: Response,
 ) -> SessionAnswer:
-    """Open a session: the answer sets a cookie that carries the key for twelve hours, or until the key expires."""
+    """Open a session: the answer sets a cookie that stands for the key for twelve hours, or until the key expires."""
+    if not media_type(request):
+        # a page of another site may send such a body without asking first
+        raise unsupported_media("application/json")
+    if "origin" in request.headers:
+        require_same_origin(request)
     if not (request.url.scheme == "https" or context.limits.plain_sessions or _is_loopback(request)):
         detail = "a key would cross the network unprotected"
         raise RequestProblemError(HTTPStatus.FORBIDDEN, "session.plain_http", detail)
-    principal = await holder_of(request, body.key)
+    principal = await ring.principal(body.key)
     if principal is None:
         raise refusal_of_key("this key is not known, expired or revoked")
-    ends_at_us = open_session(request, response, principal, body.key, context.clock.system_us())
+    token, session = await run_in_threadpool(ring.open_session, principal)
+    set_cookie(request, response, token, (session.ends_at_us - context.clock.system_us()) // US_PER_S)
     response.headers["Cache-Control"] = "no-store"
-    return SessionAnswer.of(principal, ends_at_us)
+    return SessionAnswer.of(replace(principal, session=session))
 
 
 @session_router.get("")
-async def get_session(principal: CurrentPrincipal, request: Request, response: Response) -> SessionAnswer:
+async def get_session(principal: CurrentPrincipal, response: Response) -> SessionAnswer:
     """Return who holds the key of this request, what it may do, and until when."""
-    offered = offered_key(request)
     response.headers["Cache-Control"] = "no-store"
-    return SessionAnswer.of(principal, None if offered is None else offered.ends_at_us)
+    return SessionAnswer.of(principal)
 
 
 @session_router.delete("", status_code=HTTPStatus.NO_CONTENT)
-async def close_browser_session(_: CurrentPrincipal, request: Request, response: Response) -> None:
-    """Close the session: the cookie is taken away; the key stays valid."""
-    close_session(request, response)
+async def close_browser_session(principal: CurrentPrincipal, ring: Ring, request: Request, response: Response) -> None:
+    """End the session of the cookie, which is taken away; the key stays valid."""
+    if principal.session is not None:
+        await run_in_threadpool(ring.end_session, principal.session)
+    set_cookie(request, response, "", 0)
 
 
 def _is_loopback(request: Request) -> bool:

@@ -172,13 +172,13 @@ class SessionAnswer(Answer):
     """Instant at which the session asks for the key again; null where the key came as Authorization: Bearer."""
 
     @classmethod
-    def of(cls, principal: Principal, session_ends_at_us: int | None) -> Self:
+    def of(cls, principal: Principal) -> Self:
         """Return the answer for the holder of a key."""
         content = {
             "name": principal.name,
             "role": principal.role,
             "permissions": sorted(each for each in Permission if principal.may(each)),
             "key_expires_at": principal.expires_at_us,
-            "session_ends_at": session_ends_at_us,
+            "session_ends_at": None if principal.session is None else principal.session.ends_at_us,
         }
         return cls.model_validate(content)

@@ -21,6 +21,8 @@ _NAME_LENGTH = 64
 RESERVED_NAMES = frozenset({"anonymous", "bootstrap", "service"})
 #: fillers, variation selectors, the joiner of graphemes and the empty pattern of Braille
 _BLANK = re.compile("[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef]")
+#: key id of the administrator's key that the settings give
+BOOTSTRAP_ID = "bootstrap"
 #: secrets of no known form; shorter ones are words that stand in any text
 _HIDDEN: set[str] = set()
 _LEAST_HIDDEN = 8
@@ -62,6 +64,16 @@ class StoredKey:
 
     key: AccessKey
     digest: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class BrowserSession:
+    """A session of a browser; its token is never stored."""
+
+    #: of the token together with the service and the key, so that it holds for no other
+    digest: bytes
+    key_id: str
+    ends_at_us: int
 
 
 def plain_name(text: str) -> str:
@@ -125,6 +137,21 @@ def id_of(text: str) -> str | None:
 def digest_of(text: bytes) -> bytes:
     """Return the digest of a key, which is stored in its place."""
     return sha256(text).digest()
+
+
+def new_session_token(key_id: str) -> str:
+    """Return the token of a fresh session of a key; it is never kept."""
+    return f"{key_id}.{secrets.token_urlsafe(_SECRET_BYTES)}"
+
+
+def key_id_of_session(token: str) -> str:
+    """Return the id of the key that the token of a session names."""
+    return token.partition(".")[0]
+
+
+def session_digest(token: str, key_digest: bytes, service_id: str) -> bytes:
+    """Return the digest of a session's token, which holds for one key of one service."""
+    return sha256(key_digest + f"{service_id} {token}".encode("utf-8", "surrogateescape")).digest()
 
 
 def hide(secret: str) -> None:

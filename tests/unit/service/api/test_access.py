@@ -139,9 +139,17 @@ class Keys:
 
     def __init__(self) -> None:
         self.key = AccessKey(id="abc", name="vera", role=Role.VIEWER, created_at_us=0, created_by="x", expires_at_us=50)
+        self.open_sessions = {}
+        self.end_session = self.open_sessions.pop
+
+    def open_session(self, session, _at_us):
+        self.open_sessions[session.digest] = session
 
     def all(self):
         return (StoredKey(self.key, digest_of(b"soo_abc_secret")),)
+
+    def sessions(self):
+        return self.open_sessions
 
 
 class Stream:
@@ -149,9 +157,10 @@ class Stream:
 
     def __init__(self, ring, between) -> None:
         self.ring, self.between, self.is_ended_early = ring, between, True
+        self.asked = lambda: ring.principal("soo_abc_secret")
 
     async def __call__(self, scope, receive, send):
-        scope["state"]["principal"] = await self.ring.principal("soo_abc_secret")
+        scope["state"]["principal"] = await self.asked()
         await send({"type": "http.response.start", "status": 200, "headers": []})
         for k in range(6):
             if k == 3:
@@ -199,6 +208,26 @@ async def test_a_stream_ends_when_its_key_is_revoked():
     assert await sent(Stream(ring, revoke)) == b"012"
 
 
+@pytest.mark.parametrize("end", ["sign-out", "time", "another process"])
+async def test_a_stream_ends_with_its_session(end):
+    now_us, keys = [10], Keys()
+    ring = StoredKeys(keys, "boot", lambda: now_us[0], "service")
+    token, session = ring.open_session(await ring.principal("boot"))
+
+    def close():
+        if end == "time":
+            now_us[0] = session.ends_at_us
+        elif end == "sign-out":
+            ring.end_session(session)
+        else:
+            keys.end_session(session.digest)
+            ring.forget()
+
+    stream = Stream(ring, close)
+    stream.asked = lambda: ring.session_holder(token)
+    assert await sent(stream) == b"012"
+
+
 async def test_the_bootstrap_key_holds_on():
     ring = StoredKeys(Keys(), "boot", lambda: 10)
     assert await ring.still_holds(await ring.principal("boot"))
@@ -220,6 +249,9 @@ class Hanging:
             time.sleep(WAIT_S)
             raise StorageError("storage.unavailable", "no answer")
         return self.stored
+
+    def sessions(self):
+        return {}
 
 
 @pytest.fixture
