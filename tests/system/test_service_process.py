@@ -10,6 +10,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import chaos_clients as chaos
+import httpx
 import pytest
 from waiting import wait_until
 
@@ -65,6 +66,33 @@ def test_no_answer_lets_a_browser_guess_its_type(start_service):
     # outside of the application
     assert answer("GET / HTTP/1.1\r\nno header") == 400
     assert answer(f"GET / HTTP/1.1\r\nX: {'x' * 70_000}") == 431
+
+
+def test_a_browser_at_two_services_of_one_host_is_signed_in_and_out_at_each_by_itself(start_service, tmp_path):
+    services = [start_service(database=tmp_path / name) for name in ("one.db", "two.db")]
+    one, two = (f"{service.await_announcement()['url']}/api/v1/session" for service in services)
+    # as in a browser, ports share their cookies
+    with httpx.Client(timeout=60.0, trust_env=False) as browser:
+
+        def holders():
+            return [browser.get(url).status_code for url in (one, two)]
+
+        assert holders() == [401, 401]
+        for url, expected in ((one, [200, 401]), (two, [200, 200])):
+            assert browser.post(url, json={"key": KEY}).status_code == 200
+            assert holders() == expected
+        tokens = dict(browser.cookies)
+        assert len(tokens) == 2
+        assert KEY not in str(tokens)
+        # each receives the other's token, which opens nothing there
+        crossed = dict(zip(tokens, reversed(tokens.values()), strict=True))
+        cookie = "; ".join(f"{name}={token}" for name, token in crossed.items())
+        assert [httpx.get(url, headers={"Cookie": cookie}).status_code for url in (one, two)] == [401, 401]
+        assert browser.delete(one, headers={"Origin": one.removesuffix("/api/v1/session")}).status_code == 204
+        assert holders() == [401, 200]
+        # a copy of the cookie
+        kept = "; ".join(f"{name}={token}" for name, token in tokens.items())
+        assert httpx.get(one, headers={"Cookie": kept}).status_code == 401
 
 
 def test_sigterm_ends_it_at_once_beside_open_streams_and_idle_connections(start_service, spacecraft, carriers):
