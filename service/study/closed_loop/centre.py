@@ -203,9 +203,9 @@ class Centre:
             spacecraft_version=1,
             is_automatic=known.spacecraft.control.release is Release.AUTOMATIC,
         )
-        telemetry = known.momenta[-1] if known.momenta else None
-        rated = known.rates[-1] if known.rates else None
-        return KnownFacts(known.spacecraft, inputs, tuple(known.operations.values()), telemetry, rated)
+        telemetry, rated = (records[-1] if records else None for records in (known.momenta, known.rates))
+        momenta = tuple(record.wheel_momentum_n_m_s or () for record in known.momenta[:-3:-1])
+        return KnownFacts(known.spacecraft, inputs, tuple(known.operations.values()), telemetry, momenta, rated)
 
     def _at(self) -> Instant:
         return Instant(self._now_us, self._now_us)
