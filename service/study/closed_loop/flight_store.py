@@ -45,7 +45,7 @@ def kept(folder: Path, unit: LoopUnit) -> LoopResult | None:
         flight = None
         if head["flight"] is not None:
             rest = {name: tuple(value) if isinstance(value, list) else value for name, value in head["flight"].items()}
-            flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **rest)
+            flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **rest)  # type: ignore[arg-type]
     return LoopResult(unit, head["seconds"], head["refusal"], flight)
 
 
