@@ -107,6 +107,10 @@ class Subscription:
         return events, dropped
 
 
+#: subscribers woken in one turn of the loop: requests that come meanwhile wait for these, not for all
+_READERS_A_TURN = 8
+
+
 class LiveFeed:
     """Fan-out of events, by spacecraft.
 
@@ -120,6 +124,10 @@ class LiveFeed:
         self._capacity = capacity
         self._lock = threading.Lock()
         self._subscribers: dict[str, set[Subscription]] = {}
+        #: subscribers that get events in the next turns of their loop; each is used inside its loop alone
+        self._deliveries: dict[
+            asyncio.AbstractEventLoop, deque[tuple[Sequence[Subscription], Sequence[FeedEvent]]]
+        ] = {}
 
     def subscribe(self, spacecraft_id: str) -> Subscription:
         """Return a new subscription; call inside the event loop that will read it."""
@@ -151,13 +159,28 @@ class LiveFeed:
         for loop, readers in by_loop.items():
             # one call a loop, not one a reader: each wakes the loop
             if not loop.is_closed():
-                loop.call_soon_threadsafe(_hand_over, readers, events)
+                loop.call_soon_threadsafe(self._deliver, loop, readers, events)
 
+    def _deliver(
+        self, loop: asyncio.AbstractEventLoop, readers: Sequence[Subscription], events: Sequence[FeedEvent]
+    ) -> None:
+        """Give events to subscribers inside their loop, behind those that are still being given."""
+        is_idle = loop not in self._deliveries
+        queue = self._deliveries.setdefault(loop, deque())
+        queue.extend((readers[k : k + _READERS_A_TURN], events) for k in range(0, len(readers), _READERS_A_TURN))
+        if is_idle:
+            self._hand_over(loop)
 
-def _hand_over(readers: Sequence[Subscription], events: Sequence[FeedEvent]) -> None:
-    """Give events to subscribers inside their loop."""
-    for reader in readers:
-        reader.consume(events)
+    def _hand_over(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Give events to the next few subscribers, and let the loop turn before those after them."""
+        queue = self._deliveries[loop]
+        readers, events = queue.popleft()
+        for reader in readers:
+            reader.consume(events)
+        if queue:
+            loop.call_soon(self._hand_over, loop)
+        else:
+            del self._deliveries[loop]
 
 
 #: entries and changes read in one go
