@@ -96,9 +96,9 @@ dist: $(DEV_STAMP) ## build wheel and sdist into build/dist, with the locks of w
 coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
 	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered
 
-bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
+bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations; what floods cost others
 	$(BIN)/python -m bench
-	$(BIN)/python -m pytest -q -s -p no:randomly tests/growth
+	$(BIN)/python -m pytest -q -s -p no:randomly tests/growth tests/system/test_attacks_floods.py
 
 # every step runs, whatever failed before it; the table says which
 nightly: export SOO_TEST_PROFILE := nightly

