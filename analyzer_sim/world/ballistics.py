@@ -16,6 +16,7 @@ from analyzer_sim.world.orbit import Impulse, Orbit
 from analyzer_sim.world.payload.effects import NOTICE_H, Operation, draw
 from analyzer_sim.world.scenario.events import Burn
 from analyzer_sim.world.scenario.story import Scenario
+from analyzer_sim.world.spacecraft.telemetry import unloadings_us
 
 
 @dataclass(frozen=True)
@@ -100,3 +101,21 @@ def burn_operations(burns: Sequence[Burn], orbit: Orbit) -> list[Operation]:
             )
         )
     return operations
+
+
+def unloading_operations(scenario: Scenario) -> list[Operation]:
+    """Return what the ground declares about the unloadings of the wheels: all that leave no impulse behind."""
+    is_reported = scenario.wheels is None or scenario.wheels.is_unloading_marked
+    if not is_reported or (scenario.keeping.residual is not None and scenario.keeping.residual.kick_n_m_s):
+        return []
+    return [
+        Operation(
+            "momentum_unloading",
+            epoch_us,
+            epoch_us + US_PER_H // 2,
+            epoch_us - US_PER_H,
+            attitude_uncertainty_deg=(0.0, 0.0, 0.0),
+            comment="the loop on board takes it up",
+        )
+        for epoch_us in unloadings_us(scenario).tolist()
+    ]

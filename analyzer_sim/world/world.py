@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.ballistics import Ephemeris, burn_operations, burnt_orbit, ephemerides
+from analyzer_sim.world.ballistics import Ephemeris, burn_operations, burnt_orbit, ephemerides, unloading_operations
 from analyzer_sim.world.faults import effects_of
 from analyzer_sim.world.orbit import EpochArray, Orbit
 from analyzer_sim.world.payload.carriers import PLANS, ROLLOFF, CarrierPlan, PlanVersion, plan_versions
@@ -115,7 +115,8 @@ class World:
         self.references: References = reported.of(is_before)
         self.witnesses: References = reported.of(~is_before)
         self.rows: Rows = self._series(epochs_us, history.attitude_deg, effects)
-        declared = [*burn_operations(scenario.burns, self.orbit), *effects.operations]
+        burns = burn_operations(scenario.burns, self.orbit)
+        declared = [*burns, *unloading_operations(scenario), *effects.operations]
         self.operations: tuple[Operation, ...] = tuple(
             sorted(declared, key=lambda item: (item.reported_us, item.start_us))
         )

@@ -57,10 +57,14 @@ class RunMerit(NamedTuple):
         return all(angle < limit for angle, limit in zip(self.largest_deg[1:], NARROW_DEG[1:], strict=True))
 
     @property
+    def is_unknown_torque_held(self) -> bool:
+        """Return whether the limits under a torque that nobody knows are kept."""
+        return all(angle < limit for angle, limit in zip(self.largest_deg, UNKNOWN_TORQUE_DEG, strict=True))
+
+    @property
     def is_unknown_torque_survived(self) -> bool:
-        """Return whether the limits under a torque that nobody knows are kept, and control is never lost."""
-        is_within = all(angle < limit for angle, limit in zip(self.largest_deg, UNKNOWN_TORQUE_DEG, strict=True))
-        return is_within and self.longest_inhibited_h <= UNKNOWN_TORQUE_INHIBITED_H
+        """Return whether these limits are kept, and control is never lost."""
+        return self.is_unknown_torque_held and self.longest_inhibited_h <= UNKNOWN_TORQUE_INHIBITED_H
 
     @property
     def is_measured_yaw_held(self) -> bool:
@@ -83,9 +87,9 @@ class OwnLimits(NamedTuple):
 
 OWN_LIMITS = {
     FADE_SCENARIO: OwnLimits(lambda merit: merit.is_fade_survived),
-    **dict.fromkeys(
-        (*UNKNOWN_TORQUE_SCENARIOS, "plant_varied"), OwnLimits(lambda merit: merit.is_unknown_torque_survived)
-    ),
+    **dict.fromkeys(UNKNOWN_TORQUE_SCENARIOS, OwnLimits(lambda merit: merit.is_unknown_torque_survived)),
+    # thrusters that nobody declares take control away for a while
+    "plant_varied": OwnLimits(lambda merit: merit.is_unknown_torque_held),
     MEASURED_SCENARIO: OwnLimits(lambda merit: merit.is_measured_yaw_held, NARROW_SHARE),
 }
 
