@@ -206,7 +206,7 @@ class BoundedProtocol(HttpToolsProtocol):
                 raise _NoPlaceError
         super().on_headers_complete()
         if self._is_spare:
-            # whoever comes next gets the place
+            # the next connection gets the place
             self.cycle.keep_alive = False
 
     def on_message_complete(self) -> None:

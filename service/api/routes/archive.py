@@ -293,7 +293,7 @@ def _sampled(request: _Request, *, has_epochs: bool) -> Iterator[bytes]:
         for name, column in family(request):
             columns.append((name, column))
             is_filled |= column.counts[:, 0] > 0
-            # whoever has gone is noticed here
+            # a client that has gone is noticed here
             yield b""
     empty = SampledQuantities(
         range=WindowAnswer.of(request.window),

@@ -46,11 +46,13 @@ class Client:
 
 async def test_two_bounded_answers_are_made_at_once():
     lock, running, most = threading.Lock(), set(), []
+    pair = threading.Barrier(2, timeout=120)
 
     def parts(name):
         with lock:
             running.add(name)
             most.append(len(running))
+        pair.wait()
         yield b"a" * 400_000
         yield b"b"
         with lock:
