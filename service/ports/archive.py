@@ -279,7 +279,9 @@ class Results(Protocol):
     ) -> Calibration:
         """Store the result of a draft, or why it failed."""
 
-    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+    def activate_calibration(
+        self, spacecraft_id: str, calibration_id: int, override_reason: str | None = None
+    ) -> Calibration:
         """Make a calibration the active one of its method, journaled; the former becomes superseded."""
 
     def delete_calibration(self, spacecraft_id: str, calibration_id: int) -> None:

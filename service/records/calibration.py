@@ -137,6 +137,24 @@ class AxesCheck:
 
 
 @dataclass(frozen=True, slots=True)
+class TurnsCheck:
+    """Check of the turns by the powers against those by the sensor; NaN = not determined."""
+
+    verdict: MotionVerdict
+    #: likeliest cause, where clock, unit or sensor is contradicted; empty = nothing
+    reason: str
+    #: lag of the powers behind the sensor, positive = they are late, and one standard deviation
+    lag_s: float = math.nan
+    lag_sigma_s: float = math.nan
+    #: angles of the sensor over those of the beams, and one standard deviation of its logarithm
+    scale: float = math.nan
+    scale_sigma: float = math.nan
+    #: squares of what the turns leave over those of the noise, and sigmas by which carriers share it
+    scatter: float = math.nan
+    shared: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class FeedFit:
     """Feed of a polarimeter by its ratios on the quiet days and turns, while sensors told the angles."""
 
@@ -201,6 +219,8 @@ class CalibrationResult:
     polarimeters: tuple[PolarimeterCheck, ...] = ()
     #: None where the catalogue does not use the momentum, the turns contradict it, or quiet days do not tell it
     gathered: GatheredTorque | None = None
+    #: None from a calibration of the paper method
+    turns: TurnsCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +237,13 @@ class Calibration:
     #: None while draft work runs or when it failed
     result: CalibrationResult | None
     error: Annotated[str | None, "Why it failed."] = None
+    override_reason: Annotated[str | None, "Why it was activated although its turns are inconsistent."] = None
+
+    @property
+    def contradiction(self) -> str:
+        """What contradicts the turns; empty = nothing."""
+        check = None if self.result is None else self.result.turns
+        return "" if check is None else check.reason
 
     @property
     def is_momentum_contradicted(self) -> bool:

@@ -21,7 +21,7 @@ from service.core.estimation.filtering.model.torque_prior import TORQUES
 from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, GeometryRows, geometry_rows
 from service.pipeline.calibration.paper_calibration import observe, paper_part
-from service.pipeline.calibration.sensor_signs import report_signs
+from service.pipeline.calibration.sensor_signs import SignReport, report_signs
 from service.pipeline.calibration.telemetry_checks import (
     axes_quality,
     momentum_check,
@@ -32,6 +32,7 @@ from service.pipeline.calibration.telemetry_checks import (
     rate_check,
     rate_warnings,
 )
+from service.pipeline.calibration.turns_check import turns_check, turns_quality, turns_warnings
 from service.pipeline.carrier_model.expected_level import daily_error_db, geometry_model
 from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
@@ -44,6 +45,8 @@ from service.records.calibration import (
     GatheredTorque,
     MotionVerdict,
     PolarimeterCheck,
+    SensorSigns,
+    TurnsCheck,
 )
 from service.records.catalogue import Carrier, Spacecraft
 from service.records.geometry import GeometryFit, Row, Table
@@ -176,7 +179,8 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     carriers = tuple(_carrier(one, k, joint, float(white_db[k]), refusals[k]) for k, one in enumerate(paper.carriers))
     quality = quality_metrics(rows, joint, is_used)
     is_free = is_user_carrier & (joint.group < 0)
-    report = report_signs(data, config, rows.positions, joint.fit.free, is_free, quality["yaw_turn_reach_deg"])
+    turns = turns_check(data, rows, joint, is_user_carrier, config)
+    report = _sign_report(data, config, rows, joint, is_free, turns)
     momentum, rates, angles = momentum_check(data, config), rate_check(data, config), polarimeter_checks(data, config)
     gathered = gathered_torque(data, momentum, rows.angles.sensor_sigma_deg, config)
     sigma_db = np.hypot(white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
@@ -185,8 +189,15 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     return CalibrationResult(
         carriers,
         observe(slope[is_user_carrier], sigma_db[is_user_carrier]),
-        {**paper.quality, **quality, **report.quality, **_motion_quality(momentum, rates, angles, gathered)},
+        {
+            **paper.quality,
+            **quality,
+            **turns_quality(turns),
+            **report.quality,
+            **_motion_quality(momentum, rates, angles, gathered),
+        },
         (
+            *turns_warnings(turns),
             *calibration_warnings(data, rows, joint, is_used, config),
             *report.warnings,
             *momentum_warnings(momentum),
@@ -201,7 +212,26 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
         rates,
         angles,
         gathered,
+        turns,
     )
+
+
+def _sign_report(
+    data: CalibrationInput,
+    config: CalibrationConfig,
+    rows: GeometryRows,
+    joint: JointFit,
+    is_free: BoolArray,
+    turns: TurnsCheck,
+) -> SignReport:
+    """Return the report on the axes; angles of another time, unit or sensor prove no sign and contradict none."""
+    turned = rows.angles.attitude_deg[~rows.is_quiet, 0]
+    try:
+        return report_signs(data, config, rows.positions, joint.fit.free, is_free, float(np.nanmax(np.abs(turned))))
+    except CalibrationError as error:
+        if not turns.reason:
+            raise
+        return SignReport(SensorSigns(is_yaw_proven=False, is_common_proven=False), {}, (str(error),))
 
 
 def _motion_quality(

@@ -61,6 +61,8 @@ class CalibrationInput:
     #: records of the quiet days and of the turns
     telemetry: tuple[TelemetryRecord, ...] = ()
     polarization: tuple[PolarizationRecord, ...] = ()
+    #: powers around the turns, by which a lag is judged that is longer than they are
+    around: MeasurementSeries | None = None
 
     @property
     def sensors(self) -> tuple[str, str, str]:
@@ -205,8 +207,8 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
     if data.spacecraft is None:
         message = "the spacecraft of the calibration is not known; the geometry of the stations needs its longitude"
         raise CalibrationError(message)
-    epochs_us, power_dbm = _joined(data)
-    is_turn = _inside(epochs_us, data.request.turns)
+    epochs_us, power_dbm = joined_rows(data)
+    is_turn = inside(epochs_us, data.request.turns)
     if not len(epochs_us):
         message = "neither window holds a measurement; choose windows of the archive that have some"
         raise CalibrationError(message)
@@ -219,7 +221,7 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
     motion = orbit_motion(data, epochs_us, positions)
     rows = CalibrationRows(
         (epochs_us - epochs_us[0]) / US_PER_S,
-        _undisturbed(power_dbm, epochs_us, data.plan, data.operations),
+        undisturbed(power_dbm, epochs_us, data.plan, data.operations),
         angles.attitude_deg,
         phase_rad(data.ephemeris, epochs_us),
         motion,
@@ -270,10 +272,11 @@ def orbit_motion(data: CalibrationInput, epochs_us: IntArray, positions: PlanPos
     return OrbitMotion(sight, antenna)
 
 
-def _joined(data: CalibrationInput) -> tuple[IntArray, FloatArray]:
-    """Return epochs and powers of both windows, each epoch once."""
-    epochs_us = np.concatenate([data.quiet.epochs_us, data.turns.epochs_us])
-    power_dbm = np.concatenate([data.quiet.power_dbm, data.turns.power_dbm])
+def joined_rows(data: CalibrationInput, *, is_around: bool = False) -> tuple[IntArray, FloatArray]:
+    """Return epochs and powers of both windows and, where asked for, around the turns, each epoch once."""
+    parts = (data.quiet, data.turns, *((data.around,) if is_around and data.around is not None else ()))
+    epochs_us = np.concatenate([one.epochs_us for one in parts])
+    power_dbm = np.concatenate([one.power_dbm for one in parts])
     unique_us, first = np.unique(epochs_us, return_index=True)
     return unique_us, power_dbm[first].astype(np.float64)
 
@@ -283,7 +286,7 @@ def _references(data: CalibrationInput) -> tuple[ReferenceSeries, ...]:
     return data.quiet_references + data.references
 
 
-def _inside(epochs_us: IntArray, window: Window) -> BoolArray:
+def inside(epochs_us: IntArray, window: Window) -> BoolArray:
     """Return which epochs lie in a window."""
     return np.asarray((epochs_us >= window.start_us) & (epochs_us < window.stop_us))
 
@@ -321,7 +324,7 @@ def _require_turns(attitude_deg: FloatArray, config: CalibrationConfig) -> None:
         raise CalibrationError(message)
 
 
-def _undisturbed(
+def undisturbed(
     power_dbm: FloatArray, epochs_us: IntArray, plan: CarrierPlan, operations: tuple[Operation, ...]
 ) -> FloatArray:
     """Return the powers with NaN where a declared operation disturbs them."""
