@@ -49,10 +49,12 @@ class SqlCalibrations(Repository):
         key = self._database.key(spacecraft_id)
         return self._database.write(lambda connection: _finish(connection, key, calibration_id, result, error))
 
-    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+    def activate_calibration(
+        self, spacecraft_id: str, calibration_id: int, override_reason: str | None = None
+    ) -> Calibration:
         """Make a calibration the active one of its method, journaled; the former becomes superseded."""
         key = self._database.key(spacecraft_id)
-        return self._database.write(lambda connection: _activate(connection, key, calibration_id))
+        return self._database.write(lambda connection: _activate(connection, key, calibration_id, override_reason))
 
     def delete_calibration(self, spacecraft_id: str, calibration_id: int) -> None:
         """Delete a draft or a failed calibration; its number is not given again."""
@@ -125,6 +127,7 @@ def _calibration_of(row: Row[Any]) -> Calibration:
         created_by=row.created_by,
         result=None if row.result is None else decode(CalibrationResult, row.result),
         error=row.error,
+        override_reason=row.override_reason,
     )
 
 
@@ -175,7 +178,7 @@ def _delete(connection: Connection, key: int, calibration_id: int) -> None:
     _change_calibration(connection, key, calibration_id, {"state": _DELETED})
 
 
-def _activate(connection: Connection, key: int, calibration_id: int) -> Calibration:
+def _activate(connection: Connection, key: int, calibration_id: int, override_reason: str | None) -> Calibration:
     lock_head(connection, key)
     chosen = _calibration(connection, key, calibration_id)
     if chosen.result is None:
@@ -190,10 +193,12 @@ def _activate(connection: Connection, key: int, calibration_id: int) -> Calibrat
         )
         .values(state=CalibrationState.SUPERSEDED.value)
     )
-    _change_calibration(connection, key, calibration_id, {"state": CalibrationState.ACTIVE.value})
+    activated = replace(chosen, state=CalibrationState.ACTIVE, override_reason=override_reason)
+    values = {"state": activated.state.value, "override_reason": override_reason}
+    _change_calibration(connection, key, calibration_id, values)
     count = 1 + count_entries(connection, key, "activation")
     add_entries(connection, key, [(CalibrationActivation(calibration_id, count), None)])
-    return replace(chosen, state=CalibrationState.ACTIVE)
+    return activated
 
 
 def _insert_alignment(connection: Connection, key: int, record: Alignment) -> Alignment:

@@ -199,7 +199,7 @@ calibration = Table(
     *needed(Integer, "plan_id", "ephemeris_id"),
     Column("created_at_us", BigInteger, nullable=False),
     *needed(Text, "created_by", "request"),
-    *optional(Text, "result", "error"),
+    *optional(Text, "result", "error", "override_reason"),
 )
 
 alignment = Table(

@@ -132,9 +132,12 @@ class JobEndpoints:
         return Call("GET", below(spacecraft_id, f"/calibrations/{calibration_id}"))
 
     @endpoint
-    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Call[Json]:
-        """Make a calibration the active one of its method."""
-        return Call("POST", below(spacecraft_id, f"/calibrations/{calibration_id}:activate"))
+    def activate_calibration(
+        self, spacecraft_id: str, calibration_id: int, override_reason: str | None = None
+    ) -> Call[Json]:
+        """Make a calibration the active one of its method; inconsistent turns need a reason."""
+        body = {"override_reason": override_reason} if override_reason else None
+        return Call("POST", below(spacecraft_id, f"/calibrations/{calibration_id}:activate"), body)
 
     @endpoint
     def align(self, spacecraft_id: str, alignment: Mapping[str, Any]) -> Call[Json]:

@@ -162,6 +162,7 @@ _RESULTS = {
     "calibration.unfinished": "Wait for its job; where that failed, calibrate again.",
     "calibration.not_draft": "Keep it, and activate another one.",
     "calibration.no_result": "Calibrate again, then activate the new one.",
+    "calibration.turns_inconsistent": "Correct clock, unit or sensor and send the data again, or give override_reason.",
     "calibration.finished": "Start a new calibration.",
     "sources.ambiguous": "Leave out one of the two.",
     "alignment.shape": "Complete one form, and leave out the fields of the other.",

@@ -9,9 +9,10 @@ from service.api.access.auth import MAY_OPERATE, CurrentPrincipal, Permission, P
 from service.api.context import ApiContext, Context, SpacecraftId
 from service.api.problems.problems import RequestProblemError
 from service.api.protocol.paging import EVERYTHING, StartParameter, StopParameter, window_of
-from service.api.protocol.requests import accepts, body_of
+from service.api.protocol.requests import accepts, body_of, optional_body
 from service.api.schemas.base import LiveMethod
 from service.api.schemas.calibrations import (
+    ActivationDocument,
     AlignmentAnswer,
     AlignmentDocument,
     AlignmentList,
@@ -161,12 +162,22 @@ def delete_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationI
     context.storage.results.delete_calibration(spacecraft_id, calibration_id)
 
 
-@calibrations_router.post("/{calibration_id}:activate", dependencies=[MAY_OPERATE])
+@calibrations_router.post(
+    "/{calibration_id}:activate",
+    dependencies=[MAY_OPERATE],
+    openapi_extra=accepts(ActivationDocument, is_required=False),
+)
 def activate_calibration(
-    spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context
+    spacecraft_id: SpacecraftId,
+    calibration_id: CalibrationId,
+    body: Annotated[ActivationDocument, optional_body(ActivationDocument)],
+    context: Context,
 ) -> CalibrationAnswer:
-    """Make a calibration the active one of its method; the one before it is superseded, history stays."""
-    calibration = context.calibrator.activate(spacecraft_id, calibration_id)
+    """Make a calibration the active one of its method; the one before it is superseded, history stays.
+
+    One whose turns are inconsistent is refused without `override_reason`.
+    """
+    calibration = context.calibrator.activate(spacecraft_id, calibration_id, body.override_reason)
     context.supervisor.notify(spacecraft_id)
     return CalibrationAnswer.of(calibration)
 

@@ -121,6 +121,13 @@ class CalibrationDocument(SensorChoice):
         return CalibrationRequest(self.quiet.to_record(), self.turns.to_record(), self.method, *self.of_axis)
 
 
+class ActivationDocument(Document):
+    """Activation of a calibration."""
+
+    override_reason: Annotated[CommentText, Field(min_length=1)] | None = None
+    """Why it is activated although its turns are inconsistent."""
+
+
 class CalibrationStartedAnswer(Answer):
     """A calibration that is being made."""
 
@@ -190,6 +197,9 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     `momentum` of the wheels by the turns: consistent, contradicted (the filter does not use it), not_checked, or
     not_stated where the catalogue has no `onboard.momentum`; `momentum_response_roll` and others must be 1. `rates`
     of the body likewise, not_stated without `onboard.rate_sensor` beside the loop; `rate_response_roll` and others.
+    `turns` by the powers against the sensor's likewise: clock (`turn_lag_s`, positive = the powers are late), unit
+    (`turn_scale`, angles of the sensor over those of the beams; sigma of its logarithm), motion
+    (`turn_shared_sigmas`); contradicted, it is activated only with `override_reason`.
     `polarimeter` is the worst verdict on a polarimeter, `polarimeter_response` its figure; `polarimeter_feed_turn_deg`
     (turn of its feed, leakage taken for a turn, with which the filter begins), `polarimeter_leakage_deg`, each with its
     sigma, and `polarimeter_daily_deg` (amplitude) where ratios tell them. `gathered_constant_yaw_n_m`,
@@ -238,6 +248,7 @@ def _quality(result: CalibrationResult | None) -> dict[str, float | str | list[s
         return {"warnings": []}
     words = {"yaw_sign": "not_judged", "common_sign": "not_judged", "momentum": "not_stated", "rates": "not_stated"}
     words["polarimeter"] = _worst(result.polarimeters)
+    words["turns"] = "not_checked" if result.turns is None else result.turns.verdict.value
     if result.signs is not None:
         words["yaw_sign"] = "proven" if result.signs.is_yaw_proven else "unproven"
         words["common_sign"] = "proven" if result.signs.is_common_proven else "unproven"

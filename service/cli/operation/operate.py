@@ -33,6 +33,7 @@ def calibrate(
     method: Annotated[str, typer.Option(help="`geometry` serves both methods, `paper` only itself.")] = "geometry",
     source: Annotated[str, typer.Option(help="Sensor of the attitude references.")] = "star_tracker",
     activate: Annotated[bool, typer.Option("--activate", help="Make it the active one when it is done.")] = False,
+    override_reason: Annotated[str | None, typer.Option(help="Why it is activated with inconsistent turns.")] = None,
     service: ServiceUrl = DEFAULT_SERVICE,
     key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
@@ -48,7 +49,7 @@ def calibrate(
         started = client.start_calibration(spacecraft, body)
         wait_for_job(client, started["job"], "calibration")
         if activate:
-            client.activate_calibration(spacecraft, started["id"])
+            client.activate_calibration(spacecraft, started["id"], override_reason)
         calibration = client.calibration(spacecraft, started["id"])
     if as_json:
         typer.echo(json.dumps(calibration))

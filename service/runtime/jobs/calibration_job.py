@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from threading import Lock
 
+from service.core.estimation.calibration.checks.turns import LONGEST_LAG_S
 from service.errors import BusyError, ConflictError, SooError
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput
@@ -16,6 +17,7 @@ from service.records.calibration import (
     CalibrationRequest,
     CalibrationResult,
     CalibrationState,
+    Window,
 )
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation, PolarizationRecord, SlowInput, TelemetryRecord
@@ -29,6 +31,8 @@ _MAX_INPUTS = 1000
 _MAX_RECORDS = 10_000
 #: records of quiet days need not stand closer
 _SPACED_US = 60 * US_PER_S
+#: powers before and after the turns by which a lag is judged
+_AROUND_US = int(LONGEST_LAG_S) * US_PER_S
 
 
 class Calibrator:
@@ -100,8 +104,15 @@ class Calibrator:
         with self._lock:
             return self._job_ids.get((spacecraft_id, calibration_id))
 
-    def activate(self, spacecraft_id: str, calibration_id: int) -> Calibration:
-        """Make a finished calibration the active one of its method."""
+    def activate(self, spacecraft_id: str, calibration_id: int, override_reason: str | None = None) -> Calibration:
+        """Make a finished calibration the active one of its method.
+
+        Raises
+        ------
+        ConflictError
+            ``calibration.unfinished``: it has no result. ``calibration.turns_inconsistent``: clock, unit or sensor is
+            contradicted and no reason to override is given.
+        """
         calibration = self._storage.results.calibration(spacecraft_id, calibration_id)
         if calibration.state is CalibrationState.ACTIVE:
             return calibration
@@ -110,7 +121,9 @@ class Calibrator:
                 calibration.error or "its job has not ended"
             )
             raise ConflictError("calibration.unfinished", detail)
-        return self._storage.results.activate_calibration(spacecraft_id, calibration_id)
+        if calibration.contradiction and not override_reason:
+            raise ConflictError("calibration.turns_inconsistent", calibration.contradiction)
+        return self._storage.results.activate_calibration(spacecraft_id, calibration_id, override_reason)
 
     def _run(self, spacecraft_id: str, draft: Calibration, report: Progress) -> None:
         """Run the fit of one draft and give up its place."""
@@ -146,9 +159,11 @@ class Calibrator:
         plan = catalogue.plan(spacecraft_id, draft.plan_id)
         operations = self._operations(spacecraft_id, request)
         edges_us = mean_edges_us(request, operations)
-        quiet, turns = (
+        start_us, stop_us = request.turns.start_us, request.turns.stop_us
+        around = Window(max(0, start_us - _AROUND_US), stop_us + _AROUND_US)
+        quiet, turns, beside = (
             minute_rows(archive.measurement_parts(spacecraft_id, window, plan.carrier_ids), plan.carrier_ids, edges_us)
-            for window in (request.quiet, request.turns)
+            for window in (request.quiet, request.turns, around)
         )
         return CalibrationInput(
             request,
@@ -165,6 +180,7 @@ class Calibrator:
             quiet.first_dbm,
             self._telemetry(spacecraft_id, request),
             self._polarization(spacecraft_id, request),
+            beside.series,
         )
 
     def _corrections(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Correction, ...]:

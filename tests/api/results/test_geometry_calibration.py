@@ -75,6 +75,30 @@ async def test_a_calibration_by_geometry_is_told_by_name_and_activated(bench, pa
     assert (active.status_code, active.json()["state"]) == (200, "active")
 
 
+async def test_powers_of_another_clock_are_activated_for_a_reason_alone(bench, payload, make):
+    """A sensor whose clock is fifteen minutes behind."""
+    data = payload.data()
+    sent = [
+        AttitudeReference("other", int(at) - 900_000_000, Axes(*angle), Axes(*sigma))
+        for one in (*data.quiet_references, *data.references)
+        for at, angle, sigma in zip(one.epochs_us, one.attitude_deg, one.sigma_deg, strict=True)
+    ]
+    bench.storage.archive.append_inputs(make.sc, sent)
+    reported = await calibrated(bench, payload, source="other")
+    assert (reported["state"], reported["quality"]["turns"]) == ("draft", "contradicted")
+    assert reported["quality"]["turn_lag_s"] == pytest.approx(900.0, abs=10.0)
+    assert reported["quality"]["warnings"][0].startswith("the turns are inconsistent: the powers are 1")
+    path = f"{bench.url}/calibrations/{reported['id']}:activate"
+    refused = await bench.client.post(path)
+    problem = refused.json()
+    assert (refused.status_code, problem["code"]) == (409, "calibration.turns_inconsistent")
+    assert "behind the other" in problem["detail"]
+    active = await bench.client.post(path, json={"override_reason": "the front end was wrong, its rows are"})
+    assert (active.status_code, active.json()["state"]) == (200, "active")
+    stored = await bench.get(f"/calibrations/{reported['id']}")
+    assert stored["override_reason"] == "the front end was wrong, its rows are"
+
+
 async def test_an_operation_inside_is_named(bench, payload):
     request = payload.request
     burn = {

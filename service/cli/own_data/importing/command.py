@@ -2,7 +2,7 @@
 
 Exit codes: 0 all is there, or the manifest was written, 1 the service refused a request or did not answer (the same
 command continues), 2 the manifest holds guesses, or a file or option is wrong, 3 the service has other values, which
-were not changed, or rows were refused or could not be read.
+were not changed, rows were refused or could not be read, or a calibration with warnings stayed a draft.
 """
 
 import json
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
 
 EXIT_STOPPED = 1
+_DRAFT_NEXT = (
+    ", its warnings stand and nothing was aligned: correct what they name and run the command again, or accept them "
+    'with --accept "REASON", which is stored with the calibration'
+)
 app = new_app()
 
 
@@ -41,6 +45,9 @@ def import_folder(
         list[str] | None, typer.Option(help="With --propose: FILE.FIELD=VALUE in place of a guess; repeat it.")
     ] = None,
     calibrate: Annotated[bool, typer.Option("--calibrate", help="Calibrate, and activate the calibration.")] = False,
+    accept: Annotated[
+        str | None, typer.Option(help="With --calibrate: why the calibration is activated with its warnings.")
+    ] = None,
     align: Annotated[bool, typer.Option("--align", help="Align, so that angles begin.")] = False,
     patience: Annotated[float, typer.Option(min=0.0, help="Seconds to wait for powers and angles.")] = 600.0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare with the service, send nothing.")] = False,
@@ -67,12 +74,15 @@ def import_folder(
         try:
             done = _import(client, folder, manifest, patience, is_dry=dry_run, is_quiet=as_json)
             if not dry_run:
-                done |= _operate(client, done["spacecraft"], manifest, is_calibrated=calibrate, is_aligned=align)
-                done |= _angles(client, done["spacecraft"], patience, is_quiet=as_json) if align else {}
+                done |= _operate(
+                    client, done["spacecraft"], manifest, is_calibrated=calibrate, is_aligned=align, reason=accept
+                )
+                done |= _angles(client, done["spacecraft"], patience, is_quiet=as_json) if "alignment" in done else {}
         except KeyboardInterrupt as stop:
             end("stopped; the same command continues where this one stopped", EXIT_STOPPED, stop)
     typer.echo(json.dumps(done)) if as_json else _show(done)
-    if any(each.get("refused") or each.get("unreadable") for each in done.get("files", {}).values()):
+    is_draft = done.get("calibration", {}).get("state") == "draft"
+    if is_draft or any(each.get("refused") or each.get("unreadable") for each in done.get("files", {}).values()):
         raise typer.Exit(EXIT_DIFFERENT)
 
 
@@ -182,15 +192,23 @@ def _import(
 
 
 def _operate(
-    client: "ServiceClient", spacecraft_id: str, manifest: "FolderManifest", *, is_calibrated: bool, is_aligned: bool
+    client: "ServiceClient",
+    spacecraft_id: str,
+    manifest: "FolderManifest",
+    *,
+    is_calibrated: bool,
+    is_aligned: bool,
+    reason: str | None,
 ) -> dict[str, Any]:
-    """Calibrate and align as far as that was asked for."""
+    """Calibrate and align as far as that was asked for; nothing is aligned with a calibration that stays a draft."""
     from service.cli.own_data.importing.steps import align, calibrate
 
     done: dict[str, Any] = {}
     if is_calibrated:
-        made = calibrate(client, spacecraft_id, manifest)
-        done["calibration"] = {"id": made["id"], "warnings": made["quality"].get("warnings", [])}
+        made = calibrate(client, spacecraft_id, manifest, reason)
+        warnings = made["quality"].get("warnings", [])
+        done["calibration"] = {"id": made["id"], "state": made["state"], "warnings": warnings}
+        is_aligned = is_aligned and made["state"] == "active"
     if is_aligned:
         aligned = align(client, spacecraft_id, manifest)
         done["alignment"] = {"id": aligned["id"], "epoch": aligned["epoch"]}
@@ -217,9 +235,10 @@ def _show(done: dict[str, Any]) -> None:
         shown = ("accepted", "duplicates", "refused", "unreadable")
         typer.echo(f"{name}: " + ", ".join(f"{counts[each]} {each}" for each in shown))
     if "calibration" in done:
-        typer.echo(f"calibration {done['calibration']['id']} is active")
+        next_step = _DRAFT_NEXT if done["calibration"]["state"] == "draft" else ""
         for warning in done["calibration"]["warnings"]:
             typer.echo(f"warning: {warning}")
+        typer.echo(f"calibration {done['calibration']['id']} is {done['calibration']['state']}{next_step}")
     if "alignment" in done:
         typer.echo(f"alignment {done['alignment']['id']} at {done['alignment']['epoch']}")
     if "angles" in done and done["attitude"]["yaw_deg"] is None:

@@ -300,8 +300,13 @@ def import_powers(
         end(str(error), cause=error)
 
 
-def calibrate(client: "ServiceClient", spacecraft_id: str, manifest: FolderManifest) -> dict[str, Any]:
-    """Make a calibration of the manifest's windows the active one, unless it is, and return it."""
+def calibrate(
+    client: "ServiceClient", spacecraft_id: str, manifest: FolderManifest, reason: str | None
+) -> dict[str, Any]:
+    """Make a calibration of the manifest's windows the active one, unless it is, and return it.
+
+    One with warnings stays a draft unless a reason to accept them is given; then the newest such draft is activated.
+    """
     from service.cli.operation.operate import wait_for_job
 
     quiet, turns = manifest.windows.quiet, manifest.windows.turns
@@ -309,12 +314,18 @@ def calibrate(client: "ServiceClient", spacecraft_id: str, manifest: FolderManif
         end(_NO_WINDOWS.format(names="quiet or turns"))
     body = {"quiet": _document(quiet), "turns": _document(turns), "method": "geometry", "source": _sensor(manifest)}
     for each in _calibrations(client, spacecraft_id):
-        if each["state"] == "active" and each["quiet"] == body["quiet"] and each["turns"] == body["turns"]:
+        if each["quiet"] != body["quiet"] or each["turns"] != body["turns"]:
+            continue
+        if each["state"] == "active":
             return each
+        if reason and each["state"] == "draft" and each["observability"] is not None:
+            return client.activate_calibration(spacecraft_id, each["id"], reason)
     started = client.start_calibration(spacecraft_id, body)
     wait_for_job(client, started["job"], "calibration")
-    client.activate_calibration(spacecraft_id, started["id"])
-    return client.calibration(spacecraft_id, started["id"])
+    made = client.calibration(spacecraft_id, started["id"])
+    if made["quality"].get("warnings") and not reason:
+        return made
+    return client.activate_calibration(spacecraft_id, started["id"], reason)
 
 
 def _calibrations(client: "ServiceClient", spacecraft_id: str) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ import { instantInput, instantMs, instantText } from "../lists/instant_input.js"
 import { choice, field, foreign, row, table } from "../lists/table.js";
 import { symbol } from "../parts/symbol.js";
 import { duration, number, utc, words } from "../words.js";
-import { AXES, activeOf, angleText, axisWords, calibrationTable, chooser, isUnfinished, madeBy, report, sayProblem, sentences, w, windowText } from "./calibration/report.js";
+import { AXES, REASON_LENGTH, activeOf, angleText, axisWords, calibrationTable, chooser, isUnfinished, madeBy, report, sayProblem, sentences, w, windowText } from "./calibration/report.js";
 import { windowPlot } from "./calibration/windows.js";
 
 export const name = "calibration";
@@ -22,7 +22,6 @@ const CARRIER_COLUMNS = ["carrier", "rank", "axis", "sensitivities", "sigma", "r
 const SHOWN_ALIGNMENTS = 10;
 const ALIGNMENT_COLUMNS = ["id", "epoch", "angles", "source", "created", "remarks"];
 const MOST_DEG = 180;
-const REASON_LENGTH = 1000;
 
 /** @param {{store: any, spacecraft: any, session: any}} context */
 export function show({ store, spacecraft, session }) {

@@ -47,6 +47,7 @@ class Service:
         self.rows: dict[str, dict[str, Any]] = {"measurements": {}, "references": {}}
         self.calibrations: list[dict[str, Any]] = []
         self.alignments: list[dict[str, Any]] = []
+        self.warnings = ["w"]
         self.orders: list[str] = []
         self.job: dict[str, Any] = {"state": "done"}
         #: code of the answer to every request, and how many requests are answered before the service is away
@@ -97,10 +98,12 @@ class Service:
         elif path.endswith(":batch"):
             return self._rows(body)
         elif path == "calibrations":
-            self.calibrations.append({"id": 1, "state": "draft", "quality": {"warnings": ["w"]}, **body})
+            made = {"id": 1, "state": "draft", "quality": {"warnings": self.warnings}, "observability": {}, **body}
+            self.calibrations.append(made)
             return {"id": 1, "job": "j"}
         elif path.endswith(":activate"):
-            self.calibrations[-1]["state"] = "active"
+            self.calibrations[-1] |= {"state": "active", "override_reason": body.get("override_reason")}
+            return self.calibrations[-1]
         elif path == "alignments":
             window = {name: body[name] for name in ("start", "stop")}
             self.alignments.append({"id": 1, "calibration_id": 1, "window": window, "epoch": body["stop"]})
@@ -260,14 +263,30 @@ def test_calibration_and_alignment_are_made_once_and_only_when_asked(service: Se
     with_windows(folder)
     assert run(folder).exit_code == 0
     assert (service.calibrations, service.alignments) == ([], [])
+    service.warnings = []
     for _ in range(2):
         done = run(folder, "--calibrate", "--align")
         assert done.exit_code == 0, done.output
-        assert "warning: w" in done.output
+        assert "calibration 1 is active" in done.output
         assert f"angles at {WINDOW['stop']}: yaw +0.100" in done.output
     assert [each["state"] for each in service.calibrations] == ["active"]
     assert service.calibrations[0]["source"] == "star_tracker"
     assert [each["window"] for each in service.alignments] == [WINDOW]
+
+
+def test_a_calibration_with_a_warning_stays_a_draft_until_it_is_accepted(service: Service, folder: Path) -> None:
+    propose(folder, *STATED, DAY_FIRST)
+    with_windows(folder)
+    stopped = run(folder, "--calibrate", "--align")
+    assert stopped.exit_code == 3, stopped.output
+    for said in ("warning: w", "calibration 1 is draft, its warnings stand", "--accept"):
+        assert said in stopped.output
+    assert ([each["state"] for each in service.calibrations], service.alignments) == (["draft"], [])
+    accepted = run(folder, "--calibrate", "--align", "--accept", "the yaw sign is known")
+    assert accepted.exit_code == 0, accepted.output
+    (made,) = service.calibrations
+    assert (made["state"], made["override_reason"]) == ("active", "the yaw sign is known")
+    assert len(service.alignments) == 1
 
 
 @pytest.mark.slow

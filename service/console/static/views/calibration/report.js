@@ -3,12 +3,13 @@
 import { Problem, post } from "../../api.js";
 import { element, fill } from "../../element.js";
 import { ask } from "../../lists/dialog.js";
-import { foreign, row, table } from "../../lists/table.js";
+import { field, foreign, row, table } from "../../lists/table.js";
 import { failure } from "../../parts/problem.js";
 import { symbol } from "../../parts/symbol.js";
 import { number, utc, words } from "../../words.js";
 
 export const AXES = ["yaw", "roll", "pitch"];
+export const REASON_LENGTH = 1000;
 /** Kinds of sensors that send attitude references. */
 export const SENSORS = ["star_tracker", "earth_sensor", "radio_beacon", "other"];
 
@@ -71,12 +72,15 @@ function stateWords(calibration) {
 }
 
 function activate(one, all, given) {
+  const isRefused = one.quality.turns === "contradicted";
+  const reason = element("input", { maxLength: REASON_LENGTH, autocomplete: "off", required: true });
+  const effects = element("ul", {}, consequences(one, all, given.driving()).map((text) => element("li", {}, text)));
   ask({
     title: w("activate.title", { id: one.id }),
-    body: element("ul", {}, consequences(one, all, given.driving()).map((text) => element("li", {}, text))),
+    body: [effects, isRefused && [sentences(one.quality.warnings?.slice(0, 1)), field(w("activate.reason"), reason)]],
     confirm: w("activate.button"),
     act: async () => {
-      await post(`${given.path}/calibrations/${one.id}:activate`);
+      await post(`${given.path}/calibrations/${one.id}:activate`, isRefused ? { override_reason: reason.value.trim() } : undefined);
       await given.changed();
     },
   });
@@ -116,6 +120,8 @@ export function report(one, active) {
     ["sensors", sensors],
     one.observability && ["crlb", compared(angleText(one.observability.crlb_deg), angleText(former?.observability?.crlb_deg))],
     one.observability && ["used", compared(w("ofAll", { count: count(one), all: one.carriers.length }), w("ofAll", { count: count(former), all: former?.carriers.length ?? 0 }))],
+    one.quality.turns && ["turns", w(`turns.${one.quality.turns}`)],
+    one.override_reason && ["overridden", foreign(one.override_reason)],
     ...["yaw_sign", "common_sign"].map((sign) => one.quality[sign] && [sign, w(`sign.${one.quality[sign]}`)]),
     one.error && ["error", element("bdi", { lang: "en" }, one.error)],
   ].filter(Boolean);
