@@ -241,7 +241,7 @@ class Calibration:
 
     @property
     def contradiction(self) -> str:
-        """What contradicts the turns; empty = nothing."""
+        """Likeliest cause of inconsistent turns; empty = they are consistent."""
         check = None if self.result is None else self.result.turns
         return "" if check is None else check.reason
 

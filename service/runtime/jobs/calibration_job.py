@@ -161,7 +161,7 @@ class Calibrator:
         edges_us = mean_edges_us(request, operations)
         start_us, stop_us = request.turns.start_us, request.turns.stop_us
         around = Window(max(0, start_us - _AROUND_US), stop_us + _AROUND_US)
-        quiet, turns, beside = (
+        quiet, turns, surroundings = (
             minute_rows(archive.measurement_parts(spacecraft_id, window, plan.carrier_ids), plan.carrier_ids, edges_us)
             for window in (request.quiet, request.turns, around)
         )
@@ -180,7 +180,7 @@ class Calibrator:
             quiet.first_dbm,
             self._telemetry(spacecraft_id, request),
             self._polarization(spacecraft_id, request),
-            beside.series,
+            surroundings.series,
         )
 
     def _corrections(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Correction, ...]:

@@ -165,10 +165,15 @@ def test_the_report_stands_beside_the_active_one_and_activation_says_that_contro
     nothing = {"yaw": None, "roll": None, "pitch": None}
     other = {**first, "selected": False, "criteria_met": ["linear"], "rejected_because": [HOSTILE], "residual_db": None}
     bare = {**second, "id": HOSTILE, "sensitivity_db_per_deg": nothing, "axis": "mixed"}
-    quality = {"warnings": [HOSTILE], "yaw_sign": "unproven", "common_sign": None}
+    quality = {"warnings": [HOSTILE], "yaw_sign": "unproven", "common_sign": None, "turns": "contradicted"}
     draft = {**active, "id": 99, "state": "draft", "carriers": [other, bare, *rest], "quality": quality}
     draft["observability"] = {"condition": None, "dop": nothing, "crlb_deg": nothing}
     page.route(re.compile("/calibrations$"), lambda route: route.fulfill(json={"rows": [draft, active]}))
+    orders = []
+    page.route(
+        re.compile("/calibrations/99:activate$"),
+        lambda route: (orders.append(route.request.post_data_json), route.fulfill(json=draft)),
+    )
     view = ready(open_view(page, "calibration"))
     report = view.get_by_role("region", name="Report")
     expect(report).to_contain_text(f"beside active calibration {active['id']}")
@@ -189,6 +194,13 @@ def test_the_report_stands_beside_the_active_one_and_activation_says_that_contro
         expect(dialog).to_contain_text(said)
     expect(dialog).to_contain_text("Control is armed: it trips")
     assert page.locator("dialog img").count() == 0
+    expect(report).to_contain_text("Turns against the powers")
+    dialog.get_by_role("button", name="Activate").click()
+    assert orders == []
+    dialog.get_by_label("Reason to activate it").fill("the clock is right, the rows were late")
+    dialog.get_by_role("button", name="Activate").click()
+    expect(dialog).to_have_count(0)
+    assert orders == [{"override_reason": "the clock is right, the rows were late"}]
 
 
 def test_windows_that_the_service_refuses_are_told_in_words(new_page, ground, open_view):

@@ -235,10 +235,10 @@ def _whitened(
     variance = stretch_variance_db2(powers.noise, count, means.span_s)
     white = whitened_rows(rows, means.epoch_s, variance, powers.noise, is_seen)
     columns = [[*range(size), *range(size + _MONOMIALS * k, size + _MONOMIALS * (k + 1))] for k in range(len(lags_s))]
-    told = [_explained(white[..., chosen], white[..., -1], is_seen, size) for chosen in columns]
-    likelihood = np.array([one for one, _ in told])
+    fits = [_explained(white[..., chosen], white[..., -1], is_seen, size) for chosen in columns]
+    likelihood = np.array([one for one, _ in fits])
     best = int(likelihood[:-1].argmax())
-    missed_db = rows[..., -1] - (rows[..., columns[best]] @ told[best][1])[..., 0]
+    missed_db = rows[..., -1] - (rows[..., columns[best]] @ fits[best][1])[..., 0]
     missed_db = _less_median(np.where(count > 0, missed_db, np.nan).T, powers.band)
     figures = _left(means.epoch_s, missed_db, powers.noise), _shared_sigmas(means.epoch_s, missed_db)
     return _Search(near_s, lags_s[:-1], likelihood[:-1], float(likelihood[best] - likelihood[-1]), *figures)
@@ -295,7 +295,7 @@ def _explained(columns: FloatArray, value: FloatArray, weight: FloatArray, slow:
     much as its scatter allows.
     """
     free = weight.sum(axis=1) - columns.shape[2]
-    is_told = free >= _LEAST_FREE
+    is_enough = free >= _LEAST_FREE
     weighted = np.swapaxes(columns * weight[..., np.newaxis], 1, 2)
     normal, right = weighted @ columns, weighted @ value[..., np.newaxis]
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))[..., np.newaxis]
@@ -305,7 +305,7 @@ def _explained(columns: FloatArray, value: FloatArray, weight: FloatArray, slow:
     parts = [np.linalg.solve(normal[:, :k, :k], right[:, :k]) for k in (slow, columns.shape[2])]
     before, after = (np.maximum(total - (right[:, : part.shape[1]] * part).sum(axis=(1, 2)), 1e-12) for part in parts)
     gained: FloatArray = free * np.log(before / after)
-    likelihood = 0.5 * float(gained[is_told].sum()) if is_told.any() else -math.inf
+    likelihood = 0.5 * float(gained[is_enough].sum()) if is_enough.any() else -math.inf
     return likelihood, scale * parts[1]
 
 
