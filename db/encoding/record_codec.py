@@ -26,9 +26,9 @@ def encode(record: object) -> str:
     return encode_all(type(record), (record,))[1:-1]
 
 
-def decode(kind: type[Record], text: str) -> Record:
-    """Return the record of a kind that a JSON text holds."""
-    return decode_all(kind, f"[{text}]")[0]
+def decode(kind: type[Record], text: str, what: str = "") -> Record:
+    """Return the record of a kind that a JSON text holds; an error says what it is."""
+    return decode_all(kind, f"[{text}]", what)[0]
 
 
 def encode_all(kind: Any, records: object) -> str:
@@ -36,7 +36,7 @@ def encode_all(kind: Any, records: object) -> str:
     return _adapter(kind).dump_json(records).decode()
 
 
-def decode_all(kind: type[Record], text: str) -> tuple[Record, ...]:
+def decode_all(kind: type[Record], text: str, what: str = "") -> tuple[Record, ...]:
     """Return the values of one kind that a JSON list holds; StorageError ``storage.corrupt`` where it holds others."""
     adapter: TypeAdapter[tuple[Record, ...]] = _adapter(cast("Any", kind))
     try:
@@ -44,7 +44,8 @@ def decode_all(kind: type[Record], text: str) -> tuple[Record, ...]:
     except ValidationError as fault:
         found = fault.errors(include_url=False, include_input=False)[0]
         place = ".".join(map(str, found["loc"][1:])) or "its text"
-        detail = f"A stored {kind.__name__} cannot be read: {place}: {found['msg']}."
+        named = f"{what}: a" if what else "A"
+        detail = f"{named} stored {kind.__name__} cannot be read: {place}: {found['msg']}."
         raise StorageError("storage.corrupt", detail) from fault
 
 

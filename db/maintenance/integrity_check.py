@@ -12,9 +12,10 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, Table, func, sele
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.database import Database
+from db.documents import damaged_documents
 from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentCache, SegmentHead, heads, read_chunk
 from db.encoding.summary_codec import SummaryBlobs, unpack_level
-from db.measurements.checksum_check import checked_tables
+from db.measurements.checksum_check import checked_tables, document_damage
 from db.measurements.power_summaries import summary_of
 from db.measurements.retention import kept_from_us
 from db.operations.access import SqlAudit
@@ -393,7 +394,7 @@ def _layout(connection: Connection) -> Iterator[Diagnosis]:
 
 
 def _checksums(connection: Connection) -> Iterator[Diagnosis]:
-    """Compare rows with their checksums."""
+    """Compare rows with their checksums, documents with their digests."""
     tables = checked_tables(connection)
     for table in tables:
         if table.differing:
@@ -402,7 +403,9 @@ def _checksums(connection: Connection) -> Iterator[Diagnosis]:
             detail = f"{table.lacking} rows of {table.name} have no checksum, where every row should have one"
             advice = "They were written by hand; compare them with a backup."
             yield Diagnosis("checksums", "warning", detail, advice)
-    if not any(table.differing for table in tables):
+    documents = list(damaged_documents(connection))
+    yield from (Diagnosis("checksums", "fault", document_damage(name), _RESTORE) for name in documents)
+    if not (documents or any(table.differing for table in tables)):
         agreeing = sum(table.agreeing for table in tables)
         yield Diagnosis("checksums", "ok", f"{agreeing} rows agree with their checksums")
 

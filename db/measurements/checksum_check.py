@@ -1,15 +1,17 @@
 """Comparison of stored rows with their checksums."""
 
-import struct
-from collections.abc import Callable
+from collections.abc import Iterable, Sequence
 from functools import partial
+from itertools import groupby
 from typing import Any, NamedTuple
 
 from sqlalchemy import Connection, Row, Select, Table, and_, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.schema.columns import checksum_of, measurement_checksums
+from db.documents import damaged_documents
+from db.schema.columns import agrees, checksum_of, measurement_checksums, row_name
 from db.schema.tables import measurement, measurement_detail, metadata, result_segment
+from service.errors import StorageError
 from service.records.epoch import format_epoch
 
 _FETCH = 10_000
@@ -17,8 +19,6 @@ _FETCH = 10_000
 _FETCH_SEGMENTS = 8
 #: rows that a report names at most
 _NAMED = 5
-#: year 2255
-_EPOCH_END_US = 1 << 53
 
 
 class CheckedTable(NamedTuple):
@@ -43,20 +43,49 @@ def checked_tables(connection: Connection) -> list[CheckedTable]:
     return [_checked(connection, table) for table in metadata.sorted_tables if "checksum" in table.c]
 
 
+def document_damage(name: str) -> str:
+    """Return in words that a document is damaged."""
+    return f"{name} differs from its digest"
+
+
 def damage_of(connection: Connection) -> list[str]:
-    """Return in words which rows differ from their checksums, also where the database refuses to read them."""
+    """Return in words which rows and documents are damaged, also where the database refuses to read them."""
     try:
-        return [table.damage() for table in checked_tables(connection) if table.differing]
+        rows = [table.damage() for table in checked_tables(connection) if table.differing]
+        return [*rows, *map(document_damage, damaged_documents(connection))]
     except SQLAlchemyError as fault:
         return [f"rows cannot be read: {getattr(fault, 'orig', fault)}"]
 
 
-def agrees(stored: bytes, computed: Callable[[], bytes]) -> bool:
-    """Return whether a row has the checksum that is stored; values that no writer stores have none."""
-    try:
-        return stored == computed()
-    except (ArithmeticError, AttributeError, TypeError, ValueError, struct.error):
-        return False
+def require_sound(key: int, rows: Iterable[Row[Any]]) -> None:
+    """Compare rows of ``measurement`` of a spacecraft, with figures of details, with their checksums.
+
+    StorageError ``storage.corrupt`` names the first that differs. A row without a checksum was written by hand, which
+    the doctor reports.
+    """
+
+    def kind(row: Row[Any]) -> tuple[Any, ...]:
+        widths = len(row.powers), None if row.flags is None else len(row.flags)
+        return row.source_key, row.plan_id, row.is_late, row.feeds, *widths
+
+    for _, run in groupby((row for row in rows if row.checksum is not None), kind):
+        some = list(run)
+        if agrees(b"".join(row.checksum for row in some), partial(checksums_of_rows, key, some)):
+            continue
+        for row in some:
+            if not agrees(row.checksum, partial(checksums_of_rows, key, [row])):
+                name = f"{format_epoch(row.epoch_us)} (number {row.number})"
+                raise StorageError("storage.corrupt", f"The measurement of {name} differs from its checksum.")
+
+
+def checksums_of_rows(key: int, rows: Sequence[Row[Any]]) -> bytes:
+    """Return the checksums of rows of one kind of a spacecraft, one after another."""
+    first = rows[0]
+    parts = (
+        (row.epoch_us, row.number, row.seq, row.received_at_us - row.epoch_us, row.powers, row.flags, row.figures)
+        for row in rows
+    )
+    return measurement_checksums((key, first.source_key, first.plan_id, first.is_late, first.feeds), parts)
 
 
 def _checked(connection: Connection, table: Table) -> CheckedTable:
@@ -73,7 +102,7 @@ def _checked(connection: Connection, table: Table) -> CheckedTable:
             else:
                 differing += 1
                 if differing <= _NAMED:
-                    named.append(_named(table, row))
+                    named.append(row_name(table, row))
     return CheckedTable(table.name, agreeing, lacking, differing, tuple(named))
 
 
@@ -95,13 +124,3 @@ def _checksum_of_row(table: Table, row: Row[Any]) -> bytes:
         parts = (epoch_us, number, seq, delay_us, powers, flags, figures)
         return measurement_checksums((key, source_key, plan_id, *claims), [parts])
     return checksum_of(table, dict(zip(row._fields, row, strict=True)))
-
-
-def _named(table: Table, row: Row[Any]) -> str:
-    """Return the key of a row in words."""
-    parts = ((column.name, row._mapping[column]) for column in table.primary_key.columns)  # noqa: SLF001
-    return " ".join(
-        # a damaged epoch can lie beyond every calendar
-        f"epoch {format_epoch(value)}" if name == "epoch_us" and 0 <= value < _EPOCH_END_US else f"{name} {value}"
-        for name, value in parts
-    )

@@ -8,6 +8,7 @@ from sqlalchemy import Connection, Row, Select, Table, delete, select, update
 from sqlalchemy.exc import IntegrityError
 
 from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
+from db.documents import damaged_documents, with_digest
 from db.encoding.record_codec import decode, decode_all, encode, encode_all
 from db.schema.tables import calibration, carrier_plan, ephemeris, head, measurement, measurement_segment, source
 from db.schema.tables import spacecraft as spacecraft_table
@@ -37,12 +38,13 @@ class SqlCatalogue(Repository):
         row = self._database.fetch_one(query)
         if row is None:
             raise NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
-        return decode(Spacecraft, row.document)
+        return decode(Spacecraft, row.document, f"catalogue entry of {spacecraft_id}")
 
     def all_spacecraft(self) -> tuple[Spacecraft, ...]:
         """Return all spacecraft in order of id."""
-        rows = self._database.fetch(select(spacecraft_table.c.document).join(head))
-        return tuple(sorted((decode(Spacecraft, row.document) for row in rows), key=lambda found: found.id))
+        rows = self._database.fetch(select(spacecraft_table.c.id, spacecraft_table.c.document).join(head))
+        every = (decode(Spacecraft, row.document, f"catalogue entry of {row.id}") for row in rows)
+        return tuple(sorted(every, key=lambda found: found.id))
 
     def delete_spacecraft(self, spacecraft_id: str) -> None:
         """Delete a spacecraft without rows; ConflictError ``spacecraft.has_rows``. Its id is not given again."""
@@ -79,11 +81,17 @@ class SqlCatalogue(Repository):
         row = self._database.fetch_one(_version(ephemeris, "ephemeris_id", key, ephemeris_id))
         if row is None:
             raise _no_version(spacecraft_id, "ephemeris", "ephemeris", ephemeris_id)
-        return decode(Ephemeris, row.document)
+        return decode(Ephemeris, row.document, f"ephemeris {row.ephemeris_id} of {spacecraft_id}")
+
+    def damaged_documents(self, spacecraft_id: str) -> tuple[str, ...]:
+        """Return the names of the documents in force that differ from their digests."""
+        key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            return tuple(damaged_documents(connection, key))
 
 
 def _insert_spacecraft(connection: Connection, spacecraft: Spacecraft) -> None:
-    values = {"id": spacecraft.id, "document": encode(spacecraft)}
+    values = with_digest(spacecraft_table, {"id": spacecraft.id, "document": encode(spacecraft)})
     try:
         insert = spacecraft_table.insert().values(values).returning(spacecraft_table.c.spacecraft_key)
         key = connection.execute(insert).scalar_one()
@@ -92,15 +100,16 @@ def _insert_spacecraft(connection: Connection, spacecraft: Spacecraft) -> None:
         raise ConflictError("spacecraft.exists", detail) from fault
     start = {"spacecraft_key": key, "newest_number": 0, "consumed_number": 0, "result_sequence": 0}
     connection.execute(head.insert().values(start))
-    add_entries(connection, key, [(SpacecraftChange(spacecraft, 1), None)])
+    add_entries(connection, key, [(SpacecraftChange(spacecraft, 1, values["digest"]), None)])
 
 
 def _replace_spacecraft(connection: Connection, key: int, spacecraft: Spacecraft) -> None:
     lock_head(connection, key)
     is_it = spacecraft_table.c.spacecraft_key == key
-    connection.execute(update(spacecraft_table).where(is_it).values(document=encode(spacecraft)))
+    values = with_digest(spacecraft_table, {"id": spacecraft.id, "document": encode(spacecraft)})
+    connection.execute(update(spacecraft_table).where(is_it).values(values))
     count = 1 + count_entries(connection, key, "spacecraft")
-    add_entries(connection, key, [(SpacecraftChange(spacecraft, count), None)])
+    add_entries(connection, key, [(SpacecraftChange(spacecraft, count, values["digest"]), None)])
 
 
 def _put_plan(connection: Connection, key: int, carriers: tuple[Carrier, ...], sha256: str) -> CarrierPlan:
@@ -110,9 +119,10 @@ def _put_plan(connection: Connection, key: int, carriers: tuple[Carrier, ...], s
         return _plan_of(newest)
     plan = CarrierPlan(next_id(connection, carrier_plan, "plan_id", key), sha256, carriers)
     document = encode_all(Carrier, carriers)
-    values = {"spacecraft_key": key, "plan_id": plan.id, "sha256": sha256, "document": document}
+    columns = {"spacecraft_key": key, "plan_id": plan.id, "sha256": sha256, "document": document}
+    values = with_digest(carrier_plan, columns)
     connection.execute(carrier_plan.insert().values(values))
-    add_entries(connection, key, [(PlanChange(plan.id), None)])
+    add_entries(connection, key, [(PlanChange(plan.id, digest=values["digest"]), None)])
     return plan
 
 
@@ -140,22 +150,25 @@ def _withdraw_plan(connection: Connection, key: int, spacecraft_id: str, plan_id
     connection.execute(update(carrier_plan).where(*is_it).values(sha256=_WITHDRAWN))
     newest = connection.execute(_version(carrier_plan, "plan_id", key, None)).first()
     if newest is not None and newest.plan_id < plan_id:
-        add_entries(connection, key, [(PlanChange(newest.plan_id, after_withdrawal_of=plan_id), None)])
+        entry = PlanChange(newest.plan_id, after_withdrawal_of=plan_id, digest=newest.digest)
+        add_entries(connection, key, [(entry, None)])
 
 
 def _put_ephemeris(connection: Connection, key: int, record: Ephemeris) -> Ephemeris:
     lock_head(connection, key)
     stored = replace(record, id=next_id(connection, ephemeris, "ephemeris_id", key))
-    values = {"spacecraft_key": key, "ephemeris_id": stored.id, "document": encode(stored)}
+    columns = {"spacecraft_key": key, "ephemeris_id": stored.id, "document": encode(stored)}
+    values = with_digest(ephemeris, columns)
     connection.execute(ephemeris.insert().values(values))
     span = EpochSpan(stored.valid_start_us, stored.valid_stop_us)
-    add_entries(connection, key, [(EphemerisChange(stored.id), span)])
+    add_entries(connection, key, [(EphemerisChange(stored.id, values["digest"]), span)])
     return stored
 
 
 def _plan_of(row: Row[Any]) -> CarrierPlan:
     is_withdrawn = row.sha256 == _WITHDRAWN
-    return CarrierPlan(row.plan_id, row.sha256, decode_all(Carrier, row.document), is_withdrawn=is_withdrawn)
+    carriers = decode_all(Carrier, row.document, f"carrier plan {row.plan_id}")
+    return CarrierPlan(row.plan_id, row.sha256, carriers, is_withdrawn=is_withdrawn)
 
 
 def _version(table: Table, column: str, key: int, wanted: int | None) -> Select[Any]:

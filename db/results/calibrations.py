@@ -6,10 +6,11 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, select, update
 
 from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
+from db.documents import differs, digest_of, with_digest
 from db.encoding.record_codec import decode, encode
 from db.schema.tables import alignment as alignment_table
 from db.schema.tables import calibration as calibration_table
-from service.errors import ConflictError, NotFoundError
+from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -82,14 +83,14 @@ class SqlCalibrations(Repository):
 
     def alignment(self, spacecraft_id: str, alignment_id: int) -> Alignment:
         """Return one alignment."""
-        return decode(Alignment, self._alignment_row(spacecraft_id, alignment_id).document)
+        return _alignment_of(self._alignment_row(spacecraft_id, alignment_id))
 
     def alignments(self, spacecraft_id: str) -> tuple[Alignment, ...]:
         """Return alignments, newest first."""
         key = self._database.key(spacecraft_id)
-        query = select(alignment_table.c.document).where(alignment_table.c.spacecraft_key == key)
+        query = select(alignment_table).where(alignment_table.c.spacecraft_key == key)
         rows = self._database.fetch(query.order_by(alignment_table.c.alignment_id.desc()))
-        return tuple(decode(Alignment, row.document) for row in rows)
+        return tuple(map(_alignment_of, rows))
 
     def alignment_number(self, spacecraft_id: str, alignment_id: int) -> int:
         """Return the journal number of an alignment."""
@@ -104,28 +105,37 @@ class SqlCalibrations(Repository):
         return row
 
 
+def _alignment_of(row: Row[Any]) -> Alignment:
+    return decode(Alignment, row.document, f"alignment {row.alignment_id}")
+
+
 def _calibrations(key: int) -> Select[Any]:
     is_its = (calibration_table.c.spacecraft_key == key, calibration_table.c.state != _DELETED)
     return select(calibration_table).where(*is_its)
 
 
 def _calibration(connection: Connection, key: int, calibration_id: int) -> Calibration:
+    return _calibration_of(_calibration_row(connection, key, calibration_id))
+
+
+def _calibration_row(connection: Connection, key: int, calibration_id: int) -> Row[Any]:
     row = connection.execute(_calibrations(key).where(calibration_table.c.calibration_id == calibration_id)).first()
     if row is None:
         raise NotFoundError("calibration.unknown", f"There is no calibration {calibration_id} of this spacecraft.")
-    return _calibration_of(row)
+    return row
 
 
 def _calibration_of(row: Row[Any]) -> Calibration:
+    name = f"calibration {row.calibration_id}"
     return Calibration(
         id=row.calibration_id,
         plan_id=row.plan_id,
         ephemeris_id=row.ephemeris_id,
         state=CalibrationState(row.state),
-        request=decode(CalibrationRequest, row.request),
+        request=decode(CalibrationRequest, row.request, name),
         created_at_us=row.created_at_us,
         created_by=row.created_by,
-        result=None if row.result is None else decode(CalibrationResult, row.result),
+        result=None if row.result is None else decode(CalibrationResult, row.result, name),
         error=row.error,
         override_reason=row.override_reason,
     )
@@ -145,7 +155,7 @@ def _insert_calibration(connection: Connection, key: int, draft: Calibration) ->
         "created_by": stored.created_by,
         "request": encode(stored.request),
     }
-    connection.execute(calibration_table.insert().values(values))
+    connection.execute(calibration_table.insert().values(with_digest(calibration_table, values)))
     return stored
 
 
@@ -158,12 +168,15 @@ def _finish(
     connection: Connection, key: int, calibration_id: int, result: CalibrationResult | None, error: str | None
 ) -> Calibration:
     lock_head(connection, key)
-    draft = _calibration(connection, key, calibration_id)
+    row = _calibration_row(connection, key, calibration_id)
+    draft = _calibration_of(row)
     if draft.state is not CalibrationState.DRAFT or draft.result is not None:
         raise ConflictError("calibration.finished", f"Calibration {calibration_id} is finished.")
     state = CalibrationState.FAILED if result is None else CalibrationState.DRAFT
     document = None if result is None else encode(result)
-    _change_calibration(connection, key, calibration_id, {"state": state.value, "result": document, "error": error})
+    digest = digest_of(calibration_table, {**row._mapping, "result": document})  # noqa: SLF001 - SQLAlchemy's public name
+    values = {"state": state.value, "result": document, "error": error, "digest": digest}
+    _change_calibration(connection, key, calibration_id, values)
     return _calibration(connection, key, calibration_id)
 
 
@@ -180,7 +193,10 @@ def _delete(connection: Connection, key: int, calibration_id: int) -> None:
 
 def _activate(connection: Connection, key: int, calibration_id: int, override_reason: str | None) -> Calibration:
     lock_head(connection, key)
-    chosen = _calibration(connection, key, calibration_id)
+    row = _calibration_row(connection, key, calibration_id)
+    if differs(calibration_table, row):
+        raise StorageError("document.corrupt", f"Calibration {calibration_id} differs from its digest.")
+    chosen = _calibration_of(row)
     if chosen.result is None:
         detail = f"Calibration {calibration_id} has no result and cannot be activated."
         raise ConflictError("calibration.no_result", detail)
@@ -197,7 +213,7 @@ def _activate(connection: Connection, key: int, calibration_id: int, override_re
     values = {"state": activated.state.value, "override_reason": override_reason}
     _change_calibration(connection, key, calibration_id, values)
     count = 1 + count_entries(connection, key, "activation")
-    add_entries(connection, key, [(CalibrationActivation(calibration_id, count), None)])
+    add_entries(connection, key, [(CalibrationActivation(calibration_id, count, row.digest), None)])
     return activated
 
 
@@ -206,12 +222,13 @@ def _insert_alignment(connection: Connection, key: int, record: Alignment) -> Al
     _calibration(connection, key, record.calibration_id)
     stored = replace(record, id=next_id(connection, alignment_table, "alignment_id", key))
     span = EpochSpan(stored.epoch_us, stored.epoch_us)
-    values = {
+    columns = {
         "spacecraft_key": key,
         "alignment_id": stored.id,
         "epoch_us": stored.epoch_us,
-        "number": add_entries(connection, key, [(AlignmentSet(stored.id), span)]),
         "document": encode(stored),
     }
+    values = with_digest(alignment_table, columns)
+    values["number"] = add_entries(connection, key, [(AlignmentSet(stored.id, values["digest"]), span)])
     connection.execute(alignment_table.insert().values(values))
     return stored

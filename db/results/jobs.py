@@ -10,8 +10,7 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, not_,
 from sqlalchemy.exc import IntegrityError
 
 from db.database import Database, Repository
-from db.measurements.checksum_check import agrees
-from db.schema.columns import checksum_of
+from db.schema.columns import agrees, checksum_of
 from db.schema.tables import calibration as calibration_table
 from db.schema.tables import checkpoint as checkpoint_table
 from db.schema.tables import job as job_table

@@ -13,9 +13,8 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, not
 
 from db.database import Database, Repository, lock_head, next_id
 from db.encoding.record_codec import decode, encode
-from db.measurements.checksum_check import agrees
 from db.measurements.retention import ATTITUDE_BYTES, PARTS, TORQUE_BYTES, delete_named
-from db.schema.columns import checksum_of
+from db.schema.columns import agrees, checksum_of
 from db.schema.tables import job as job_table
 from db.schema.tables import replay as replay_table
 from db.schema.tables import replay_checkpoint

@@ -16,9 +16,8 @@ from sqlalchemy import Connection, Table, and_, delete, func, or_, select, true,
 from db.database import Database, lock_head
 from db.encoding.column_codec import CODEC, pack_columns
 from db.encoding.segments import DAY_US, day_of
-from db.measurements.checksum_check import agrees
 from db.results.stored_rows import HEAD_COLUMNS, TABLES, ResultSeries, is_of, is_row_of, opened, segments
-from db.schema.columns import checksum_of
+from db.schema.columns import agrees, checksum_of
 from db.schema.tables import result_segment
 from service.errors import StorageError
 from service.records.epoch import format_epoch

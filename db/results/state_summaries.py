@@ -14,10 +14,9 @@ from sqlalchemy import Connection, select
 
 from db.database import Database
 from db.encoding.segments import DAY_US
-from db.measurements.checksum_check import agrees
 from db.newest_rows import RowPages
 from db.results.stored_rows import pages
-from db.schema.columns import checksum_of
+from db.schema.columns import agrees, checksum_of
 from db.schema.tables import attitude_summary, state_summary
 from service.core.rows import Gap, History, RowState, StateRun, Stretch, StretchSearch, joined_stretches
 from service.records.calibration import Window

@@ -6,7 +6,7 @@ import struct
 import zlib
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 from sqlalchemy import (
@@ -18,6 +18,7 @@ from sqlalchemy import (
     ForeignKey,
     Integer,
     LargeBinary,
+    Row,
     Table,
     Text,
     TypeDecorator,
@@ -25,6 +26,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import Dialect
 
+from service.errors import StorageError
+from service.records.epoch import format_epoch
 from service.records.record_fields import FieldKind, RecordField, record_fields
 
 
@@ -115,6 +118,8 @@ def _column(field: RecordField, name: str) -> Column[Any]:
 
 
 CHECKSUM_BYTES = 4
+#: year 2255
+_EPOCH_END_US = 1 << 53
 _SHARED, _POSITION = struct.Struct("<7q"), struct.Struct("<4q")
 #: for what is absent
 _NONE = -1
@@ -170,6 +175,37 @@ def checksum_of(table: Any, values: Mapping[str, Any]) -> bytes:
         if (value := values.get(name)) is not None and value == value
     }
     return _bytes_of(zlib.crc32(json.dumps(content).encode()))
+
+
+def agrees(stored: bytes, computed: Callable[[], bytes]) -> bool:
+    """Return whether a row has the checksum that is stored; values that no writer stores have none."""
+    try:
+        return stored == computed()
+    except (ArithmeticError, AttributeError, TypeError, ValueError, struct.error):
+        return False
+
+
+def row_name(table: Table, row: Row[Any]) -> str:
+    """Return the key of a row in words."""
+    parts = ((column.name, row._mapping[column]) for column in table.primary_key.columns)  # noqa: SLF001
+    return " ".join(
+        # a damaged epoch can lie beyond every calendar
+        f"epoch {format_epoch(value)}" if name == "epoch_us" and 0 <= value < _EPOCH_END_US else f"{name} {value}"
+        for name, value in parts
+    )
+
+
+def sound_rows(table: Table, rows: Iterable[Row[Any]]) -> list[Row[Any]]:
+    """Return rows of a table that agree with their checksums; StorageError ``storage.corrupt`` names one that does not.
+
+    A row without a checksum was written by hand, which the doctor reports.
+    """
+    found = list(rows)
+    for row in found:
+        if row.checksum is not None and not agrees(row.checksum, partial(checksum_of, table, row._asdict())):
+            detail = f"The {table.name} row of {row_name(table, row)} differs from its checksum."
+            raise StorageError("storage.corrupt", detail)
+    return found
 
 
 @cache

@@ -26,12 +26,13 @@ from service.records.levels.attitude import AttitudeRow, TorqueCommand
 metadata = MetaData()
 
 
+#: digest: see db.documents, here and in the other tables of documents
 spacecraft = Table(
     "spacecraft",
     metadata,
     Column("spacecraft_key", Integer, primary_key=True),
     Column("id", Text, nullable=False, unique=True),
-    Column("document", Text, nullable=False),
+    *needed(Text, "document", "digest"),
 )
 
 #: where the journal and its consumer stand; locking this row orders all writers of a spacecraft
@@ -49,7 +50,7 @@ carrier_plan = Table(
     metadata,
     spacecraft_key(),
     Column("plan_id", Integer, primary_key=True, autoincrement=False),
-    *needed(Text, "sha256", "document"),
+    *needed(Text, "sha256", "document", "digest"),
 )
 
 ephemeris = Table(
@@ -57,7 +58,7 @@ ephemeris = Table(
     metadata,
     spacecraft_key(),
     Column("ephemeris_id", Integer, primary_key=True, autoincrement=False),
-    Column("document", Text, nullable=False),
+    *needed(Text, "document", "digest"),
 )
 
 source = Table(
@@ -198,7 +199,7 @@ calibration = Table(
     *needed(Text, "method", "state"),
     *needed(Integer, "plan_id", "ephemeris_id"),
     Column("created_at_us", BigInteger, nullable=False),
-    *needed(Text, "created_by", "request"),
+    *needed(Text, "created_by", "request", "digest"),
     *optional(Text, "result", "error", "override_reason"),
 )
 
@@ -208,7 +209,7 @@ alignment = Table(
     spacecraft_key(),
     Column("alignment_id", Integer, primary_key=True, autoincrement=False),
     *needed(BigInteger, "epoch_us", "number"),
-    Column("document", Text, nullable=False),
+    *needed(Text, "document", "digest"),
 )
 
 attitude = Table(

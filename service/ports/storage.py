@@ -107,6 +107,9 @@ class Catalogue(Protocol):
     def ephemeris(self, spacecraft_id: str, ephemeris_id: int | None = None) -> Ephemeris:
         """Return one ephemeris, or the newest; NotFoundError ``ephemeris.unknown`` or ``ephemeris.none``."""
 
+    def damaged_documents(self, spacecraft_id: str) -> tuple[str, ...]:
+        """Return the names of the documents in force that differ from their digests, for example ``calibration 3``."""
+
 
 class Clock(Protocol):
     """The only source of time."""

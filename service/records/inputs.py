@@ -135,6 +135,8 @@ class SpacecraftChange:
     spacecraft: Spacecraft
     #: counts changes of this spacecraft, 1 = its creation
     count: int
+    #: of the document that comes into force; the chain does not look at it
+    digest: str = field(default="", compare=False, repr=False)
 
     @property
     def key(self) -> str:
@@ -148,6 +150,7 @@ class PlanChange:
 
     plan_id: int
     after_withdrawal_of: int | None = None
+    digest: str = field(default="", compare=False, repr=False)
 
     @property
     def key(self) -> str:
@@ -161,6 +164,7 @@ class EphemerisChange:
     """A new ephemeris holds from here."""
 
     ephemeris_id: int
+    digest: str = field(default="", compare=False, repr=False)
 
     @property
     def key(self) -> str:
@@ -175,6 +179,7 @@ class CalibrationActivation:
     calibration_id: int
     #: counts activations of this spacecraft: the same calibration may be activated again
     count: int
+    digest: str = field(default="", compare=False, repr=False)
 
     @property
     def key(self) -> str:
@@ -187,6 +192,7 @@ class AlignmentSet:
     """An alignment holds from here."""
 
     alignment_id: int
+    digest: str = field(default="", compare=False, repr=False)
 
     @property
     def key(self) -> str:

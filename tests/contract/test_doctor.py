@@ -267,7 +267,7 @@ def test_a_log_that_grew_is_told(file, monkeypatch):
     monkeypatch.setattr(db.maintenance.doctor, "WAL_BYTES_WARNING", 1000)
     connection = sqlite3.connect(file)
     connection.execute("PRAGMA journal_mode=WAL")
-    connection.execute("UPDATE spacecraft SET document = document || ' '")
+    connection.execute("PRAGMA user_version = 7")
     connection.commit()
     found = faults(f"sqlite:///{file}")
     connection.close()
@@ -294,9 +294,9 @@ def test_documents_that_cannot_be_read_and_an_estimator_that_fails_are_told(fill
     with filled.storage._database.engines.write.begin() as connection:
         connection.execute(text("UPDATE carrier_plan SET document = replace(document, '\"id\"', '\"name\"')"))
     found = of_archive(url)
-    assert [check for check, _ in found] == ["documents", "estimator"]
-    assert "/1: A stored Carrier cannot be read: id: " in found[0][1]
-    assert found[1][1] == f"{filled.id}: no attitude is computed, every step has failed for 60 s"
+    assert [check for check, _ in found] == ["checksums", "documents", "estimator"]
+    assert "/1: A stored Carrier cannot be read: id: " in found[1][1]
+    assert found[2][1] == f"{filled.id}: no attitude is computed, every step has failed for 60 s"
 
 
 @pytest.mark.parametrize(

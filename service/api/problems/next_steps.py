@@ -64,6 +64,7 @@ _REQUESTS = {
     "storage.closed": "Send the same again after the restart.",
     "lease.elsewhere": "Send the request to that process, or again when this one leads.",
     "lease.lost": "Send the same again after Retry-After seconds.",
+    "document.corrupt": "Restore it from a backup, or calibrate or align again.",
     "storage.corrupt": "Run `soo doctor`, then restore what it names from a backup.",
 }
 _CATALOGUE = {

@@ -107,7 +107,9 @@ class ClockChecks:
         yield Readings("report_late", tuple(f"command {each.counter}" for each in waiting), tuple(over_s))
 
     def of_foundations(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
-        """Yield the readings of calibrations and ephemeris."""
+        """Yield the readings of the documents in force: damage, ages of calibrations, end of the ephemeris."""
+        damaged = self._storage.catalogue.damaged_documents(spacecraft_id)
+        yield Readings("document_corrupt", damaged, (1.0,) * len(damaged))
         active = self._storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
         ages = {f"{one.request.method} {one.id}": now_us - one.request.data_until_us for one in active}
         yield Readings("calibration_old", tuple(ages), tuple(age_us / _DAY_US for age_us in ages.values()))

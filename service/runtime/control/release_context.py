@@ -118,6 +118,7 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
         spacecraft_version=version_of(*_mechanics(spacecraft)),
         control_version=version_of(spacecraft.control),
         is_automatic=spacecraft.control.release is Release.AUTOMATIC,
+        damaged_documents=storage.catalogue.damaged_documents(spacecraft_id),
     )
     known = tuple(each for each in operations if isinstance(each, Operation))
     rated = (each for each in reversed(telemetry) if has_body_rate(each))

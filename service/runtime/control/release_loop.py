@@ -10,10 +10,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from uuid import uuid4
 
-from service.errors import SooError
+from service.errors import SooError, StorageError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import InputsChanged, StoredRow, Tick
 from service.pipeline.control.release.interlock import Instant
@@ -22,6 +22,7 @@ from service.ports import Clock, Storage, Term
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.runtime.control.release_context import (
+    KnownFacts,
     ReleaseContext,
     ReleasePublisher,
     SpacecraftRelease,
@@ -185,13 +186,23 @@ class ReleaseLoop:
     def _update_inputs(self, context: ReleaseContext, spacecraft_id: str, at: Instant) -> None:
         """Read the facts of the archive if they are old, and handle a change of the interlock's inputs."""
         if context.known is None or time.monotonic() - context.read_s > _FACTS_S:
-            context.known = read_facts(self.storage, spacecraft_id, at.now_us)
+            context.known = self._facts(context, spacecraft_id, at)
             context.read_s = time.monotonic()
         release, is_disagreeing = context.release, context.is_disagreeing
         holders = release.lease_holders(at.now_us)
         inputs = interlock_inputs(context.facts, at.now_us, lease_holders=holders, is_disagreeing=is_disagreeing)
         if inputs != release.state.interlock.inputs:
             release.handle(InputsChanged(at, inputs))
+
+    def _facts(self, context: ReleaseContext, spacecraft_id: str, at: Instant) -> KnownFacts:
+        """Return the facts of the archive; while a damaged document cannot be read, those known before."""
+        try:
+            return read_facts(self.storage, spacecraft_id, at.now_us)
+        except StorageError as fault:
+            if fault.code != "storage.corrupt" or context.known is None:
+                raise
+            damaged = self.storage.catalogue.damaged_documents(spacecraft_id)
+            return replace(context.known, inputs=replace(context.known.inputs, damaged_documents=damaged))
 
     def _on_row(self, context: ReleaseContext, spacecraft_id: str, stored: StoredRow) -> None:
         """Handle one row."""

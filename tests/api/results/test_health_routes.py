@@ -126,6 +126,39 @@ async def test_a_document_that_cannot_be_read_takes_nothing_else_away(bench, mak
     assert reported["soo_journal_lag", make.sc] == 2.0
 
 
+async def test_a_sign_changed_in_a_calibration_stops_control_and_the_calibration_is_named(bench, make):
+    (row,) = bench.append([make.now_us])
+    bench.consume([Outcome((make.row(row),), make.command(row))])
+    calibration = bench.calibrate([make.carrier_calibration(0, Axes(0.1, -0.3, 0.4))])
+    bench.align(make.now_us - make.s)
+    before = await bench.get("/control")
+    assert "document_corrupt" not in before["reasons"]
+    with bench.storage._database.engines.write.begin() as connection:
+        changed = connection.exec_driver_sql("UPDATE calibration SET result = replace(result, '-0.3', '0.3')").rowcount
+    assert changed == 1
+    # facts of the archive are read again after 20 s, or when an input comes in
+    bench.context.release_service.on_rows(make.sc, (), has_inputs=True)
+    control = await bench.get("/control")
+    assert (control["state"], control["control"]["allowed"]) == ("TRIPPED", False)
+    assert control["withheld"]
+    (reason,) = [each for each in control["control"]["reasons"] if each["code"] == "document_corrupt"]
+    assert reason["text"].endswith(f"differs from its digest: calibration {calibration.id}")
+    # the chain learns of it from the journal, as a replay does
+    (entry,) = bench.storage.archive.slow_inputs_before(make.sc, 1 << 62, ("interlock",))
+    assert (entry.content.is_withheld, entry.content.reasons[0]) == (True, "document_corrupt")
+    bench.context.alarms._check_clock()
+    alarms = (await bench.get("/alarms"))["rows"]
+    alarm = next(each for each in alarms if each["condition"] == "document_corrupt")
+    assert (alarm["severity"], alarm["thing"]) == ("critical", f"calibration {calibration.id}")
+    with bench.storage._database.engines.write.begin() as connection:
+        connection.exec_driver_sql("UPDATE calibration SET result = '{'")
+    bench.context.release_service.on_rows(make.sc, (), has_inputs=True)
+    # what cannot be read is named as well, and control stays tripped
+    assert (await bench.get("/control"))["state"] == "TRIPPED"
+    problem = (await bench.client.get(f"{bench.url}/calibrations/{calibration.id}")).json()
+    assert (problem["code"], problem["detail"][:14]) == ("storage.corrupt", f"calibration {calibration.id}: ")
+
+
 async def test_several_parts_are_all_named(bench, monkeypatch):
     state = bench.storage.state()
     monkeypatch.setattr(bench.storage, "state", lambda: replace(state, free_bytes=1000))

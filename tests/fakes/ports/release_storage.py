@@ -94,6 +94,7 @@ class FakeArchive:
     def __init__(self, start_us: int) -> None:
         self.record = CRAFT
         self.is_aligned = True
+        self.damaged_documents: tuple[str, ...] = ()
         self.plan_id, self.calibration_id = 3, 7
         self.ephemeris_received_us = start_us - 3_600_000_000
         self.ephemeris_stop_us = start_us + 90 * 86_400_000_000
@@ -106,6 +107,7 @@ class FakeArchive:
             all_spacecraft=lambda: (self.record,),
             plan=lambda _: SimpleNamespace(id=self.plan_id),
             ephemeris=lambda _: SimpleNamespace(valid_stop_us=self.ephemeris_stop_us),
+            damaged_documents=lambda _: self.damaged_documents,
         )
         # what was computed before a start does not move this archive's clock
         head = SimpleNamespace(consumed_epoch_us=None)

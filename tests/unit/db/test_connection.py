@@ -94,7 +94,7 @@ def identity_engines(tmp_path):
 def insert(engines, key):
     """Write a row."""
     with engines.write.begin() as connection:
-        connection.exec_driver_sql("INSERT INTO spacecraft VALUES (?, 'craft-' || ?, '')", (key, key))
+        connection.exec_driver_sql("INSERT INTO spacecraft VALUES (?, 'craft-' || ?, '', '')", (key, key))
 
 
 def stored(engines):
@@ -152,7 +152,7 @@ def test_a_log_that_was_deleted_costs_nothing_once_the_archive_is_opened_anew(id
 def test_a_commit_into_a_file_that_went_meanwhile_is_not_told_as_kept(identity_engines, tmp_path):
     connection = identity_engines.write.connect()
     transaction = connection.begin()
-    connection.exec_driver_sql("INSERT INTO spacecraft VALUES (1, 'craft', '')")
+    connection.exec_driver_sql("INSERT INTO spacecraft VALUES (1, 'craft', '', '')")
     (tmp_path / "soo.db").unlink()
     with pytest.raises(StorageError) as caught:
         transaction.commit()

@@ -74,7 +74,7 @@ def relaid(url, layout):
 def test_an_archive_is_made_once(empty):
     prepare(empty)
     assert tables(empty) == {*metadata.tables, "archive_layout"}
-    run(empty, "INSERT INTO spacecraft (spacecraft_key, id, document) VALUES (1, 'craft', '{}')")
+    run(empty, "INSERT INTO spacecraft (spacecraft_key, id, document, digest) VALUES (1, 'craft', '{}', '')")
     prepare(empty)
     engines = open_engines(empty)
     with engines.read.connect() as connection:

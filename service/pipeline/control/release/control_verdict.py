@@ -82,6 +82,7 @@ _NEXT_STEPS = {
         "clock_jump momentum response_missed envelope configuration stop tripped"
     ),
     "Stop the other service on this archive; then POST .../control:reset.": "lease",
+    "Restore it from a backup, or make and activate it again; then POST .../control:reset.": "document_corrupt",
 }
 _NEXT_STEP = {code: step for step, codes in _NEXT_STEPS.items() for code in codes.split()}
 #: reasons that follow from others, named behind those: the first reason is the one to act on
@@ -188,12 +189,16 @@ def control_view(state: ReleaseState, spacecraft: Spacecraft, settings: ReleaseS
     """Return what the interlock says."""
     interlock = state.interlock
     authorisation, request, since = interlock.authorisation, interlock.request, dict(interlock.since)
+    reasons = [reason_of(word, since.get(word) or None, settings) for word in interlock.reasons]
+    if documents := ", ".join(interlock.inputs.damaged_documents):
+        word = Condition.DOCUMENT_CORRUPT.word
+        reasons = [replace(each, text=f"{each.text}: {documents}") if each.code == word else each for each in reasons]
     if request is not None and now_us - request.at_us > microseconds(settings.request_s):
         request = None
     return ControlView(
         state=interlock.state.name,
         since_us=interlock.since_us,
-        reasons=tuple(reason_of(word, since.get(word) or None, settings) for word in interlock.reasons),
+        reasons=tuple(reasons),
         trips=tuple(condition.word for condition in interlock.trips),
         good_minutes=_good_minutes(interlock.good_since_us, now_us, settings),
         condition_values=_condition_values(state, settings, now_us),

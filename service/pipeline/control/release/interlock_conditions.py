@@ -125,6 +125,7 @@ class Condition(Enum):
     CONFIGURATION = (Consequence.TRIP, "calibration, carrier plan or spacecraft changed since control was armed")
     UNREPORTED = (Consequence.TRIP, "released commands without a report: more than {max_unreported}")
     LEASE = (Consequence.TRIP, "the estimator's lease is held twice")
+    DOCUMENT_CORRUPT = (Consequence.TRIP, "a document that the estimate rests on differs from its digest")
     STOP = (Consequence.TRIP, "an operator stopped control")
     YAW_UNCERTAIN = (
         Consequence.YAW,
@@ -268,6 +269,8 @@ class InterlockInputs:
     #: of the fullest wheel; None: no telemetry
     momentum_share: float | None = None
     lease_holders: int = 1
+    #: names of those in force that differ from their digests
+    damaged_documents: tuple[str, ...] = ()
     #: whether the methods disagree, as the chain has found
     is_disagreeing: bool = False
     #: whether computed commands count as applied: then nobody arms
@@ -364,6 +367,7 @@ def input_conditions(inputs: InterlockInputs, now_us: int, settings: ReleaseSett
         # a momentum without telemetry trips nothing; one that is not a number does
         Condition.MOMENTUM: share is not None and not share <= settings.momentum_share_limit,
         Condition.LEASE: inputs.lease_holders > 1,
+        Condition.DOCUMENT_CORRUPT: bool(inputs.damaged_documents),
         Condition.DISAGREEMENT: inputs.is_disagreeing,
     }
 

@@ -130,6 +130,7 @@ CASES = {
     Condition.CONFIGURATION: [reported(calibration_id=8), reported(plan_id=4), reported(spacecraft_version=2)],
     Condition.UNREPORTED: [two_unreported],
     Condition.LEASE: [reported(lease_holders=2)],
+    Condition.DOCUMENT_CORRUPT: [reported(damaged_documents=("calibration 3",))],
     Condition.STOP: [lambda driver: driver.order(OrderKind.STOP)],
     Condition.YAW_UNCERTAIN: [row(is_yaw_allowed=False)],
     Condition.YAW_SIGN: [lambda driver: driver.forget("yaw")],
