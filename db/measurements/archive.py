@@ -19,7 +19,7 @@ from db.encoding.segments import DAY_US
 from db.measurements import power_summaries, retention, sealing
 from db.measurements.ingest import StoreBatch
 from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
-from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
+from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
 from db.measurements.row_insert import prepare
 from db.schema.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
@@ -373,7 +373,7 @@ class SqlArchive:
         cache = self._database.segments.for_scan()
         while True:
             with self._database.read() as connection:
-                runs = MeasurementPages(connection, cache, key).read(chosen, RECORD_PAGE_ROWS, after)
+                runs = MeasurementPages(connection, cache, key).read(chosen, RECORD_PAGE_ROWS, after, columns=UNCHECKED)
             if not runs:
                 return
             for run in runs:

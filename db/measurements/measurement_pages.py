@@ -25,6 +25,7 @@ from db.encoding.segments import (
     newest_heads,
     read_chunk,
 )
+from db.measurements.checksum_check import require_sound
 from db.newest_rows import newest_rows, start_of_last
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.records.calibration import Window
@@ -37,8 +38,10 @@ _AT_ONCE = 8192
 #: above every journal number
 MAX_NUMBER = 1 << 62
 EVER = Window(-(1 << 62), 1 << 62)
+#: for records as they are stored, sound or not: of all that reads, the chain alone takes them so
+UNCHECKED: Columns = MEASUREMENT_COLUMNS
 #: for records
-FULL: Columns = MEASUREMENT_COLUMNS
+FULL: Columns = (*MEASUREMENT_COLUMNS, measurement.c.checksum)
 #: for places alone
 LIGHT: Columns = (
     measurement.c.epoch_us,
@@ -48,7 +51,10 @@ LIGHT: Columns = (
     measurement.c.plan_id,
 )
 #: for places and powers
-POWERS: Columns = (*LIGHT, measurement.c.powers)
+POWERS: Columns = (
+    *(*LIGHT, measurement.c.powers, measurement.c.flags, measurement.c.is_late, measurement.c.feeds),
+    *(measurement.c.seq, measurement_detail.c.figures, measurement.c.checksum),
+)
 
 
 class Chosen(NamedTuple):
@@ -103,7 +109,7 @@ class MeasurementPages:
     def __init__(self, connection: Connection, cache: SegmentCache, key: int) -> None:
         self._connection = connection
         self._cache = cache
-        self._key = key
+        self.key = key
 
     def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[ChunkRun]:
         """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
@@ -134,7 +140,7 @@ class MeasurementPages:
         rows = self._rows(chosen, LIGHT).order_by(*order).offset(count - 1).limit(1)
         row = self._connection.execute(rows).first()
         start_us, stop_us = chosen.window.start_us if row is None else row.epoch_us, chosen.window.stop_us
-        found = newest_heads(self._connection, self._key, start_us, stop_us, *self._of_segments(chosen))
+        found = newest_heads(self._connection, self.key, start_us, stop_us, *self._of_segments(chosen))
         chunks = (read_chunk(self._connection, self._cache, head) for head in found)
         epochs_us = (chunk.epochs_us[_positions(chunk, chosen, None, stop_us)] for chunk in chunks)
         return start_of_last(epochs_us, count, start_us)
@@ -179,16 +185,16 @@ class MeasurementPages:
     def segments(self, chosen: Chosen) -> list[SegmentHead]:
         """Return the heads of segments that may hold chosen rows."""
         window = chosen.window
-        return list(heads(self._connection, self._key, window.start_us, window.stop_us, *self._of_segments(chosen)))
+        return list(heads(self._connection, self.key, window.start_us, window.stop_us, *self._of_segments(chosen)))
 
     def next_us(self, epoch_us: int) -> int | None:
         """Return an epoch up to which no row stands from the given one on; None where none follows."""
         rows = select(func.min(measurement.c.epoch_us)).where(
-            measurement.c.spacecraft_key == self._key, measurement.c.epoch_us >= epoch_us
+            measurement.c.spacecraft_key == self.key, measurement.c.epoch_us >= epoch_us
         )
         segment = measurement_segment.c
         days = select(func.min(segment.first_epoch_us)).where(
-            segment.spacecraft_key == self._key, segment.first_epoch_us >= day_of(epoch_us) * DAY_US
+            segment.spacecraft_key == self.key, segment.first_epoch_us >= day_of(epoch_us) * DAY_US
         )
         found = [self._connection.scalar(query) for query in (rows, days)]
         return min((max(each, epoch_us) for each in found if each is not None), default=None)
@@ -198,7 +204,7 @@ class MeasurementPages:
         is_next = and_(measurement.c.number > after, measurement.c.number <= upto)
         everything = Chosen(EVER)
         found = measurements_of(self._connection.execute(self._rows(everything, FULL).where(is_next)).all())
-        for head in heads_of_numbers(self._connection, self._key, after, upto):
+        for head in heads_of_numbers(self._connection, self.key, after, upto):
             chunk = read_chunk(self._connection, self._cache, head)
             positions = np.flatnonzero((chunk.numbers > after) & (chunk.numbers <= upto))
             found += [chunk.record(position) for position in positions.tolist()]
@@ -206,9 +212,9 @@ class MeasurementPages:
 
     def next_number(self, after: int) -> int | None:
         """Return the smallest journal number of a row above the given one."""
-        is_next = (measurement.c.spacecraft_key == self._key, measurement.c.number > after)
+        is_next = (measurement.c.spacecraft_key == self.key, measurement.c.number > after)
         found = [self._connection.scalar(select(func.min(measurement.c.number)).where(*is_next))]
-        for head in heads_of_numbers(self._connection, self._key, after, MAX_NUMBER):
+        for head in heads_of_numbers(self._connection, self.key, after, MAX_NUMBER):
             if any(number is not None and number < head.first_number for number in found):
                 continue
             numbers = read_chunk(self._connection, self._cache, head).numbers
@@ -218,7 +224,7 @@ class MeasurementPages:
     def at(self, source_key: int, epoch_us: int) -> Measurement | None:
         """Return the row of a source at an epoch."""
         window = Window(epoch_us, epoch_us + 1)
-        runs = self.read(Chosen(window, self._names[source_key]), 1, None)
+        runs = self.read(Chosen(window, self.names[source_key]), 1, None)
         return runs[0].chunk.record(int(runs[0].positions[0])) if runs else None
 
     def newest(self, chosen: Chosen) -> tuple[int, int, int] | None:
@@ -227,7 +233,7 @@ class MeasurementPages:
         row = self._connection.execute(self._rows(chosen, LIGHT).order_by(*order).limit(1)).first()
         best = None if row is None else (row.epoch_us, row.number, row.received_at_us)
         start_us = chosen.window.start_us if best is None else best[0]
-        for head in newest_heads(self._connection, self._key, start_us, EVER.stop_us, *self._of_segments(chosen)):
+        for head in newest_heads(self._connection, self.key, start_us, EVER.stop_us, *self._of_segments(chosen)):
             if best is not None and head.day < day_of(best[0]):
                 break
             chunk = read_chunk(self._connection, self._cache, head)
@@ -242,10 +248,10 @@ class MeasurementPages:
         """Return a journal number behind which no row lies in a window; 0 where none does at all."""
         segment = measurement_segment.c
         rows = select(func.max(measurement.c.number)).where(
-            measurement.c.spacecraft_key == self._key, within(measurement.c.epoch_us, window)
+            measurement.c.spacecraft_key == self.key, within(measurement.c.epoch_us, window)
         )
         days = select(func.max(segment.last_number)).where(
-            segment.spacecraft_key == self._key,
+            segment.spacecraft_key == self.key,
             segment.first_epoch_us < window.stop_us,
             segment.last_epoch_us >= window.start_us,
         )
@@ -254,10 +260,10 @@ class MeasurementPages:
     def plan_ids(self, window: Window) -> set[int]:
         """Return the plans of the rows of a window."""
         held = select(measurement.c.plan_id).where(
-            measurement.c.spacecraft_key == self._key, within(measurement.c.epoch_us, window)
+            measurement.c.spacecraft_key == self.key, within(measurement.c.epoch_us, window)
         )
         found = set(self._connection.scalars(held.distinct()))
-        for head in heads(self._connection, self._key, window.start_us, window.stop_us):
+        for head in heads(self._connection, self.key, window.start_us, window.stop_us):
             is_inside = head.first_epoch_us >= window.start_us or head.last_epoch_us < window.stop_us
             # only a segment that reaches beyond both ends may have no row in the window
             if head.plan_id not in found and (is_inside or self._has_rows(head, window)):
@@ -272,7 +278,7 @@ class MeasurementPages:
         """Yield parts of segments until they hold the next ``limit`` rows of their own."""
         start_us = chosen.window.start_us if after is None else max(chosen.window.start_us, after[0])
         parts: list[ChunkRun] = []
-        for head in heads(self._connection, self._key, start_us, chosen.window.stop_us, *self._of_segments(chosen)):
+        for head in heads(self._connection, self.key, start_us, chosen.window.stop_us, *self._of_segments(chosen)):
             reached_us = end_us(parts, limit)
             if reached_us is not None and head.first_epoch_us >= reached_us:
                 return
@@ -285,17 +291,19 @@ class MeasurementPages:
     def _rows(self, chosen: Chosen, columns: Columns) -> Select[Any]:
         """Return the query for the chosen rows of the table of rows."""
         query = select(*columns).select_from(measurement)
-        if columns is FULL:
+        if columns is FULL or columns is UNCHECKED:
             is_its_source = and_(
                 source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
             )
+            query = query.join(source, is_its_source)
+        if columns is not LIGHT:
             is_its_detail = and_(
                 measurement_detail.c.spacecraft_key == measurement.c.spacecraft_key,
                 measurement_detail.c.epoch_us == measurement.c.epoch_us,
                 measurement_detail.c.source_key == measurement.c.source_key,
             )
-            query = query.join(source, is_its_source).outerjoin(measurement_detail, is_its_detail)
-        return query.where(measurement.c.spacecraft_key == self._key, *self._of_rows(chosen))
+            query = query.outerjoin(measurement_detail, is_its_detail)
+        return query.where(measurement.c.spacecraft_key == self.key, *self._of_rows(chosen))
 
     def _of_rows(self, chosen: Chosen) -> list[ColumnElement[bool]]:
         conditions = [within(measurement.c.epoch_us, chosen.window)]
@@ -319,27 +327,29 @@ class MeasurementPages:
         return conditions
 
     @cached_property
-    def _names(self) -> dict[int, str]:
+    def names(self) -> dict[int, str]:
         """Return the names of the sources."""
-        named = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == self._key)
+        named = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == self.key)
         return {row[0]: row[1] for row in self._connection.execute(named)}
 
     def _source_key(self, name: str) -> int:
         """Return the key of a source, 0, which no source has, for an unknown one."""
-        return next((key for key, known in self._names.items() if known == name), 0)
+        return next((key for key, known in self.names.items() if known == name), 0)
 
     def _chunks(self, rows: Sequence[Row[Any]]) -> list[RowChunk]:
         """Return rows piece by piece."""
         if not rows:
             return []
         columns = _columns(rows)
+        if "checksum" in columns:
+            require_sound(self.key, rows)
         kinds = set(zip(columns["source_key"], columns["plan_id"], strict=True))
         if len(kinds) == 1:
-            return [RowChunk(self._names[columns["source_key"][0]], rows, columns)]
+            return [RowChunk(self.names[columns["source_key"][0]], rows, columns)]
         found = []
         for kind in kinds:
             held = [row for row in rows if (row.source_key, row.plan_id) == kind]
-            found.append(RowChunk(self._names[kind[0]], held, _columns(held)))
+            found.append(RowChunk(self.names[kind[0]], held, _columns(held)))
         return found
 
 

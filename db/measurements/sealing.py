@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, select
+from sqlalchemy import ColumnElement, Connection, and_, delete, func, select
 
 from db.database import Database, lock_head
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
@@ -30,9 +30,9 @@ from db.encoding.segments import (
     read_chunk,
 )
 from db.encoding.summary_codec import SummaryBlobs
-from db.measurements.checksum_check import agrees
+from db.measurements.checksum_check import checksums_of_rows
 from db.measurements.power_summaries import store_summary, summary_of
-from db.schema.columns import measurement_checksums
+from db.schema.columns import agrees
 from db.schema.tables import head as head_table
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.errors import StorageError
@@ -190,16 +190,11 @@ def _rows(connection: Connection, key: int, group: _Group) -> tuple[list[Measure
         .limit(SEGMENT_ROWS)
     )
     rows: list[Any] = list(connection.execute(query))
-    sound = [row for row in rows if row.checksum is None or agrees(row.checksum, partial(_checksum, key, row))]
+    sound = [
+        row for row in rows if row.checksum is None or agrees(row.checksum, partial(checksums_of_rows, key, [row]))
+    ]
     found_us = {row.epoch_us for row in sound}
     return measurements_of(sound), tuple(row.epoch_us for row in rows if row.epoch_us not in found_us)
-
-
-def _checksum(key: int, row: Row[Any]) -> bytes:
-    """Return the checksum of a row from what was read of it."""
-    shared = (key, row.source_key, row.plan_id, row.is_late, row.feeds)
-    position = (row.epoch_us, row.number, row.seq, row.received_at_us - row.epoch_us)
-    return measurement_checksums(shared, [(*position, row.powers, row.flags, row.figures)])
 
 
 def _target(sealed: Sequence[SegmentHead], rows: Sequence[Measurement]) -> tuple[SegmentHead | None, int | None]:

@@ -5,6 +5,7 @@ from sqlalchemy import ColumnElement, Connection, and_, select, update
 from db.database import Repository, lock_head, page_of, within
 from db.encoding.record_codec import decode, encode
 from db.measurements.archive import store_inputs
+from db.schema.columns import sound_rows
 from db.schema.tables import release_command, release_state, uplink_product
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
@@ -66,19 +67,19 @@ class SqlReleases(Repository):
     def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:
         """Return one uplink product; NotFoundError ``uplink.unknown``."""
         key = self._database.key(spacecraft_id)
-        row = self._database.fetch_one(select(uplink_product.c.document).where(_is_product(key, form, counter)))
-        if row is None:
+        rows = self._database.fetch(select(uplink_product).where(_is_product(key, form, counter)))
+        if not rows:
             raise NotFoundError("uplink.unknown", f"There is no uplink product {counter} with {form.value}.")
-        return decode(UplinkProduct, row.document)
+        return decode(UplinkProduct, sound_rows(uplink_product, rows)[0].document)
 
     def newest_product(self, spacecraft_id: str, form: ProductForm) -> UplinkProduct | None:
         """Return the product of a form with the greatest counter."""
         table = uplink_product
-        query = select(table.c.document).where(
+        query = select(table).where(
             table.c.spacecraft_key == self._database.key(spacecraft_id), table.c.form == form.value
         )
-        row = self._database.fetch_one(query.order_by(table.c.counter.desc()).limit(1))
-        return None if row is None else decode(UplinkProduct, row.document)
+        rows = sound_rows(table, self._database.fetch(query.order_by(table.c.counter.desc()).limit(1)))
+        return decode(UplinkProduct, rows[0].document) if rows else None
 
 
 def _swap(connection: Connection, key: int, version: int, change: ReleaseChange) -> None:

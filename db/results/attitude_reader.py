@@ -19,6 +19,7 @@ from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPa
 from db.measurements.retention import kept_from_us
 from db.newest_rows import RowPages, newest_rows
 from db.results.stored_rows import ResultSeries, newest_row, page_of_rows, stored_rows
+from db.schema.columns import sound_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
 from service.ports import LIVE
 from service.records.calibration import CalibrationMethod, Window
@@ -43,7 +44,7 @@ def newest_computed(connection: Connection, key: int, method: Method) -> Attitud
         .join(head, head.c.spacecraft_key == attitude.c.spacecraft_key)
         .order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
     )
-    row = connection.execute(query.limit(1)).first()
+    row = next(iter(sound_rows(attitude, connection.execute(query.limit(1)))), None)
     return attitude_of(row) if row is not None and row.is_answer else None
 
 

@@ -5,13 +5,14 @@ late row deletes those of its day in the transaction that stores it. A summary t
 bytes: where its rows were read before a late one came, it is gone, and nothing is stored.
 """
 
+import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, and_, delete, select
+from sqlalchemy import ColumnElement, Connection, and_, delete, func, select
 
 from db.connection.writer import insert_new
 from db.database import Database, lock_head
@@ -21,13 +22,15 @@ from db.newest_rows import RowPages
 from db.results.carrier_summaries import CarrierRow, blobs_by_plan, store_carriers
 from db.results.state_summaries import store_states, stretch_of
 from db.results.stored_rows import pages
+from db.schema.tables import attitude, head, torque
 from db.schema.tables import attitude_summary as table
-from db.schema.tables import head
 from service.core.rows import Stretch, Summaries
+from service.errors import StorageError
 from service.ports import Intervals
 from service.records.calibration import Window
 from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray, TorqueCommand
 
+_LOG = logging.getLogger(__name__)
 #: name under which the commands of all methods are summarised
 TORQUE = "torque"
 #: columns of attitude that are sampled in intervals of any length: the angles; of torque there is none
@@ -61,13 +64,31 @@ def complete(
     query = select(table.c.start_us).where(_is_of(key, name), table.c.day.is_not(None))
     held = {row.start_us for row in database.fetch(query)}
     start_us = -(1 << 62)
-    while start_us < stop_us and (first := read(Window(start_us, stop_us), 1, None)):
-        start_us = day_of(first[0].epoch_us) * DAY_US
-        if start_us not in held and _make(database, key, name, read, read_carriers, start_us):
-            yield 1
+    while start_us < stop_us:
+        try:
+            first = read(Window(start_us, stop_us), 1, None)
+            if not first:
+                return
+            start_us = day_of(first[0].epoch_us) * DAY_US
+            if start_us not in held and _make(database, key, name, read, read_carriers, start_us):
+                yield 1
+        except StorageError as fault:
+            start_us = _damaged_day_us(database, key, name, start_us, fault)
+            _LOG.warning("the day is not summarised: %s", fault.detail)
         held.add(start_us)
         while start_us in held:
             start_us += DAY_US
+
+
+def _damaged_day_us(database: Database, key: int, name: str, start_us: int, fault: StorageError) -> int:
+    """Return the day of the first row from an epoch on that is not sealed, which a fault is about; or raise it."""
+    series = torque if name == TORQUE else attitude
+    query = select(func.min(series.c.epoch_us)).where(series.c.spacecraft_key == key, series.c.epoch_us >= start_us)
+    with database.read() as connection:
+        first_us = connection.scalar(query)
+    if fault.code != "storage.corrupt" or first_us is None:
+        raise fault
+    return day_of(first_us) * DAY_US
 
 
 def sampled(

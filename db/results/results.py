@@ -34,6 +34,7 @@ from db.results.stored_rows import (
     sealed_keys,
     sealed_of_sequences,
 )
+from db.schema.columns import sound_rows
 from db.schema.tables import attitude, head, torque
 from service.core.rows import History, Summaries
 from service.ports import LIVE, SMOOTHED, Intervals, Outcome, SampledCarriers
@@ -439,7 +440,8 @@ def _results(connection: Connection, key: int, sequence: int, limit: int) -> lis
     rows = select(attitude).where(attitude.c.spacecraft_key == key, is_next(attitude.c.sequence))
     commands = select(torque).where(torque.c.spacecraft_key == key, is_next(torque.c.sequence))
     sealed = sealed_of_sequences(connection, key, sequence, sequence + limit)
-    return [_numbered(row) for row in chain(connection.execute(rows), connection.execute(commands), sealed)]
+    found = (sound_rows(attitude, connection.execute(rows)), sound_rows(torque, connection.execute(commands)))
+    return [_numbered(row) for row in chain(*found, sealed)]
 
 
 def _next_sequence(connection: Connection, key: int, sequence: int) -> int | None:

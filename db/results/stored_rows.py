@@ -11,9 +11,8 @@ from sqlalchemy import ColumnElement, Connection, Select, Table, and_, func, sel
 from db.database import beyond, within
 from db.encoding.column_codec import CODEC, PackedColumns, Positions
 from db.encoding.segments import DAY_US, day_of
-from db.measurements.checksum_check import agrees
 from db.newest_rows import PagedRow, RowPages, newest_rows, start_of_last
-from db.schema.columns import checksum_of
+from db.schema.columns import agrees, checksum_of, sound_rows
 from db.schema.tables import attitude, result_segment, spacecraft, torque
 from db.schema.tables import result_segment as segment_table
 from service.errors import StorageError
@@ -205,7 +204,7 @@ def stored_rows(
         .order_by(table.c.epoch_us, table.c.number)
         .limit(limit)
     )
-    rows: list[Any] = list(connection.execute(query))
+    rows: list[Any] = list(sound_rows(table, connection.execute(query)))
     sealed: list[Any] = []
     start_us = window.start_us if after is None else max(window.start_us, after[0])
     for head in segments(connection, is_of(*of), start_us, window.stop_us):
@@ -252,7 +251,8 @@ def newest_row(connection: Connection, of: ResultSeries, before_us: int = 1 << 6
     """Return the row with the greatest (epoch, number) before an epoch."""
     table, first = of.table, result_segment.c.first_epoch_us
     query = select(table).where(*is_row_of(*of), table.c.epoch_us < before_us)
-    row = connection.execute(query.order_by(table.c.epoch_us.desc(), table.c.number.desc()).limit(1)).first()
+    newest_of_table = query.order_by(table.c.epoch_us.desc(), table.c.number.desc()).limit(1)
+    row: Any = next(iter(sound_rows(table, connection.execute(newest_of_table))), None)
     is_newer = () if row is None else (result_segment.c.last_epoch_us >= row.epoch_us,)
     newest = select(result_segment).where(*is_of(*of), first < before_us, *is_newer)
     head = connection.execute(newest.order_by(first.desc()).limit(1)).first()

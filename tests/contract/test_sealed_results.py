@@ -269,8 +269,11 @@ def test_a_damaged_row_is_not_sealed(setting, make, caplog):
     assert [part.rows for part in seal(setting)] == [3, 2, 3]
     assert rows_in_tables(setting) == [1, 0]
     assert "1 attitude rows differ from their checksum" in caplog.text
-    rows = setting.storage.results.attitude_rows(setting.id, LIVE, Method.ROBUST, make.ever, 9, None)
-    assert [row.epoch_us for row in rows] == [5, 6, 7]
+    read = setting.storage.results.attitude_rows
+    with pytest.raises(StorageError, match=r"storage\.corrupt: The attitude row of .*000006Z number \d+ differs"):
+        read(setting.id, LIVE, Method.ROBUST, make.ever, 9, None)
+    for window in (Window(0, 6), Window(7, DAY_US)):
+        assert len(read(setting.id, LIVE, Method.ROBUST, window, 9, None)) == 1
 
 
 @pytest.mark.parametrize("series", ["attitude", "torques"])
