@@ -58,6 +58,12 @@ class ForbiddenError(SooError):
     """Another person must do this."""
 
 
+def source_not_yours(name: str, owner: str | None, station: str) -> ForbiddenError:
+    """Return the refusal of what the key of another station sends for a source."""
+    detail = f"Source {name!r} belongs to station {owner!r}, the key to station {station!r}."
+    return ForbiddenError("source.not_yours", detail)
+
+
 class NotFoundError(SooError):
     """The named thing does not exist."""
 

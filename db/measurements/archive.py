@@ -3,10 +3,12 @@
 Storing slow inputs: references, corrections, telemetry, weather, polarisation, reported commands and operations.
 """
 
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -21,7 +23,7 @@ from db.measurements.ingest import StoreBatch
 from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
 from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
 from db.measurements.row_insert import prepare
-from db.schema.tables import carrier_plan, head, journal, operation, source
+from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
 from service.errors import InvalidInputError, NotFoundError
 from service.ports import Intervals, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
@@ -322,7 +324,8 @@ class SqlArchive:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
         with self._database.read() as connection:
             pages = self._pages(connection, self._database.key(spacecraft_id))
-            return pages.records(Chosen(window, source), limit, after, newest_first=newest_first)
+            found = pages.records(Chosen(window, source), limit, after, newest_first=newest_first)
+            return _with_keys(connection, pages, found)
 
     def measurement_blocks(
         self, spacecraft_id: str, window: Window, *, source: str | None = None, feeds_estimator_only: bool = False
@@ -498,7 +501,25 @@ def _select_source(connection: Connection, key: int, name: str) -> SourceState:
 
 def _source_state(row: Row[Any]) -> SourceState:
     role = "prime" if row.is_prime else "backup"
-    return SourceState(row.name, role, row.newest_epoch_us, row.row_count, row.rows_missing)
+    return SourceState(row.name, role, row.newest_epoch_us, row.row_count, row.rows_missing, row.station, row.key_id)
+
+
+def _with_keys(connection: Connection, pages: MeasurementPages, rows: Sequence[Measurement]) -> list[Measurement]:
+    """Return rows with the keys that they came with."""
+    runs: dict[str, list[Any]] = {}
+    query = select(source_key_run).where(source_key_run.c.spacecraft_key == pages.key)
+    for run in connection.execute(query.order_by(source_key_run.c.first_number)):
+        runs.setdefault(pages.names[run.source_key], []).append(run)
+
+    def with_key(row: Measurement) -> Measurement:
+        of_source = runs.get(row.source, [])
+        position = bisect_right(of_source, row.number, key=attrgetter("first_number"))
+        if position == 0:
+            return row
+        run = of_source[position - 1]
+        return replace(row, key_id=run.key_id, station=run.station)
+
+    return list(map(with_key, rows))
 
 
 def _reference_series(name: str, references: list[AttitudeReference]) -> ReferenceSeries:

@@ -30,8 +30,8 @@ from db.encoding.segments import SegmentCache
 from db.measurements.row_insert import PreparedBatch, RowRun, SortedRows, insert_run, seq_at, sort_rows
 from db.measurements.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.schema.columns import measurement_checksums
-from db.schema.tables import head, source
-from service.errors import InvalidInputError
+from db.schema.tables import head, source, source_key_run
+from service.errors import InvalidInputError, source_not_yours
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch, RowNotice, Sender
 
@@ -44,6 +44,8 @@ STATE_COLUMNS = (
     source.c.is_prime,
     source.c.row_count,
     source.c.newest_epoch_us.label("source_newest_epoch_us"),
+    source.c.station,
+    source.c.key_id,
     source.c.seq_run,
     source.c.seq_after_us,
     source.c.seq_start,
@@ -101,11 +103,18 @@ class IngestState(NamedTuple):
     is_prime: bool
     row_count: int
     source_newest_epoch_us: int | None
+    #: that it belongs to, and the key of its newest rows
+    station: str | None
+    key_id: str | None
     seq_run: int | None
     seq_after_us: int | None
     seq_start: int | None
     seq_last: int | None
     rows_missing: int | None
+
+    def is_as_before(self, sender: Sender | None) -> bool:
+        """Return whether rows come with the key of the rows before, which is of the station of the source."""
+        return sender is None or (sender.key_id == self.key_id and sender.station in (None, self.station))
 
     @property
     def tail(self) -> Tail | None:
@@ -118,7 +127,10 @@ def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentC
     """Store and journal the new rows of a batch; runs in the writer's transaction."""
     if not prepared.epochs_us:
         return BatchReceipt(0, 0, 0, ())
-    state = _state(connection, prepared.spacecraft_key, prepared.batch.source, prepared.batch.sender)
+    sender = prepared.batch.sender
+    state = _state(connection, prepared.spacecraft_key, prepared.batch.source, sender)
+    if sender is not None and sender.station is not None and state.station not in (None, sender.station):
+        raise source_not_yours(prepared.batch.source, state.station, sender.station)
     outcome = sort_rows(connection, cache, prepared, state.source_key, state.source_newest_epoch_us)
     prepared = outcome.batch
     if not len(outcome.accepted):
@@ -128,6 +140,8 @@ def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentC
         insert_run(connection, run)
     _store_details(connection, prepared, outcome.accepted, state)
     jumps = _advance(connection, prepared, outcome, state)
+    if sender is not None and not state.is_as_before(sender):
+        _begin_key_run(connection, prepared.spacecraft_key, state, sender)
     late = int(is_late.sum())
     return BatchReceipt(
         len(outcome.accepted),
@@ -158,9 +172,19 @@ def _state(connection: Connection, key: int, name: str, sender: Sender | None) -
     return IngestState(*_READ_STATE.run(connection, key, name).fetchone())
 
 
+def _begin_key_run(connection: Connection, key: int, state: IngestState, sender: Sender) -> None:
+    """Note from which row on a source is sent with another key; without an owner it becomes its station's."""
+    run = {"first_number": state.newest_number + 1, "key_id": sender.key_id, "station": sender.station}
+    connection.execute(source_key_run.insert().values(spacecraft_key=key, source_key=state.source_key, **run))
+    is_it = (source.c.spacecraft_key == key, source.c.source_key == state.source_key)
+    owner = state.station or sender.station
+    connection.execute(update(source).where(*is_it).values(key_id=sender.key_id, station=owner))
+
+
 def _check_number(connection: Connection, sender: Sender) -> None:
-    """Refuse a source that is one too many of its key."""
-    made = select(func.count()).select_from(source).where(source.c.created_by == sender.key_id)
+    """Refuse a source that is one too many of its station, or of its key."""
+    is_its = source.c.created_by == sender.key_id if sender.station is None else source.c.station == sender.station
+    made = select(func.count()).select_from(source).where(is_its)
     if connection.execute(made).scalar_one() >= sender.max_sources:
         detail = f"This key has made {sender.max_sources} sources and may make no more."
         raise InvalidInputError("source.too_many", detail)
@@ -383,7 +407,9 @@ class _Together:
         """Take a batch of one row along and tell what will be committed of it; None when it is none for here."""
         batch, epoch_us = prepared.batch, prepared.epochs_us[0]
         state = self._states.get(batch.source)
-        if state is None or (state.source_newest_epoch_us is not None and epoch_us <= state.source_newest_epoch_us):
+        if state is None or not state.is_as_before(batch.sender):
+            return None
+        if state.source_newest_epoch_us is not None and epoch_us <= state.source_newest_epoch_us:
             return None
         seq = None if batch.first_seq is None else batch.first_seq + int(batch.index[0])
         if seq is not None and (state.tail is None or seq != state.tail.last + 1):

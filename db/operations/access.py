@@ -28,6 +28,8 @@ from service.records.operations.access import (
 _WALK = 2000
 #: sessions of one key at once; the one that would end first makes room
 SESSIONS_PER_KEY = 100
+#: columns of words by commas
+_LISTS = ("spacecraft", "kinds")
 _EVENT_FIELDS = tuple(field.name for field in fields(AuditEvent))
 
 
@@ -179,6 +181,7 @@ class SqlKeys(Repository):
 
 def _insert(connection: Connection, stored: StoredKey) -> AccessKey:
     values = asdict(stored.key)
+    values |= {name: ",".join(values[name]) for name in _LISTS}
     connection.execute(access_key.insert().values(key_id=values.pop("id"), digest=stored.digest, **values))
     return stored.key
 
@@ -186,4 +189,5 @@ def _insert(connection: Connection, stored: StoredKey) -> AccessKey:
 def _stored_of(row: Row[Any]) -> StoredKey:
     columns = dict(row._mapping) | {"role": Role(row.role)}  # noqa: SLF001 - the public name of it
     digest = columns.pop("digest")
+    columns |= {name: tuple(filter(None, columns[name].split(","))) for name in _LISTS}
     return StoredKey(AccessKey(id=columns.pop("key_id"), **columns), bytes(digest))

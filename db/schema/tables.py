@@ -75,6 +75,21 @@ source = Table(
     *optional(BigInteger, "seq_run", "seq_after_us", "seq_start", "seq_last", "rows_missing"),
     #: id of the key that its first row came with; null where that was not asked
     Column("created_by", Text),
+    # its station, and the key of its newest rows
+    *optional(Text, "station", "key_id"),
+)
+
+#: from which journal number on rows of a source came with a key, of a station or of a person (null)
+source_key_run = Table(
+    "source_key_run",
+    metadata,
+    spacecraft_key(is_referencing=False),
+    *keys(BigInteger, "first_number"),
+    Column("source_key", Integer, nullable=False),
+    Column("key_id", Text, nullable=False),
+    Column("station", Text),
+    checksum_column(),
+    sqlite_with_rowid=False,
 )
 
 #: numbers held below the newest interval of a source, which stands with the source itself
@@ -401,6 +416,9 @@ access_key = Table(
     Column("created_at_us", BigInteger, nullable=False),
     Column("created_by", Text, nullable=False),
     *optional(BigInteger, "expires_at_us", "last_used_us", "revoked_at_us"),
+    Column("station", Text),
+    # words by commas
+    *needed(Text, "spacecraft", "kinds"),
 )
 
 browser_session = Table(

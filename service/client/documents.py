@@ -96,6 +96,10 @@ class MeasurementReply(TypedDict):
     received_at: str
     #: Source of the rows, as its sender named it.
     source: str
+    #: Key that it came with; null: it was not asked.
+    key_id: str | None
+    #: Station of that key; null: a person sent it.
+    station: str | None
     #: Number that the source gave the row; null where it numbers none.
     seq: int | None
     #: Carrier plan that gives the order of the carriers.

@@ -125,7 +125,7 @@ class Settings(BaseSettings):
         200_000_000, ge=0, description="free space beside the database below which /readyz says not ready, bytes"
     )
     max_streams: int = Field(500, ge=1, description="live streams at once")
-    max_sources_per_key: int = Field(500, ge=1, description="sources that one key may make by sending under new names")
+    max_sources_per_key: int = Field(500, ge=1, description="sources that a station or a person's key may make")
     max_connections: int = Field(2000, ge=1, description="connections at once; fewer where descriptors are short")
     max_connections_per_address: int = Field(
         64, ge=1, description="connections of one address at once (IPv6: of its /64); trusted proxies are exempt"

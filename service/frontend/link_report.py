@@ -127,6 +127,7 @@ def analyzer_link(station: MeasuringStation, period_s: float) -> dict[str, Any]:
     """Return the report of one analyzer's link."""
     acquisition, counters, spool = station.acquisition, station.acquisition.counters, station.spool.state
     upload = station.uploader.counters
+    warnings = [*station.spool.warnings, *([upload.not_accepted] if upload.not_accepted else ())]
     return {
         "id": station.link_id,
         "kind": "analyzer",
@@ -154,7 +155,7 @@ def analyzer_link(station: MeasuringStation, period_s: float) -> dict[str, Any]:
         }
         | {f"dropped_{reason}": rows for reason, rows in spool.dropped.items()},
         "last_good": None if counters.last_good_us is None else format_epoch(counters.last_good_us),
-        "warnings": [*acquisition.warnings, *(each.as_json() for each in station.spool.warnings)],
+        "warnings": [*acquisition.warnings, *(each.as_json() for each in warnings)],
         "reset_seen": acquisition.orders.resets_seen,
         "period_s": period_s,
     }

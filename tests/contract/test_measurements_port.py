@@ -9,7 +9,7 @@ from example_counts import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.errors import InvalidInputError, NotFoundError
+from service.errors import ForbiddenError, InvalidInputError, NotFoundError
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.levels.measurement import DETAIL_NAMES, BatchReceipt, CarrierDetails, Measurement, Sender
@@ -357,6 +357,42 @@ def test_any_interleaving_is_counted_exactly_and_numbered_without_gaps(new_setti
     assert [(content.source, content.epoch_us, content.is_late) for content in contents] == numbers
     stored = {source.id: source.rows for source in setting.storage.archive.sources(setting.id)}
     assert sum(stored.values()) == len(kept)
+
+
+def test_rows_of_another_station_are_refused_among_those_of_many_front_ends(setting):
+    """Written together or alone, on either database: one that is not theirs keeps no other row from being stored."""
+
+    def send(source, key_id, station, epoch_us):
+        batch = replace(setting.batch([epoch_us], source=source), sender=Sender(key_id, 9, station))
+        return setting.storage.archive.append_measurements(batch)
+
+    for k in range(3):
+        assert send(f"sa-{k}", f"k{k}", f"north-{k}", 10).result(60).accepted == 1
+    asked = [
+        (send(f"sa-{k}", key_id, station, epoch_us), station == f"north-{k}")
+        for epoch_us in range(20, 40)
+        for k in range(3)
+        # an honest row, a forged one before it and one behind
+        for key_id, station in (("x", "south"), (f"k{k}" if epoch_us < 30 else "new", f"north-{k}"), ("x", "south"))
+    ]
+    for future, is_own in asked:
+        if is_own:
+            assert future.result(60).accepted == 1
+        else:
+            with pytest.raises(
+                ForbiddenError, match=r"source\.not_yours: Source 'sa-\d' belongs to station 'north-\d'"
+            ):
+                future.result(60)
+    rows = setting.rows()
+    assert len(rows) == 63
+    for row in rows:
+        k = row.source.removeprefix("sa-")
+        assert (row.key_id, row.station) == ("new" if row.epoch_us >= 30 else f"k{k}", f"north-{k}")
+    # sealed rows know their keys too
+    assert sum(part.rows for part in setting.storage.archive.seal(setting.id, 1 << 60, 1 << 60)) == 63
+    assert repr(setting.rows()) == repr(rows)
+    sources = setting.storage.archive.sources(setting.id)
+    assert [(each.station, each.key_id) for each in sources] == [(f"north-{k}", "new") for k in range(3)]
 
 
 def test_a_key_makes_so_many_sources_and_goes_on_under_those(setting):

@@ -22,7 +22,7 @@ from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.inputs import AttitudeReference, JournalHead, Operation
-from service.records.levels.measurement import CarrierDetails
+from service.records.levels.measurement import CarrierDetails, Sender
 from service.records.levels.sweep import Ring, Trace, TraceSettings
 from service.records.operations.alarms import AlarmChange, ChangeKind, Note
 from service.records.operations.release import ProductForm, ReleaseChange, UplinkProduct
@@ -136,6 +136,8 @@ def filled(setting, make):
     together = [setting.batch([70 + position], source=source) for position in range(3) for source in ("sa-1", "sa-2")]
     for future in [setting.storage.archive.append_measurements(batch) for batch in together]:
         assert future.result(10).accepted == 1
+    batch = replace(setting.batch([80]), sender=Sender("k1", 9, "north"))
+    assert setting.storage.archive.append_measurements(batch).result(10).accepted == 1
     rows = setting.rows()
     reference = make.attitude_row(rows[0]).attitude_deg
     setting.storage.archive.append_inputs(setting.id, [AttitudeReference("star_tracker", 12, reference, reference)])
@@ -186,6 +188,7 @@ CHANGES = (
     "UPDATE alarm_change SET spacecraft_id = NULL",
     "UPDATE note SET epoch_us = 4",
     "UPDATE uplink_product SET created_us = 6",
+    "UPDATE source_key_run SET station = 'south'",
 )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from hashlib import sha256
 from http import HTTPStatus
-from typing import Annotated, Protocol
+from typing import Annotated, Any, Protocol
 from urllib.parse import urlsplit
 
 from fastapi import Depends, Request, Response
@@ -17,7 +17,15 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.limits.rate_limits import Allowance, RateLimits, class_of
 from service.api.problems.problems import RequestProblemError, request_id_of
-from service.records.operations.access import DONE, AuditContext, AuditEvent, BrowserSession, Role, without_secrets
+from service.records.operations.access import (
+    DONE,
+    AuditContext,
+    AuditEvent,
+    BrowserSession,
+    DataKind,
+    Role,
+    without_secrets,
+)
 
 _METHODS = ("GET", "HEAD")
 #: headers of answers that a page may read besides those that every page may
@@ -111,6 +119,10 @@ class Principal:
     expires_at_us: int | None = None
     #: by whose cookie the request came; None = it came with the key
     session: BrowserSession | None = None
+    #: of a key of role station, with what it is bound to; nothing named: everything
+    station: str | None = None
+    spacecraft: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
 
     def may(self, permission: Permission) -> bool:
         """Return whether the role carries a permission."""
@@ -336,6 +348,34 @@ class Requires:
             note_of(request.scope).audit_event = audit_event_of(
                 request.scope, request.app.state.context.clock.system_us()
             )
+
+
+class SendsKind(Requires):
+    """A dependency that lets only holders pass who may send a kind of data for the spacecraft of the path.
+
+    Parameters
+    ----------
+    kind : DataKind
+        What the route takes.
+    """
+
+    def __init__(self, kind: DataKind) -> None:
+        super().__init__(Permission.SEND)
+        self._kind = kind
+
+    async def __call__(self, request: Request) -> None:
+        """Raise 401 or 403 as `Requires`, and 403 for what the station of a key is not bound to."""
+        await super().__call__(request)
+        principal, spacecraft_id = await authenticated(request), request.path_params["spacecraft_id"]
+        for bound, asked in ((principal.spacecraft, spacecraft_id), (principal.kinds, self._kind.value)):
+            if bound and asked not in bound:
+                detail = f"station {principal.station!r} is bound to {', '.join(bound)}, not to {asked[:64]}"
+                raise RequestProblemError(HTTPStatus.FORBIDDEN, "station.not_bound", detail)
+
+
+def may_send(kind: DataKind) -> Any:
+    """Return the dependency of a route that takes a kind of data."""
+    return Depends(SendsKind(kind))
 
 
 MAY_READ = Depends(Requires(Permission.READ))

@@ -100,7 +100,8 @@ class StoredKeys:
             return None
         with self._used_lock:
             self._used_us[key_id] = now_us
-        return Principal(stored.key.name, stored.key.role, key_id, stored.key.expires_at_us)
+        held = stored.key
+        return Principal(held.name, held.role, key_id, held.expires_at_us, held.station, held.spacecraft, held.kinds)
 
     async def session_holder(self, token: str) -> Principal | None:
         """Return the holder of the key of an open session, None for any other text."""

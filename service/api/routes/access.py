@@ -48,9 +48,9 @@ from service.api.schemas.access import (
     ShippedAnswer,
 )
 from service.api.views.shipped import program_version, shipped_distributions
-from service.errors import FieldError, NotFoundError
+from service.errors import ConflictError, FieldError, NotFoundError
 from service.records.epoch import US_PER_S
-from service.records.operations.access import AccessKey, AuditFilter, StoredKey, digest_of, new_key
+from service.records.operations.access import AccessKey, AuditFilter, Role, StoredKey, digest_of, new_key
 from service.runtime.live.chain_restart import Restarting
 
 about_router = APIRouter(tags=["health"])
@@ -222,6 +222,7 @@ def create_key(
         detail = "the key would have expired already"
         raise invalid_request([FieldError("/expires_at", "key.expires_past", detail)])
     key_id, text = new_key()
+    station, spacecraft, kinds = _bound(body, context, now_us)
     key = AccessKey(
         id=key_id,
         name=body.name,
@@ -229,12 +230,35 @@ def create_key(
         created_at_us=now_us,
         created_by=principal.name,
         expires_at_us=body.expires_at,
+        station=station,
+        spacecraft=spacecraft,
+        kinds=kinds,
     )
     context.storage.keys.add(StoredKey(key, digest_of(text.encode("ascii"))))
     ring.forget()
     response.headers["Cache-Control"] = "no-store"
     content = {"id": key.id, "key": text, "name": key.name, "role": key.role, "expires_at": key.expires_at_us}
     return NewKeyAnswer.model_validate(content)
+
+
+def _bound(body: KeyDocument, context: Context, now_us: int) -> tuple[str | None, tuple[str, ...], tuple[str, ...]]:
+    """Return station, spacecraft and kinds of a new key; those of the station's valid keys where it states none."""
+    if body.role is not Role.STATION:
+        if body.station or body.spacecraft or body.kinds:
+            raise invalid_request([FieldError("/station", "key.not_station", "only a key of role station has one")])
+        return None, (), ()
+    station = body.station or body.name
+    stated = tuple(body.spacecraft or ()), tuple(body.kinds or ())
+    keys = (each.key for each in context.storage.keys.all())
+    valid = next((key for key in keys if key.station == station and key.is_valid(now_us)), None)
+    if valid is None:
+        return station, *stated
+    inherited = valid.spacecraft, valid.kinds
+    asked = (body.spacecraft, body.kinds)
+    if any(each is not None and set(each) != set(known) for each, known in zip(asked, inherited, strict=True)):
+        detail = f"key {valid.id} of station {station!r} is valid and bound otherwise"
+        raise ConflictError("key.station_bound", detail)
+    return station, *inherited
 
 
 @keys_router.get("")

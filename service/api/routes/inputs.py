@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from pydantic import BaseModel, TypeAdapter
 
-from service.api.access.auth import MAY_OPERATE, MAY_SEND
+from service.api.access.auth import MAY_OPERATE, may_send
 from service.api.context import ApiContext, Context, EpochLimits, SpacecraftId
 from service.api.protocol.paging import Page, PageQuery, Position
 from service.api.protocol.requests import MergePatch, accepts, body_of, patched
@@ -45,6 +45,7 @@ from service.records.catalogue import Spacecraft
 from service.records.epoch import LATEST_EPOCH_US, format_epoch
 from service.records.inputs import JournalEntry, SlowInput
 from service.records.levels.measurement import InputReceipt
+from service.records.operations.access import DataKind
 
 inputs_router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["inputs"])
 _NOTHING_STORED = InputReceipt(0, 0, ())
@@ -62,7 +63,9 @@ M = TypeVar("M", bound=BaseModel)
 
 
 @inputs_router.post(
-    "/attitude-references:batch", dependencies=[MAY_SEND], openapi_extra=accepts(ReferenceBatchDocument)
+    "/attitude-references:batch",
+    dependencies=[may_send(DataKind.REFERENCES)],
+    openapi_extra=accepts(ReferenceBatchDocument),
 )
 def send_references(
     spacecraft_id: SpacecraftId,
@@ -80,7 +83,9 @@ def send_references(
     return _append(spacecraft_id, context, body.references, lambda row: row.to_record(body.source))
 
 
-@inputs_router.post("/corrections:batch", dependencies=[MAY_SEND], openapi_extra=accepts(CorrectionBatchDocument))
+@inputs_router.post(
+    "/corrections:batch", dependencies=[may_send(DataKind.CORRECTIONS)], openapi_extra=accepts(CorrectionBatchDocument)
+)
 def send_corrections(
     spacecraft_id: SpacecraftId,
     body: Annotated[CorrectionBatchDocument, body_of(CorrectionBatchDocument)],
@@ -91,7 +96,9 @@ def send_corrections(
     return _append(spacecraft_id, context, body.corrections, lambda row: row.to_record())
 
 
-@inputs_router.post("/telemetry:batch", dependencies=[MAY_SEND], openapi_extra=accepts(TelemetryBatchDocument))
+@inputs_router.post(
+    "/telemetry:batch", dependencies=[may_send(DataKind.TELEMETRY)], openapi_extra=accepts(TelemetryBatchDocument)
+)
 def send_telemetry(
     spacecraft_id: SpacecraftId,
     body: Annotated[TelemetryBatchDocument, body_of(TelemetryBatchDocument)],
@@ -111,7 +118,9 @@ def send_telemetry(
     return _append(spacecraft_id, context, body.records, lambda row: row.to_record(), fault)
 
 
-@inputs_router.post("/weather:batch", dependencies=[MAY_SEND], openapi_extra=accepts(WeatherBatchDocument))
+@inputs_router.post(
+    "/weather:batch", dependencies=[may_send(DataKind.WEATHER)], openapi_extra=accepts(WeatherBatchDocument)
+)
 async def send_weather(
     spacecraft_id: SpacecraftId,
     body: Annotated[WeatherBatchDocument, body_of(WeatherBatchDocument)],
@@ -129,7 +138,11 @@ async def send_weather(
     return await run_in_threadpool(_append_weather, spacecraft_id, context, body, latest_us)
 
 
-@inputs_router.post("/polarization:batch", dependencies=[MAY_SEND], openapi_extra=accepts(PolarizationBatchDocument))
+@inputs_router.post(
+    "/polarization:batch",
+    dependencies=[may_send(DataKind.POLARIZATION)],
+    openapi_extra=accepts(PolarizationBatchDocument),
+)
 async def send_polarization(
     spacecraft_id: SpacecraftId,
     body: Annotated[PolarizationBatchDocument, body_of(PolarizationBatchDocument)],

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse
 
-from service.api.access.auth import MAY_SEND
+from service.api.access.auth import Principal, may_send
 from service.api.context import (
     ApiContext,
     CommitWaiter,
@@ -44,13 +44,14 @@ from service.api.schemas.measurements import (
     TraceReceiptAnswer,
     TraceRefusalAnswer,
 )
-from service.errors import FieldError
+from service.errors import FieldError, source_not_yours
 from service.formats.numbers import text_of_float32
 from service.pipeline.ingest_screening import EpochBounds, ReceivedRows, screen
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import CarrierState
 from service.records.levels.measurement import BatchReceipt, Measurement, RowNotice, RowRefusal, Sender
 from service.records.levels.sweep import KeptTrace, Ring
+from service.records.operations.access import DataKind
 
 measurements_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/measurements", tags=["measurements"])
 
@@ -109,7 +110,7 @@ _NOTHING_STORED = BatchReceipt(0, 0, 0, ())
 
 @measurements_ingest_router.post(
     "/measurements:batch",
-    dependencies=[MAY_SEND],
+    dependencies=[may_send(DataKind.POWERS)],
     openapi_extra=accepts(MeasurementBatchDocument),
     response_model=MeasurementReceiptAnswer,
 )
@@ -125,6 +126,7 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         raise invalid_request([FieldError("/first_seq", "value.range", detail)])
     epochs = _epochs(body)
     width = await widths.width(spacecraft_id, body.plan_id)
+    principal: Principal = request.state.principal
     rows = ReceivedRows(
         spacecraft_id=spacecraft_id,
         source=body.source,
@@ -136,7 +138,7 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         flags=[row.get("flags") for row in body.measurements],
         details=body.details(),
         leap_positions=epochs.leap_positions,
-        sender=Sender(request.state.principal.key_id, context.limits.max_sources_per_key),
+        sender=Sender(principal.key_id, context.limits.max_sources_per_key, principal.station),
     )
     epoch_limits: EpochLimits = request.app.state.epoch_limits
     batch, screened = screen(rows, width, await epoch_limits.known(spacecraft_id))
@@ -214,7 +216,7 @@ SourceParameter = Annotated[str | None, Query(pattern=NAME_PATTERN, description=
 SweepParameter = Annotated[str | None, Query(pattern=NAME_PATTERN, description="Only traces of this sweep")]
 
 
-@traces_router.post("", dependencies=[MAY_SEND], openapi_extra=accepts(TraceBatchDocument))
+@traces_router.post("", dependencies=[may_send(DataKind.POWERS)], openapi_extra=accepts(TraceBatchDocument))
 async def send_traces(
     spacecraft_id: SpacecraftId,
     body: Annotated[TraceBatchDocument, body_of(TraceBatchDocument)],
@@ -224,6 +226,7 @@ async def send_traces(
     """Keep traces of one source; the oldest ones of the source make place."""
     limits: EpochLimits = request.app.state.epoch_limits
     bounds = await limits.present(spacecraft_id)
+    await run_in_threadpool(_require_own, context, spacecraft_id, body.source, request.state.principal)
     faults = [_fault(trace, bounds) for trace in body.traces]
     kept = [trace.to_record() for trace, fault in zip(body.traces, faults, strict=True) if fault is None]
     refused = [TraceRefusalAnswer.of_fault(index, fault) for index, fault in enumerate(faults) if fault is not None]
@@ -267,6 +270,13 @@ def get_trace(
     name = f"{spacecraft_id}-{trace.head.source}-{trace.head.sweep}-{trace.head.epoch_us}.csv".replace(":", "_")
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "Vary": "Accept"}
     return Response(_as_csv(trace), media_type=_CSV, headers=headers)
+
+
+def _require_own(context: ApiContext, spacecraft_id: str, name: str, principal: Principal) -> None:
+    """Raise ForbiddenError ``source.not_yours`` for the key of another station than that of a source."""
+    for source in context.storage.archive.sources(spacecraft_id):
+        if source.id == name and principal.station is not None and source.station not in (None, principal.station):
+            raise source_not_yours(name, source.station, principal.station)
 
 
 def _fault(trace: TraceDocument, bounds: EpochBounds) -> tuple[str, str] | None:

@@ -7,8 +7,17 @@ from pydantic import AfterValidator, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
 from service.api.access.auth import Permission, Principal
-from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, RowList, WindowAnswer, members_of
-from service.records.operations.access import AccessKey, AuditEntry, AuditEvent, AuditHead, Role, plain_name
+from service.api.schemas.base import (
+    NAME_PATTERN,
+    Answer,
+    Document,
+    Epoch,
+    EpochAnswer,
+    RowList,
+    WindowAnswer,
+    members_of,
+)
+from service.records.operations.access import AccessKey, AuditEntry, AuditEvent, AuditHead, DataKind, Role, plain_name
 from service.records.operations.work import Job
 from service.records.setting import SettingSource
 
@@ -118,6 +127,15 @@ class KeyDocument(Document):
     role: Annotated[Role, Field(strict=False)]
     expires_at: Epoch | None = None
     """Instant from which it is no longer valid; null = never."""
+    station: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] | None = None
+    """Only of role station: the station whose sources it sends, by default the name of the key. Another key of the same
+    station replaces it."""
+    spacecraft: (
+        Annotated[list[Annotated[str, StringConstraints(pattern=NAME_PATTERN)]], Field(max_length=100)] | None
+    ) = None
+    """What the station may send for; empty: any. Null: as a valid key of the station states, else any."""
+    kinds: Annotated[list[Annotated[DataKind, Field(strict=False)]], Field(max_length=10)] | None = None
+    """Kinds of data that the station may send; empty: every one. Null: as a valid key of the station states."""
 
 
 class KeyAnswer(members_of(AccessKey, without=("last_used_us",)), Answer):

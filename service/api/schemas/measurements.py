@@ -45,6 +45,10 @@ class MeasurementAnswer(Answer):
     """Middle of the dwell."""
     received_at: EpochAnswer
     source: str
+    key_id: str | None
+    """Key that it came with; null: it was not asked."""
+    station: str | None
+    """Station of that key; null: a person sent it."""
     seq: int | None
     plan_id: int
     late: bool
@@ -74,6 +78,8 @@ class MeasurementAnswer(Answer):
                 "epoch": row.epoch_us,
                 "received_at": row.received_at_us,
                 "source": row.source,
+                "key_id": row.key_id,
+                "station": row.station,
                 "seq": row.seq,
                 "plan_id": row.plan_id,
                 "late": row.is_late,

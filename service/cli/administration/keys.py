@@ -23,13 +23,17 @@ def create(
     name: Annotated[str, typer.Option(help="Who will hold it; it stands in the audit log.")],
     role: Annotated[str, typer.Option(help="viewer, station, operator, approver or admin.")],
     expires: Annotated[str | None, typer.Option(help="RFC 3339 instant from which it is no longer valid.")] = None,
+    station: Annotated[str | None, typer.Option(help="Station of a key of role station; by default its name.")] = None,
+    spacecraft: Annotated[list[str] | None, typer.Option(help="Only for this spacecraft; repeatable.")] = None,
+    kind: Annotated[list[str] | None, typer.Option(help="Only this kind, such as powers; repeatable.")] = None,
     service: ServiceUrl = DEFAULT_SERVICE,
     key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Make a key and print it; nobody can read it again."""
+    bound = {"station": station, "spacecraft": spacecraft or None, "kinds": kind or None}
     with connected(service, key_env) as client:
-        made = client.request("POST", "/keys", {"name": name, "role": role, "expires_at": expires})
+        made = client.request("POST", "/keys", {"name": name, "role": role, "expires_at": expires, **bound})
     if as_json:
         typer.echo(json.dumps(made))
         return

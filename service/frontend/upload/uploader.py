@@ -25,6 +25,7 @@ import numpy as np
 from service.client.backoff import Backoff
 from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
+from service.frontend.spool.disk import SpoolWarning
 from service.frontend.spool.file import UploadLane
 from service.frontend.spool.row import SpooledRow, SpooledTask, SpooledTrace
 from service.frontend.spool.spool import Spool
@@ -43,7 +44,7 @@ from service.records.epoch import US_PER_S, format_epoch
 _AGAIN_S = 600.0
 #: decimals of a point on the wire, dB
 _DECIMALS = 2
-_UNKNOWN, _TOO_LARGE, _UNREADABLE = 404, 413, 422
+_FORBIDDEN, _UNKNOWN, _TOO_LARGE, _UNREADABLE = 403, 404, 413, 422
 
 
 @dataclass(slots=True)
@@ -204,6 +205,8 @@ class UploadCounters:
     #: attempts that failed and were repeated
     failures: int = 0
     last_failure: str = ""
+    #: stands while the service refuses the rows by the key that they come with; they stay in the spool
+    not_accepted: SpoolWarning | None = None
     #: when the service last accounted for rows, microseconds UTC
     last_good_us: int | None = None
 
@@ -391,6 +394,8 @@ class Uploader:
             if verdict is BatchAction.NEW_PLAN:
                 self._is_resuming = False
                 self._bindings.clear()
+            if problem.status == _FORBIDDEN and self.counters.not_accepted is None:
+                self.counters.not_accepted = SpoolWarning("upload.not_accepted", str(problem), self._now_us())
             self._fail(f"service refuses the batch: {problem}", None)
 
     def _binding(self, task: SpooledTask) -> PlanBinding:
@@ -434,6 +439,7 @@ class Uploader:
         if self._is_down:
             logger.info("the service answers again; %d rows wait to be sent", self._spool.waiting)
         self._is_down = False
+        self.counters.not_accepted = None
         self._backoff.reset()
 
 

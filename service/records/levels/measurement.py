@@ -60,6 +60,9 @@ class Measurement:
     seq: int | None = None
     #: (N,) each; None when the front end stated none
     details: CarrierDetails | None = None
+    #: key that it came with and its station; None where that was not asked, station also of a person's key
+    key_id: str | None = None
+    station: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +87,8 @@ class Sender:
 
     key_id: str
     max_sources: int
+    #: None: a person, who may send for any source
+    station: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +259,8 @@ class SourceState:
     rows_missing: Annotated[
         int | None, "Rows that its sequence numbers count and the archive does not hold; null = it numbers no rows."
     ] = None
+    station: Annotated[str | None, "Station that it belongs to; null: no station has sent it yet."] = None
+    key_id: Annotated[str | None, "Key that its newest rows came with."] = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,17 @@ _LEAST_HIDDEN = 8
 _WHOLE_KEY = re.compile(rf"({PREFIX}_[a-z0-9]+_)[\w-]+", re.ASCII)
 
 
+class DataKind(StrEnum):
+    """DataKind of data that a station sends."""
+
+    POWERS = "powers"
+    TELEMETRY = "telemetry"
+    CORRECTIONS = "corrections"
+    REFERENCES = "references"
+    WEATHER = "weather"
+    POLARIZATION = "polarization"
+
+
 class Role(StrEnum):
     """Role of a key; it decides the permissions."""
 
@@ -52,6 +63,9 @@ class AccessKey:
     expires_at_us: int | None = None
     last_used_us: int | None = None
     revoked_at_us: int | None = None
+    station: Annotated[str | None, "Station whose sources it sends; null: a key of a person."] = None
+    spacecraft: Annotated[tuple[str, ...], "What its station may send for; empty: any."] = ()
+    kinds: Annotated[tuple[str, ...], "Kinds of data that its station may send; empty: every one."] = ()
 
     def is_valid(self, at_us: int) -> bool:
         """Return whether the key opens anything at an instant."""

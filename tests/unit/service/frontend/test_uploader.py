@@ -271,6 +271,24 @@ def test_whatever_fails_the_same_batch_goes_again(
     assert "5 rows wait" in caplog.text
 
 
+def test_rows_of_a_source_of_another_station_stay_in_the_spool_and_are_warned_of(rows: Spool) -> None:
+    seen: list[Any] = []
+
+    def refuse(_: dict[str, Any]) -> httpx.Response:
+        seen.append(made.counters.not_accepted)
+        return problem(403, "source.not_yours")
+
+    service = Service(refuse, refuse, refuse, accept)
+    fill(rows)
+    made = uploader(service, rows)
+    deliver(made)
+    assert seen[0] is None
+    assert [each.code for each in seen[1:]] == ["upload.not_accepted"] * 2
+    assert "source.not_yours" in seen[1].detail
+    # nothing was dropped, and the warning goes when the rows are taken
+    assert (made.counters.accepted, made.counters.refused, made.counters.not_accepted) == (5, 0, None)
+
+
 def test_failures_are_followed_by_waits_and_retry_after_is_obeyed(rows: Spool) -> None:
     def later(_: dict[str, Any]) -> httpx.Response:
         return httpx.Response(429, json={"code": "rate", "detail": "slow"}, headers={"Retry-After": "1"})
