@@ -261,7 +261,8 @@ class SqlArchive:
             return and_(number > after, number <= after + limit)
 
         slow = select(journal).where(journal.c.spacecraft_key == key, is_next(journal.c.number))
-        rows = self._pages(connection, key).of_numbers(after, after + limit)
+        pages = self._pages(connection, key)
+        rows = _with_keys(connection, pages, pages.of_numbers(after, after + limit))
         entries = [JournalEntry(row.number, row) for row in rows]
         entries += [_slow_entry(row) for row in connection.execute(slow)]
         return sorted(entries, key=lambda entry: entry.number)
@@ -506,6 +507,8 @@ def _source_state(row: Row[Any]) -> SourceState:
 
 def _with_keys(connection: Connection, pages: MeasurementPages, rows: Sequence[Measurement]) -> list[Measurement]:
     """Return rows with the keys that they came with."""
+    if not rows:
+        return []
     runs: dict[str, list[Any]] = {}
     query = select(source_key_run).where(source_key_run.c.spacecraft_key == pages.key)
     for run in connection.execute(query.order_by(source_key_run.c.first_number)):

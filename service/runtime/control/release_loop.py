@@ -104,7 +104,12 @@ class ReleaseLoop:
     def steady(self, spacecraft_id: str) -> Iterator[bool]:
         """Let nobody trip control while rows are stored and handled; yield whether torques are withheld."""
         try:
-            release = self._context(spacecraft_id).release
+            context = self._context(spacecraft_id)
+            release = context.release
+            with release.lock:
+                if context.known is None:
+                    # documents are compared before the first row of this process is stored
+                    self._update_inputs(context, spacecraft_id, self._instant(context, spacecraft_id))
         except SooError as fault:
             # the rows of a spacecraft that moves to another process are refused
             if not is_moving(fault):

@@ -332,6 +332,8 @@ def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Meas
             feeds_estimator=receipt.feeds_estimator,
             seq=None if batch.first_seq is None else batch.first_seq + int(batch.index[position]),
             details=_details(batch.details, position),
+            key_id=None if batch.sender is None else batch.sender.key_id,
+            station=None if batch.sender is None else batch.sender.station,
         )
 
 

@@ -156,7 +156,7 @@ async def test_a_sign_changed_in_a_calibration_stops_control_and_the_calibration
     # what cannot be read is named as well, and control stays tripped
     assert (await bench.get("/control"))["state"] == "TRIPPED"
     problem = (await bench.client.get(f"{bench.url}/calibrations/{calibration.id}")).json()
-    assert (problem["code"], problem["detail"][:14]) == ("storage.corrupt", f"calibration {calibration.id}: ")
+    assert (problem["code"], problem["detail"][:15]) == ("storage.corrupt", f"calibration {calibration.id}: ")
 
 
 async def test_several_parts_are_all_named(bench, monkeypatch):

@@ -272,6 +272,21 @@ def test_while_the_archive_is_away_nothing_holds(driver):
     assert driver.confirm(command).state == "RELEASED"
 
 
+def test_after_a_start_documents_are_compared_before_the_first_row_is_stored(driver):
+    driver.armed()
+    driver.archive.damaged_documents = ("calibration 7",)
+    driver.restart()
+    with driver.service.steady(SC) as is_withheld:
+        assert is_withheld
+    (hold,) = [each for each in driver.releases.reported if isinstance(each, InterlockHold)]
+    assert (hold.is_withheld, hold.reasons[0]) == (True, "document_corrupt")
+    with pytest.raises(ConflictError, match=r"interlock\.trip_stands"):
+        driver.order(OrderKind.RESET)
+    driver.tell(damaged_documents=())
+    driver.rows(1)
+    assert driver.order(OrderKind.RESET).state == "INHIBITED"
+
+
 def test_of_two_services_on_one_archive_one_releases_and_control_trips(driver):
     driver.armed()
     command = driver.prepare()
