@@ -218,8 +218,8 @@ def _of_service(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
             ConditionLimits(critical=0.0, repeat_s=600.0),
         ),
         _condition(
-            ("document_corrupt", Kind.ABOVE, "", "document", Origin.CLOCK),
-            "{thing} differs from its digest: it was changed in the database",
+            ("document_corrupt", Kind.ABOVE, "s", "document", Origin.CLOCK),
+            "{thing} has differed from its digest for {value}: it was changed in the database",
             "control has tripped; restore the document from a backup, or make it again; `soo doctor` names all of them",
             ConditionLimits(critical=0.0, repeat_s=_HOUR_S),
         ),

@@ -38,6 +38,8 @@ class _Seen:
     started_us: int
     #: missing rows of each source over the last hour
     missing: dict[str, deque[tuple[int, int]]] = field(default_factory=dict)
+    #: since when documents have differed from their digests
+    damaged_us: dict[str, int] = field(default_factory=dict)
 
 
 class ClockChecks:
@@ -109,7 +111,10 @@ class ClockChecks:
     def of_foundations(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
         """Yield the readings of the documents in force: damage, ages of calibrations, end of the ephemeris."""
         damaged = self._storage.catalogue.damaged_documents(spacecraft_id)
-        yield Readings("document_corrupt", damaged, (1.0,) * len(damaged))
+        seen = self._seen.setdefault(spacecraft_id, _Seen(now_us))
+        seen.damaged_us = {name: seen.damaged_us.get(name, now_us) for name in damaged}
+        lasting_s = tuple(max((now_us - since_us) / US_PER_S, _LEAST_AGE_S) for since_us in seen.damaged_us.values())
+        yield Readings("document_corrupt", tuple(seen.damaged_us), lasting_s)
         active = self._storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
         ages = {f"{one.request.method} {one.id}": now_us - one.request.data_until_us for one in active}
         yield Readings("calibration_old", tuple(ages), tuple(age_us / _DAY_US for age_us in ages.values()))
