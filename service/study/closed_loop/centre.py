@@ -227,16 +227,24 @@ class Centre:
         self.chain.update(AppliedCommand(replace(self._command, schedule=(pulse,))))
 
     def _on_report(self, report: CommandReport) -> None:
-        """Report a command as a centre does: what was executed, once it is over."""
+        """Report a command as a centre does: once its slew is over, for what follows is replaced by the next one."""
         command = self._releases.by_counter[report.counter]
         if command.state not in UNREPORTED:
             return
-        if report.state in _NOTHING_EXECUTED or (report.state == "executed" and report.executed_until_us is None):
+        until_us = report.executed_until_us
+        if report.state in _NOTHING_EXECUTED or (report.state == "executed" and until_us is None):
             self._report(Report(self._at(), command.counter, CommandTransition.FAILED))
-        elif report.state == "executed" and report.executed_until_us is not None:
-            until_us = None if report.executed_until_us >= command.stop_us else report.executed_until_us
-            executed = Report(self._at(), command.counter, CommandTransition.EXECUTED, executed_until_us=until_us)
+        elif until_us is not None and (report.state == "executed" or until_us >= self._slew_stop_us(command)):
+            is_cut = report.state == "executed" and until_us < command.stop_us
+            part_us = until_us if is_cut else None
+            executed = Report(self._at(), command.counter, CommandTransition.EXECUTED, executed_until_us=part_us)
             self._report(executed)
+
+    def _slew_stop_us(self, command: Command) -> int:
+        """Return when the last pulse of a command's slew ends."""
+        slew_s = self.torque.slew_share * self._context.spacecraft.control.command_period_s
+        begun_us = command.start_us + microseconds(slew_s)
+        return max(pulse.stop_us for pulse in command.schedule if pulse.start_us <= begun_us)
 
     def _report(self, event: Report) -> None:
         self._context.release.handle(event)

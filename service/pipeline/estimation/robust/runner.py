@@ -497,7 +497,8 @@ class RobustRunner:
         outcome, model = self._last
         gaussian, position = self._state.filter.gaussian, core_size(model.filter)
         unreported = None
-        if self._state.released:
+        # under a torque that nobody states its step, as at the edge of a shadow, explains as much as a lost command
+        if self._state.released and not model.is_torque_unknown:
             mean, variance = float(gaussian.mean[position]), float(gaussian.covariance[position, position])
             unreported = share_log_ratio(mean, variance, SHARE_SIGMA)
         return CommandEvidence(
