@@ -199,7 +199,7 @@ class CalibrationAnswer(members_of(Calibration, without=("request", "result")), 
     of the body likewise, not_stated without `onboard.rate_sensor` beside the loop; `rate_response_roll` and others.
     `turns` by the powers against the sensor's likewise: clock (`turn_lag_s`, positive = the powers are late), unit
     (`turn_scale`, angles of the sensor over those of the beams; sigma of its logarithm), motion
-    (`turn_shared_sigmas`); contradicted, it is activated only with `override_reason`.
+    (`turn_shared`, sigmas); contradicted, it is activated only with `override_reason`.
     `polarimeter` is the worst verdict on a polarimeter, `polarimeter_response` its figure; `polarimeter_feed_turn_deg`
     (turn of its feed, leakage taken for a turn, with which the filter begins), `polarimeter_leakage_deg`, each with its
     sigma, and `polarimeter_daily_deg` (amplitude) where ratios tell them. `gathered_constant_yaw_n_m`,

@@ -21,7 +21,7 @@ from service.core.estimation.filtering.model.torque_prior import TORQUES
 from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, GeometryRows, geometry_rows
 from service.pipeline.calibration.paper_calibration import observe, paper_part
-from service.pipeline.calibration.sensor_signs import SignReport, report_signs
+from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.telemetry_checks import (
     axes_quality,
     momentum_check,
@@ -45,8 +45,6 @@ from service.records.calibration import (
     GatheredTorque,
     MotionVerdict,
     PolarimeterCheck,
-    SensorSigns,
-    TurnsCheck,
 )
 from service.records.catalogue import Carrier, Spacecraft
 from service.records.geometry import GeometryFit, Row, Table
@@ -180,7 +178,8 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     quality = quality_metrics(rows, joint, is_used)
     is_free = is_user_carrier & (joint.group < 0)
     turns = turns_check(data, rows, joint, is_user_carrier, config)
-    report = _sign_report(data, config, rows, joint, is_free, turns)
+    reach_deg = quality["yaw_turn_reach_deg"]
+    report = report_signs(data, config, rows.positions, joint.fit.free, is_free, reach_deg, doubt=turns.reason)
     momentum, rates, angles = momentum_check(data, config), rate_check(data, config), polarimeter_checks(data, config)
     gathered = gathered_torque(data, momentum, rows.angles.sensor_sigma_deg, config)
     sigma_db = np.hypot(white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
@@ -214,24 +213,6 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
         gathered,
         turns,
     )
-
-
-def _sign_report(
-    data: CalibrationInput,
-    config: CalibrationConfig,
-    rows: GeometryRows,
-    joint: JointFit,
-    is_free: BoolArray,
-    turns: TurnsCheck,
-) -> SignReport:
-    """Return the report on the axes; angles of another time, unit or sensor prove no sign and contradict none."""
-    turned = rows.angles.attitude_deg[~rows.is_quiet, 0]
-    try:
-        return report_signs(data, config, rows.positions, joint.fit.free, is_free, float(np.nanmax(np.abs(turned))))
-    except CalibrationError as error:
-        if not turns.reason:
-            raise
-        return SignReport(SensorSigns(is_yaw_proven=False, is_common_proven=False), {}, (str(error),))
 
 
 def _motion_quality(

@@ -42,6 +42,8 @@ def report_signs(
     free: FreeResponse | None,
     is_used: BoolArray,
     yaw_reach_deg: float,
+    *,
+    doubt: str = "",
 ) -> SignReport:
     """Return the report on the axes of the sensors.
 
@@ -59,6 +61,8 @@ def report_signs(
         Carriers with a station, slopes and no level control.
     yaw_reach_deg : float
         Largest yaw angle of the turns.
+    doubt : str
+        Why angles are of another time, unit or sensor, which prove no sign and contradict none; empty = they are not.
 
     Raises
     ------
@@ -72,7 +76,11 @@ def report_signs(
     if verdict is None:
         signs = SensorSigns(is_yaw_proven=False, is_common_proven=False)
         return SignReport(signs, {}, (_unproven("too few carriers have a station"),))
-    _refuse_contradiction(verdict, data.sensors)
+    contradiction = _contradiction(verdict, data.sensors)
+    if contradiction and not doubt:
+        raise CalibrationError(contradiction)
+    if contradiction:
+        return SignReport(SensorSigns(is_yaw_proven=False, is_common_proven=False), {}, (contradiction,))
     is_turned = yaw_reach_deg >= config.min_yaw_proof_deg
     is_yaw_proven = is_turned and verdict.margin(-1.0, 1.0, 1.0) >= DECISIVE
     warnings = _about_scale(verdict, config)
@@ -96,21 +104,20 @@ def _turned(data: CalibrationInput, config: CalibrationConfig) -> tuple[FloatArr
     return announced, after - before
 
 
-def _refuse_contradiction(verdict: AxesVerdict, sensors: tuple[str, str, str]) -> None:
-    """Refuse sensors whose axes the powers contradict."""
+def _contradiction(verdict: AxesVerdict, sensors: tuple[str, str, str]) -> str:
+    """Return why the powers contradict the axes of the sensors; empty = they do not."""
     best = float(verdict.chi_square.min())
     if verdict.chi_square[0] - best <= DECISIVE:
-        return
+        return ""
     similar = np.flatnonzero(verdict.chi_square <= best + _SIMILAR)[:2]
     likely = ", or ".join(_mistake(MAPPINGS[k]) for k in similar)
     (pitch, roll), (pitch_sigma, roll_sigma) = verdict.coefficient, verdict.sigma
-    message = (
+    return (
         f"the powers contradict the axes of {', '.join(sorted(set(sensors)))} by "
         f"{np.sqrt(verdict.chi_square[0] - best):.0f} sigma; likely {likely} (yaw slopes on pitch slopes "
         f"{pitch:+.2f} +- {pitch_sigma:.2f}, on roll slopes {roll:+.2f} +- {roll_sigma:.2f}, both must be +1). Send "
         "references in which roll > 0 moves stations South, pitch > 0 West and yaw > 0 those in the East to the North"
     )
-    raise CalibrationError(message)
 
 
 def _mistake(mapping: FloatArray) -> str:

@@ -67,7 +67,8 @@ def turns_check(
     reason = ""
     if lag is not None:
         scatter = float(np.nanmedian(np.where(is_used, lag.left, np.nan)))
-        check = replace(check, lag_s=lag.lag_s, lag_sigma_s=lag.sigma_s, scatter=scatter, shared=lag.shared_sigmas)
+        lag_s, sigma_s = lag.best
+        check = replace(check, lag_s=lag_s, lag_sigma_s=sigma_s, scatter=scatter, shared=lag.shared_sigmas)
         # another sensor's turns fit some lag, and beams by a lagging clock some unit
         reason = _about_sensor(data, check, config) or _about_lag(data, rows, joint, is_used, lag)
     reason = reason or _about_scale(scale, reach_deg)
@@ -77,14 +78,8 @@ def turns_check(
 
 def turns_quality(check: TurnsCheck) -> dict[str, float]:
     """Return the figures of the check, by name."""
-    figures = {
-        "turn_lag_s": check.lag_s,
-        "turn_lag_sigma_s": check.lag_sigma_s,
-        "turn_scale": check.scale,
-        "turn_scale_sigma": check.scale_sigma,
-        "turn_shared_sigmas": check.shared,
-    }
-    return {name: value for name, value in figures.items() if math.isfinite(value)}
+    figures = {name: getattr(check, name) for name in ("lag_s", "lag_sigma_s", "scale", "scale_sigma", "shared")}
+    return {f"turn_{name}": value for name, value in figures.items() if math.isfinite(value)}
 
 
 def turns_warnings(check: TurnsCheck) -> tuple[str, ...]:
@@ -130,12 +125,13 @@ def _lag(
 
 def _about_lag(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray, lag: TurnLag) -> str:
     """Return what a lag costs where it is more than bearable; empty = it is not."""
-    size_s = abs(lag.lag_s)
-    if not size_s > _SIGMAS * lag.sigma_s or lag.gain < 0.5 * _SIGMAS**2:
+    lag_s, sigma_s = lag.best
+    size_s = abs(lag_s)
+    if not size_s > _SIGMAS * sigma_s or lag.gain < 0.5 * _SIGMAS**2:
         return ""
-    ahead = "ahead of" if lag.lag_s < 0.0 else "behind"
-    text = f"the powers are {_duration(size_s)} {ahead} the {_sensors(data)} (one sigma {lag.sigma_s:.0f} s)"
-    if size_s > max(_BEARABLE_S, _SIGMAS * lag.sigma_s):
+    ahead = "ahead of" if lag_s < 0.0 else "behind"
+    text = f"the powers are {_duration(size_s)} {ahead} the {_sensors(data)} (one sigma {sigma_s:.0f} s)"
+    if size_s > max(_BEARABLE_S, _SIGMAS * sigma_s):
         return f"{text}: correct the clock or the time zone of one of them, or name its epochs as it means them"
     error_deg = _lag_error_deg(rows, size_s)
     sigma_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))

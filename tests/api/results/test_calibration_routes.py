@@ -62,6 +62,7 @@ async def test_figures_of_a_calibration_are_told_by_name(bench, make):
         "created_at": "2026-11-21T03:00:00.000000Z",
         "created_by": "engineer",
         "error": None,
+        "override_reason": None,
         "quality": {
             "quiet_rows": 2880.0,
             "turn_reach_deg": None,
@@ -70,6 +71,7 @@ async def test_figures_of_a_calibration_are_told_by_name(bench, make):
             "momentum": "not_stated",
             "polarimeter": "not_stated",
             "rates": "not_stated",
+            "turns": "not_checked",
             "warnings": ["few turns"],
         },
         "observability": {

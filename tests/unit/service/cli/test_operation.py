@@ -280,7 +280,7 @@ class Service:
 
     def __init__(self) -> None:
         self.bodies: list[dict[str, Any]] = []
-        self.activated: list[int] = []
+        self.activated: list[tuple[int, str | None]] = []
 
     def start_calibration(self, spacecraft_id: str, body: dict[str, Any]) -> dict[str, Any]:
         assert spacecraft_id == "yamal-202"
@@ -291,8 +291,8 @@ class Service:
         assert job_id == "job-7"
         on_progress(1.0)
 
-    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> None:
-        self.activated.append(calibration_id)
+    def activate_calibration(self, spacecraft_id: str, calibration_id: int, reason: str | None) -> None:
+        self.activated.append((calibration_id, reason))
 
     def calibration(self, spacecraft_id: str, calibration_id: int) -> dict[str, Any]:
         assert calibration_id == RESULT["id"]
@@ -328,7 +328,8 @@ def test_a_calibration_stays_a_draft_unless_it_is_to_be_activated(service: Servi
     assert service.activated == []
     assert result.stdout == "calibration 7 is draft; selected: c00\nwarning: c01 was silent\n"
     assert calibrate("--activate").stdout.startswith("calibration 7 is active;")
-    assert service.activated == [7]
+    assert calibrate("--activate", "--override-reason", "the clock is right").exit_code == 0
+    assert service.activated == [(7, None), (7, "the clock is right")]
 
 
 def test_json_is_the_answer_of_the_service(service: Service) -> None:

@@ -64,28 +64,6 @@ class TurnPowers(NamedTuple):
     noise: ColouredNoise
 
 
-class TurnLag(NamedTuple):
-    """Lag of the powers behind the sensor.
-
-    Parameters
-    ----------
-    lag_s, sigma_s : float, s
-        Lag by the highest likelihood and one standard deviation by its curvature; positive = the powers are late.
-    gain : float
-        Logarithm of the likelihood over that without a lag.
-    left : ndarray, shape (N,)
-        Squares of what the turns leave of the powers over those of the noise; NaN = not used.
-    shared_sigmas : float
-        How far more the carriers share of it than chance: rain does not hit all at once, an unseen turn does.
-    """
-
-    lag_s: float
-    sigma_s: float
-    gain: float
-    left: FloatArray
-    shared_sigmas: float
-
-
 class _Means(NamedTuple):
     """Means of rows: B of them, N carriers."""
 
@@ -97,21 +75,31 @@ class _Means(NamedTuple):
     first: IntArray
 
 
-class _Search(NamedTuple):
-    """Lags (L,) near one, their log likelihood over that of no turns; of the best the figures of ``TurnLag``."""
+class TurnLag(NamedTuple):
+    """Lag of the powers behind the sensor, positive = they are late, by L lags that were tried.
 
-    near_s: float
+    Parameters
+    ----------
+    lags_s, likelihood : ndarray, shape (L,), s
+        Lags, and their log likelihood over that of no turns.
+    gain : float
+        Log likelihood of the best over that of no lag.
+    left : ndarray, shape (N,)
+        Squares of what turns leave of the powers over those of the noise; NaN = not used.
+    shared_sigmas : float
+        How far more the carriers share of it than chance: rain does not hit all at once, an unseen turn does.
+    """
+
     lags_s: FloatArray
     likelihood: FloatArray
-    #: of the best over no lag
     gain: float
     left: FloatArray
     shared_sigmas: float
 
     @property
-    def top_s(self) -> float:
-        """Lag of the highest likelihood."""
-        return float(self.lags_s[int(self.likelihood.argmax())])
+    def best(self) -> tuple[float, float]:
+        """Lag of the highest likelihood, s, and one standard deviation by its curvature."""
+        return _parabola(self.lags_s, self.likelihood, 0.5 * _REACH_S)
 
     @property
     def weight(self) -> FloatArray:
@@ -129,11 +117,11 @@ def turn_lag(powers: TurnPowers, turns_s: tuple[float, float], attitude_at: Atti
     turns_s : tuple of float, s
         First and last epoch of the turns by the sensor.
     attitude_at : callable
-        From epochs (K,), s, to yaw, roll, pitch (K, 3), deg, by the sensor; NaN = not known.
+        As ``Attitude``.
 
-    References
-    ----------
-    .. [1] Cox, D. R. and Barndorff-Nielsen, O. E., "Inference and Asymptotics", 1994 (profile likelihood).
+    Notes
+    -----
+    By the profile likelihood, of which every carrier's slopes, curvatures and variance are the other unknowns.
     """
     epoch_s, seen = powers.epoch_s, np.isfinite(powers.power_db)
     within = (epoch_s >= turns_s[0]) & (epoch_s <= turns_s[1])
@@ -149,24 +137,32 @@ def turn_lag(powers: TurnPowers, turns_s: tuple[float, float], attitude_at: Atti
     peaks = [0.0, *_peaks(lags_s, _coarse(dry, lags_s, attitude_at))]
     best = max((_whitened(dry, turns_s, near_s, attitude_at) for near_s in peaks), key=lambda one: one.gain)
     dry = _less_common(own, best.weight)
-    best = max((_whitened(dry, turns_s, near_s, attitude_at) for near_s in {0.0, best.top_s}), key=lambda one: one.gain)
+    near = {0.0, best.best[0]}
+    best = max((_whitened(dry, turns_s, near_s, attitude_at) for near_s in near), key=lambda one: one.gain)
     if not math.isfinite(best.gain):
         return None
     left = np.full(powers.power_db.shape[1], np.nan)
     left[used] = best.left
-    return TurnLag(*_parabola(best.lags_s, best.likelihood, 0.5 * _REACH_S), best.gain, left, best.shared_sigmas)
+    return best._replace(left=left)
 
 
-def _less_common(powers: TurnPowers, weight: FloatArray) -> TurnPowers:
-    """Return powers less what the carriers of a band have in common, by weights (N,)."""
+def _less_common(powers: TurnPowers, weight: FloatArray | None) -> TurnPowers:
+    """Return powers less what the carriers of a band have in common: their mean by weights (N,), or their median."""
     power_db = powers.power_db.copy()
     for one in np.unique(powers.band):
         members = np.flatnonzero(powers.band == one)
-        if len(members) >= _LEAST_OF_BAND:
-            own = power_db[:, members]
-            share = np.isfinite(own) * weight[members]
+        own = power_db[:, members]
+        seen = np.isfinite(own)
+        if len(members) < _LEAST_OF_BAND:
+            continue
+        if weight is None:
+            middle = np.maximum(seen.sum(axis=1, keepdims=True) - 1, 0) // 2
+            common = np.take_along_axis(np.sort(own, axis=1), middle, axis=1)
+        else:
+            share = seen * weight[members]
             common = np.nansum(share * own, axis=1, keepdims=True)
-            power_db[:, members] = own - common / np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
+            common /= np.maximum(share.sum(axis=1, keepdims=True), 1e-300)
+        power_db[:, members] = own - common
     return powers._replace(power_db=power_db)
 
 
@@ -215,7 +211,7 @@ def _whitened(
     near_s: float,
     attitude_at: Attitude,
     reach_s: float = _REACH_S,
-) -> _Search:
+) -> TurnLag:
     """Return what lags near one say in whitened rows of the turns, of the powers and of the sensor."""
     begin_s, end_s = turns_s
     epoch_s = powers.epoch_s
@@ -239,21 +235,11 @@ def _whitened(
     likelihood = np.array([one for one, _ in fits])
     best = int(likelihood[:-1].argmax())
     missed_db = rows[..., -1] - (rows[..., columns[best]] @ fits[best][1])[..., 0]
-    missed_db = _less_median(np.where(count > 0, missed_db, np.nan).T, powers.band)
+    missed = powers._replace(power_db=np.where(count > 0, missed_db, np.nan).T)
+    # by the median: one carrier in rain must not lend all its own
+    missed_db = _less_common(missed, None).power_db
     figures = _left(means.epoch_s, missed_db, powers.noise), _shared_sigmas(means.epoch_s, missed_db)
-    return _Search(near_s, lags_s[:-1], likelihood[:-1], float(likelihood[best] - likelihood[-1]), *figures)
-
-
-def _less_median(missed_db: FloatArray, band: IntArray) -> FloatArray:
-    """Return what turns leave (B, N) less the median of each band: one carrier in rain must not lend all its own."""
-    missed_db = missed_db.copy()
-    for one in np.unique(band):
-        members = np.flatnonzero(band == one)
-        if len(members) >= _LEAST_OF_BAND:
-            ordered = np.sort(missed_db[:, members], axis=1)
-            middle = np.maximum(np.isfinite(ordered).sum(axis=1) - 1, 0) // 2
-            missed_db[:, members] -= ordered[np.arange(len(ordered)), middle][:, np.newaxis]
-    return missed_db
+    return TurnLag(lags_s[:-1], likelihood[:-1], float(likelihood[best] - likelihood[-1]), *figures)
 
 
 def _left(epoch_s: FloatArray, missed_db: FloatArray, noise: ColouredNoise) -> FloatArray:
@@ -267,12 +253,7 @@ def _left(epoch_s: FloatArray, missed_db: FloatArray, noise: ColouredNoise) -> F
 def _shared_sigmas(epoch_s: FloatArray, missed_db: FloatArray) -> float:
     """Return by how many sigmas the largest part that carriers share of changes (B, N) exceeds that of chance.
 
-    The largest eigenvalue of the correlation of independent series has the law of Tracy and Widom [1]_.
-
-    References
-    ----------
-    .. [1] Johnstone, I. M., "On the distribution of the largest eigenvalue in principal components analysis", Annals
-       of Statistics 29, 2001.
+    The largest eigenvalue of chance has the law of Tracy and Widom (Johnstone, Annals of Statistics 29, 2001).
     """
     means = _means(epoch_s, missed_db, _MEAN_S)
     change_db = np.diff(means.power_db, axis=0)[((means.seen[1:] > 0) & (means.seen[:-1] > 0)).all(axis=1)]
@@ -322,12 +303,13 @@ def _peaks(lags_s: FloatArray, likelihood: FloatArray) -> list[float]:
 def _parabola(values: FloatArray, likelihood: FloatArray, reach: float) -> tuple[float, float]:
     """Return the value at the top of the likelihood and its sigma by the curvature there."""
     best = int(likelihood.argmax())
-    near = np.abs(np.arange(len(values)) - best) <= 1
+    near = np.abs(np.arange(len(values)) - min(max(best, 1), len(values) - 2)) <= 1
     near |= (likelihood > likelihood[best] - _PARABOLA) & (np.abs(values - values[best]) <= reach)
     bend, slope, _ = np.polyfit(values[near] - values[best], likelihood[near], 2)
     if not bend < 0.0:
         return float(values[best]), math.inf
-    return float(values[best] - slope / (2.0 * bend)), 1.0 / math.sqrt(-2.0 * bend)
+    top = float(np.clip(values[best] - slope / (2.0 * bend), values[0], values[-1]))
+    return top, 1.0 / math.sqrt(-2.0 * bend)
 
 
 #: deg, the Earth from the geostationary orbit: no antenna of a spacecraft there is wider at 3 dB
@@ -390,41 +372,49 @@ def beam_scale(
         Carriers with a station and beams.
     """
     used = np.flatnonzero(is_used)
+    if not len(used):
+        return BeamScale(*(math.nan,) * 5)
     bent = -0.5 * (beams[used, 2] + beams[used, 4])
     mix = np.array([0.0, 0.0, -0.5, 0.0, -0.5])
     weight = 1.0 / (mix @ covariance[used] @ mix)
-    gradient_weight = 1.0 / np.trace(covariance[used, :2, :2], axis1=1, axis2=2)
-    slope = math.sqrt(float((gradient_weight @ np.square(beams[used, :2]).sum(axis=1)) / gradient_weight.sum()))
     mean = float(weight @ bent / weight.sum())
     growth = max(1.0, float(weight @ (bent - mean) ** 2) / max(len(used) - 1, 1))
-    curvature_sigma = math.sqrt(growth / float(weight.sum()))
+    share = _gradient_share(covariance[used])
+    slope = math.sqrt(float(share @ np.square(beams[used, :2]).sum(axis=1)))
+    shape = mean, math.sqrt(growth / float(weight.sum())), slope
     position = np.column_stack([geometry.azimuth_deg, geometry.elevation_deg])
-    misfit, count = np.zeros(len(_LOG_SCALES)), 0
-    logarithm = np.zeros(len(_LOG_SCALES))
+    misfit, logarithm, count = np.zeros(len(_LOG_SCALES)), np.zeros(len(_LOG_SCALES)), 0
     for one in np.unique(beam[used]):
         members = used[beam[used] == one]
-        share = 1.0 / np.trace(covariance[members, :2, :2], axis1=1, axis2=2)
-        apart = position[members] - share @ position[members] / share.sum()
-        if len(members) < 2 or np.abs(apart).max() < _LEAST_APART_DEG:
-            continue
-        found = beams[members, :2] - share @ beams[members, :2] / share.sum()
-        precision = np.linalg.inv(covariance[members, 2:, 2:])
-        pooled = np.linalg.inv(precision.sum(axis=0))
-        hessian = pooled @ (precision @ beams[members, 2:, np.newaxis]).sum(axis=0)[:, 0]
-        by_hessian = np.zeros((len(members), 2, BEAM_SIZE - 2))
-        by_hessian[:, 0, :2] = by_hessian[:, 1, 1:] = apart
-        scales = np.exp(_LOG_SCALES)[:, np.newaxis, np.newaxis]
-        left = found - scales * (by_hessian @ hessian)
-        spread = by_hessian @ pooled @ np.swapaxes(by_hessian, 1, 2)
-        variance = covariance[members, :2, :2] + scales[..., np.newaxis] ** 2 * spread
-        misfit += (left * np.linalg.solve(variance, left[..., np.newaxis])[..., 0]).sum(axis=(1, 2))
-        logarithm += np.linalg.slogdet(variance)[1].sum(axis=1)
-        count += 2 * len(members) - 3
+        if np.ptp(position[members], axis=0).max() > _LEAST_APART_DEG:
+            parts = _scale_misfit(beams[members], covariance[members], position[members])
+            misfit, logarithm, count = misfit + parts[0], logarithm + parts[1], count + 2 * len(members) - 3
     if count < 1:
-        return BeamScale(math.nan, math.nan, mean, curvature_sigma, slope)
+        return BeamScale(math.nan, math.nan, *shape)
     likelihood = -0.5 * (misfit + logarithm)
-    best = int(likelihood.argmax())
     log_scale, sigma = _parabola(_LOG_SCALES, likelihood, 0.3)
-    return BeamScale(
-        math.exp(log_scale), sigma * math.sqrt(max(1.0, float(misfit[best]) / count)), mean, curvature_sigma, slope
-    )
+    growth = max(1.0, float(misfit[int(likelihood.argmax())]) / count)
+    return BeamScale(math.exp(log_scale), sigma * math.sqrt(growth), *shape)
+
+
+def _gradient_share(covariance: FloatArray) -> FloatArray:
+    """Return the share (M,) of each gradient in their mean."""
+    weight = 1.0 / np.trace(covariance[:, :2, :2], axis1=1, axis2=2)
+    return np.asarray(weight / weight.sum())
+
+
+def _scale_misfit(beams: FloatArray, covariance: FloatArray, position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return chi-square and log determinant, by scale, of the gradients of M stations (M, 2) of one beam."""
+    share = _gradient_share(covariance)
+    apart_deg, found = (values - share @ values for values in (position_deg, beams[:, :2]))
+    precision = np.linalg.inv(covariance[:, 2:, 2:])
+    pooled = np.linalg.inv(precision.sum(axis=0))
+    hessian = pooled @ (precision @ beams[:, 2:, np.newaxis]).sum(axis=0)[:, 0]
+    by_hessian = np.zeros((len(beams), 2, BEAM_SIZE - 2))
+    by_hessian[:, 0, :2] = by_hessian[:, 1, 1:] = apart_deg
+    scale = np.exp(_LOG_SCALES)[:, np.newaxis, np.newaxis]
+    left = found - scale * (by_hessian @ hessian)
+    by_curvature = by_hessian @ pooled @ np.swapaxes(by_hessian, 1, 2)
+    variance = covariance[:, :2, :2] + scale[..., np.newaxis] ** 2 * by_curvature
+    chi_square = (left * np.linalg.solve(variance, left[..., np.newaxis])[..., 0]).sum(axis=(1, 2))
+    return chi_square, np.linalg.slogdet(variance)[1].sum(axis=1)
