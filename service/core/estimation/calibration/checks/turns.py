@@ -257,6 +257,7 @@ def _shared_sigmas(epoch_s: FloatArray, missed_db: FloatArray) -> float:
     """
     means = _means(epoch_s, missed_db, _MEAN_S)
     change_db = np.diff(means.power_db, axis=0)[((means.seen[1:] > 0) & (means.seen[:-1] > 0)).all(axis=1)]
+    change_db = change_db[:, np.ptp(change_db, axis=0) > 0.0] if len(change_db) else change_db
     rows, carriers = change_db.shape
     if rows <= carriers or carriers < _LEAST_OF_BAND:
         return 0.0
