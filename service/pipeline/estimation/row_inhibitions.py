@@ -66,7 +66,7 @@ INHIBITIONS: dict[str, str] = {
 BALANCED = frozenset(
     {
         *("no_fix", "redundancy", "downlink_fade", "chain_step", "sigma_roll", "sigma_pitch"),
-        *("integrity_unmonitored", "protection_level"),
+        *("integrity_unmonitored", "protection_level", "undeclared_operation"),
     }
 )
 
