@@ -388,7 +388,9 @@ def test_a_declared_eclipse_stops_nothing_and_turns_little():
     reported = world.drive()
     epochs_us = np.array([row.state.epoch_us for row in reported.steps])
     error_deg = reported.estimate_deg - reported.truth_deg
-    for operation in world.world.operations:
+    eclipses = [operation for operation in world.world.operations if operation.kind == "eclipse"]
+    assert eclipses
+    for operation in eclipses:
         begin, end = np.searchsorted(epochs_us, [operation.start_us, operation.stop_us])
         stopped = int((~reported.is_allowed[begin : end + 60, 1]).sum())
         moved_deg = np.abs(error_deg[begin : end + 60] - error_deg[begin]).max(axis=0)

@@ -101,7 +101,15 @@ class StoredKeys:
         with self._used_lock:
             self._used_us[key_id] = now_us
         held = stored.key
-        return Principal(held.name, held.role, key_id, held.expires_at_us, held.station, held.spacecraft, held.kinds)
+        return Principal(
+            held.name,
+            held.role,
+            key_id,
+            held.expires_at_us,
+            station=held.station,
+            spacecraft=held.spacecraft,
+            kinds=held.kinds,
+        )
 
     async def session_holder(self, token: str) -> Principal | None:
         """Return the holder of the key of an open session, None for any other text."""

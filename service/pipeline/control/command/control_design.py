@@ -32,7 +32,7 @@ _HOUR_S = 3600.0
 
 
 class Span(NamedTuple):
-    """When a command acts, and the envelope that the law keeps to."""
+    """Time of a command, and the envelope that the law keeps to."""
 
     epoch_us: int
     period_s: float

@@ -17,7 +17,7 @@ from analyzer_sim.world.faults import cooling, wet_antenna_db
 from analyzer_sim.world.ground.ground import chunks_of, turn_operations
 from analyzer_sim.world.ground.ground_bodies import spacecraft_body
 from analyzer_sim.world.payload.carriers import PLANS
-from analyzer_sim.world.payload.effects import FaultFlag
+from analyzer_sim.world.payload.effects import FaultFlag, Operation
 from analyzer_sim.world.payload.level_terms import dishes_loss_db
 from analyzer_sim.world.scenario.events import ChainStep, Eclipse, GroupStep, Relevel, Storm, SunOutage, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
@@ -118,9 +118,10 @@ def test_all_corrections_are_told_before_their_interval_is_swept() -> None:
 
 def test_the_timetable_of_the_turns_is_told_at_their_start() -> None:
     operations = bodies("operations")
-    assert operations == turn_operations(world().scenario.phases[1])
-    assert {operation["kind"] for operation in operations} == {"calibration_turn"}
-    attitudes = [tuple(json.loads(operation["comment"]).values()) for operation in operations]
+    turns = [operation for operation in operations if operation["kind"] == "calibration_turn"]
+    assert turns == turn_operations(world().scenario.phases[1])
+    assert {operation["kind"] for operation in operations} == {"calibration_turn", "momentum_unloading"}
+    attitudes = [tuple(json.loads(operation["comment"]).values()) for operation in turns]
     assert attitudes == [turn.attitude_deg for turn in TIMETABLE if any(turn.attitude_deg)]
 
 
@@ -257,26 +258,41 @@ def test_new_levels_have_the_stated_spread() -> None:
     assert not built(Relevel("new", 0.0)).rows.level_db[:60].any()  # before it nothing
 
 
+def work(world: World) -> list[Operation]:
+    """Return what is declared beside the unloadings of the wheels."""
+    return [operation for operation in world.operations if operation.kind != "momentum_unloading"]
+
+
 def test_declared_work_is_told_with_its_carriers() -> None:
     world = built(
         SwitchOff("off", ("c05", "c11"), (2.0, 2.0), (2.0, 2.0), is_announced=True),
         GroupStep("gain", "Ku2", (6.0, 6.0), is_announced=True),
         ChainStep("chain", (9.0, 9.0), is_announced=True),
     )
-    found = [(o.kind, o.carriers, o.transponders, o.inhibit_control) for o in world.operations]
+    operations = work(world)
+    found = [(o.kind, o.carriers, o.transponders, o.inhibit_control) for o in operations]
     assert found == [
         ("carrier_work", ("c05", "c11"), None, False),
         ("gain_change", None, ("Ku2",), False),
         ("receive_chain_work", None, None, True),
     ]
     start_us = world.scenario.operation_start_us
-    assert [(o.start_us - start_us) / 3.6e9 for o in world.operations] == [2.0, 6.0, 8.875]  # a quarter of an hour
-    assert all(o.start_us - o.reported_us == 7_200_000_000 for o in world.operations)  # two hours of notice
+    assert [(o.start_us - start_us) / 3.6e9 for o in operations] == [2.0, 6.0, 8.875]  # a quarter of an hour
+    assert all(o.start_us - o.reported_us == 7_200_000_000 for o in operations)  # two hours of notice
 
 
 def test_undeclared_work_is_not_told() -> None:
     silent = built(SwitchOff("off"), GroupStep("gain"), ChainStep("chain"))
-    assert silent.operations == ()
+    assert work(silent) == []
+
+
+def test_unloadings_are_declared_unless_they_leave_an_impulse_or_telemetry_is_silent_about_them() -> None:
+    (operation,) = built().operations
+    assert (operation.kind, operation.inhibit_control) == ("momentum_unloading", False)
+    assert operation.reported_us < operation.start_us < operation.stop_us
+    for name in ("plant_varied", "wheels_unmarked"):
+        story = scenario_named(name, operation_days=0.5)
+        assert not [each for each in World(story, 1).operations if each.kind == "momentum_unloading"]
 
 
 def test_a_stale_calibration_meets_new_levels_and_a_new_plan() -> None:

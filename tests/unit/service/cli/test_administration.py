@@ -331,6 +331,7 @@ def test_the_key_alone_goes_to_standard_output(asked):
     assert "shown this once" in made.stderr
     assert MADE["key"] not in made.stderr
     body = {"name": "olga", "role": "operator", "expires_at": "2027-12-31T00:00:00Z"}
+    body |= {"station": None, "spacecraft": None, "kinds": None}
     assert asked == [("POST", "/keys", body, None)]
     assert json.loads(soo("create", "--name", "olga", "--role", "operator", "--json").stdout) == MADE
 
