@@ -140,7 +140,7 @@ def test_services_restart_are_watched_and_hold_no_secret():
 
 
 def test_the_image_names_its_base_exactly_and_what_it_runs():
-    assert re.fullmatch(r"python:3\.11\.\d+-slim-[a-z]+", instruction("FROM"))
+    assert re.fullmatch(r"python:3\.11\.\d+-slim-[a-z]+@sha256:[0-9a-f]{64}", instruction("FROM"))
     assert instruction("USER") == "soo"
     assert json.loads(instruction("CMD"))[:2] == ["soo", "serve"]
     assert "/readyz" in instruction("HEALTHCHECK")
