@@ -1,4 +1,4 @@
-"""What the service is installed and confined by: lock files, image, compose files."""
+"""Deployment files: locks, image, compose files and systemd unit."""
 
 import re
 import tomllib

@@ -133,7 +133,7 @@ class KeyDocument(Document):
     spacecraft: (
         Annotated[list[Annotated[str, StringConstraints(pattern=NAME_PATTERN)]], Field(max_length=100)] | None
     ) = None
-    """What the station may send for; empty: any. Null: as a valid key of the station states, else any."""
+    """Spacecraft that the station may send for; empty: any. Null: as a valid key of the station states, else any."""
     kinds: Annotated[list[Annotated[DataKind, Field(strict=False)]], Field(max_length=10)] | None = None
     """Kinds of data that the station may send; empty: every one. Null: as a valid key of the station states."""
 

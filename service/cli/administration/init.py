@@ -92,8 +92,8 @@ def _files(folder: Path, port: int) -> dict[str, str]:
     environment.write_text("".join(f"{name}={shlex.quote(value)}\n" for name, value in stated.items()))
     # systemd reads a per cent sign as the begin of a name
     # and the file of settings as a pattern
-    stands = {"settings": glob.escape(str(environment)), "folder": folder, "python": sys.executable}
-    unit.write_text(_UNIT.format(**{name: str(path).replace("%", "%%") for name, path in stands.items()}))
+    places = {"settings": glob.escape(str(environment)), "folder": folder, "python": sys.executable}
+    unit.write_text(_UNIT.format(**{name: str(path).replace("%", "%%") for name, path in places.items()}))
     return {"settings": str(environment), "key_file": str(key_file), "unit": str(unit)}
 
 

@@ -3,7 +3,7 @@
 Nothing but the archive is replaced: rows, commands and reports pass the code that the service runs. The signs of all
 axes count as proven before. The two persons arm control, authorise it for as long as the settings allow and renew that,
 release single commands where roll or pitch is beyond 0.4 deg, and take control up again after a trip by a document that
-the ground itself has changed. Any other trip is left as it is: what a person would find out nobody knows here.
+the ground itself has changed. Any other trip stays until the end: no person is simulated who could find its cause.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from typing import cast
 from service.errors import NotFoundError
 from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, State
+from service.pipeline.control.release.command_states import MAY_RELEASE, OPEN, UNREPORTED, CommandTransition, State
 from service.pipeline.control.release.events import (
     Confirm,
     Engage,
@@ -61,10 +61,9 @@ from service.runtime.live.live_feed import LiveFeed
 from service.study.closed_loop.controllers import ControllerOutput
 from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
 
-#: a report that has not come so long after the end of a schedule does not come any more, s
+#: a report later than this after the end of a schedule is given up, s
 _REPORT_TIMEOUT_S = 60.0
 _OPERATOR, _APPROVER = "operator", "approver"
-_MAY_RELEASE = frozenset({State.ARMED, State.ENGAGED, State.RECOVERY})
 #: trips by what the ground itself has done
 _OWN_TRIPS = frozenset({Condition.CONFIGURATION})
 _NOTHING_EXECUTED = frozenset({"late", "refused", "replaced"})
@@ -183,7 +182,7 @@ class Centre:
             self.chain.update(outcome.applied)
         interlock = context.state.interlock
         schedule: tuple[Pulse, ...] = ()
-        is_inhibited = interlock.state not in _MAY_RELEASE
+        is_inhibited = interlock.state not in MAY_RELEASE
         if interlock.inputs.is_automatic and outcome.command is not None:
             schedule, is_inhibited = outcome.command.schedule, not outcome.command.control_allowed
         angles = None if row is None else row.steered_deg
@@ -251,7 +250,7 @@ class Centre:
         judge_report(self._context, event)
 
     def _give_up(self, at: Instant) -> None:
-        """Report what the spacecraft should have told and has not: nothing of it was executed."""
+        """Report commands whose report is overdue as failed: nothing of them was executed."""
         for command in self._context.state.commands:
             if command.state in UNREPORTED and at.now_us >= command.stop_us + microseconds(_REPORT_TIMEOUT_S):
                 self._report(Report(at, command.counter, CommandTransition.FAILED))

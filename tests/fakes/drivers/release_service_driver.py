@@ -239,7 +239,7 @@ class ReleaseServiceDriver:
         return math.inf if any(map(math.isnan, sizes)) else max(sizes)
 
     def is_sign_certain(self, beyond_deg: float) -> bool:
-        """Whether one of roll and pitch is beyond an angle, and each that is exceeds its level."""
+        """Certainty of the sign: roll or pitch is beyond an angle, and exceeds its protection level where it is."""
         if self.row is None or not self.size_deg() > beyond_deg:
             return False
         angle, level = self.row.attitude_deg, self.row.protection_deg

@@ -79,6 +79,10 @@ class State(Enum):
     TRIPPED = "no torque may go until a person resets"
 
 
+#: states in which a command that corrects angles may go
+MAY_RELEASE = frozenset({State.ARMED, State.ENGAGED, State.RECOVERY})
+
+
 class Trigger(Enum):
     """Trigger of a transition of the interlock."""
 

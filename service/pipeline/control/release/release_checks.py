@@ -17,7 +17,7 @@ from service.core.control.slew_schedule import (
     predicted_angles,
     predicted_effect,
 )
-from service.pipeline.control.release.command_states import UNREPORTED, State
+from service.pipeline.control.release.command_states import MAY_RELEASE, UNREPORTED, State
 from service.pipeline.control.release.events import Refusal, ReleaseState
 from service.pipeline.control.release.interlock import Instant, Interlock
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence, ReleaseSettings, microseconds
@@ -27,8 +27,6 @@ from service.records.levels.attitude import Axes, Pulse, ScheduleVerdict, Torque
 from service.records.operations.release import Command, CommandCheck, Purpose
 
 _HOUR_US = 3600 * US_PER_S
-#: states in which a command may go
-_MAY_RELEASE = frozenset({State.ARMED, State.ENGAGED, State.RECOVERY})
 
 
 def release_checks(
@@ -138,7 +136,7 @@ def _interlock_check(interlock: Interlock, command: Command) -> CommandCheck:
     elif interlock.state is State.INHIBITED and not interlock.inhibiting and not interlock.is_armed:
         code, detail = "interlock.not_armed", "control is not armed"
     else:
-        is_ok = interlock.state in _MAY_RELEASE and not interlock.inhibiting
+        is_ok = interlock.state in MAY_RELEASE and not interlock.inhibiting
     return _check("interlock", is_ok, code, detail)
 
 

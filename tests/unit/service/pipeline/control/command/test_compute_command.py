@@ -266,6 +266,14 @@ def test_a_command_with_a_later_start_knows_where_the_craft_will_be(record):
     assert (held.inhibitions, held.schedule, held.schedule_check) == (("late",), (), None)
 
 
+def test_an_hour_without_impulse_left_gets_a_command_without_pulses(record):
+    two_step = replace(record, control=replace(record.control, release=Release.TWO_STEP))
+    spent = Envelope()._replace(impulse_n_m_s=0.0)
+    for duration_s in (900.0, 3600.0):
+        found = command_for(row(), two_step, EPOCH, duration_s, None, TorqueConfig(), pushed(1e-6), envelope=spent)
+        assert found.schedule == ()
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_whatever_the_law_asks_for_the_release_finds_inside_the_envelope(record, seed):
     rng = np.random.default_rng(seed)
