@@ -120,7 +120,7 @@ async def test_engage_asks_with_the_limits_that_are_given_and_the_rest_as_wide_a
     body = {"until": UNTIL, "envelope": {"impulse_n_m_s": 0.01}}
     answer = await soo.client.post(f"{URL}/control:engage", json=body, headers=boris)
     assert answer.status_code == 200, answer.text
-    terms = {"is_approver": True, "until_us": UNTIL_US, "envelope": Envelope(0.1, 3e-4, 0.01, 0.1)}
+    terms = {"is_approver": True, "until_us": UNTIL_US, "envelope": Envelope(0.2, 3e-4, 0.01, 0.1)}
     assert service.asked == [("control", SC), ("engage", SC, "Boris", terms)]
     await soo.client.post(f"{URL}/control:engage", json={"until": UNTIL}, headers=boris)
     assert service.asked[-1][-1]["envelope"] is None

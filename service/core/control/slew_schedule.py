@@ -345,7 +345,7 @@ class Envelope(NamedTuple):
     """Limits about each axis."""
 
     #: greatest change of an angle, on the way or at the end
-    angle_change_deg: float = 0.1
+    angle_change_deg: float = 0.2
     rate_change_deg_s: float = 3e-4
     impulse_n_m_s: Annotated[float, "Sum of the sizes of a command's pulses."] = 0.02
     impulse_an_hour_n_m_s: Annotated[float, "The same over everything that was sent within an hour."] = 0.1

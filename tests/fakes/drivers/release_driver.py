@@ -178,7 +178,7 @@ class ReleaseDriver:
         assert counter not in [each for each, _, _ in self.released], "released twice"
         gross = np.array(command.gross_impulse_n_m_s)
         assert (gross <= 0.02 + 1e-12).all(), "beyond the impulse of a command"
-        assert max(map(abs, command.peak_angle_deg)) <= 0.1 + 1e-9
+        assert max(map(abs, command.peak_angle_deg)) <= 0.2 + 1e-9
         assert max(map(abs, command.peak_rate_deg_s)) <= 3e-4 + 1e-12
         self.released.append((counter, self.now_us, command))
         hour = [np.array(e.gross_impulse_n_m_s) for _, t, e in self.released if self.now_us - t < 3600 * US]

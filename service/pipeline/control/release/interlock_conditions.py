@@ -15,7 +15,7 @@ from service.records.setting import CHOSEN, PUBLISHED, TUNED, setting
 class ReleaseSettings:
     """Limits and times of the release."""
 
-    angle_change_deg: float = setting(0.1, "a command may change an angle by this much, deg", CHOSEN)
+    angle_change_deg: float = setting(0.2, "a command may change an angle by this much, deg", CHOSEN)
     rate_change_deg_s: float = setting(3e-4, "and a rate by this much, deg/s", CHOSEN)
     impulse_n_m_s: float = setting(0.02, "sum of the sizes of a command's pulses about an axis, N m s", CHOSEN)
     impulse_an_hour_n_m_s: float = setting(0.1, "the same over what was sent within an hour, N m s", CHOSEN)

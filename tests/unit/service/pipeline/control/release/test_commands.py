@@ -181,7 +181,7 @@ def test_proposals_that_must_not_go_are_refused(driver, change, code):
 @pytest.mark.parametrize(
     "wanted",
     [
-        {"roll_deg": 0.11, "horizon_s": 3600.0},
+        {"roll_deg": 0.21, "horizon_s": 3600.0},
         {"roll_deg": 0.09, "horizon_s": 300.0},
         {"roll_deg": 0.0, "pitch_deg": 0.1, "horizon_s": 300.0},
     ],
@@ -226,7 +226,7 @@ def test_an_authorised_envelope_that_is_narrower_holds_without_a_trip():
 
 
 def test_checks_tell_all_that_is_wrong_at_once(driver):
-    proposal = replace(driver.proposal(roll_deg=0.11, horizon_s=3600.0), schedule_verdict="reject")
+    proposal = replace(driver.proposal(roll_deg=0.21, horizon_s=3600.0), schedule_verdict="reject")
     checks = release_checks(
         driver.state, proposal, driver.at, driver.settings, envelope=driver.settings.envelope, waiting_s=0.0
     )

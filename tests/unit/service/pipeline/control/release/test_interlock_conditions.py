@@ -291,7 +291,7 @@ def test_a_new_spacecraft_version_forgets_the_signs():
 )
 def test_terms_that_are_not_allowed_are_refused(change, code):
     driver = ReleaseDriver().armed()
-    wide = {"envelope": replace_envelope(driver, 0.2)} if change.pop("wide", False) else {}
+    wide = {"envelope": replace_envelope(driver, 0.3)} if change.pop("wide", False) else {}
     given = {"until_us": START_US + 3600 * US, "envelope": driver.settings.envelope, **change, **wide}
     assert driver.send(Engage(driver.at, "ann", is_approver=True, **given)).refusal.code == code
 
