@@ -3,9 +3,9 @@
 import math
 from dataclasses import dataclass, field, replace
 
-import exported_world
 import numpy as np
 import pytest
+from driven_world import flown_by_paper
 
 from analyzer_sim.export import export_npz
 from analyzer_sim.world.scenario.scenario import SCENARIOS
@@ -37,7 +37,7 @@ def judge(estimate_deg, truth_deg):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_demonstration_meets_its_bounds_and_the_answer_that_never_moves_does_not(seed):
     """Two days of operation, calibrated and aligned by the service itself; one drive serves every claim."""
-    day = exported_world.driven(SCENARIOS["demo"], seed)
+    day = flown_by_paper(SCENARIOS["demo"], seed)
     merits = judge(day.estimate_deg, day.truth_deg)
     for axis, merit in merits.items():
         figures = " ".join(f"{name} {value:.3f}" for name, value in merit._asdict().items())

@@ -8,11 +8,10 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from calibration_world import calibration_input
+from calibration_world import calibration_input, ground_of
 from driven_world import shared_world, tolerated_deg
 from kept_results import kept
 
-from analyzer_sim.export import export_arrays
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
@@ -274,7 +273,7 @@ AT_EVERY_RUN = ("flipped yaw", "exchanged axes (yaw, roll)")
 
 
 def windows(name, seed):
-    return calibration_input(export_arrays(World(scenario_named(name, operation_days=0.1), seed)))
+    return calibration_input(ground_of(World(scenario_named(name, operation_days=0.1), seed)))
 
 
 def reported(data, matrix):

@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_world import calibration_input
+from calibration_world import calibration_input, ground_of
 
-from analyzer_sim.export import export_arrays
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.calibration.checks.turns import LONGEST_LAG_S
@@ -45,10 +44,9 @@ HONEST = (
 
 def flown(name, seed):
     """Return the input of a calibration and all its powers, as an archive has them."""
-    arrays = export_arrays(World(scenario_named(name, operation_days=AFTER_DAYS), seed))
-    data = calibration_input(arrays)
-    power = arrays["power_dbm"].astype(np.float32).astype(np.float64)
-    return data, MeasurementSeries(data.quiet.carrier_ids, arrays["epoch_us"], power)
+    ground = ground_of(World(scenario_named(name, operation_days=AFTER_DAYS), seed))
+    data = calibration_input(ground)
+    return data, MeasurementSeries(data.quiet.carrier_ids, ground.epochs_us, ground.power_dbm)
 
 
 def calibrated(data, powers, *, lag_s=0.0, scale=1.0, angles=None):

@@ -4,12 +4,13 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-import exported_world
 import numpy as np
 import pytest
+from driven_world import flown_by_paper
 from kept_results import kept
 
 from analyzer_sim.world.scenario.scenario import downlink_rain, scenario_named
+from service.pipeline.config import ChainConfig
 from service.records.catalogue import Method
 from service.records.inputs import WeatherReport
 from service.study.estimation.campaign import Unit, run_unit
@@ -153,11 +154,11 @@ LATEST_STOP_MIN = 20
 def _stop_delay_min(slope_db_min, seed):
     """Return how long after 0.3 dB control was stopped, None = never; fails when it was stopped in the dry before."""
     scenario = replace(downlink_rain(slope_db_min, 2.0, 40.0), operation_h=8.0)
-    driven = exported_world.driven(scenario, seed)
+    driven = flown_by_paper(scenario, seed)
     begin = int(np.flatnonzero(driven.downlink_fade_db > 0.3)[0])
     dry_before = driven.downlink_fade_db[:begin] == 0.0
-    assert not driven.is_stopped[:begin][dry_before].any(), f"stopped in the dry, seed {seed}"
-    stopped = np.flatnonzero(driven.is_stopped[begin:])
+    assert not driven.says("downlink_fade")[:begin][dry_before].any(), f"stopped in the dry, seed {seed}"
+    stopped = np.flatnonzero(driven.says("downlink_fade")[begin:])
     return int(stopped[0]) if len(stopped) else None
 
 
@@ -176,19 +177,19 @@ def test_a_fade_stops_control_in_time(slope_db_min):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_dry_excursions_never_stop_control(seed):
     """Two dry days through all octants raise no rain."""
-    driven = exported_world.driven(scenario_named("demo"), seed)
+    driven = flown_by_paper(scenario_named("demo"), seed)
     reached = np.abs(driven.truth_deg).max(axis=0)
     print(f"seed {seed}: largest excursions {reached.round(3)} deg")
     assert (reached > 0.25).all(), "the spacecraft must move for the claim to mean anything"
     assert (driven.downlink_fade_db == 0.0).all()
-    assert not driven.is_stopped.any()
+    assert not driven.says("downlink_fade").any()
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", ["nominal", "flicker"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_ten_quiet_days_raise_one_false_alarm_at_most(name, seed):
-    driven = exported_world.driven(replace(scenario_named(name), operation_h=240.0), seed)
+    driven = flown_by_paper(replace(scenario_named(name), operation_h=240.0), seed)
     is_stopped = ["downlink_fade" in row.inhibitions or "common_change" in row.inhibitions for row in driven.rows]
     alarms = int(np.count_nonzero(np.diff(np.array(is_stopped, dtype=int), prepend=0) == 1))
     print(f"{name}, seed {seed}: {alarms} alarms")
@@ -197,9 +198,9 @@ def test_ten_quiet_days_raise_one_false_alarm_at_most(name, seed):
 
 def test_the_rule_that_is_never_met_would_fail():
     """Control that never stops misses the bound: the figure cannot be met by doing nothing."""
-    config = exported_world.ChainConfig()
+    config = ChainConfig()
     deaf = replace(config, fade=replace(config.fade, depth_db=99.0))
     scenario = replace(downlink_rain(0.3, 2.0, 40.0), operation_h=8.0)
-    driven = exported_world.driven(scenario, 1, deaf)
-    assert not driven.is_stopped.any()
+    driven = flown_by_paper(scenario, 1, deaf)
+    assert not driven.says("downlink_fade").any()
     assert (driven.downlink_fade_db > 0.3).any()

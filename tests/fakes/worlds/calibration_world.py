@@ -4,7 +4,6 @@ The service sees what a station would have sent: powers as the archive keeps the
 track. The truth, levels without noise and beams, stays with the judge.
 """
 
-import json
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -24,10 +23,10 @@ from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.geometry_rows import CalibrationInput
 from service.pipeline.carrier_model.expected_level import ExpectedLevel, geometry_model
 from service.pipeline.config import CalibrationConfig
-from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
+from service.records.calibration import CalibrationResult
 from service.records.catalogue import CarrierPlan
-from service.records.levels.measurement import MeasurementSeries, ReferenceSeries
-from service.study.estimation.flight.world import read_carriers, read_ephemeris, read_spacecraft
+from service.study.estimation.flight import drive
+from service.study.estimation.flight.world import Ground, world_of
 
 DAY_US = 86_400_000_000
 _DIFFERENCE_DEG = 0.02
@@ -38,7 +37,7 @@ class CalibratedWorld:
     """One world, its calibration, and what the calibration took."""
 
     world: World
-    arrays: dict[str, Any]
+    epochs_us: np.ndarray
     data: CalibrationInput
     result: CalibrationResult
     spent_s: float
@@ -47,16 +46,16 @@ class CalibratedWorld:
     def of(cls, name: str, seed: int, operation_days: float = 7.0, **options: Any) -> "CalibratedWorld":
         """Calibrate on the quiet days and the turns of a scenario."""
         world = World(scenario_named(name, operation_days=operation_days, **options), seed)
-        arrays = export_arrays(world)
-        data = calibration_input(arrays)
+        ground = ground_of(world)
+        data = calibration_input(ground)
         begin = time.process_time()
         result = calibrate_geometry(data, CalibrationConfig())
-        return cls(world, arrays, data, result, time.process_time() - begin)
+        return cls(world, ground.epochs_us, data, result, time.process_time() - begin)
 
     def level_error_db(self, day: int) -> np.ndarray:
         """Return predicted less true levels (T, N) over a day of operation, what all carriers share taken out."""
         start_us = self.world.scenario.operation_start_us + (day - 1) * DAY_US
-        epochs_us = self.arrays["epoch_us"]
+        epochs_us = self.epochs_us
         epochs_us = epochs_us[(epochs_us >= start_us) & (epochs_us < start_us + DAY_US)][::10]
         fit = self.result.geometry
         expected = ExpectedLevel(geometry_model(fit, self.result.carriers), fit, self.data.ephemeris)
@@ -84,7 +83,7 @@ class CalibratedWorld:
         """Return the levels (T, N) of a body held to the nadir frame: beams, dishes and the solar day."""
         world = self.world
         still = attitude_gain_db(world.plan, world.orbit, epochs_us, np.zeros((len(epochs_us), 3)))
-        seconds = (epochs_us - self.arrays["epoch_us"][0]) / 1e6
+        seconds = (epochs_us - self.epochs_us[0]) / 1e6
         size_db = world.scenario.noise.thermal_db
         warm = [daily_wave(stream(world.seed, "thermal", c.id), seconds, size_db) for c in world.plan.carriers]
         dish = dishes_loss_db(world.plan, world.orbit, epochs_us, world.seed)
@@ -96,34 +95,11 @@ def calibrated_world(name: str, seed: int) -> CalibratedWorld:
     return kept(CalibratedWorld.of, name, seed)
 
 
-def calibration_input(arrays: dict[str, Any]) -> CalibrationInput:
-    """Return what the archive would hold of an exported world's quiet days and turns."""
-    reported = {line["kind"]: line["body"] for line in json.loads(arrays["catalogue_json"]) if "body" in line}
-    names = [str(name) for name in arrays["phase_name"]]
-    stretches = zip(arrays["phase_start_us"], arrays["phase_stop_us"], strict=True)
-    phases = {name: Window(int(start), int(stop)) for name, (start, stop) in zip(names, stretches, strict=True)}
-    quiet, turns = phases["quiet"], phases["turns"]
-    return CalibrationInput(
-        CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY),
-        CarrierPlan(1, "exported", read_carriers(reported["carriers"])),
-        read_ephemeris(reported["ephemeris"]),
-        _series(arrays, quiet),
-        _series(arrays, turns),
-        _references(arrays, turns),
-        _references(arrays, quiet),
-        read_spacecraft(reported["spacecraft"]),
-    )
+def ground_of(world: World) -> Ground:
+    """Return the ground's half of a world, as its file has it."""
+    return world_of({name: np.asarray(values) for name, values in export_arrays(world).items()}).ground
 
 
-def _series(arrays: dict[str, Any], window: Window) -> MeasurementSeries:
-    chosen = (arrays["epoch_us"] >= window.start_us) & (arrays["epoch_us"] < window.stop_us)
-    power = arrays["power_dbm"].astype(np.float32).astype(np.float64)[chosen]
-    return MeasurementSeries(tuple(str(name) for name in arrays["carrier_id"]), arrays["epoch_us"][chosen], power)
-
-
-def _references(arrays: dict[str, Any], window: Window) -> tuple[ReferenceSeries, ...]:
-    at_us = arrays["reference_epoch_us"]
-    chosen = (at_us >= window.start_us) & (at_us < window.stop_us)
-    angles = np.column_stack([arrays[f"reference_{axis}_deg"] for axis in ("yaw", "roll", "pitch")])[chosen]
-    sigma = np.tile(arrays["reference_sigma_deg"], (len(angles), 1))
-    return (ReferenceSeries("star_tracker", at_us[chosen], angles, sigma),)
+def calibration_input(ground: Ground) -> CalibrationInput:
+    """Return what the archive would hold of a world's quiet days and turns."""
+    return drive.calibration_input(ground, CarrierPlan(1, "exported", ground.carriers), ground.ephemeris)

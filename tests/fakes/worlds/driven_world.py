@@ -20,13 +20,11 @@ from analyzer_sim.export import export_npz
 from analyzer_sim.world.payload.level_terms import dishes_loss_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
-from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.chain import Chain
-from service.pipeline.config import AlignmentConfig, ChainConfig
+from service.pipeline.config import ChainConfig
 from service.pipeline.inputs.knowledge import JournalDocuments
-from service.pipeline.inputs.sensor_angles import smooth_angles
-from service.records.calibration import Alignment, Window
-from service.records.catalogue import Method
+from service.records.calibration import Alignment, CalibrationMethod, Window
+from service.records.catalogue import ControlMode, ControlSettings, Method, Release, Spacecraft
 from service.records.inputs import (
     AlignmentSet,
     CalibrationActivation,
@@ -34,13 +32,14 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
 )
-from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray, Status
+from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray, Status, TorqueCommand
 from service.records.levels.measurement import Measurement
-from service.study.estimation.flight.drive import calibrate, measurements, slow_entries
+from service.study.estimation.flight.drive import align, calibrate, measurements, slow_entries
 from service.study.estimation.flight.world import Ground, read_world
 
 HOUR_US = 3_600_000_000
 ROBUST_ONLY = (Method.ROBUST,)
+DEFAULTS = ChainConfig()
 
 
 @dataclass(frozen=True)
@@ -52,6 +51,10 @@ class Flown:
     hours: FloatArray
     #: (T, 3) deg, yaw, roll, pitch
     truth_deg: FloatArray
+    #: of the law, as the spacecraft's control asks for them
+    commands: list[TorqueCommand | None]
+    #: (T,) dB, truth
+    downlink_fade_db: FloatArray
 
     @cached_property
     def estimate_deg(self) -> FloatArray:
@@ -126,11 +129,20 @@ class DrivenWorld:
         Scale of the noise of a sweep; 0 with a scenario without noise makes powers without any.
     order : sequence of int, optional
         Order in which the plan names the carriers.
+    by : CalibrationMethod
+        Kind of the calibration.
     """
 
     def __init__(
-        self, scenario: Any, seed: int, directory: Path, sweep_noise: float = 1.0, order: Iterable[int] | None = None
+        self,
+        scenario: Any,
+        seed: int,
+        directory: Path,
+        sweep_noise: float = 1.0,
+        order: Iterable[int] | None = None,
+        by: CalibrationMethod = CalibrationMethod.GEOMETRY,
     ) -> None:
+        self._by = by
         self.simulated = World(scenario, seed)
         path = directory / f"{scenario.name}-{seed}.npz"
         export_npz(self.simulated, path, sweep_noise)
@@ -146,7 +158,9 @@ class DrivenWorld:
         self.documents = JournalDocuments()
         self.documents.add_plan(self.ground.carriers)
         self.documents.add_ephemeris(self.ground.ephemeris)
-        self.documents.calibrations[1] = calibrate(self.ground, self.documents.plans[1], self.documents.ephemerides[1])
+        self.documents.calibrations[1] = calibrate(
+            self.ground, self.documents.plans[1], self.documents.ephemerides[1], self._by
+        )
         self.align(self.ground.phases["alignment"])
 
     @property
@@ -161,29 +175,8 @@ class DrivenWorld:
 
     def align(self, window: Window, number: int = 1) -> Alignment:
         """Keep and return the alignment made over a window in which the sensor told the attitude."""
-        calibration, sensors = self.documents.calibrations[1], self.ground.sensors
-        stated, missing = smooth_angles(self.ground.references_in(window), sensors)
-        assert stated is not None, missing
-        assert calibration.result is not None
-        carrier_ids = tuple(carrier.id for carrier in calibration.result.carriers)
-        active = {calibration.request.method: calibration}
-        powers = self.ground.series(window, carrier_ids)
-        aligned = align_methods(powers, stated, active, self.documents.ephemerides[1], AlignmentConfig())
-        made = Alignment(
-            id=number,
-            epoch_us=stated.epoch_us,
-            attitude_deg=stated.attitude_deg,
-            sigma_deg=stated.sigma_deg,
-            calibration_id=1,
-            source=",".join(sorted(set(sensors))),
-            created_at_us=0,
-            created_by="test",
-            references=aligned.references,
-            window=window,
-            references_by_method=aligned.references_by_method,
-            calibration_by_method=aligned.calibration_by_method,
-        )
-        self.documents.alignments[number] = made
+        ground = replace(self.ground, phases={**self.ground.phases, "alignment": window})
+        made = self.documents.alignments[number] = replace(align(ground, self.documents), id=number)
         return made
 
     def changed(self, begin_h: float, end_h: float, change_db: Any, carriers: Any = slice(None)) -> FloatArray:
@@ -195,11 +188,18 @@ class DrivenWorld:
         power_dbm[rows] = block
         return power_dbm
 
-    def aligned_chain(self, documents: JournalDocuments, number: int = 1, methods: Any = ROBUST_ONLY) -> Chain:
+    def aligned_chain(
+        self,
+        documents: JournalDocuments,
+        number: int = 1,
+        methods: Any = ROBUST_ONLY,
+        config: ChainConfig = DEFAULTS,
+        spacecraft: Spacecraft | None = None,
+    ) -> Chain:
         """Return a chain that has heard everything up to an alignment."""
-        chain = Chain(documents, ChainConfig(), methods=methods)
+        chain = Chain(documents, config, methods=methods)
         reported = [entry.content for entry in slow_entries(self.ground, documents) if entry.epoch_us < self.start_us]
-        opening = (SpacecraftChange(self.ground.spacecraft, 1), PlanChange(1), EphemerisChange(1))
+        opening = (SpacecraftChange(spacecraft or self.ground.spacecraft, 1), PlanChange(1), EphemerisChange(1))
         for content in (*opening, CalibrationActivation(1, 1), *reported, AlignmentSet(number)):
             chain.update(content)
         return chain
@@ -214,18 +214,28 @@ class DrivenWorld:
             ground = replace(ground, power_dbm=power_dbm.astype(np.float32).astype(np.float64))
         return self.fly_ground(ground, until_h=until_h, method=method)
 
-    def fly_ground(self, ground: Ground, *, until_h: float = np.inf, method: Method = Method.ROBUST) -> Flown:
+    def fly_ground(
+        self,
+        ground: Ground,
+        *,
+        until_h: float = np.inf,
+        method: Method = Method.ROBUST,
+        config: ChainConfig = DEFAULTS,
+    ) -> Flown:
         """Return what a method says of the rows of operation of a ground; no flight may acquire what is no angle."""
         kept = self.documents
         documents = JournalDocuments(dict(kept.plans), dict(kept.ephemerides), kept.calibrations, kept.alignments)
-        chain = self.aligned_chain(documents, methods=(method,))
+        chain = self.aligned_chain(documents, methods=(method,), config=config, spacecraft=ground.spacecraft)
         entries = [entry for entry in slow_entries(ground, documents) if entry.epoch_us >= self.start_us]
         rows = np.flatnonzero(ground.is_measured & (self.hours >= 0.0) & (self.hours < until_h))
         outcomes = [chain.step(row) for row in measurements(chain, ground, documents, entries, rows)]
-        reported = [row for outcome in outcomes if outcome is not None for row in outcome.rows]
+        told = [outcome for outcome in outcomes if outcome is not None]
+        reported = [row for outcome in told for row in outcome.rows]
         assert len(reported) == len(rows), "one method says one thing about every row"
         assert all(row.status is not Status.ACQUIRED or np.isfinite(row.attitude_deg).all() for row in reported)
-        return Flown(reported, self.hours[rows], self.truth.attitude_deg[rows])
+        commands = [outcome.command for outcome in told]
+        truth = self.truth
+        return Flown(reported, self.hours[rows], truth.attitude_deg[rows], commands, truth.downlink_fade_db[rows])
 
     def snapshot(
         self, number: int, epoch_us: int, power_dbm: FloatArray, method: Method = Method.ROBUST
@@ -254,6 +264,19 @@ def shared_world(name: str, seed: int, operation_days: float = 0.5) -> DrivenWor
 def _made(name: str, seed: int, operation_days: float) -> DrivenWorld:
     with TemporaryDirectory() as directory:
         return DrivenWorld(scenario_named(name, operation_days=operation_days), seed, Path(directory))
+
+
+def flown_by_paper(scenario: Any, seed: int, config: ChainConfig = DEFAULTS) -> Flown:
+    """Return what the published method says of a world and commands; calibrated and flown once for all tests."""
+    return kept(_flown_by_paper, scenario, seed, config)
+
+
+def _flown_by_paper(scenario: Any, seed: int, config: ChainConfig) -> Flown:
+    with TemporaryDirectory() as directory:
+        world = DrivenWorld(scenario, seed, Path(directory), by=CalibrationMethod.PAPER)
+    control = ControlSettings(Method.PAPER, ControlMode.GROUND, Release.AUTOMATIC)
+    ground = replace(world.ground, spacecraft=replace(world.ground.spacecraft, control=control))
+    return world.fly_ground(ground, method=Method.PAPER, config=config)
 
 
 def rain_db(hours: FloatArray, start_h: float, depth_db: float, slope_db_min: float, full_h: float) -> FloatArray:

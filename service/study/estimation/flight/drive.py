@@ -186,13 +186,27 @@ def calibrate(
     UndrivenError
         The product refused it.
     """
+    data = calibration_input(ground, plan, ephemeris, method)
+    try:
+        fit = calibrate_paper if method is CalibrationMethod.PAPER else calibrate_geometry
+        result = fit(data, CalibrationConfig())
+    except CalibrationError as error:
+        message = f"calibration refused: {error}"
+        raise UndrivenError(message) from error
+    return Calibration(1, 1, 1, CalibrationState.ACTIVE, data.request, 0, "study", result)
+
+
+def calibration_input(
+    ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris, method: CalibrationMethod = CalibrationMethod.GEOMETRY
+) -> CalibrationInput:
+    """Return what a calibration is made of: the quiet days and the turns."""
     quiet, turns = ground.phases["quiet"], ground.phases["turns"]
     request = CalibrationRequest(quiet, turns, method, *ground.sensors)
     edges_us = mean_edges_us(request, ())
     still, turned = (
         minute_rows([ground.series(window, plan.carrier_ids)], plan.carrier_ids, edges_us) for window in (quiet, turns)
     )
-    data = CalibrationInput(
+    return CalibrationInput(
         request,
         plan,
         ephemeris,
@@ -206,13 +220,6 @@ def calibrate(
         telemetry=tuple(e.content for e in ground.events if isinstance(e.content, TelemetryRecord)),
         polarization=tuple(e.content for e in ground.events if isinstance(e.content, PolarizationRecord)),
     )
-    try:
-        fit = calibrate_paper if method is CalibrationMethod.PAPER else calibrate_geometry
-        result = fit(data, CalibrationConfig())
-    except CalibrationError as error:
-        message = f"calibration refused: {error}"
-        raise UndrivenError(message) from error
-    return Calibration(1, 1, 1, CalibrationState.ACTIVE, request, 0, "study", result)
 
 
 def align(ground: Ground, documents: JournalDocuments) -> Alignment:

@@ -338,7 +338,11 @@ def export_world(scenario: str, seed: int, path: Path, operation_days: float | N
 def read_world(path: Path) -> World:
     """Return the world of a file."""
     with np.load(path) as file:
-        arrays: Arrays = {name: file[name] for name in file.files}
+        return world_of({name: file[name] for name in file.files})
+
+
+def world_of(arrays: Arrays) -> World:
+    """Return the world of a file's arrays."""
     epochs_us = arrays["epoch_us"]
     return World(
         str(arrays["scenario"]),
