@@ -306,26 +306,32 @@ def calibrate(
     """Make a calibration of the manifest's windows the active one, unless it is, and return it.
 
     One with warnings stays a draft unless a reason to accept them is given; then the newest such draft is activated.
+    Made again with the same figures, the former draft stays and the new one is deleted.
     """
     from service.cli.operation.operate import wait_for_job
 
     quiet, turns = manifest.windows.quiet, manifest.windows.turns
     if quiet is None or turns is None:
         end(_NO_WINDOWS.format(names="quiet or turns"))
-    body = {"quiet": _document(quiet), "turns": _document(turns), "method": "geometry", "source": _sensor(manifest)}
-    for each in _calibrations(client, spacecraft_id):
-        if each["quiet"] != body["quiet"] or each["turns"] != body["turns"]:
-            continue
-        if each["state"] == "active":
-            return each
-        if reason and each["state"] == "draft" and each["observability"] is not None:
-            return client.activate_calibration(spacecraft_id, each["id"], reason)
-    started = client.start_calibration(spacecraft_id, body)
+    body = {"quiet": _document(quiet), "turns": _document(turns), "method": "geometry"}
+    asked = body | {"sources": dict.fromkeys(("yaw", "roll", "pitch"), _sensor(manifest))}
+    former = [one for one in _calibrations(client, spacecraft_id) if asked.items() <= one.items()]
+    drafts = [one for one in former if one["state"] == "draft" and one["observability"] is not None]
+    active = next((one for one in former if one["state"] == "active"), None)
+    if active is not None:
+        return active
+    if reason and drafts:
+        return client.activate_calibration(spacecraft_id, drafts[0]["id"], reason)
+    started = client.start_calibration(spacecraft_id, body | {"source": _sensor(manifest)})
     wait_for_job(client, started["job"], "calibration")
     made = client.calibration(spacecraft_id, started["id"])
-    if made["quality"].get("warnings") and not reason:
-        return made
-    return client.activate_calibration(spacecraft_id, started["id"], reason)
+    if not made["quality"].get("warnings") or reason:
+        return client.activate_calibration(spacecraft_id, started["id"], reason)
+    for one in drafts:
+        if all(one[name] == made[name] for name in ("plan_id", "ephemeris_id", "quality", "carriers")):
+            client.request("DELETE", f"/spacecraft/{spacecraft_id}/calibrations/{made['id']}")
+            return one
+    return made
 
 
 def _calibrations(client: "ServiceClient", spacecraft_id: str) -> list[dict[str, Any]]:

@@ -64,6 +64,9 @@ class Service:
         path = request.url.path.removeprefix("/api/v1/spacecraft").removeprefix("/yamal-202").strip("/")
         if request.method == "GET":
             return self._read(path)
+        if request.method == "DELETE":
+            self.calibrations[:] = [one for one in self.calibrations if path != f"calibrations/{one['id']}"]
+            return httpx.Response(204)
         self.orders.append(f"{request.method} {path}")
         return httpx.Response(200, json=self._change(path, json.loads(request.content or b"{}")))
 
@@ -72,7 +75,7 @@ class Service:
         if path in lists:
             return httpx.Response(200, json={"rows": lists[path]})
         if path.startswith("calibrations/"):
-            return httpx.Response(200, json=self.calibrations[-1])
+            return httpx.Response(200, json=self.calibrations[0])
         if path.startswith("api/v1/jobs"):
             return httpx.Response(200, json=self.job)
         if path == "status":
@@ -98,17 +101,24 @@ class Service:
         elif path.endswith(":batch"):
             return self._rows(body)
         elif path == "calibrations":
-            made = {"id": 1, "state": "draft", "quality": {"warnings": self.warnings}, "observability": {}, **body}
-            self.calibrations.append(made)
-            return {"id": 1, "job": "j"}
+            return self._calibrate(body)
         elif path.endswith(":activate"):
-            self.calibrations[-1] |= {"state": "active", "override_reason": body.get("override_reason")}
-            return self.calibrations[-1]
+            (made,) = (one for one in self.calibrations if path.startswith(f"calibrations/{one['id']}:"))
+            made |= {"state": "active", "override_reason": body.get("override_reason")}
+            return made
         elif path == "alignments":
             window = {name: body[name] for name in ("start", "stop")}
             self.alignments.append({"id": 1, "calibration_id": 1, "window": window, "epoch": body["stop"]})
             return self.alignments[-1]
         return {}
+
+    def _calibrate(self, body: dict[str, Any]) -> dict[str, Any]:
+        number = 1 + max((one["id"] for one in self.calibrations), default=0)
+        figures = {"quality": {"warnings": list(self.warnings)}, "observability": {}, "carriers": []}
+        sources = dict.fromkeys(("yaw", "roll", "pitch"), body["source"])
+        made = {"id": number, "state": "draft", "plan_id": 1, "ephemeris_id": 1, "sources": sources, **figures, **body}
+        self.calibrations.insert(0, made)
+        return {"id": number, "job": "j"}
 
     def _rows(self, body: dict[str, Any]) -> dict[str, Any]:
         kind = "measurements" if "measurements" in body else "references"
@@ -287,6 +297,19 @@ def test_a_calibration_with_a_warning_stays_a_draft_until_it_is_accepted(service
     (made,) = service.calibrations
     assert (made["state"], made["override_reason"]) == ("active", "the yaw sign is known")
     assert len(service.alignments) == 1
+
+
+def test_a_second_calibration_with_the_same_figures_leaves_one_draft(service: Service, folder: Path) -> None:
+    propose(folder, *STATED, DAY_FIRST)
+    with_windows(folder)
+    for _ in range(2):
+        assert "calibration 1 is draft" in run(folder, "--calibrate").output
+        assert [each["id"] for each in service.calibrations] == [1]
+    service.warnings = ["another"]
+    assert "calibration 2 is draft" in run(folder, "--calibrate").output
+    assert [each["id"] for each in service.calibrations] == [2, 1]
+    accepted = run(folder, "--calibrate", "--accept", "the yaw sign is known")
+    assert "calibration 2 is active" in accepted.output
 
 
 @pytest.mark.slow
