@@ -13,6 +13,8 @@ from service.client.event_lines import Follower, StreamEvent
 from service.client.problem import ServiceUnavailableError, error_of
 
 Result = TypeVar("Result")
+#: statuses of a key that is not valid, or not for this
+_KEY_REFUSED = frozenset({401, 403})
 
 
 class Transport:
@@ -34,6 +36,8 @@ class Transport:
         Waits between attempts.
     first_wait_s : float
         Waiting time before the second attempt; doubles.
+    stored_key : callable
+        Key as it is stored now, asked where the service refuses the one in use; None = it cannot be read.
     """
 
     def __init__(
@@ -46,6 +50,7 @@ class Transport:
         http: httpx.BaseTransport | None = None,
         sleep: Callable[[float], None] = time.sleep,
         first_wait_s: float = 0.5,
+        stored_key: Callable[[], str | None] = lambda: None,
     ) -> None:
         # The environment's proxies are not used: a key for the station network stays in it.
         self._http = httpx.Client(
@@ -59,6 +64,7 @@ class Transport:
         self._retries = retries
         self._sleep = sleep
         self._first_wait_s = first_wait_s
+        self._stored_key = stored_key
 
     def __enter__(self) -> Self:
         return self
@@ -185,12 +191,21 @@ class Transport:
             raise no_answer(self._http.base_url, "GET", BASE_PATH + path, error) from error
 
     def _send_once(self, call: Call[Result]) -> Result:
-        """Send once."""
+        """Send once, and again where the key was refused, which did nothing, and another is stored by now."""
         try:
-            response = self._http.request(
-                call.method, call.url, content=call.content, params=call.query, headers=call.headers
-            )
+            response = self._respond(call)
+            if response.status_code in _KEY_REFUSED and self._is_key_replaced():
+                response = self._respond(call)
         except httpx.TransportError as error:
             raise no_answer(self._http.base_url, call.method, call.url, error) from error
         answer: Result = decoded(response, call.member)
         return answer
+
+    def _respond(self, call: Call[Result]) -> httpx.Response:
+        return self._http.request(call.method, call.url, content=call.content, params=call.query, headers=call.headers)
+
+    def _is_key_replaced(self) -> bool:
+        """Take the stored key, and return whether it is another one."""
+        headers, former = default_headers(self._stored_key()), self._http.headers.get("Authorization")
+        self._http.headers.update(headers)
+        return headers.get("Authorization", former) != former

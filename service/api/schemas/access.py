@@ -116,18 +116,21 @@ class KeyState(StrEnum):
     REVOKED = "revoked"
 
 
+HolderName = Annotated[
+    str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$"), AfterValidator(_name)
+]
+
+
 class KeyDocument(Document):
     """Request for a new key."""
 
-    name: Annotated[
-        str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$"), AfterValidator(_name)
-    ]
+    name: HolderName
     """Holder of the key, as the audit log names it. Kept trimmed and in Unicode's normal form KC, without characters
     that cannot be seen; keys in force differ in more than case, and none is `bootstrap`, `anonymous` or `service`."""
     role: Annotated[Role, Field(strict=False)]
     expires_at: Epoch | None = None
     """Instant from which it is no longer valid; null = never."""
-    station: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] | None = None
+    station: HolderName | None = None
     """Only of role station: the station whose sources it sends, by default the name of the key. Another key of the same
     station replaces it."""
     spacecraft: (

@@ -104,6 +104,17 @@ def key_of(key_env: str, service: str | None = None) -> str:
     return key
 
 
+def stored_key(key_env: str) -> str | None:
+    """Return the key of the file that the variable with ``_FILE`` names, as it is now; None where there is none."""
+    path = os.environ.get(f"{key_env}_FILE")
+    if os.environ.get(key_env) or not path:
+        return None
+    try:
+        return Path(path).read_text(encoding="utf-8").strip() or None
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
 @contextmanager
 def connected(service: str, key_env: str, **options: Any) -> Iterator["ServiceClient"]:
     """Give a client; a refusal of the service ends the command with its words and exit code 1."""

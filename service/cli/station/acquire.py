@@ -8,12 +8,13 @@ from the command line.
 import json
 import logging
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from service.cli.operation.connection import key_of
+from service.cli.operation.connection import key_of, stored_key
 from service.cli.station.state_folder import state_folder
 from service.records.epoch import US_PER_S, format_epoch
 
@@ -117,9 +118,12 @@ def acquire(
     if check:
         return
     key = key_of(key_env)
+    if stored_key(key_env) is None:
+        hint = "%s is read at the start alone; of a key file, named by %s_FILE, a replaced key is taken at once"
+        logging.getLogger(__name__).info(hint, key_env, key_env)
     bounds = Bounds(rows_bytes=round(spool_mib * 2**20), age_s=spool_days * 86_400.0, traces=evidence_traces)
     folder = spool or state_folder("spool")
-    delivery = Delivery(service, key, batch_rows, batch_s, folder, bounds, trace_period)
+    delivery = Delivery(service, key, partial(stored_key, key_env), batch_rows, batch_s, folder, bounds, trace_period)
     for each, summary in zip(planned, measure(planned, delivery, report_s), strict=True):
         log_summary(each.entry, summary)
 

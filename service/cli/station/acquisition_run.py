@@ -6,6 +6,7 @@ Tasks of ``soo acquire``, loaded, planned and shown before an analyzer is touche
 import logging
 import signal
 import socket
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,11 +125,17 @@ class Delivery:
 
     service: str
     key: str
+    #: key as it is stored now
+    stored_key: Callable[[], str | None]
     batch_rows: int
     batch_s: float
     spool_folder: Path
     bounds: Bounds
     trace_period_s: float
+
+    def client(self, timeout_s: float = 10.0) -> ServiceClient:
+        """Return a client without retries that takes a replaced key."""
+        return ServiceClient(self.service, self.key, retries=0, timeout_s=timeout_s, stored_key=self.stored_key)
 
 
 def entries_of(station_file: Path, task_file: Path | None) -> tuple[StationEntry, ...]:
@@ -161,8 +168,8 @@ def measure(planned: list[PlannedAnalyzer], delivery: Delivery, report_s: float)
         stations = [_station(stack, each, delivery) for each in planned]
         _stop_on_signals(stations)
         if report_s > 0.0:
-            client = ServiceClient(delivery.service, delivery.key, retries=0, timeout_s=_REPORT_TIMEOUT_S)
-            reporter = LinkReporter(stack.enter_context(client), _front_end_name(), stations, report_s)
+            client = stack.enter_context(delivery.client(_REPORT_TIMEOUT_S))
+            reporter = LinkReporter(client, _front_end_name(), stations, report_s)
             reporter.start()
             stack.callback(reporter.stop)
         try:
@@ -198,7 +205,7 @@ def _station(stack: ExitStack, planned: PlannedAnalyzer, delivery: Delivery) -> 
             entry.hold_s,
         ),
         UploadSettings(entry.spacecraft, entry.source, delivery.batch_rows, delivery.batch_s),
-        stack.enter_context(ServiceClient(delivery.service, delivery.key, retries=0)),
+        stack.enter_context(delivery.client()),
         rows,
         system_now_us,
     )

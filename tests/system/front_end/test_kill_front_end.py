@@ -147,7 +147,9 @@ class Rig:
             assert client.post("/api/v1/spacecraft", json=body).status_code == 201
             plan = {"carriers": [ground_bodies.carrier_body(world, each) for each in carriers]}
             client.put("/api/v1/spacecraft/sc/carriers", json=plan).raise_for_status()
-            self.key = client.headers["Authorization"].partition(" ")[2]
+        self.key_file = folder / "station.key"
+        self.key_id, key = self.make_key("0")
+        self.key_file.write_text(key)
         self.url = self.service.url
         port = analyzer.announced()["scpi_port"]
         self.resource = f"TCPIP::127.0.0.1::{port}::SOCKET"
@@ -162,7 +164,15 @@ class Rig:
         arguments = ["service", "acquire", "--task", str(self.task_path), "--spacecraft", "sc", "--json-log"]
         arguments += ["--resource", self.resource, "--service", self.url, "--epoch", "analyzer", "--period", "0"]
         arguments += ["--spool", str(self.spool)]
-        return self._child(arguments, f"acquire-{self.starts}.log", self._environment | {"SOO_KEY": self.key})
+        named = {"SOO_KEY_FILE": str(self.key_file)}
+        return self._child(arguments, f"acquire-{self.starts}.log", self._environment | named)
+
+    def make_key(self, name: str) -> tuple[str, str]:
+        """Return id and key of another key of the station."""
+        with self.service.client() as client:
+            body = {"name": f"front end {name}", "role": "station", "station": "front end"}
+            made = client.post("/api/v1/keys", json=body).raise_for_status().json()
+        return made["id"], made["key"]
 
     def _child(self, arguments: list[str], log: str, environment: dict[str, str]) -> Child:
         """Start a process that `close` ends."""
@@ -284,7 +294,11 @@ def judge_levels(rows: list[dict[str, Any]], truth: Truth) -> None:
 def lose_and_double_nothing(rig: Rig, kills: int) -> None:
     """Kill, let the rest arrive, and compare the archive with the truth."""
     print(f"seed {SEED}, world {WORLD_SEED}")
-    died, promised, cut_off = play(rig, kills)
+    judge(rig, kills, *play(rig, kills))
+
+
+def judge(rig: Rig, kills: int, died: Counter[str], promised: set[str], cut_off: set[str]) -> list[dict[str, Any]]:
+    """Let the rest arrive, compare the archive with the truth, and return its rows."""
     last_seq = finish(rig)
     in_hand = {micro(rig.truth.newest[session]) for session in cut_off}
     with rig.service.client() as client:
@@ -310,6 +324,27 @@ def lose_and_double_nothing(rig: Rig, kills: int) -> None:
     assert source["rows"] == last_seq
     assert len(rows) > 5 * kills
     judge_levels(rows, rig.truth)
+    return rows
+
+
+def test_keys_replaced_under_load_lose_and_double_nothing(rig: Rig) -> None:
+    """The old key is revoked first; rows wait in the spool until the file has the new one."""
+    brought = []
+    for number in range(1, 4):
+        rig.await_delivery()
+        brought.append(rig.key_id)
+        key_id, key = rig.make_key(str(number))
+        with rig.service.client() as client:
+            client.delete(f"/api/v1/keys/{rig.key_id}").raise_for_status()
+        rig.await_load()
+        assert spooled(rig.spool, rig.folder / "copy")[0], "no row waits for the new key"
+        rig.key_file.write_text(key)
+        rig.key_id = key_id
+    rig.await_delivery()
+    assert rig.starts == 1
+    assert "key.invalid" in rig.front_end.log.read_text()
+    rows = judge(rig, 0, Counter(), set(), set())
+    assert list(dict.fromkeys(row["key_id"] for row in rows)) == [*brought, rig.key_id]
 
 
 def test_four_kills_lose_and_double_nothing(rig: Rig) -> None:

@@ -275,6 +275,25 @@ def test_key_and_body_go_with_the_request() -> None:
     assert str(requests[0].url) == "http://service/api/v1/x?c=3"
 
 
+@pytest.mark.parametrize("status", [401, 403])
+def test_a_replaced_key_is_taken_where_the_former_is_refused(status: int) -> None:
+    sent: list[str] = []
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        sent.append(request.headers["authorization"].removeprefix("Bearer "))
+        return httpx.Response(200 if sent[-1] == "new" else status, json={"code": "key.invalid"})
+
+    stored: list[str | None] = [None, "old", "new"]
+    made = Transport("http://service", "old", http=httpx.MockTransport(handle), stored_key=lambda: stored.pop(0))
+    for _ in range(2):
+        with pytest.raises(ProblemError):
+            made.request("POST", "/x", {})
+    assert sent == ["old", "old"]
+    for _ in range(2):
+        made.request("POST", "/x", {})
+    assert sent[2:] == ["old", "new", "new"]
+
+
 def test_health_stands_outside_the_base_path() -> None:
     made, requests = transport(httpx.Response(204))
     assert made.request("GET", "/healthz") is None
