@@ -219,7 +219,7 @@ class CalibrationResult:
     polarimeters: tuple[PolarimeterCheck, ...] = ()
     #: None where the catalogue does not use the momentum, the turns contradict it, or quiet days do not tell it
     gathered: GatheredTorque | None = None
-    #: None from a calibration of the paper method
+    #: None where a calibration of the paper method has too few carriers with a place
     turns: TurnsCheck | None = None
 
 

@@ -14,6 +14,7 @@ from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.calibration.checks.turns import LONGEST_LAG_S
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import MotionVerdict
 from service.records.levels.measurement import MeasurementSeries
@@ -49,7 +50,7 @@ def flown(name, seed):
     return data, MeasurementSeries(data.quiet.carrier_ids, ground.epochs_us, ground.power_dbm)
 
 
-def calibrated(data, powers, *, lag_s=0.0, scale=1.0, angles=None):
+def calibrated(data, powers, *, lag_s=0.0, scale=1.0, angles=None, calibrate=calibrate_geometry):
     """Return the check of a calibration whose powers are late, whose angles are scaled or others."""
 
     def cut(start_us, stop_us):
@@ -70,12 +71,12 @@ def calibrated(data, powers, *, lag_s=0.0, scale=1.0, angles=None):
         references=tuple(map(sent, data.references)),
         quiet_references=tuple(map(sent, data.quiet_references)),
     )
-    return calibrate_geometry(late, CalibrationConfig())
+    return calibrate(late, CalibrationConfig())
 
 
-def require_lag(lag_s, seeds):
+def require_lag(lag_s, seeds, calibrate=calibrate_geometry):
     """Print what the checks say of a lag, and hold it to twelve seconds and to what is refused."""
-    checks = [calibrated(*flown("nominal", seed), lag_s=lag_s).turns for seed in seeds]
+    checks = [calibrated(*flown("nominal", seed), lag_s=lag_s, calibrate=calibrate).turns for seed in seeds]
     lags, sigmas = (np.array([getattr(one, name) for one in checks]) for name in ("lag_s", "lag_sigma_s"))
     refused = sum(one.verdict is CONTRADICTED for one in checks)
     print(
@@ -94,10 +95,21 @@ def test_a_lag_is_found_and_named(lag_s):
     require_lag(lag_s, (1,))
 
 
+def by_paper(data, config):
+    """Return the calibration by the published method of days without angles, as it may have them."""
+    return calibrate_paper(replace(data, quiet_references=()), config)
+
+
+@pytest.mark.parametrize("lag_s", [30.0, 900.0])
+def test_a_lag_is_found_by_the_paper_method(lag_s):
+    require_lag(lag_s, (1,), by_paper)
+
+
 @pytest.mark.nightly
+@pytest.mark.parametrize("calibrate", [calibrate_geometry, by_paper])
 @pytest.mark.parametrize("lag_s", list(LAGS))
-def test_lags_over_seeds(lag_s):
-    require_lag(lag_s, range(1, 21))
+def test_lags_over_seeds(lag_s, calibrate):
+    require_lag(lag_s, range(1, 21), calibrate)
 
 
 def scale_figures(seeds):
@@ -147,10 +159,10 @@ def test_another_sensor_is_named_and_rain_is_not(how):
     assert result.warnings[0] == f"the turns are inconsistent: {result.turns.reason}"
 
 
-def require_honest(worlds):
+def require_honest(worlds, calibrate=calibrate_geometry):
     refused = []
     for name, seed in worlds:
-        check = calibrated(*flown(name, seed)).turns
+        check = calibrated(*flown(name, seed), calibrate=calibrate).turns
         print(
             f"| {name} {seed} | {check.lag_s:.1f} +- {check.lag_sigma_s:.1f} | {check.scale:.2f} +- "
             f"{check.scale * check.scale_sigma:.2f} | {check.scatter:.1f} | {check.shared:.1f} |",
@@ -166,7 +178,8 @@ def test_honest_turns_are_not_refused():
 
 
 @pytest.mark.nightly
+@pytest.mark.parametrize("calibrate", [calibrate_geometry, by_paper])
 @pytest.mark.parametrize("part", range(4))
-def test_forty_honest_worlds_are_not_refused(part):
+def test_forty_honest_worlds_are_not_refused(part, calibrate):
     assert len(HONEST) == 40
-    require_honest(HONEST[part::4])
+    require_honest(HONEST[part::4], calibrate)

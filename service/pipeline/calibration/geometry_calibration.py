@@ -32,7 +32,7 @@ from service.pipeline.calibration.telemetry_checks import (
     rate_check,
     rate_warnings,
 )
-from service.pipeline.calibration.turns_check import turns_check, turns_quality, turns_warnings
+from service.pipeline.calibration.turns_check import MIN_CARRIERS, turns_check, turns_quality, turns_warnings
 from service.pipeline.carrier_model.expected_level import daily_error_db, geometry_model
 from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
@@ -151,8 +151,6 @@ RAIN_SHARE = {"L": 0.1, "S": 0.1, "C": 0.1, "X": 0.5, "Ku": 1.0, "K": 2.5, "Ka":
 #: The same by downlink frequency, Hz, for bands of other names: below each, that share.
 _SHARE_BELOW_HZ = ((7e9, 0.1), (10e9, 0.5), (17e9, 1.0))
 _HIGHEST_SHARE = 2.5
-#: fewest carriers that determine three angles and a common level
-MIN_CARRIERS = 4
 
 
 def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> CalibrationResult:

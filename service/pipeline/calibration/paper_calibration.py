@@ -23,6 +23,7 @@ from service.pipeline.calibration.geometry_rows import (
     turn_rows,
 )
 from service.pipeline.calibration.sensor_signs import report_signs
+from service.pipeline.calibration.turns_check import paper_turns, turns_quality, turns_warnings
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
 from service.records.calibration import (
     CalibrationResult,
@@ -69,12 +70,15 @@ def calibrate_paper(data: CalibrationInput, config: CalibrationConfig) -> Calibr
     free = _free_response(result)
     is_fixed_gain = np.array([carrier.transponder_mode != "alc" for carrier in data.plan.carriers])
     is_free = is_fixed_gain & np.isfinite(free.slope).all(axis=1) & np.isfinite(positions.geometry.azimuth_deg)
-    report = report_signs(data, config, positions, free, is_free, result.quality["yaw_turn_reach_deg"])
+    turns = paper_turns(data, config)
+    doubt = "" if turns is None else turns.reason
+    report = report_signs(data, config, positions, free, is_free, result.quality["yaw_turn_reach_deg"], doubt=doubt)
     return replace(
         result,
-        quality={**result.quality, **report.quality},
-        warnings=result.warnings + report.warnings,
+        quality={**result.quality, **turns_quality(turns), **report.quality},
+        warnings=turns_warnings(turns) + result.warnings + report.warnings,
         signs=report.signs,
+        turns=turns,
     )
 
 

@@ -21,22 +21,25 @@ from service.core.estimation.calibration.checks.turns import (
 from service.core.estimation.calibration.geometry_calibration import predict_level_dbm
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE
 from service.core.estimation.calibration.whitened_fit import coloured_noise
-from service.pipeline.calibration.geometry_fit import JointFit
+from service.core.estimation.observability import crlb_deg
+from service.pipeline.calibration.geometry_fit import JointFit, fit_rows
 from service.pipeline.calibration.geometry_rows import (
+    CalibrationError,
     CalibrationInput,
     GeometryRows,
+    geometry_rows,
     inside,
     joined_rows,
     orbit_motion,
     phase_rad,
     undisturbed,
 )
-from service.pipeline.calibration.paper_calibration import observe
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.calibration import MotionVerdict, TurnsCheck
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
+from service.records.levels.measurement import ReferenceSeries
 
 #: sigmas beyond which a figure contradicts
 _SIGMAS = 4.0
@@ -50,6 +53,27 @@ _NEARER_UNIT = 0.5 * math.log(_UNITS["mrad"])
 _REACH_PERIODS = 0.6
 #: s, grid of the angles, as close as rows of the fit are
 _GRID_S = 20
+#: fewest carriers that determine three angles and a common level
+MIN_CARRIERS = 4
+
+
+def paper_turns(data: CalibrationInput, config: CalibrationConfig) -> TurnsCheck | None:
+    """Return the check for a calibration by the paper method; None where places or carriers are too few.
+
+    The joint fit serves the check alone. Where no sensor tells the angles of the quiet days, they are zero, as the
+    method takes them.
+    """
+    at_us = data.quiet.epochs_us
+    still = np.zeros((len(at_us), 3))
+    zero = tuple(ReferenceSeries(name, at_us, still, still) for name in sorted(set(data.sensors)))
+    try:
+        data = replace(data, quiet_references=data.quiet_references or zero)
+        rows = geometry_rows(data, config)
+    except CalibrationError:
+        return None
+    joint = fit_rows(data, rows, config)
+    is_used = np.isfinite(joint.fit.level_dbm) & ~rows.positions.is_beacon
+    return turns_check(data, rows, joint, is_used, config) if np.count_nonzero(is_used) >= MIN_CARRIERS else None
 
 
 def turns_check(
@@ -76,15 +100,17 @@ def turns_check(
     return replace(check, verdict=MotionVerdict.CONTRADICTED if reason else verdict, reason=reason)
 
 
-def turns_quality(check: TurnsCheck) -> dict[str, float]:
+def turns_quality(check: TurnsCheck | None) -> dict[str, float]:
     """Return the figures of the check, by name."""
+    if check is None:
+        return {}
     figures = {name: getattr(check, name) for name in ("lag_s", "lag_sigma_s", "scale", "scale_sigma", "shared")}
     return {f"turn_{name}": value for name, value in figures.items() if math.isfinite(value)}
 
 
-def turns_warnings(check: TurnsCheck) -> tuple[str, ...]:
+def turns_warnings(check: TurnsCheck | None) -> tuple[str, ...]:
     """Return the warning of the check."""
-    return (f"the turns are inconsistent: {check.reason}",) if check.reason else ()
+    return (f"the turns are inconsistent: {check.reason}",) if check is not None and check.reason else ()
 
 
 def _lag(
@@ -135,7 +161,7 @@ def _about_lag(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_u
         return f"{text}: correct the clock or the time zone of one of them, or name its epochs as it means them"
     error_deg = _lag_error_deg(rows, size_s)
     sigma_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
-    sigma_deg = np.array(observe(joint.response.slope[is_used], sigma_db[is_used]).crlb_deg)
+    sigma_deg = np.asarray(crlb_deg(joint.response.slope[is_used], sigma_db[is_used], with_common=True))
     worst = int(np.argmax(error_deg / sigma_deg))
     if not error_deg[worst] > _BEARABLE_SHARE * sigma_deg[worst]:
         return ""

@@ -75,7 +75,8 @@ async def test_a_calibration_by_geometry_is_told_by_name_and_activated(bench, pa
     assert (active.status_code, active.json()["state"]) == (200, "active")
 
 
-async def test_powers_of_another_clock_are_activated_for_a_reason_alone(bench, payload, make):
+@pytest.mark.parametrize("method", ["geometry", "paper"])
+async def test_powers_of_another_clock_are_activated_for_a_reason_alone(bench, payload, make, method):
     """A sensor whose clock is fifteen minutes behind."""
     data = payload.data()
     sent = [
@@ -84,7 +85,7 @@ async def test_powers_of_another_clock_are_activated_for_a_reason_alone(bench, p
         for at, angle, sigma in zip(one.epochs_us, one.attitude_deg, one.sigma_deg, strict=True)
     ]
     bench.storage.archive.append_inputs(make.sc, sent)
-    reported = await calibrated(bench, payload, source="other")
+    reported = await calibrated(bench, payload, source="other", method=method)
     assert (reported["state"], reported["quality"]["turns"]) == ("draft", "contradicted")
     assert reported["quality"]["turn_lag_s"] == pytest.approx(900.0, abs=10.0)
     assert reported["quality"]["warnings"][0].startswith("the turns are inconsistent: the powers are 1")

@@ -357,7 +357,8 @@ def test_a_fit_ends_with_a_result_that_can_be_activated(ground):
     assert [carrier.id for carrier in calibration.result.carriers] == list(ground.payload.ids)
     active = ground.calibrator.activate(ground.id, calibration.id)
     assert active.state is CalibrationState.ACTIVE
-    assert ground.calibrator.activate(ground.id, calibration.id) == active
+    # as text: figures that are not known are equal
+    assert repr(ground.calibrator.activate(ground.id, calibration.id)) == repr(active)
     assert ground.storage.results.calibration(ground.id, 1).state is CalibrationState.SUPERSEDED
 
 
