@@ -4,7 +4,7 @@ Storing slow inputs: references, corrections, telemetry, weather, polarisation, 
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
@@ -23,6 +23,7 @@ from db.measurements.ingest import StoreBatch
 from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
 from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
 from db.measurements.row_insert import prepare
+from db.schema.columns import sound_rows
 from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
 from service.errors import InvalidInputError, NotFoundError
 from service.ports import Intervals, MeasuredFigure, SampledPowers
@@ -210,11 +211,11 @@ class SqlArchive:
     def operation(self, spacecraft_id: str, operation_id: int) -> Operation:
         """Return the newest revision of one operation."""
         key = self._database.key(spacecraft_id)
-        query = _newest_operations(select(journal.c.document), key).where(operation.c.operation_id == operation_id)
-        row = self._database.fetch_one(query)
-        if row is None:
+        query = _newest_operations(select(journal), key).where(operation.c.operation_id == operation_id)
+        rows = sound_rows(journal, self._database.fetch(query))
+        if not rows:
             raise NotFoundError("operation.unknown", f"There is no operation {operation_id} of {spacecraft_id!r}.")
-        return decode(Operation, row.document)
+        return decode(Operation, rows[0].document)
 
     def sources(self, spacecraft_id: str) -> tuple[SourceState, ...]:
         """Return all measurement sources."""
@@ -243,17 +244,19 @@ class SqlArchive:
         with self._database.read() as connection:
             return journal_heads(connection, self._database.segments)
 
-    def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
+    def journal(self, spacecraft_id: str, after: int, limit: int, *, is_compared: bool = False) -> list[JournalEntry]:
         """Return at most ``limit`` entries with a number above ``after``, in order."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            entries = self._entries(connection, key, after, limit)
+            entries = self._entries(connection, key, after, limit, is_compared=is_compared)
             if not entries and (following := self._next_number(connection, key, after)) is not None:
                 # retention has taken away what followed
-                entries = self._entries(connection, key, following - 1, limit)
+                entries = self._entries(connection, key, following - 1, limit, is_compared=is_compared)
         return entries
 
-    def _entries(self, connection: Connection, key: int, after: int, limit: int) -> list[JournalEntry]:
+    def _entries(
+        self, connection: Connection, key: int, after: int, limit: int, *, is_compared: bool
+    ) -> list[JournalEntry]:
         """Return the entries with a number in (after, after + limit], in order."""
 
         # numbers have no gap but that of retention, so the next entries are a range of numbers
@@ -262,9 +265,9 @@ class SqlArchive:
 
         slow = select(journal).where(journal.c.spacecraft_key == key, is_next(journal.c.number))
         pages = self._pages(connection, key)
-        rows = _with_keys(connection, pages, pages.of_numbers(after, after + limit))
+        rows = _with_keys(connection, pages, pages.of_numbers(after, after + limit, is_compared=is_compared))
         entries = [JournalEntry(row.number, row) for row in rows]
-        entries += [_slow_entry(row) for row in connection.execute(slow)]
+        entries += _slow_entries(connection.execute(slow), is_compared=is_compared)
         return sorted(entries, key=lambda entry: entry.number)
 
     def _next_number(self, connection: Connection, key: int, after: int) -> int | None:
@@ -285,7 +288,7 @@ class SqlArchive:
             .where(journal.c.spacecraft_key == key, journal.c.kind.in_(kinds), journal.c.number < number)
             .order_by(journal.c.number)
         )
-        return [_slow_entry(row) for row in self._database.fetch(query)]
+        return _slow_entries(self._database.fetch(query), is_compared=False)
 
     def inputs(
         self,
@@ -296,11 +299,12 @@ class SqlArchive:
         after: tuple[int, int] | None,
         *,
         newest_first: bool = False,
+        is_compared: bool = True,
     ) -> list[JournalEntry]:
         """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor."""
         query = _inputs(self._database.key(spacecraft_id), kind, window)
         page = page_of(query, *_POSITION, limit, after, newest_first=newest_first)
-        return [_slow_entry(row) for row in self._database.fetch(page)]
+        return _slow_entries(self._database.fetch(page), is_compared=is_compared)
 
     def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
         """Return the newest row of the prime source."""
@@ -421,7 +425,7 @@ class SqlArchive:
         after: Cursor | None = None
         while rows := self._database.fetch(page_of(query, *_POSITION, RECORD_PAGE_ROWS, after)):
             page: dict[str, list[AttitudeReference]] = {}
-            for row in rows:
+            for row in sound_rows(journal, rows):
                 reference = decode(AttitudeReference, row.document)
                 page.setdefault(reference.source, []).append(reference)
             for name, references in page.items():
@@ -467,8 +471,11 @@ class SqlArchive:
         return known
 
 
-def _slow_entry(row: Row[Any]) -> JournalEntry:
-    return JournalEntry(row.number, decode_input(row.kind, row.document), row.start_us, row.stop_us)
+def _slow_entries(rows: Iterable[Row[Any]], *, is_compared: bool) -> list[JournalEntry]:
+    return [
+        JournalEntry(row.number, decode_input(row.kind, row.document), row.start_us, row.stop_us)
+        for row in (sound_rows(journal, rows) if is_compared else rows)
+    ]
 
 
 def _inputs(key: int, kind: str, window: Window) -> Select[Any]:

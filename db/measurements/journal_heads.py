@@ -78,7 +78,7 @@ def _digest(connection: Connection, cache: SegmentCache, key: int, number: int) 
     entry = connection.execute(select(*columns).where(*is_it)).first()
     if entry is not None:
         return sha256(json.dumps(list(entry)).encode()).hexdigest()[:_DIGITS]
-    rows = MeasurementPages(connection, cache, key).of_numbers(number - 1, number)
+    rows = MeasurementPages(connection, cache, key).of_numbers(number - 1, number, is_compared=False)
     return sha256(_content(rows[0])).hexdigest()[:_DIGITS] if rows else None
 
 

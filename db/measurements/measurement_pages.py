@@ -199,11 +199,14 @@ class MeasurementPages:
         found = [self._connection.scalar(query) for query in (rows, days)]
         return min((max(each, epoch_us) for each in found if each is not None), default=None)
 
-    def of_numbers(self, after: int, upto: int) -> list[Measurement]:
+    def of_numbers(self, after: int, upto: int, *, is_compared: bool) -> list[Measurement]:
         """Return the rows with a journal number in (after, upto], in no order."""
         is_next = and_(measurement.c.number > after, measurement.c.number <= upto)
         everything = Chosen(EVER)
-        found = measurements_of(self._connection.execute(self._rows(everything, FULL).where(is_next)).all())
+        rows = self._connection.execute(self._rows(everything, FULL).where(is_next)).all()
+        if is_compared:
+            require_sound(self.key, rows)
+        found = measurements_of(rows)
         for head in heads_of_numbers(self._connection, self.key, after, upto):
             chunk = read_chunk(self._connection, self._cache, head)
             positions = np.flatnonzero((chunk.numbers > after) & (chunk.numbers <= upto))

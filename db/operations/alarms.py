@@ -10,6 +10,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from db.database import Repository, lock_head, page_of, within
 from db.encoding.record_codec import decode, encode
 from db.measurements.retention import LOGS_AT_ONCE
+from db.schema.columns import sound_rows
 from db.schema.tables import alarm as alarm_table
 from db.schema.tables import alarm_change, alarm_limits, alarm_memory
 from db.schema.tables import note as note_table
@@ -80,14 +81,15 @@ class SqlAlarms(Repository):
     def changes(self, alarm_id: int) -> list[AlarmChange]:
         """Return the changes of one alarm, in order."""
         query = select(alarm_change).where(alarm_change.c.alarm_id == alarm_id)
-        return self._changes(query.order_by(alarm_change.c.sequence))
+        rows = self._database.fetch(query.order_by(alarm_change.c.sequence))
+        return _changes_of(sound_rows(alarm_change, rows))
 
     def changes_after(self, spacecraft_id: str, sequence: int, limit: int) -> list[AlarmChange]:
         """Return the changes of alarms of a spacecraft and of the service after a number, in order."""
         query = select(alarm_change).where(
             _concerns(alarm_change.c.spacecraft_id, spacecraft_id), alarm_change.c.sequence > sequence
         )
-        return self._changes(query.order_by(alarm_change.c.sequence).limit(limit))
+        return _changes_of(self._database.fetch(query.order_by(alarm_change.c.sequence).limit(limit)))
 
     def newest_sequence(self) -> int:
         """Return the number of the newest change, 0 before the first."""
@@ -162,10 +164,9 @@ class SqlAlarms(Repository):
 
         return self._database.write(store)
 
-    def _changes(self, query: Any) -> list[AlarmChange]:
-        return [
-            replace(decode(AlarmChange, row.document), sequence=row.sequence) for row in self._database.fetch(query)
-        ]
+
+def _changes_of(rows: Sequence[Row[Any]]) -> list[AlarmChange]:
+    return [replace(decode(AlarmChange, row.document), sequence=row.sequence) for row in rows]
 
 
 def _store(connection: Connection, change: AlarmChange, fresh: dict[_Instance, int]) -> AlarmChange:
@@ -218,10 +219,10 @@ class SqlNotes(Repository):
 
     def note(self, note_id: int) -> Note:
         """Return one note; NotFoundError ``note.unknown``."""
-        row = self._database.fetch_one(select(note_table).where(note_table.c.note_id == note_id))
-        if row is None:
+        notes = _notes_of(self._database.fetch(select(note_table).where(note_table.c.note_id == note_id)))
+        if not notes:
             raise _no_note(note_id)
-        return _note_of(row)
+        return notes[0]
 
     def notes(
         self,
@@ -277,11 +278,7 @@ def _about(spacecraft_id: str | None) -> ColumnElement[bool]:
 
 
 def _notes_of(rows: Sequence[Row[Any]]) -> list[Note]:
-    return [_note_of(row) for row in rows]
-
-
-def _note_of(row: Row[Any]) -> Note:
-    return replace(decode(Note, row.document), id=int(row.note_id))
+    return [replace(decode(Note, row.document), id=int(row.note_id)) for row in sound_rows(note_table, rows)]
 
 
 def _no_note(note_id: int) -> NotFoundError:

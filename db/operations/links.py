@@ -10,6 +10,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, fun
 
 from db.database import Repository, lock_head, page_of, within
 from db.encoding.record_codec import decode, encode
+from db.schema.columns import sound_rows
 from db.schema.tables import link as link_table
 from db.schema.tables import trace as trace_table
 from service.errors import ConflictError, NotFoundError
@@ -167,8 +168,8 @@ class SqlTraces(Repository):
         self, spacecraft_id: str, epoch_us: int, source: str | None = None, sweep: str | None = None
     ) -> KeptTrace:
         """Return the trace of an epoch; NotFoundError ``trace.unknown``, ConflictError ``trace.ambiguous``."""
-        query = _chosen(select(*_HEAD, trace_table.c.powers), self._database.key(spacecraft_id), source, sweep)
-        rows = self._database.fetch(query.where(trace_table.c.epoch_us == epoch_us).limit(2))
+        query = _chosen(select(trace_table), self._database.key(spacecraft_id), source, sweep)
+        rows = sound_rows(trace_table, self._database.fetch(query.where(trace_table.c.epoch_us == epoch_us).limit(2)))
         if not rows:
             detail = f"No trace of {format_epoch(epoch_us)} is kept."
             raise NotFoundError("trace.unknown", detail)

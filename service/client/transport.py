@@ -206,6 +206,7 @@ class Transport:
 
     def _is_key_replaced(self) -> bool:
         """Take the stored key, and return whether it is another one."""
-        headers, former = default_headers(self._stored_key()), self._http.headers.get("Authorization")
+        headers = default_headers(self._stored_key())
+        is_another = headers.get("Authorization", "") not in {"", self._http.headers.get("Authorization")}
         self._http.headers.update(headers)
-        return headers.get("Authorization", former) != former
+        return is_another

@@ -102,10 +102,11 @@ class Archive(Protocol):
     def journal_heads(self) -> list[JournalHead]:
         """Return number and digest of the newest entry of every journal; one that is empty has none."""
 
-    def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
+    def journal(self, spacecraft_id: str, after: int, limit: int, *, is_compared: bool = False) -> list[JournalEntry]:
         """Return at most ``limit`` entries with a number above ``after``, in order.
 
-        Numbers have no gap but where retention has taken rows away; empty only when nothing follows.
+        Numbers have no gap but where retention has taken rows away; empty only when nothing follows. The chain takes
+        entries as they are stored; compared with their checksums they may leave the archive.
         """
 
     def slow_inputs_before(self, spacecraft_id: str, number: int, kinds: Sequence[str]) -> list[JournalEntry]:
@@ -120,10 +121,12 @@ class Archive(Protocol):
         after: tuple[int, int] | None,
         *,
         newest_first: bool = False,
+        is_compared: bool = True,
     ) -> list[JournalEntry]:
         """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor.
 
-        Of operations only the newest revision is returned.
+        Of operations only the newest revision is returned. Chain and interlock take them without comparison with their
+        checksums.
         """
 
     def newest_measurement(self, spacecraft_id: str) -> Measurement | None:

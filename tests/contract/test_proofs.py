@@ -21,7 +21,16 @@ from service.errors import StorageError
 from service.ports import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
-from service.records.inputs import AttitudeReference, JournalHead, Operation
+from service.records.inputs import (
+    AttitudeReference,
+    Correction,
+    JournalHead,
+    Operation,
+    PolarizationRecord,
+    TelemetryRecord,
+    WeatherReport,
+)
+from service.records.levels.attitude import Axes
 from service.records.levels.measurement import CarrierDetails, Sender
 from service.records.levels.sweep import Ring, Trace, TraceSettings
 from service.records.operations.alarms import AlarmChange, ChangeKind, Note
@@ -227,6 +236,10 @@ def readers(setting):
     archive, results, releases = setting.storage.archive, setting.storage.results, setting.storage.releases
     window = Window(0, DAY_US)
     of = (setting.id, "live", Method.ROBUST, window)
+    notes = setting.storage.notes
+    note_id = notes.newest(1, setting.id)[0].id
+    with setting.storage._database.read() as connection:
+        alarm_id = connection.scalar(select(metadata.tables["alarm_change"].c.alarm_id))
     return {
         "measurement": [
             setting.rows,
@@ -234,7 +247,16 @@ def readers(setting):
             lambda: archive.measurement_series(setting.id, window, ("c00",)),
             lambda: list(archive.sampled_measurements(setting.id, window, EACH)),
             lambda: list(archive.sampled_measurements(setting.id, window, EACH, figure="c_n0_db_hz")),
+            lambda: archive.journal(setting.id, 0, 99, is_compared=True),
         ],
+        "journal": [
+            lambda: archive.inputs(setting.id, "operation", window, 99, None),
+            lambda: archive.operation(setting.id, 1),
+            lambda: archive.journal(setting.id, 0, 99, is_compared=True),
+        ],
+        "trace": [lambda: setting.storage.traces.trace(setting.id, 10)],
+        "note": [lambda: notes.note(note_id), lambda: notes.newest(9, setting.id)],
+        "alarm_change": [lambda: setting.storage.alarms.changes(alarm_id)],
         "attitude": [
             lambda: results.attitude_rows(*of, 99, None),
             lambda: results.attitude_rows(*of, 99, None, newest_first=True),
@@ -275,6 +297,29 @@ def test_no_row_that_differs_leaves_the_archive(filled):
             with write(filled) as connection:
                 connection.execute(metadata.tables[table].delete())
                 connection.execute(metadata.tables[table].insert(), before)
+
+
+def test_no_slow_input_that_differs_leaves_the_archive_and_the_chain_takes_it(filled):
+    axes, window, archive = Axes(0.1, 0.2, 0.3), Window(0, DAY_US), filled.storage.archive
+    sent = [
+        TelemetryRecord(11, "hold"),
+        Correction(12, 14, axes),
+        WeatherReport("gauge", "Dubna", 13, rain_rate_mm_h=1.0),
+        PolarizationRecord("p", 14, angle_deg=0.3, sigma_deg=0.1),
+    ]
+    archive.append_inputs(filled.id, sent)
+    for kind in ("reference", "telemetry", "correction", "weather", "polarization"):
+        (entry,) = archive.inputs(filled.id, kind, window, 9, None)
+        with write(filled) as connection:
+            is_it = metadata.tables["journal"].c.kind == kind
+            document = metadata.tables["journal"].c.document
+            connection.execute(update(metadata.tables["journal"]).where(is_it).values(document=document + " "))
+        with pytest.raises(StorageError, match=r"storage\.corrupt: The journal row of .* differs from its checksum"):
+            archive.inputs(filled.id, kind, window, 9, None)
+        assert archive.inputs(filled.id, kind, window, 9, None, is_compared=False) == [entry]
+        assert entry in archive.journal(filled.id, 0, 99)
+    with pytest.raises(StorageError, match=r"storage\.corrupt: The journal row of .* differs from its checksum"):
+        archive.reference_series(filled.id, window)
 
 
 @pytest.mark.parametrize("column", ["powers", "checksum"])

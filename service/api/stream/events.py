@@ -188,7 +188,7 @@ class ArchiveReader:
     def _rows(self, position: Cursor) -> tuple[list[FeedEvent], int, int]:
         """Return the next measurements, the number that they reach to, and how many numbers are missing."""
         events, number, lost = [], position.number, 0
-        for entry in self._storage.archive.journal(self._spacecraft_id, number, _AT_ONCE):
+        for entry in self._storage.archive.journal(self._spacecraft_id, number, _AT_ONCE, is_compared=True):
             lost += entry.number - number - 1
             number = entry.number
             if isinstance(entry.content, Measurement):

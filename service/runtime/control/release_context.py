@@ -108,7 +108,8 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
     received_us, stop_us = _ephemeris(storage, spacecraft_id)
     window = Window(now_us - _OPERATIONS_BACK_US, now_us + _AHEAD_US)
     telemetry = read_telemetry(storage, spacecraft_id, now_us - _TELEMETRY_US)
-    operations = [entry.content for entry in storage.archive.inputs(spacecraft_id, "operation", window, _AT_ONCE, None)]
+    as_stored = partial(storage.archive.inputs, is_compared=False)
+    operations = as_stored(spacecraft_id, "operation", window, _AT_ONCE, None)
     inputs = InterlockInputs(
         is_aligned=bool(storage.results.alignments(spacecraft_id)),
         ephemeris_received_us=received_us,
@@ -120,7 +121,7 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
         is_automatic=spacecraft.control.release is Release.AUTOMATIC,
         damaged_documents=storage.catalogue.damaged_documents(spacecraft_id),
     )
-    known = tuple(each for each in operations if isinstance(each, Operation))
+    known = tuple(each.content for each in operations if isinstance(each.content, Operation))
     rated = (each for each in reversed(telemetry) if has_body_rate(each))
     momenta_n_m_s = _newest_momenta(storage, spacecraft_id, telemetry)
     return KnownFacts(spacecraft, inputs, known, next(reversed(telemetry), None), momenta_n_m_s, next(rated, None))
@@ -133,7 +134,8 @@ def _newest_momenta(
     momenta = [one.wheel_momentum_n_m_s for one in reversed(telemetry) if one.wheel_momentum_n_m_s]
     if len(momenta) == 1:
         window = Window(telemetry[0].epoch_us - _BEFORE_US, telemetry[0].epoch_us)
-        for entry in storage.archive.inputs(spacecraft_id, "telemetry", window, _AT_ONCE, None, newest_first=True):
+        as_stored = partial(storage.archive.inputs, is_compared=False)
+        for entry in as_stored(spacecraft_id, "telemetry", window, _AT_ONCE, None, newest_first=True):
             if isinstance(entry.content, TelemetryRecord) and entry.content.wheel_momentum_n_m_s:
                 momenta.append(entry.content.wheel_momentum_n_m_s)
                 break
@@ -145,7 +147,7 @@ def read_telemetry(storage: Storage, spacecraft_id: str, from_us: int) -> tuple[
     window, after = Window(from_us, _EVERY_NUMBER), None
     found: list[TelemetryRecord] = []
     while True:
-        page = storage.archive.inputs(spacecraft_id, "telemetry", window, _AT_ONCE, after)
+        page = storage.archive.inputs(spacecraft_id, "telemetry", window, _AT_ONCE, after, is_compared=False)
         found += [entry.content for entry in page if isinstance(entry.content, TelemetryRecord)]
         if len(page) < _AT_ONCE:
             return tuple(found)

@@ -157,7 +157,7 @@ def _inputs(archive: Archive, spacecraft_id: str, kind: str, window: Window) -> 
     """Yield the slow inputs of a kind that overlap a window."""
     after: tuple[int, int] | None = None
     while True:
-        page = archive.inputs(spacecraft_id, kind, window, _INPUTS_AT_ONCE, after)
+        page = archive.inputs(spacecraft_id, kind, window, _INPUTS_AT_ONCE, after, is_compared=False)
         yield from page
         if len(page) < _INPUTS_AT_ONCE:
             return

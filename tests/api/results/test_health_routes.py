@@ -11,6 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from service.api.monitoring.metrics import FAMILIES
 from service.errors import StorageError
 from service.ports import Outcome
+from service.records.inputs import Correction, TelemetryRecord
 from service.records.levels.attitude import Axes, CarrierState
 from service.records.operations.work import LinkReport
 from service.runtime.live.chain_restart import ChainRestarts, Restarting
@@ -124,6 +125,20 @@ async def test_a_document_that_cannot_be_read_takes_nothing_else_away(bench, mak
     reported = samples((await bench.client.get("/metrics")).text)
     assert reported["soo_attitude_deg", make.sc, "paper", "roll"] == -0.02
     assert reported["soo_journal_lag", make.sc] == 2.0
+
+
+async def test_a_damaged_slow_input_is_refused_in_its_list_alone(bench, make):
+    at_us = make.now_us
+    sent = [TelemetryRecord(at_us, "hold"), Correction(at_us, at_us + make.s, Axes(0.1, 0.0, 0.0))]
+    bench.storage.archive.append_inputs(make.sc, sent)
+    with bench.storage._database.engines.write.begin() as connection:
+        connection.exec_driver_sql(
+            "UPDATE journal SET document = replace(document, 'hold', 'sun') WHERE kind = 'telemetry'"
+        )
+    answer = await bench.client.get(f"{bench.url}/telemetry")
+    assert (answer.status_code, answer.json()["code"]) == (503, "storage.corrupt")
+    assert "journal row of" in answer.json()["detail"]
+    assert (await bench.client.get(f"{bench.url}/corrections")).status_code == 200
 
 
 async def test_a_sign_changed_in_a_calibration_stops_control_and_the_calibration_is_named(bench, make):

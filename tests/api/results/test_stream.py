@@ -85,8 +85,8 @@ async def test_a_result_comes_after_its_row_also_where_both_are_stored_while_the
 ):
     journal, stored = bench.storage.archive.journal, []
 
-    def store_after_the_rows_were_read(spacecraft_id, after, limit):
-        entries = journal(spacecraft_id, after, limit)
+    def store_after_the_rows_were_read(*asked, **how):
+        entries = journal(*asked, **how)
         monkeypatch.setattr(bench.storage.archive, "journal", journal)
         stored.extend(source.store(1))
         return entries
@@ -251,7 +251,9 @@ async def test_an_id_older_than_retention_goes_on_with_what_is_kept(served, sour
     journal, results = bench.storage.archive.journal, bench.storage.results.results_after
     # as if retention had taken the first two rows with their results
     kept = [event.cursor.number for event in published if event.kind == "measurement"][1]
-    monkeypatch.setattr(bench.storage.archive, "journal", lambda sc, after, limit: journal(sc, max(after, kept), limit))
+    monkeypatch.setattr(
+        bench.storage.archive, "journal", lambda sc, after, limit, **how: journal(sc, max(after, kept), limit, **how)
+    )
     monkeypatch.setattr(
         bench.storage.results, "results_after", lambda sc, after, limit: results(sc, max(after, 4), limit)
     )
@@ -264,6 +266,15 @@ async def test_an_id_older_than_retention_goes_on_with_what_is_kept(served, sour
     assert sorted(reported) == sorted(
         (e.kind, format_epoch(e.content.epoch_us)) for e in published[2:4] + published[8:]
     )
+
+
+async def test_a_resumed_stream_ends_before_a_damaged_row(served, source, bench, caplog):
+    first = next(event.cursor for event in source.store(4) if event.kind == "measurement")
+    with bench.storage._database.engines.write.begin() as connection:
+        connection.exec_driver_sql("UPDATE measurement SET delay_us = delay_us + 1")
+    with served.open(f"yamal-202:{first.number - 1}.0.0") as response:
+        assert b"event: measurement" not in b"".join(response.iter_bytes())
+    assert "storage.corrupt: The measurement of " in caplog.text
 
 
 async def test_one_stream_too_many_is_refused_and_room_comes_back(served, source, bench):

@@ -160,7 +160,7 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
         "weather": [JournalEntry(8, rain)],
         "polarization": [JournalEntry(9, angle)],
     }
-    archive.inputs.side_effect = lambda _spacecraft, kind, _window, _limit, _after: pages.get(kind, [])
+    archive.inputs.side_effect = lambda _spacecraft, kind, *_, is_compared: pages.get(kind, [])
     update_before(chain, archive, "y", 50, 150)
     assert [call.args[0] for call in chain.update.call_args_list] == [correction, reported, plan, rain, angle]
     starts_us = {call.args[1]: call.args[2].start_us for call in archive.inputs.call_args_list}
