@@ -219,6 +219,18 @@ def test_links_and_sources_are_shown(ground, report, new_page, open_view, screen
     screenshot(page, f"links-{theme}-{language}")
 
 
+def test_a_source_shows_its_station_and_the_key_that_sent_last(page, open_view):
+    known = {"role": "prime", "newest_epoch": "2026-11-21T03:00:00Z", "rows": 3, "rows_missing": None}
+    sources = [
+        {"id": "sa-1", "station": "Dubna", "key_id": "k7d2mzq9xa", **known},
+        {"id": "sa-2", "station": None, "key_id": None, **known},
+    ]
+    page.route("**/sources", lambda route: route.fulfill(json={"rows": sources}))
+    open_view(page, "links")
+    expect(page.locator("[data-source='sa-1'] th")).to_have_text("sa-1Dubna, key k7d2mzq9xa")
+    expect(page.locator("[data-source='sa-2'] th")).to_have_text("sa-2")
+
+
 def test_an_operator_disables_a_link_and_a_viewer_is_not_offered_it(ground, report, new_page, open_view):
     report(analyzer())
     page = open_view(new_page(key=ground.key("Anna", Role.OPERATOR)), "links")

@@ -116,8 +116,9 @@ function warningOf({ code, detail, since }) {
   return element("div", {}, symbol("caution"), " ", said.join(" "), element("p", { class: "detail", lang: "en" }, element("bdi", {}, detail)));
 }
 
-function sourceOf({ id, role, newest_epoch, rows }, select) {
-  return element("tr", { "data-source": id }, element("th", { scope: "row" }, element("bdi", {}, id)),
+function sourceOf({ id, role, newest_epoch, rows, station, key_id }, select) {
+  const sender = [station, key_id && words("views.links.key", { key: key_id })].filter(Boolean).join(", ");
+  return element("tr", { "data-source": id }, element("th", { scope: "row" }, element("bdi", {}, id), sender && element("p", { class: "detail" }, element("bdi", {}, sender))),
     element("td", {}, words(`views.links.role.${role}`), " ", role !== "prime" && select && element("button", { type: "button", onclick: select }, words("views.links.makePrime"))),
     element("td", {}, utc(newest_epoch)), element("td", {}, number(rows, 0)),
   );
