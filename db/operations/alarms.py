@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, delete, func, or_, select, true, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, or_, select, true, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from db.database import Repository, lock_head, page_of, within
@@ -104,18 +105,28 @@ class SqlAlarms(Repository):
 
     def save_memory(self, spacecraft_id: str | None, memory: EngineMemory) -> None:
         """Store what they remember in place of what they did."""
-        values = {"spacecraft_id": spacecraft_id or "", "document": encode(memory)}
+        store = partial(_put_memory, spacecraft_id=spacecraft_id or "", document=encode(memory))
+        self._database.write(self._database.leases.under(store, spacecraft_id or ARCHIVE))
+
+    def count_refused(self, spacecraft_id: str, is_refused: Sequence[bool]) -> None:
+        """Count records of telemetry that were refused one after another, whichever process refused them."""
+        key = self._database.key(spacecraft_id)
+        if not any(is_refused) and not self.refused(spacecraft_id):
+            return
 
         def store(connection: Connection) -> None:
-            insert = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
-            statement = insert(alarm_memory).values(values)
-            connection.execute(
-                statement.on_conflict_do_update(
-                    index_elements=["spacecraft_id"], set_={"document": statement.excluded.document}
-                )
-            )
+            lock_head(connection, key)
+            count = connection.scalar(_refused(spacecraft_id)) or 0
+            for is_bad in is_refused:
+                count = count + 1 if is_bad else 0
+            _put_memory(connection, spacecraft_id=spacecraft_id, refused=count)
 
-        self._database.write(self._database.leases.under(store, spacecraft_id or ARCHIVE))
+        self._database.write(store)
+
+    def refused(self, spacecraft_id: str) -> int:
+        """Return how many records of telemetry were refused since one was accepted."""
+        row = self._database.fetch_one(_refused(spacecraft_id))
+        return 0 if row is None else int(row.refused)
 
     def limits(self, spacecraft_id: str, version: int | None = None) -> AlarmLimits:
         """Return a version of the limits, or the newest; version 0 are the defaults."""
@@ -163,6 +174,18 @@ class SqlAlarms(Repository):
             return stored
 
         return self._database.write(store)
+
+
+def _refused(spacecraft_id: str) -> Select[Any]:
+    return select(alarm_memory.c.refused).where(alarm_memory.c.spacecraft_id == spacecraft_id)
+
+
+def _put_memory(connection: Connection, **values: Any) -> None:
+    """Store columns of the memory of a spacecraft, beside those that it has."""
+    insert = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
+    statement = insert(alarm_memory).values({"document": encode(EngineMemory()), **values})
+    statement = statement.on_conflict_do_update(index_elements=["spacecraft_id"], set_=values)
+    connection.execute(statement)
 
 
 def _changes_of(rows: Sequence[Row[Any]]) -> list[AlarmChange]:

@@ -500,12 +500,14 @@ alarm_change = Table(
     Index("alarm_change_spacecraft", "spacecraft_id", "sequence"),
 )
 
-#: what is about to alarm; the empty id stands for the service as a whole
+#: what is about to alarm, and records of telemetry that every process of the archive refused since one was accepted;
+#: the empty id stands for the service as a whole
 alarm_memory = Table(
     "alarm_memory",
     metadata,
     Column("spacecraft_id", Text, primary_key=True),
     Column("document", Text, nullable=False),
+    Column("refused", Integer, nullable=False, default=0),
 )
 
 alarm_limits = Table(

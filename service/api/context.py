@@ -4,7 +4,7 @@ import asyncio
 import re
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from threading import Lock
@@ -216,8 +216,6 @@ class ApiContext:
     kernels: Literal["numba", "numpy"] = "numba"
     #: called with the spacecraft whenever something of it entered the journal, for rows with their newest number
     on_accepted: Callable[..., None] = _ignore
-    #: called with the spacecraft and, for each record of momenta that came, whether it was refused
-    on_momenta: Callable[[str, Sequence[bool]], None] = _ignore
     on_startup: Callable[[], Awaitable[None]] = _nothing
     on_shutdown: Callable[[], Awaitable[None]] = _nothing
     #: rate of each spacecraft, deg/s, with the row up to which it was found

@@ -332,7 +332,6 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         leaders=leading.leaders,
         leader_silent_s=leading.silent_s,
         on_accepted=supervisor.notify,
-        on_momenta=alarms.count_momenta,
         on_startup=start,
         on_shutdown=stop,
         supervisor=supervisor,

@@ -294,6 +294,12 @@ class Alarms(Protocol):
     def save_memory(self, spacecraft_id: str | None, memory: EngineMemory) -> None:
         """Store what they remember in place of what they did."""
 
+    def count_refused(self, spacecraft_id: str, is_refused: Sequence[bool]) -> None:
+        """Count records of telemetry that were refused one after another, whichever process refused them."""
+
+    def refused(self, spacecraft_id: str) -> int:
+        """Return how many records of telemetry were refused since one was accepted."""
+
     def limits(self, spacecraft_id: str, version: int | None = None) -> AlarmLimits:
         """Return a version of the limits, or the newest, 0 = the defaults; NotFoundError ``alarm_limits.unknown``."""
 

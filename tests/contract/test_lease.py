@@ -156,6 +156,17 @@ def test_who_is_no_estimator_leads_nothing(setting, open_storage):
     assert held(twin, [setting.id], is_estimator=False) == set() or setting.storage.leases.member is None
 
 
+def test_refused_telemetry_is_counted_whichever_process_refuses_it(setting, open_storage):
+    first, twin = setting.storage, open_storage()
+    memory = EngineMemory((), 11, 60.5)
+    assert held(first, [setting.id])
+    for one, refused, count in ((first, [True], 1), (twin, [True, True], 3), (twin, [False], 0), (first, [True], 1)):
+        one.alarms.count_refused(setting.id, refused)
+        first.alarms.save_memory(setting.id, memory)
+        assert (first.alarms.refused(setting.id), twin.alarms.refused(setting.id)) == (count, count)
+        assert twin.alarms.memory(setting.id) == memory
+
+
 def test_a_lock_on_a_file_that_was_taken_away_is_none(setting, open_storage, url):
     if not url.startswith("sqlite"):
         pytest.skip("a server keeps its locks itself")

@@ -108,7 +108,7 @@ def send_telemetry(
     check_batch_size(len(body.records), context, "/records")
     limit_n_m_s = context.storage.catalogue.spacecraft(spacecraft_id).wheels.momentum_limit_n_m_s
     momenta = [row for row in body.records if row.wheel_momentum_n_m_s]
-    context.on_momenta(spacecraft_id, [row.greatest_n_m_s > limit_n_m_s for row in momenta])
+    context.storage.alarms.count_refused(spacecraft_id, [row.greatest_n_m_s > limit_n_m_s for row in momenta])
 
     def fault(row: TelemetryDocument) -> Fault | None:
         if row.greatest_n_m_s > limit_n_m_s:

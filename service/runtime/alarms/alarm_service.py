@@ -189,10 +189,6 @@ class AlarmService:
         self._queue.extend((spacecraft_id, one) for one in seen)
         self._arrived.set()
 
-    def count_momenta(self, spacecraft_id: str, is_refused: Sequence[bool]) -> None:
-        """Count the records of momenta that were refused one after another; safe from any thread."""
-        self._checks.count_momenta(spacecraft_id, is_refused)
-
     def acknowledge(self, alarm_id: int, by: str, comment: str) -> Alarm:
         """Note that somebody has seen an alarm; ConflictError ``alarm.closed``."""
         return self._order(alarm_id, by, comment, AlarmEngine.acknowledge)
@@ -316,17 +312,18 @@ class AlarmService:
     def _check_spacecraft(self, spacecraft_id: str, *, is_thorough: bool) -> None:
         """Check one spacecraft by its clock, the estimator alone where it has no row and therefore no present yet."""
         persisted = self._persisted(spacecraft_id)
-        readings = [self._checks.of_estimator(spacecraft_id), self._checks.of_telemetry(spacecraft_id)]
+        readings = [self._checks.of_estimator(spacecraft_id)]
+        families = [self._checks.of_telemetry(spacecraft_id)]
         now_us = self._clock.now_us(spacecraft_id)
         if now_us is not None:
-            families = [self._checks.of_inputs(spacecraft_id, persisted.reader, now_us)]
+            families.append(self._checks.of_inputs(spacecraft_id, persisted.reader, now_us))
             families.append(self._checks.of_release(spacecraft_id, now_us))
             if is_thorough:
                 families.append(self._checks.of_foundations(spacecraft_id, now_us))
-            for family in families:
-                # a family that fails keeps no other from being checked; an archive that is away ends the check
-                with self._unless_away(spacecraft_id):
-                    readings += family
+        for family in families:
+            # a family that fails keeps no other from being checked; an archive that is away ends the check
+            with self._unless_away(spacecraft_id):
+                readings += family
         self._check(persisted, readings, self._now_us(spacecraft_id))
 
     def _check(self, persisted: PersistedAlarms, readings: Iterable[Readings], now_us: int) -> None:

@@ -4,7 +4,7 @@ Everything is asked of the archive; links are judged by the system's time, the r
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -60,8 +60,6 @@ class ClockChecks:
     def __init__(self, storage: Storage, clock: Clock, stale_periods: float, failures: StepFailures) -> None:
         self._failures = failures
         self._storage = storage
-        #: records of momenta that were refused since one was accepted; only this process knows what it refused
-        self._refused: dict[str, int] = {}
         self._clock = clock
         self._grace_periods = stale_periods
         self._seen: dict[str, _Seen] = {}
@@ -86,14 +84,9 @@ class ClockChecks:
         things = tuple(each.kind for each in failing)
         return Readings("estimator_failed", things, lasting_s, {each.kind: each.error for each in failing})
 
-    def count_momenta(self, spacecraft_id: str, is_refused: Sequence[bool]) -> None:
-        """Count the records that were refused one after another."""
-        for is_bad in is_refused:
-            self._refused[spacecraft_id] = self._refused.get(spacecraft_id, 0) + 1 if is_bad else 0
-
-    def of_telemetry(self, spacecraft_id: str) -> Readings:
-        """Return how many records of momenta were refused one after another."""
-        return Readings("telemetry_refused", ("momentum",), (float(self._refused.get(spacecraft_id, 0)),))
+    def of_telemetry(self, spacecraft_id: str) -> Iterator[Readings]:
+        """Yield how many records of momenta were refused one after another."""
+        yield Readings("telemetry_refused", ("momentum",), (float(self._storage.alarms.refused(spacecraft_id)),))
 
     def of_release(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
         """Yield the readings of the stored release of torques."""

@@ -133,7 +133,7 @@ class FakeArchive:
     def _calibration(self):
         return SimpleNamespace(id=self.calibration_id, request=SimpleNamespace(method=CalibrationMethod.GEOMETRY))
 
-    def _inputs(self, spacecraft_id, kind, window, limit, after, *, newest_first=False):
+    def _inputs(self, spacecraft_id, kind, window, limit, after, *, newest_first=False, is_compared=False):
         records = self.operations if kind == "operation" else self.telemetry
         reported = [each for each in records if getattr(each, "epoch_us", window.stop_us) >= window.start_us]
         if newest_first:

@@ -153,17 +153,17 @@ def test_the_alarm_needs_nothing_that_is_stored(rig, monkeypatch, fault):
 def test_three_records_of_a_momentum_refused_one_after_another_alarm(rig):
     rig.row(1, -40.0, -40.0)
     for refused in ([True, True], [False], [True], [True]):
-        rig.desk.count_momenta("craft", refused)
+        rig.storage.alarms.count_refused("craft", refused)
         rig.clock.system += 600_000_000
         rig.poll()
         assert ("telemetry_refused", "momentum") not in rig.open_alarms()
-    rig.desk.count_momenta("craft", [True])
+    rig.storage.alarms.count_refused("craft", [True])
     rig.poll()
     rig.clock.system += 600_000_000
     rig.poll()
     alarm = rig.open_alarms()["telemetry_refused", "momentum"]
     assert (alarm.severity, alarm.value) == (Severity.WARNING, 3.0)
-    rig.desk.count_momenta("craft", [False])
+    rig.storage.alarms.count_refused("craft", [False])
     for _ in range(2):
         rig.clock.system += 600_000_000
         rig.poll()
