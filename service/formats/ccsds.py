@@ -15,7 +15,7 @@ from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
 
 LINE_LIMIT = 254
 _KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*?)\s*")
-_DAY_OF_YEAR = re.compile(r"(\d{4})-(\d{3})T(.*)")
+_DAY_OF_YEAR = re.compile(r"(\d{4})-(\d{3})", re.ASCII)
 
 
 def plain(text: str) -> str:
@@ -152,16 +152,44 @@ def keyword_and_value(number: int, content: str) -> tuple[str, str]:
     return match.group(1), match.group(2)
 
 
+def calendar_us(text: str) -> int:
+    """Return microseconds of an epoch in the message's own time system; ValueError when it is none.
+
+    Parameters
+    ----------
+    text : str
+        Month and day or day of year; ``T`` or blanks before the time of day; ``Z`` may follow.
+
+    Examples
+    --------
+    >>> calendar_us("1970-001T00:00:01"), calendar_us("1970-01-01 00:00:01.5Z")
+    (1000000, 1500000)
+    """
+    date, _, clock = " ".join(text.removesuffix("Z").split()).replace(" ", "T", 1).partition("T")
+    ordinal = _DAY_OF_YEAR.fullmatch(date)
+    if ordinal is not None:
+        first = np.datetime64(f"{ordinal.group(1)}-01-01", "D")
+        date = str(first + np.timedelta64(int(ordinal.group(2)) - 1, "D"))
+        if not date.startswith(f"{ordinal.group(1)}-"):
+            message = f"{text[:8]} is no day of its year"
+            raise ValueError(message)
+    return parse_epoch(f"{date}T{clock}Z")
+
+
 def epoch_of(number: int, text: str) -> int:
-    """Return microseconds UTC of a calendar or ordinal date; ``ccsds.malformed`` when it is none."""
-    ordinal = _DAY_OF_YEAR.fullmatch(text)
+    """Return `calendar_us` of an epoch; ``ccsds.malformed`` with the line when it is none."""
     try:
-        if ordinal is not None:
-            day = np.datetime64(f"{ordinal.group(1)}-01-01", "D") + np.timedelta64(int(ordinal.group(2)) - 1, "D")
-            text = f"{day}T{ordinal.group(3)}"
-        return parse_epoch(text.removesuffix("Z") + "Z")
+        return calendar_us(text)
     except ValueError as error:
         raise malformed(number, str(error)) from error
+
+
+def require_one_object(segments: Sequence[Segment]) -> None:
+    """Refuse a message of several objects: ``ccsds.unsupported``."""
+    objects = dict.fromkeys(each.meta.get("OBJECT_ID") or each.meta.get("OBJECT_NAME", "") for each in segments)
+    if len(objects) > 1:
+        detail = f"the message holds {len(objects)} objects ({', '.join(list(objects)[:5])}); keep the one"
+        raise InvalidInputError("ccsds.unsupported", f"{detail} of this spacecraft")
 
 
 def require(segment: Segment, wanted: dict[str, Sequence[str]]) -> None:

@@ -1,9 +1,8 @@
-"""Ephemerides: node passages, two-line elements, OEM."""
+"""Ephemerides: node passages, two-line elements, members of an OMM, OEM."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -13,8 +12,8 @@ from numpy.typing import NDArray
 from sgp4.io import compute_checksum
 
 from service.errors import InvalidInputError
+from service.formats.ccsds import calendar_us
 from service.records.catalogue import Ephemeris, Track
-from service.records.epoch import parse_epoch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -63,6 +62,27 @@ def inertial_to_earth_fixed_km(epochs_us: IntArray, position_km: FloatArray) -> 
     from skyfield.positionlib import Geocentric
 
     return earth_fixed_km(Geocentric(position_km / _KM_PER_AU, t=times_of(epochs_us)))
+
+
+def utc_us(epochs_us: IntArray, system: str) -> IntArray:
+    """Return microseconds UTC of epochs in a time system, shape (T,).
+
+    Parameters
+    ----------
+    epochs_us : ndarray, shape (T,)
+        Microseconds of the system's own calendar.
+    system : str
+        UTC, TAI, TT or GPS; InvalidInputError ``oem.unsupported`` for any other.
+    """
+    if system == "UTC" or not len(epochs_us):
+        return epochs_us
+    if system not in _OFFSET_FROM_TAI_S:
+        raise _unsupported("TIME_SYSTEM", [system], ["UTC", *sorted(_OFFSET_FROM_TAI_S)])
+    tai_us = epochs_us - round(_OFFSET_FROM_TAI_S[system] * US_PER_S)
+    ends = {leap_seconds_at(int(tai_us.min())), leap_seconds_at(int(tai_us.max()))}
+    if len(ends) == 1:
+        return np.asarray(tai_us - ends.pop() * US_PER_S, dtype=np.int64)
+    return np.array([each - leap_seconds_at(each) * US_PER_S for each in tai_us.tolist()], dtype=np.int64)
 
 
 def leap_seconds_at(epoch_us: int) -> int:
@@ -219,6 +239,12 @@ _OFFSET_FROM_TAI_S = {"TAI": 0.0, "TT": 32.184, "GPS": -19.0}
 #: states further apart are not joined
 MAX_STEP_S = 3600
 _STATE_COLUMNS = (7, 10)
+#: the cubic through states and rates is at least as exact as these where the rates are those of the positions
+_INTERPOLATIONS = frozenset({"", "HERMITE", "LAGRANGE", "LINEAR"})
+#: states from whose positions a rate is found; its error an hour apart is 2e-4 of the rate
+_WINDOW = 5
+#: greatest difference of a stated rate: share of the rate, and what rounded positions leave, km/s
+_VELOCITY_SHARE, _VELOCITY_NOISE_KM_S = 0.01, 1e-4
 _MARKS = {"META_START": "meta", "META_STOP": "data", "COVARIANCE_START": "covariance", "COVARIANCE_STOP": "data"}
 
 
@@ -248,6 +274,9 @@ def read_oem(text: str) -> Ephemeris:
     """
     segments = _parse(text)
     is_inertial = _frame_of(segments)
+    objects = dict.fromkeys(each.meta.get("OBJECT_ID", "") for each in segments)
+    if len(objects) > 1:
+        raise _unsupported("OBJECT_ID", list(objects), ["one object: keep the segments of this spacecraft"])
     epochs_us, states = _joined(segments)
     span_s = float(epochs_us[-1] - epochs_us[0]) / US_PER_S
     step_us = max(STEP_S, int(span_s // MAX_POINTS) + 1) * US_PER_S
@@ -293,7 +322,7 @@ def _read_state(cells: list[str], number: int, segment: _Segment) -> None:
     if len(cells) not in _STATE_COLUMNS:
         raise _malformed(number, "a state is an epoch, three coordinates in km and three rates in km/s")
     try:
-        epoch_us = _oem_epoch_us(cells[0])
+        epoch_us = calendar_us(cells[0])
         numbers = [float(cell) for cell in cells[1:7]]
     except (ValueError, OverflowError):
         raise _malformed(number, "the line holds something that is no epoch or number") from None
@@ -303,19 +332,6 @@ def _read_state(cells: list[str], number: int, segment: _Segment) -> None:
         raise _malformed(number, "the epochs of a segment must be strictly ascending")
     segment.epochs_us.append(epoch_us)
     segment.states.append(numbers)
-
-
-def _oem_epoch_us(text: str) -> int:
-    """Return microseconds of an epoch in the message's own time system, with month and day or with the day of year."""
-    plain = text.removesuffix("Z")
-    date, _, clock = plain.partition("T")
-    if len(date) == len("2026-325"):
-        day = datetime(int(date[:4]), 1, 1, tzinfo=UTC) + timedelta(days=int(date[5:]) - 1)
-        if day.year != int(date[:4]):
-            message = f"{date} is no day of its year"
-            raise ValueError(message)
-        date = day.strftime("%Y-%m-%d")
-    return parse_epoch(f"{date}T{clock}Z")
 
 
 def _frame_of(segments: list[_Segment]) -> bool:
@@ -332,30 +348,66 @@ def _frame_of(segments: list[_Segment]) -> bool:
 
 
 def _joined(segments: list[_Segment]) -> tuple[IntArray, FloatArray]:
-    """Return epochs in UTC (T,) and states (T, 6) of all segments; of a repeated span the first holds."""
+    """Return epochs in UTC (T,) and states (T, 6) of all useable spans; of a repeated span the first holds."""
     epochs_us: list[int] = []
     states: list[list[float]] = []
-    for segment in segments:
-        shift_us = _shift_us(segment)
-        for epoch_us, state in zip(segment.epochs_us, segment.states, strict=True):
-            if not epochs_us or epoch_us + shift_us > epochs_us[-1]:
-                epochs_us.append(epoch_us + shift_us)
-                states.append(state)
+    parts = [_useable(segment) for segment in segments]
+    for own_us, own_states in parts:
+        is_new = own_us > epochs_us[-1] if epochs_us else np.ones(len(own_us), dtype=np.bool_)
+        epochs_us += own_us[is_new].tolist()
+        states += own_states[is_new].tolist()
     steps_us = np.diff(np.array(epochs_us, dtype=np.int64))
     if not len(steps_us) or int(steps_us.max()) > MAX_STEP_S * US_PER_S:
         detail = f"states must follow one another within {MAX_STEP_S} s"
         raise InvalidInputError("oem.gap", detail)
+    for part in parts:
+        _check_velocities(*part)
     return np.array(epochs_us, dtype=np.int64), np.array(states, dtype=np.float64)
 
 
-def _shift_us(segment: _Segment) -> int:
-    """Return UTC minus the segment's time system."""
+def _useable(segment: _Segment) -> tuple[IntArray, FloatArray]:
+    """Return epochs in UTC and states of a segment within the span that its metadata call useable."""
+    method = segment.meta.get("INTERPOLATION", "").upper()
+    if method not in _INTERPOLATIONS:
+        raise _unsupported("INTERPOLATION", [method], sorted(_INTERPOLATIONS - {""}))
+    epochs_us = np.array(segment.epochs_us, dtype=np.int64)
+    is_useable = np.ones(len(epochs_us), dtype=np.bool_)
+    try:
+        if start := segment.meta.get("USEABLE_START_TIME"):
+            is_useable &= epochs_us >= calendar_us(start)
+        if stop := segment.meta.get("USEABLE_STOP_TIME"):
+            is_useable &= epochs_us <= calendar_us(stop)
+    except ValueError as error:
+        raise InvalidInputError("oem.malformed", f"useable span: {error}") from None
+    states = np.array(segment.states, dtype=np.float64).reshape(-1, 6)
     system = segment.meta.get("TIME_SYSTEM", "").upper()
-    if system == "UTC" or not segment.epochs_us:
-        return 0
-    if system not in _OFFSET_FROM_TAI_S:
-        raise _unsupported("TIME_SYSTEM", [system], ["UTC", *sorted(_OFFSET_FROM_TAI_S)])
-    return -round((leap_seconds_at(segment.epochs_us[0]) + _OFFSET_FROM_TAI_S[system]) * US_PER_S)
+    return utc_us(epochs_us[is_useable], system), states[is_useable]
+
+
+def _check_velocities(epochs_us: IntArray, states: FloatArray) -> None:
+    """Refuse velocities that are not the rates of change of the positions: the track would bend between states."""
+    if len(epochs_us) < _WINDOW:
+        return
+    windows = np.lib.stride_tricks.sliding_window_view(epochs_us, _WINDOW)
+    middle = _WINDOW // 2
+    time_s = (windows - windows[:, middle, np.newaxis]) / US_PER_S
+    span_s = np.abs(time_s).max(axis=1, keepdims=True)
+    # the coefficient of the first power of the polynomial through five positions is their rate
+    powers = (time_s / span_s)[:, :, np.newaxis] ** np.arange(_WINDOW)
+    weights = np.linalg.inv(powers)[:, 1] / span_s
+    positions = np.lib.stride_tricks.sliding_window_view(states[:, :3], _WINDOW, axis=0)
+    rates = np.einsum("twk,tk->tw", positions, weights)
+    stated = states[middle : len(states) - middle, 3:]
+    apart, size = np.linalg.norm(stated - rates, axis=1), np.linalg.norm(rates, axis=1)
+    wrong = np.flatnonzero(apart > _VELOCITY_SHARE * size + _VELOCITY_NOISE_KM_S)
+    if len(wrong):
+        k = int(wrong[np.argmax(apart[wrong])])
+        line = (
+            f"the velocity at {np.datetime64(int(epochs_us[k + middle]), 'us')} is {np.linalg.norm(stated[k]):.6f} km/s"
+            f" where the positions change by {size[k]:.6f} km/s, {apart[k]:.6f} km/s apart; {len(wrong)} of"
+            f" {len(stated)} states contradict their positions: export the message again, rates in km/s"
+        )
+        raise InvalidInputError("oem.malformed", line)
 
 
 def _hermite(epochs_us: IntArray, states: FloatArray, grid_us: IntArray) -> FloatArray:
@@ -384,6 +436,17 @@ def _unsupported(keyword: str, found: list[str], understood: list[str]) -> Inval
     return InvalidInputError("oem.unsupported", f"{keyword} is {shown}; understood are {', '.join(understood)}")
 
 
+#: members of an OMM that a provider may leave out, with what SGP4 takes for them
+_OPTIONAL_MEMBERS = {"EPHEMERIS_TYPE": "0", "MEAN_MOTION_DDOT": "0", "MEAN_MOTION_DOT": "0"}
+#: members that would make another orbit of the same numbers
+_REQUIRED_MEMBERS = {
+    "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4"),
+    "CENTER_NAME": ("EARTH",),
+    "REF_FRAME": ("TEME",),
+    "TIME_SYSTEM": ("UTC",),
+    "EPHEMERIS_TYPE": ("0", "2", "3"),
+}
+_XP = "; type 4 is SGP4-XP, whose elements SGP4 propagates wrongly: ask for SGP4 elements"
 #: span of the ephemeris around the epoch of the elements
 DAYS_BEFORE = 7
 DAYS_AFTER = 30
@@ -423,7 +486,42 @@ def read_tle(lines: Sequence[str]) -> Ephemeris:
         satellite = EarthSatellite(first, second, None, timescale())
     except ValueError as error:
         raise InvalidInputError("tle.malformed", f"the elements cannot be read: {error}") from None
-    centre_us = _tle_epoch_us(satellite)
+    return _of_elements(satellite)
+
+
+def read_mean_elements(members: Mapping[str, str]) -> Ephemeris:
+    """Return the ephemeris of the members of an OMM, which go to SGP4 as they are.
+
+    Raises
+    ------
+    InvalidInputError
+        ``tle.malformed``: a member is missing, is no number or epoch, or means another theory; ``tle.propagation``;
+        those of ``ephemeris_from_positions``.
+    """
+    from skyfield.api import EarthSatellite
+
+    stated = _OPTIONAL_MEMBERS | {name: value for name, value in members.items() if value}
+    for name, understood in _REQUIRED_MEMBERS.items():
+        if name in stated and stated[name].upper() not in understood:
+            shown = f"{name} = {stated[name][:40]}; understood: {', '.join(understood)}"
+            raise InvalidInputError("tle.malformed", shown + (_XP if stated[name] == "4" else ""))
+    try:
+        epoch = np.datetime64(calendar_us(stated["EPOCH"]), "us").item()
+        # a letter, a catalogue number and a count say nothing about the orbit, and each has forms that SGP4 refuses
+        stated |= {"CLASSIFICATION_TYPE": "U", "NORAD_CAT_ID": "0", "ELEMENT_SET_NO": "0", "REV_AT_EPOCH": "0"}
+        stated |= {"EPOCH": epoch.strftime("%Y-%m-%dT%H:%M:%S.%f"), "EPHEMERIS_TYPE": "0", "OBJECT_ID": ""}
+        satellite = EarthSatellite.from_omm(timescale(), stated)
+    except KeyError as error:
+        raise InvalidInputError("tle.malformed", f"the OMM has no {error.args[0]}") from None
+    except (ValueError, TypeError, OverflowError) as error:
+        detail = f"the OMM holds a member that is no number or epoch: {error}"
+        raise InvalidInputError("tle.malformed", detail) from None
+    return _of_elements(satellite)
+
+
+def _of_elements(satellite: Any) -> Ephemeris:
+    """Return the ephemeris around the epoch of elements."""
+    centre_us = round(float(satellite.epoch.utc_datetime().timestamp())) * US_PER_S
     step_us = STEP_S * US_PER_S
     start_us = -(-(centre_us - DAYS_BEFORE * _DAY_US) // step_us) * step_us
     epochs_us = np.arange(start_us, centre_us + DAYS_AFTER * _DAY_US, step_us, dtype=np.int64)
@@ -444,11 +542,8 @@ def _checked(lines: Sequence[str]) -> tuple[str, str]:
         if (computed := compute_checksum(line)) != int(line[-1]):
             detail = f"line {number} ends with checksum {line[-1]}, its content gives {computed}"
             raise InvalidInputError("tle.checksum", detail)
+    if stripped[0][62] not in " 023":
+        raise InvalidInputError("tle.malformed", f"ephemeris type {stripped[0][62]} is no SGP4{_XP}")
     if any(a[2:7] != b[2:7] for a, b in pairwise(stripped)):
         raise InvalidInputError("tle.malformed", "the two lines belong to different satellites")
     return stripped[0], stripped[1]
-
-
-def _tle_epoch_us(satellite: Any) -> int:
-    """Return the epoch of the elements to the second."""
-    return round(float(satellite.epoch.utc_datetime().timestamp())) * US_PER_S

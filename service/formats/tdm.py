@@ -13,6 +13,7 @@ from itertools import groupby
 
 import numpy as np
 
+from service.errors import InvalidInputError
 from service.formats.ccsds import (
     as_bytes,
     comment,
@@ -23,8 +24,8 @@ from service.formats.ccsds import (
     malformed,
     message_header,
     read_segments,
-    require,
 )
+from service.formats.ephemeris import utc_us
 from service.formats.numbers import text_of_float32
 from service.records.catalogue import Carrier
 from service.records.levels.attitude import FloatArray, IntArray
@@ -222,23 +223,30 @@ def read_tdm(text: str) -> tuple[PowerTrack, ...]:
     """
     tracks = []
     for segment in read_segments(text, _VERSION):
-        require(segment, {"TIME_SYSTEM": ("UTC",)})
+        meta = segment.meta
+        if meta.get("CORRECTIONS_APPLIED", "YES").upper() == "NO":
+            stated = ", ".join(f"{name} = {value}" for name, value in meta.items() if name.startswith("CORRECTION_"))
+            detail = f"CORRECTIONS_APPLIED = NO ({stated or 'no correction is named'}): apply them and export again"
+            raise InvalidInputError("ccsds.unsupported", detail)
         powers: dict[int, float] = {}
         densities: dict[int, float] = {}
         for number, content in segment.data:
             keyword, value = keyword_and_value(number, content)
             if keyword == "CARRIER_POWER":
                 epoch_us, power_dbw = _observation(number, value)
-                powers[epoch_us] = round(power_dbw + DBM_OF_DBW, _DECIMALS)
+                power_dbm = round(power_dbw + DBM_OF_DBW, _DECIMALS)
+                if powers.setdefault(epoch_us, power_dbm) != power_dbm:
+                    first = powers[epoch_us] - DBM_OF_DBW
+                    raise malformed(number, f"a second power of {value.split()[0]}: {first:g} and {power_dbw:g} dBW")
             elif keyword == "PC_N0":
                 epoch_us, density = _observation(number, value)
                 densities[epoch_us] = density
-        meta = segment.meta
+        own_us = np.array(list(powers), dtype=np.int64)
         tracks.append(
             PowerTrack(
                 meta.get("TRACK_ID", ""),
                 meta.get("DATA_QUALITY", ""),
-                np.array(list(powers), dtype=np.int64),
+                utc_us(own_us, meta.get("TIME_SYSTEM", "").upper()),
                 np.array(list(powers.values())),
                 np.array([densities.get(epoch_us, np.nan) for epoch_us in powers]),
             )
@@ -248,7 +256,7 @@ def read_tdm(text: str) -> tuple[PowerTrack, ...]:
 
 def _observation(number: int, value: str) -> tuple[int, float]:
     """Return epoch and value of one line of data."""
-    epoch, _, text = value.partition(" ")
+    epoch, _, text = value.rpartition(" ")
     try:
         power_dbw = float(text)
     except ValueError as error:

@@ -24,7 +24,7 @@ from service.cli.own_data.document_file import decoded, read_text, report, show
 from service.records.epoch import format_epoch
 
 if TYPE_CHECKING:
-    from service.formats.foreign.orbit_file import OrbitFile
+    from service.formats.foreign.messages import OrbitFile
     from service.records.catalogue import Ephemeris
 
 app = new_app(help="Orbit of a spacecraft.", no_args_is_help=True)
@@ -70,19 +70,13 @@ def read_orbit(file: Path) -> "tuple[OrbitFile, Ephemeris]":
 
     from service.api.schemas.catalogue import EphemerisDocument
     from service.errors import InvalidInputError
-    from service.formats.ephemeris import ephemeris_from_nodes, read_oem, read_tle
     from service.formats.foreign.layout import ForeignTableError
-    from service.formats.foreign.orbit_file import read_orbit_file
+    from service.formats.foreign.messages import read_orbit_file
 
     try:
         orbit = read_orbit_file(read_text(file))
         body = decoded(file, TypeAdapter(EphemerisDocument), json.dumps(orbit.body).encode())
-        if body.tle is not None:
-            return orbit, read_tle(body.tle)
-        if body.oem is not None:
-            return orbit, read_oem(body.oem)
-        track = None if body.track is None else body.track.to_record()
-        return orbit, ephemeris_from_nodes(body.ascending_nodes or (), body.nodal_period_s, track)
+        return orbit, orbit.ephemeris or body.to_record()
     except (ForeignTableError, InvalidInputError) as error:
         end(f"{file}: {getattr(error, 'detail', error)}", cause=error)
 

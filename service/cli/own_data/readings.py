@@ -61,17 +61,15 @@ def open_readings(
     """
     from service.cli.own_data.foreign_archive import sample_of, table_rows
     from service.formats.foreign.layout import ForeignCellError, ForeignTableError
-    from service.formats.foreign.sensor import propose_sensor, read_attitude_message
+    from service.formats.foreign.sensor import propose_sensor
     from service.frontend.backfill.columns import ArchiveError
 
     try:
         with file.open("rb") as opened:
             start = opened.read(200).removeprefix(b"\xef\xbb\xbf").lstrip()
-        if start.startswith((b"{", b"CCSDS_AEM_VERS")):
+        if start.startswith((b"{", b"CCSDS_AEM_VERS", b"COMMENT", b"<")):
             is_json = start.startswith(b"{")
-            rows = (
-                _from_json(file, source) if is_json else list(starmap(Reading, read_attitude_message(read_text(file))))
-            )
+            rows = _from_json(file, source) if is_json else _from_message(file)
             return lambda: iter(rows), {"form": "JSON" if is_json else "AEM"}
         proposal = propose_sensor(sample_of(file), stated)
     except (ForeignTableError, ArchiveError, OSError) as error:
@@ -92,6 +90,14 @@ def open_readings(
                 yield UnreadableLine(row.line, error.kind, str(error))
 
     return readings, {"form": "table", **proposal.understood}
+
+
+def _from_message(file: Path) -> list[Reading]:
+    """Return the readings of an AEM."""
+    from service.formats.foreign.messages import read_attitude_message
+
+    epochs_us, angles_deg = read_attitude_message(read_text(file))
+    return list(starmap(Reading, zip(epochs_us.tolist(), angles_deg.tolist(), strict=True)))
 
 
 def _from_json(file: Path, source: str) -> list[Reading]:

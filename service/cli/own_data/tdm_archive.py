@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from service.errors import InvalidInputError
+from service.formats.foreign.layout import ForeignTableError
+from service.formats.foreign.messages import message_text
 from service.formats.tdm import read_tdm
 from service.frontend.backfill.columns import ArchiveError
 from service.frontend.backfill.reader import ArchiveFileReader, FileRow, open_archive
@@ -31,10 +33,10 @@ class TdmArchive:
 
     def __init__(self, path: Path) -> None:
         try:
-            tracks = read_tdm(path.read_text("ascii"))
+            tracks = read_tdm(message_text(path.read_text("utf-8-sig")))
         except OSError as error:
             raise ArchiveError(f"{path}: {error.strerror or error}") from error
-        except (UnicodeDecodeError, InvalidInputError) as error:
+        except (UnicodeDecodeError, ForeignTableError, InvalidInputError) as error:
             raise ArchiveError(f"{path} cannot be read: {error}") from error
         powers: dict[tuple[int, str], dict[str, float]] = {}
         names: dict[str, None] = {}

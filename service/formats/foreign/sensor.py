@@ -1,16 +1,13 @@
-"""Readings of an attitude sensor in a table or an attitude message."""
+"""Readings of an attitude sensor in a table."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.core.geometry.frames import attitude_of_quaternion
-from service.errors import InvalidInputError
-from service.formats.ccsds import Segment, epoch_of, read_segments, require
 from service.formats.foreign.layout import (
     ABSENT,
     Decimal,
@@ -21,6 +18,7 @@ from service.formats.foreign.layout import (
     is_number,
     position_of,
 )
+from service.formats.foreign.messages import scalar_of, wrong_length
 from service.formats.foreign.proposal import Question, Sample, decimal_of, with_time
 
 AXES = ("yaw", "roll", "pitch")
@@ -45,9 +43,6 @@ _QUATERNIONS: tuple[tuple[tuple[str, str, str, str], Scalar | None], ...] = (
     (("qx", "qy", "qz", "qw"), "last"),
     (("qx", "qy", "qz", "qs"), "last"),
 )
-#: of the scalar of a satellite that points to the Earth within 50 deg
-_NEAR_ONE = 0.9
-_UNIT_LENGTH = 1e-3
 #: beyond it roll or pitch do not point to the Earth from geosynchronous height
 EARTH_DISC_DEG = 8.7
 
@@ -131,29 +126,10 @@ def _angles_of(quaternion: Sequence[float | None]) -> list[float | None]:
     if any(part is None for part in quaternion):
         return [None, None, None]
     parts = np.array(quaternion, dtype=np.float64)
-    check_quaternions(parts[np.newaxis])
+    if wrong_length(parts[np.newaxis])[0]:
+        raise ForeignCellError("quaternion is not of unit length", parts.tolist())
     angles: list[float | None] = attitude_of_quaternion(parts).tolist()
     return angles
-
-
-def check_quaternions(quaternions: NDArray[np.float64]) -> None:
-    """Refuse quaternions (T, 4) that are not of unit length: ForeignCellError."""
-    length = np.linalg.norm(quaternions, axis=-1)
-    wrong = np.flatnonzero(~(np.abs(length - 1.0) < _UNIT_LENGTH))
-    if len(wrong):
-        raise ForeignCellError("quaternion is not of unit length", quaternions[wrong[0]].tolist())
-
-
-def scalar_of(quaternions: NDArray[np.float64]) -> Scalar | None:
-    """Return where the scalar of quaternions (T, 4) stands; None when neither end stays near one in nine of ten rows.
-
-    From the nadir frame to the body of a satellite that points to the Earth the scalar is nearly one or minus one; of
-    a quaternion from an inertial frame no part is.
-    """
-    share = np.mean(np.abs(quaternions) > _NEAR_ONE, axis=0)
-    if share[3] > _NEAR_ONE:
-        return "last"
-    return "first" if share[0] > _NEAR_ONE else None
 
 
 def propose_sensor(sample: Sample, stated: StatedSensor) -> SensorProposal:
@@ -272,80 +248,3 @@ def _quaternion_order(columns: Mapping[str, str], scalar: Scalar | None) -> list
     """Return the columns of a quaternion, scalar last."""
     names: list[str | None] = list(columns.values())
     return [*names[1:], names[0]] if scalar == "first" else names
-
-
-#: nadir frames: z to the Earth, y against the orbit's momentum; turning or not, the attitude of an instant is the same
-_NADIR = ("LVLH_ROTATING", "LVLH_INERTIAL", "LVLH")
-_BODY = ("SC_BODY_1", "SC_BODY")
-
-
-def read_attitude_message(text: str) -> Iterator[tuple[int, list[float | None]]]:
-    """Yield epochs, microseconds UTC, and yaw, roll and pitch, deg, of a message.
-
-    Parameters
-    ----------
-    text : str
-        The whole message.
-
-    Raises
-    ------
-    ForeignTableError
-        No message, another frame, type or time system, quaternions not of unit length, or a scalar at another position
-        than the metadata state.
-    """
-    try:
-        for segment in read_segments(text.strip(), "CCSDS_AEM_VERS"):
-            yield from _rows(segment)
-    except InvalidInputError as error:
-        raise ForeignTableError(error.detail) from None
-    except ForeignCellError as error:
-        raise ForeignTableError(str(error)) from None
-
-
-def _rows(segment: Segment) -> Iterator[tuple[int, list[float | None]]]:
-    """Yield the rows of one segment."""
-    require(segment, {"TIME_SYSTEM": ("UTC",), "ATTITUDE_TYPE": ("QUATERNION",)})
-    is_reversed = _is_reversed(segment)
-    epochs_us, quaternions = [], []
-    for number, content in segment.data:
-        epoch, *parts = content.split()
-        try:
-            values = [float(part) for part in parts]
-        except ValueError:
-            values = []
-        if len(values) != 4:
-            raise ForeignTableError(f"line {number}: a row is an epoch and the four parts of a quaternion")
-        epochs_us.append(epoch_of(number, epoch))
-        quaternions.append(values)
-    found = np.array(quaternions, dtype=np.float64).reshape(-1, 4)
-    check_quaternions(found)
-    found = _scalar_last(segment, found)
-    # the reverse rotation has the opposite vector
-    angles_deg = attitude_of_quaternion(found * ([-1.0, -1.0, -1.0, 1.0] if is_reversed else 1.0))
-    yield from zip(epochs_us, angles_deg.tolist(), strict=True)
-
-
-def _is_reversed(segment: Segment) -> bool:
-    """Return whether a segment states the rotation from the body to the nadir frame; refuse other frames."""
-    first, second = (segment.meta.get(f"REF_FRAME_{which}", "").upper() for which in "AB")
-    is_swapped = first in _BODY
-    if is_swapped:
-        first, second = second, first
-    if first not in _NADIR or second not in _BODY:
-        wanted = f"{', '.join(_NADIR)} and {', '.join(_BODY)}"
-        raise ForeignTableError(
-            f"REF_FRAME_A = {segment.meta.get('REF_FRAME_A')}, REF_FRAME_B = {segment.meta.get('REF_FRAME_B')};"
-            f" understood: {wanted}; turn inertial attitudes into the orbital frame first"
-        )
-    direction = segment.meta.get("ATTITUDE_DIR", "A2B").upper()
-    return is_swapped != (direction == "B2A")
-
-
-def _scalar_last(segment: Segment, quaternions: np.ndarray) -> np.ndarray:
-    """Return quaternions scalar last; refuse those whose numbers contradict the metadata."""
-    stated = segment.meta.get("QUATERNION_TYPE", "LAST").lower()
-    proven = scalar_of(quaternions)
-    if proven != stated:
-        shown = "at neither end" if proven is None else proven
-        raise ForeignTableError(f"the message states the scalar {stated}, the numbers show it {shown}")
-    return np.roll(quaternions, -1, axis=1) if stated == "first" else quaternions

@@ -11,6 +11,7 @@ from service.cli.own_data.foreign_archive import sample_of
 from service.cli.own_data.foreign_file import is_own
 from service.cli.own_data.importing.manifest import NAME
 from service.formats.foreign.layout import ForeignTableError, StatedLayout
+from service.formats.foreign.messages import VERSIONS
 from service.formats.foreign.proposal import Question, Sample, propose, with_time
 from service.formats.foreign.sensor import StatedSensor, propose_sensor
 from service.frontend.backfill.columns import ArchiveError
@@ -92,7 +93,8 @@ def content_of(path: Path, carriers: Mapping[str, str] | None) -> Content:
         if path.suffix.lower() not in {".ndjson", ".jsonl"} and head.startswith(("{", "[")):
             return _of_json(path)
         if head.startswith("<"):
-            return Content(FileRole.EPHEMERIS) if "MEAN_MOTION" in head else Content(None, "XML, and no OMM")
+            kinds = re.findall(r"<(?:[\w.-]+:)?(oem|omm|aem|tdm)\b", head)
+            return Content(_STARTS[VERSIONS[kinds[0]]]) if kinds else Content(None, "XML, and no OEM, OMM, AEM or TDM")
         if _ELEMENTS.search(head):
             return Content(FileRole.EPHEMERIS)
         catalogue = _of_first_line(head.partition("\n")[0].strip())

@@ -39,7 +39,7 @@ from service.runtime.clock import system_now_us
 if TYPE_CHECKING:
     from service.api.schemas.catalogue import CarrierPlanDocument, SpacecraftDocument
     from service.client.service_client import ServiceClient
-    from service.formats.foreign.orbit_file import OrbitFile
+    from service.formats.foreign.messages import OrbitFile
     from service.records.catalogue import Ephemeris
 
 

@@ -180,7 +180,7 @@ def test_an_orbit_is_shown_and_stored(service: Catalogue, tmp_path: Path, form: 
     assert understood["is_over"] is False
     assert put(ephemeris, path).exit_code == 0
     ((method, name, body),) = service.sent
-    assert (method, name, list(body)) == ("PUT", "ephemeris", ["tle"])
+    assert (method, name, list(body)[-1]) == ("PUT", "ephemeris", "tle" if form is not omm_kvn else "track")
 
 
 def test_the_orbit_of_another_satellite_is_refused(service: Catalogue, tmp_path: Path) -> None:

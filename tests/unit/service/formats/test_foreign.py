@@ -6,13 +6,13 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 from foreign_files import Writing, table, truth
-from foreign_orbits import attitude_message, quaternion
+from foreign_orbits import quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 
 from service.formats.foreign.layout import ForeignCellError, ForeignTableError, StatedLayout, formats_of
 from service.formats.foreign.proposal import Sample, propose
-from service.formats.foreign.sensor import StatedSensor, propose_sensor, read_attitude_message
+from service.formats.foreign.sensor import StatedSensor, propose_sensor
 
 CARRIERS = ("c00", "c01")
 AS_USUAL, NOTHING = Writing(), StatedLayout()
@@ -200,40 +200,3 @@ def test_quaternions_of_another_length_are_kept_back() -> None:
     assert reader is not None
     with pytest.raises(ForeignCellError, match="not of unit length"):
         reader.read([rows[0][0], "0", "0", "0", "0.5"])
-
-
-@given(st.tuples(st.floats(-20, 20), st.floats(-8, 8), st.floats(-8, 8)), st.booleans(), st.booleans())
-def test_messages_give_the_attitude_in_every_form(
-    angles: tuple[float, float, float], is_first: bool, is_reversed: bool
-) -> None:
-    x, y, z, w = quaternion(*angles)
-    parts = (-x, -y, -z, w) if is_reversed else (x, y, z, w)
-    ordered = (parts[3], *parts[:3]) if is_first else parts
-    text = attitude_message(
-        [(FIRST, ordered)], scalar="FIRST" if is_first else "LAST", direction="B2A" if is_reversed else "A2B"
-    )
-    ((epoch_us, found),) = read_attitude_message(text)
-    assert epoch_us == round(FIRST.timestamp() * 1e6)
-    np.testing.assert_allclose(np.array(found, dtype=float), angles, atol=1e-8)
-    swapped = attitude_message([(FIRST, (x, y, z, w))], frames=("SC_BODY_1", "LVLH_ROTATING"))
-    ((_, other),) = read_attitude_message(swapped)
-    np.testing.assert_allclose(quaternion(*other), np.array((-x, -y, -z, w)), atol=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (attitude_message([(FIRST, (0, 0, 0, 1))], frames=("EME2000", "SC_BODY_1")), "turn inertial attitudes"),
-        (
-            attitude_message([(FIRST, (0, 0, 0, 1))], scalar="FIRST"),
-            "states the scalar first, the numbers show it last",
-        ),
-        (attitude_message([(FIRST, (0, 0, 0, 0.5))]), "not of unit length"),
-        (attitude_message([(FIRST, (0, 0, 1))]), "four parts"),
-        (attitude_message([(FIRST, (0, 0, 0, 1))])[:-15], "ends before DATA_STOP"),
-        ("CCSDS_OEM_VERS = 2.0\n", "must begin with CCSDS_AEM_VERS"),
-    ],
-)
-def test_messages_that_mean_something_else_are_refused(text: str, message: str) -> None:
-    with pytest.raises(ForeignTableError, match=message):
-        list(read_attitude_message(text))

@@ -229,6 +229,21 @@ def test_malformed_lines_are_named(old: str, new: str) -> None:
     assert refusal.value.code == "ccsds.malformed"
 
 
+def test_epochs_of_other_systems_doubts_and_second_values_are_not_passed_over() -> None:
+    text = _tdm_written([_tdm_row(0, [-42.1, -50.0])])
+    (utc_us, *_), (tai_us, *_) = (read_tdm(each)[0].epochs_us for each in (text, text.replace("= UTC", "= TAI")))
+    assert utc_us - tai_us == 37_000_000
+    power = next(line for line in text.splitlines() if line.startswith("CARRIER_POWER"))
+    for other, message in (
+        (text.replace(power, f"{power}\n{power[:-1]}9"), "a second power of"),
+        (text.replace("MODE =", "CORRECTIONS_APPLIED = NO\nCORRECTION_RANGE = 1\nMODE ="), "CORRECTION_RANGE = 1"),
+        (text.replace("= UTC", "= UT1"), "TIME_SYSTEM is UT1"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            read_tdm(other)
+    assert read_tdm(text.replace(power, f"{power}\n{power}"))[0].power_dbm.tolist() == [-42.1]
+
+
 PLAN = (
     Carrier(
         "c00", "Ku", "Ku1", 11200.25e6, 1.25e6, Station(55.5, 37.0, 'A "b", c'), 14250e6, "line\nfeed", "H", 958.2e6

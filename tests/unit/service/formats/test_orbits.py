@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from service.formats.ephemeris import (
     timescale,
 )
 from service.formats.foreign.layout import ForeignTableError
-from service.formats.foreign.orbit_file import read_orbit_file
+from service.formats.foreign.messages import read_orbit_file
 from service.records.catalogue import Track
 from service.records.epoch import format_epoch
 
@@ -139,6 +140,41 @@ def test_messages_that_cannot_be_used_are_refused_with_the_reason(states, change
         read_oem(change(HEAD + segment(*states)))
     assert caught.value.code == code
     assert word in caught.value.detail
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, 1e-3, 1.02, 1000.0])
+@pytest.mark.parametrize("step", [1, 2])
+def test_velocities_that_contradict_the_positions_are_refused(states, factor, step):
+    epochs_us, array = states
+    # every second state where the step is two: hours that differ
+    keep = np.ones(len(epochs_us), dtype=bool) if step == 1 else np.arange(len(epochs_us)) != 40
+    scaled = np.hstack([array[:, :3], array[:, 3:] * factor])
+    with pytest.raises(InvalidInputError, match="the velocity at 2026-11-2"):
+        read_oem(HEAD + segment(epochs_us[: len(keep)][keep][:40], scaled[keep][:40]))
+
+
+def test_a_single_wrong_velocity_is_named_by_its_epoch(states):
+    epochs_us, array = states
+    spoiled = array.copy()
+    spoiled[30, 3:] *= -1.0
+    with pytest.raises(InvalidInputError, match="1 of 92 states contradict"):
+        read_oem(HEAD + segment(epochs_us, spoiled))
+
+
+def test_useable_spans_objects_and_interpolation_are_obeyed(states):
+    epochs_us, array = states
+    spoiled = array.copy()
+    spoiled[:3, :3] += 1000.0
+    start = format_epoch(epochs_us[3])[:-1]
+    useable = read_oem(HEAD + segment(epochs_us, spoiled, USEABLE_START_TIME=start, INTERPOLATION="Lagrange"))
+    assert useable == read_oem(HEAD + segment(epochs_us[3:], array[3:]))
+    for text, word in (
+        (segment(*states, INTERPOLATION="CHEBYSHEV"), "INTERPOLATION is CHEBYSHEV"),
+        (segment(*states) + segment(*states, OBJECT_ID="1999-001A"), "1999-001A"),
+        (segment(*states, USEABLE_STOP_TIME="later"), "useable span"),
+    ):
+        with pytest.raises(InvalidInputError, match=word):
+            read_oem(HEAD + text)
 
 
 def test_a_message_of_one_state_has_no_track(states):
@@ -339,17 +375,61 @@ def test_every_notation_gives_the_orbit(text: str, form: str) -> None:
     found = read_orbit_file(text)
     assert found.form == form
     assert found.cospar_id == "2003-053F"
-    track = read_tle(found.body["tle"]).track
+    track = (found.ephemeris or read_tle(found.body["tle"])).track
     assert track is not None
     assert np.mean(track.longitude_deg[: 7 * 144]) == pytest.approx(49.0, abs=0.3)
     assert max(track.latitude_deg[: 7 * 144]) == pytest.approx(3.0, abs=0.05)
+
+
+def ordinal(known: dict[str, str]) -> dict[str, str]:
+    """Return elements with the day of the year."""
+    return known | {"EPOCH": known["EPOCH"].replace("2026-03-01", "2026-060")}
+
+
+PREFIXED = re.sub(r"<(/?)(?=\w)", r"<\1n:", omm_xml(KNOWN)).replace(
+    "<n:ndm>", '<n:ndm xmlns:n="urn:ccsds:schema:ndmxml">'
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        omm_kvn(ordinal(KNOWN)),
+        json.dumps(ordinal(KNOWN)),
+        omm_xml(KNOWN).replace("<ndm>", '<?xml version="1.0" encoding="UTF-8"?><ndm xmlns="urn:ccsds:schema:ndmxml">'),
+        PREFIXED,
+        omm_xml(KNOWN).replace("<INCLINATION>", '<INCLINATION units="deg">'),
+        json.dumps(KNOWN | {"CLASSIFICATION_TYPE": "UNCLASSIFIED"}),
+        json.dumps(KNOWN | {"CLASSIFICATION_TYPE": "\u0421", "NORAD_CAT_ID": "799999999"}),
+        json.dumps(KNOWN | {"EPHEMERIS_TYPE": 0, "MEAN_MOTION": 1.0027}),
+        omm_kvn(KNOWN).replace("OBJECT_NAME", "COMMENT недельный выпуск\nOBJECT_NAME"),
+        omm_kvn({name: f"{value} [deg]" if name == "INCLINATION" else value for name, value in KNOWN.items()}),
+        omm_csv(KNOWN).replace(",", ";"),
+    ],
+)
+def test_forms_that_providers_write_give_the_same_orbit(text: str) -> None:
+    assert read_orbit_file(text).ephemeris == read_orbit_file(omm_kvn(KNOWN)).ephemeris
+
+
+def test_an_oem_in_xml_is_that_of_keywords(states) -> None:
+    epochs_us, array = states
+    names = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
+    vectors = ""
+    for epoch_us, state in zip(epochs_us.tolist(), array, strict=True):
+        numbers = "".join(f"<{name}>{value:.9f}</{name}>" for name, value in zip(names, state, strict=True))
+        vectors += f"<stateVector><EPOCH>{format_epoch(epoch_us)[:-1]}</EPOCH>{numbers}</stateVector>"
+    meta = "".join(f"<{name}>{value}</{name}>" for name, value in META.items())
+    text = f'<oem version="2.0"><body><segment><metadata>{meta}</metadata><data>{vectors}</data></segment></body></oem>'
+    assert read_orbit_file(text).ephemeris == read_oem(HEAD + segment(*states))
+    with pytest.raises(ForeignTableError, match="X is in m"):
+        read_orbit_file(text.replace("<X>", '<X units="m">'))
 
 
 @settings(max_examples=3, deadline=None)
 @given(st.floats(-180.0, 180.0))
 def test_an_omm_and_the_tle_of_the_same_elements_agree(longitude_deg: float) -> None:
     known = elements(longitude_deg)
-    by_message = read_tle(read_orbit_file(json.dumps(known)).body["tle"])
+    by_message = read_orbit_file(json.dumps(known)).ephemeris
     by_lines = read_tle(tle(known))
     assert by_message.track is not None
     assert by_lines.track is not None
@@ -365,12 +445,18 @@ def test_an_omm_and_the_tle_of_the_same_elements_agree(longitude_deg: float) -> 
         (json.dumps([KNOWN, KNOWN]), "holds 2 objects"),
         (json.dumps([]), "no JSON object"),
         ("{", "is no JSON"),
-        ("<ndm>", "no OMM in XML"),
+        ("<ndm>", "is no XML"),
         ('<!DOCTYPE a [<!ENTITY b "c">]><ndm/>', "no document type"),
-        ("<ndm/>", "holds 0 objects"),
+        ("<ndm/>", "holds 0 messages"),
         (omm_kvn(KNOWN | {"REF_FRAME": "EME2000"}), "REF_FRAME = EME2000"),
         (omm_kvn(KNOWN | {"MEAN_ELEMENT_THEORY": "DSST"}), "MEAN_ELEMENT_THEORY = DSST"),
         (omm_kvn(KNOWN | {"TIME_SYSTEM": "GPS"}), "TIME_SYSTEM = GPS"),
+        (omm_kvn(KNOWN | {"EPHEMERIS_TYPE": "4"}), "SGP4-XP"),
+        ("\n".join([changed(tle(KNOWN)[0], 63, "4"), tle(KNOWN)[1]]), "SGP4-XP"),
+        (omm_kvn({name: value for name, value in KNOWN.items() if name != "BSTAR"} | {"BTERM": "0.01"}), "SGP4-XP"),
+        (omm_kvn(KNOWN) + omm_kvn(KNOWN | {"INCLINATION": "0.1"}), "one object"),
+        (omm_kvn(KNOWN | {"INCLINATION": "0.05 [rad]"}), "is in rad"),
+        (omm_xml(KNOWN).replace("</ndm>", omm_xml(KNOWN)[5:]), "2 messages"),
         (omm_kvn(KNOWN | {"INCLINATION": "steep"}), "no number or epoch"),
         (omm_kvn(KNOWN | {"EPOCH": "yesterday"}), "no number or epoch"),
         (omm_kvn({name: value for name, value in KNOWN.items() if name != "MEAN_ANOMALY"}), "no MEAN_ANOMALY"),
