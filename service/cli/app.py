@@ -24,12 +24,13 @@ _COMMANDS = {
     "acquire": CommandSource(
         "station.acquire", "Measure carrier powers on spectrum analyzers and send them to the service."
     ),
-    "send": CommandSource(
-        "station.send", "Send an archive of carrier powers to the service; continues where it was interrupted."
+    "put": CommandSource(
+        "importing.put_command",
+        "Store one file: a spacecraft, a carrier plan, an orbit, readings of a sensor, or powers of carriers.",
     ),
     "import": CommandSource(
-        "own_data.importing.command",
-        "Send a folder: spacecraft, carriers, orbit, readings and powers; creates what is missing, changes nothing.",
+        "importing.import_command",
+        "Send files: spacecraft, carriers, orbit, readings and powers; creates what is missing, changes nothing.",
     ),
     "calibrate": CommandSource(
         "operation.operate", "Fit daily changes and sensitivities from quiet days and calibration turns."
@@ -81,12 +82,9 @@ _COMMANDS = {
         "administration.backup", "Copies of an archive: made while the service runs, proved, put back."
     ),
     "study": CommandSource("studies.study", "Campaigns on simulated truth and reproductions of papers."),
-    "spacecraft": CommandSource("own_data.spacecraft", "Spacecraft of the catalogue."),
     "carriers": CommandSource(
-        "own_data.carriers", "Say which carriers the newest attitude uses and why not the others; store a carrier plan."
+        "shift.reading", "Say which carriers the newest attitude uses, which it leaves out, and why."
     ),
-    "ephemeris": CommandSource("own_data.ephemeris", "Orbit of a spacecraft."),
-    "references": CommandSource("own_data.references", "Readings of an attitude sensor."),
 }
 
 
@@ -114,5 +112,6 @@ app = late_app(
     _COMMANDS,
     begin=_begin,
     name="soo",
+    add_completion=True,
     help="Attitude of a geostationary satellite from the powers of the carriers it retransmits.",
 )

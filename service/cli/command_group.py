@@ -44,7 +44,8 @@ class _LateCommands(Mapping[str, Any]):
 
 def new_app(**options: Any) -> typer.Typer:
     """Return a Typer object as all of ours are: help is plain text, the frames of rich cost as much as the rest."""
-    return typer.Typer(pretty_exceptions_show_locals=False, add_completion=False, rich_markup_mode=None, **options)
+    shown = {"add_completion": False} | options
+    return typer.Typer(pretty_exceptions_show_locals=False, rich_markup_mode=None, **shown)
 
 
 def begin_command(ctx: typer.Context) -> None:
@@ -82,6 +83,15 @@ def late_app(
             self.commands = {name: TyperCommand(name, short_help=source.help) for name, source in sources.items()}
             super().format_help(ctx, formatter)
             self.commands = imported_late
+
+        def shell_complete(self, ctx: Any, incomplete: str) -> Any:
+            from click.shell_completion import CompletionItem
+
+            names = [name for name in sources if name.startswith(incomplete)]
+            if names:
+                # without importing a command
+                return [CompletionItem(name, help=sources[name].help) for name in names]
+            return super().shell_complete(ctx, incomplete)
 
         def invoke(self, ctx: Any) -> Any:
             try:

@@ -32,13 +32,6 @@ EXPORTED = [
     ("console", "attitude.aem"),
     ("python", "star_tracker 0 new, 2 known"),
 ]
-SENT = [
-    ("console", '"rows": 3'),
-    ("console", '"accepted": 3'),
-    ("python", "3 0 0"),
-    ("python", "1 True"),
-    ("bash", '"accepted":1'),
-]
 
 
 @pytest.mark.slow
@@ -54,17 +47,6 @@ def test_exports(service: Any, tmp_path: Path) -> None:
         ]
         assert client.post_references("yamal-202", "star_tracker", reported)["accepted"] == 2
     run_blocks(HOW_TO / "export-the-archive.md", EXPORTED, service.environment, tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.system
-def test_sent_archives(service: Any, tmp_path: Path) -> None:
-    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6, timeout_s=120) as client:
-        client.create_spacecraft(CRAFT)
-        assert client.put_carriers("yamal-202", CARRIERS)["plan_id"] == 1
-    lines = [f"2026-11-20T00:0{k}:00Z,-42.{k},-71.5,x" for k in range(3)]
-    (tmp_path / "levels.csv").write_text("\n".join(["epoch,c00_dbm,c01_dbw,note", *lines]) + "\n")
-    run_blocks(HOW_TO / "send-an-archive.md", SENT, service.environment, tmp_path)
 
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "keep-and-restore.md"

@@ -60,6 +60,7 @@ OWN = (
     ("bash", "4890 accepted"),
     ("bash", "yaw sign proven warnings ['paper method: only 15"),
     ("bash", '"status":"ACQUIRED"'),
+    ("python", "1 True"),
 )
 
 

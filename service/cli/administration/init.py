@@ -70,7 +70,7 @@ def init(
     typer.echo(f"start it here:   set -a; . {shlex.quote(made['settings'])}; {_soo()} serve")
     typer.echo(f"or for good:     systemctl --user enable --now {shlex.quote(made['unit'])}")
     typer.echo(f"then:            console {url}/console/, sign in with the key in {made['key_file']}")
-    typer.echo("and:             soo spacecraft put FILE")
+    typer.echo("and:             soo put spacecraft FILE")
 
 
 def _files(folder: Path, port: int) -> dict[str, str]:

@@ -32,7 +32,7 @@ def _service_address(ctx: typer.Context, value: str) -> str:
     return address
 
 
-def _chosen_spacecraft(ctx: typer.Context, value: str) -> str:
+def chosen_spacecraft(ctx: typer.Context, value: str) -> str:
     """Return the stated spacecraft, else that of the profile, else the only one of the service."""
     if value or ctx.resilient_parsing:
         return value
@@ -75,7 +75,7 @@ SpacecraftOption = Annotated[
         envvar="SOO_SPACECRAFT",
         default_factory=str,
         show_default="that of the profile, or the only one",
-        callback=_chosen_spacecraft,
+        callback=chosen_spacecraft,
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]

@@ -27,6 +27,8 @@ _BEAM_HELP = "Assumed beam, [TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] deg; repeat it 
 
 
 def plan(
+    folder: Annotated[Path | None, typer.Argument(help="Folder with the files that soo import takes.")] = None,
+    *,
     spacecraft: Annotated[str | None, typer.Option(help="Id of a calibrated spacecraft of the service.")] = None,
     spacecraft_file: Annotated[
         Path | None, typer.Option(help="Spacecraft (JSON, CSV) to plan without a service.")
@@ -56,6 +58,9 @@ def plan(
     # numpy and httpx cost more than the command line itself
     from service.cli.planning.sources import PlanFiles, PlanRequest, planned_by_files, planned_by_service
 
+    if folder is not None:
+        spacecraft_file, carriers_file, found = _files_of(folder)
+        quiet, ephemeris = quiet or found[0], ephemeris or (found[1] if quiet or found[0] else None)
     is_offline = spacecraft_file is not None or carriers_file is not None
     if is_offline == (spacecraft is not None):
         raise _refused("name a spacecraft of the service, or both --spacecraft-file and --carriers-file")
@@ -79,6 +84,27 @@ def plan(
         _add_starts(planning.document["turns"], begin_us)
     _draw(planning, figure, report)
     _deliver(planning, as_json=as_json)
+
+
+def _files_of(folder: Path) -> tuple[Path | None, Path | None, tuple[Path | None, Path | None]]:
+    """Return spacecraft and carriers of a folder, and quiet days and orbit where its soo.yaml states them."""
+    from service.cli.importing.folder import ImportFiles, files_of, propose
+    from service.cli.importing.manifest import NAME, plain_value, read_stated
+    from service.formats.foreign.table import ForeignTableError
+    from service.runtime.clock import system_now_us
+
+    try:
+        paths, left_out = files_of(folder)
+        stated = read_stated(folder)
+        sections = propose(ImportFiles(folder, paths, stated, {}, system_now_us(), left_out)).sections
+    except (ForeignTableError, OSError) as error:
+        raise _refused(str(error)) from None
+    names = [sections.get("spacecraft", {}).get("file"), sections.get("carriers"), sections.get("ephemeris")]
+    if not names[0] or not names[1]:
+        raise _refused(f"{folder} has no file of a spacecraft or of carriers: {sections.get('left_out', {})}")
+    spacecraft, carriers, orbit = (folder / plain_value(name) if name else None for name in names)
+    quiet = folder / stated.powers[0].file if (folder / NAME).exists() and stated.powers else None
+    return spacecraft, carriers, (quiet, orbit)
 
 
 def _require_together(spacecraft: str | None, quiet: Path | None, ephemeris: Path | None, assumed: object) -> None:

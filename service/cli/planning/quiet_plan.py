@@ -1,9 +1,6 @@
 """Plan by quiet days: files of powers in, judged carriers out."""
 
 import json
-from collections import Counter
-from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,20 +9,12 @@ import numpy as np
 
 from service.api.schemas.calibrations import CarrierHarmonicAnswer
 from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
-from service.cli.own_data.ephemeris import read_orbit
-from service.cli.own_data.foreign_archive import ForeignArchive
-from service.cli.own_data.foreign_file import carrier_names
-from service.cli.own_data.tdm_archive import open_any_archive
+from service.cli.importing.catalogue import carrier_names, read_orbit
+from service.cli.importing.folder import table_of
+from service.cli.importing.manifest import NAME, read_manifest
 from service.errors import InvalidInputError
-from service.frontend.backfill.columns import (
-    ArchiveError,
-    CellError,
-    FileColumns,
-    match_columns,
-    read_epoch,
-    read_levels,
-)
-from service.frontend.backfill.reader import ArchiveFileReader, open_archive
+from service.formats.foreign.columns import PowersStatement, grouped, interpret_powers
+from service.formats.foreign.table import Container, ForeignTableError, read_table
 from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.config import CalibrationConfig, InterlockConfig
 from service.pipeline.inputs.catalogue_checks import contradiction_of
@@ -49,7 +38,7 @@ from service.records.levels.measurement import MeasurementSeries
 from service.runtime.jobs.archive_maintenance import CarrierRecommendation, wanted_count
 
 if TYPE_CHECKING:
-    from service.cli.own_data.importing.manifest import WindowSection
+    from service.cli.importing.manifest import WindowSection
     from service.pipeline.calibration.minute_rows import MinuteRows
     from service.pipeline.planning.assumed_beams import ContourPoint
     from service.records.catalogue import CarrierPlan
@@ -76,49 +65,44 @@ def read_powers(path: Path, plan: "CarrierPlan") -> QuietPowers:
         ``plan.quiet``: the file cannot be read, holds no carrier, several sources, or rows that mean nothing.
     """
     from service.pipeline.calibration.minute_rows import minute_rows
+    from service.runtime.clock import system_now_us
 
-    rows: dict[int, list[float]] = {}
-    faults, sources, count = [], Counter[str](), 0
+    carriers = carrier_names([{"id": each.id, "name": each.name} for each in plan.carriers])
     try:
-        opened, quiet = _opened(path, plan)
-        with closing(opened) as archive:
-            columns = match_columns(archive.header, plan.carrier_ids)
-            for row in archive.rows():
-                try:
-                    epoch_us, levels = _read_row(row.cells, columns)
-                except CellError as error:
-                    faults.append(f"line {row.line}: {error}")
-                    continue
-                if quiet is not None and not quiet.start <= epoch_us < quiet.stop:
-                    continue
-                rows.setdefault(epoch_us, levels)
-                sources[str(row.cells[columns.source]) if columns.source is not None else ""] += 1
-                count += 1
-    except (ArchiveError, OSError) as error:
-        raise InvalidInputError("plan.quiet", str(error)) from None
+        stated, quiet = _stated(path)
+        table = table_of(path, stated.container)
+        read = interpret_powers(table, stated, carriers, system_now_us(), is_simulated=True)
+    except (ForeignTableError, OSError) as error:
+        raise InvalidInputError("plan.quiet", f"{path}: {error}") from None
+    sources = set(table.column("source").to_pylist()) if "source" in table.header else set()
     if len(sources) > 1:
         raise InvalidInputError("plan.quiet", f"rows of {', '.join(sorted(sources))}; keep those of one source")
-    if not rows or len(faults) > _MOST_UNREADABLE * count:
-        detail = f"{len(faults)} of {len(faults) + count} rows of {path} cannot be read"
-        raise InvalidInputError("plan.quiet", detail + (f"; {faults[0]}" if faults else ": there are none"))
+    # an age is nothing that a plan depends on
+    asked = [each for each in read.questions if each.field != "last_day"]
+    if asked or read.rows is None:
+        detail = "; ".join(f"{each.field}: {each.text}" for each in asked)
+        raise InvalidInputError("plan.quiet", f"{path}: the soo.yaml of its folder must state {detail}")
+    rows = read.rows
+    kept = np.ones(len(rows.lines), dtype=np.bool_)
+    if quiet is not None:
+        kept = (rows.epochs_us >= quiet.start) & (rows.epochs_us < quiet.stop)
+    epochs_us, first = np.unique(rows.epochs_us[kept], return_index=True)
+    levels = rows.values[kept][first]
+    if not len(epochs_us):
+        raise InvalidInputError("plan.quiet", f"no row of {path} lies in the quiet window")
+    absent = [each for each, column in zip(plan.carrier_ids, levels.T, strict=True) if not np.isfinite(column).any()]
+    series = MeasurementSeries(plan.carrier_ids, epochs_us, levels)
     notes = [
-        (faults, f"{len(faults)} rows cannot be read; {faults[0] if faults else ''}"),
-        (len(rows) < count, f"{count - len(rows)} rows repeat an epoch; the first of each counts"),
-        (columns.left_out, f"columns that are no carrier of the plan: {', '.join(columns.left_out)}"),
-        (columns.absent, f"carriers of the plan without powers: {', '.join(columns.absent)}"),
+        *grouped(rows.faults),
+        *(
+            (f"{int(kept.sum()) - len(first)} rows repeat an epoch; the first of each counts",)
+            if kept.sum() > len(first)
+            else ()
+        ),
+        *(each for each in read.notes if each.startswith("no carrier of the plan")),
+        *((f"carriers of the plan without powers: {', '.join(absent)}",) if absent else ()),
     ]
-    ordered = dict(sorted(rows.items()))
-    epochs_us = np.array(list(ordered), dtype=np.int64)
-    series = MeasurementSeries(plan.carrier_ids, epochs_us, np.array(list(ordered.values()), dtype=np.float64))
-    said = [text for applies, text in notes if applies]
-    return QuietPowers(minute_rows([series], plan.carrier_ids, ()), (*said, *_gaps(series)))
-
-
-def _read_row(cells: Sequence[Any], columns: FileColumns) -> tuple[int, list[float]]:
-    """Return epoch and levels of a row, NaN = absent; CellError where it means nothing."""
-    if len(cells) != len(columns.header):
-        raise CellError(f"{len(cells)} cells, the header has {len(columns.header)}", "another number of cells")
-    return read_epoch(cells[columns.epoch]), [np.nan if one is None else one for one in read_levels(cells, columns)]
+    return QuietPowers(minute_rows([series], plan.carrier_ids, ()), (*notes, *_gaps(series)))
 
 
 def _gaps(series: MeasurementSeries) -> tuple[str, ...]:
@@ -132,21 +116,14 @@ def _gaps(series: MeasurementSeries) -> tuple[str, ...]:
     return (f"{len(long)} gaps beyond half an hour, {longest}",)
 
 
-def _opened(path: Path, plan: "CarrierPlan") -> tuple[ArchiveFileReader, "WindowSection | None"]:
-    """Return a file of powers and its quiet window; a foreign one is read as the manifest of its folder states."""
-    from service.cli.own_data.importing.entries import complete_layout
-    from service.cli.own_data.importing.manifest import NAME, read_manifest
-
-    if not (path.parent / NAME).exists():
-        return open_any_archive(path), None
-    manifest = read_manifest(path.parent)
-    section = next((each for each in manifest.powers if each.file == path.name), None)
-    if section is None:
-        return open_any_archive(path), None
-    if section.layout().is_empty:
-        return open_any_archive(path), manifest.windows.quiet
-    carriers = carrier_names([{"id": each.id, "name": each.name} for each in plan.carriers])
-    return ForeignArchive(path, complete_layout(path, section, carriers)), manifest.windows.quiet
+def _stated(path: Path) -> "tuple[PowersStatement, WindowSection | None]":
+    """Return what the manifest of a file's folder states of it, and the quiet window."""
+    if (path.parent / NAME).exists():
+        manifest = read_manifest(path.parent)
+        for each in manifest.powers:
+            if each.file == path.name:
+                return each, manifest.windows.quiet
+    return PowersStatement(file=path.name), None
 
 
 def read_contours(path: Path) -> "list[ContourPoint]":
@@ -161,24 +138,25 @@ def read_contours(path: Path) -> "list[ContourPoint]":
 
     points = []
     try:
-        with closing(open_archive(path)) as archive:
-            if sorted(archive.header) != sorted(_CONTOUR_COLUMNS):
-                wanted, found = ", ".join(_CONTOUR_COLUMNS), ", ".join(archive.header[:8])
-                raise InvalidInputError("plan.contours", f"{path}: the columns must be {wanted}; they are {found}")
-            for row in archive.rows():
-                cells = dict(zip(archive.header, row.cells, strict=False))
-                try:
-                    name, *numbers = (cells[column] for column in _CONTOUR_COLUMNS)
-                    latitude_deg, longitude_deg, gain_db = (float(number) for number in numbers)
-                except (KeyError, ValueError):
-                    raise InvalidInputError("plan.contours", f"{path}, line {row.line}: a cell is no number") from None
-                if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 360.0 and np.isfinite(gain_db)):
-                    detail = f"{path}, line {row.line}: latitude {latitude_deg:g}, longitude {longitude_deg:g}, gain "
-                    detail += f"{gain_db:g} dB is no point of a beam; are latitude and longitude exchanged?"
-                    raise InvalidInputError("plan.contours", detail)
-                points.append(ContourPoint(row.line, str(name), latitude_deg, longitude_deg, gain_db))
-    except (ArchiveError, OSError) as error:
-        raise InvalidInputError("plan.contours", str(error)) from None
+        table = read_table(path, Container())
+    except (ForeignTableError, OSError) as error:
+        raise InvalidInputError("plan.contours", f"{path}: {error}") from None
+    if sorted(table.header) != sorted(_CONTOUR_COLUMNS):
+        wanted, found = ", ".join(_CONTOUR_COLUMNS), ", ".join(table.header[:8])
+        raise InvalidInputError("plan.contours", f"{path}: the columns must be {wanted}; they are {found}")
+    columns = [table.column(name).to_pylist() for name in _CONTOUR_COLUMNS]
+    for line, name, *numbers in zip(table.lines.tolist(), *columns, strict=True):
+        try:
+            latitude_deg, longitude_deg, gain_db = (float(number) for number in numbers)
+        except ValueError:
+            raise InvalidInputError("plan.contours", f"{path}, line {line}: a cell is no number") from None
+        if not (abs(latitude_deg) <= 90.0 and abs(longitude_deg) <= 360.0 and np.isfinite(gain_db)):
+            detail = f"{path}, line {line}: latitude {latitude_deg:g}, longitude {longitude_deg:g}, gain "
+            detail += f"{gain_db:g} dB is no point of a beam; are latitude and longitude exchanged?"
+            raise InvalidInputError("plan.contours", detail)
+        points.append(ContourPoint(line, str(name), latitude_deg, longitude_deg, gain_db))
+    if table.faults:
+        raise InvalidInputError("plan.contours", f"{path}, line {table.faults[0][0]}: {table.faults[0][1]}")
     return points
 
 
@@ -209,7 +187,10 @@ def planned_by_quiet_days(
     powers = read_powers(quiet_path, plan)
     epochs_us = powers.rows.series.epochs_us
     span_us = int(epochs_us[0]), int(epochs_us[-1])
-    orbit = sidereal_orbit(*span_us) if orbit_path is None else read_orbit(orbit_path)[1]
+    try:
+        orbit = sidereal_orbit(*span_us) if orbit_path is None else read_orbit(orbit_path)[1]
+    except ForeignTableError as error:
+        raise InvalidInputError("plan.ephemeris", f"{orbit_path}: {error}") from None
     contradiction = None if orbit_path is None else contradiction_of(orbit, spacecraft.longitude_deg)
     if contradiction is not None:
         raise InvalidInputError("plan.ephemeris", f"{orbit_path}: {contradiction}; check the satellite")

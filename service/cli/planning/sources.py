@@ -5,11 +5,14 @@ to it what they show.
 """
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import typer
 
 from service.client.service_client import ServiceClient
 from service.core.geometry.frames import AntennaDirection, station_direction
@@ -100,16 +103,18 @@ def planned_by_files(files: PlanFiles, beams: list[str], noise: str, request: Pl
     """
     # web framework and validation cost a quarter of a second that other commands need not pay
     from service.api.problems.problems import RequestProblemError
-    from service.api.protocol.requests import decode
-    from service.api.schemas.catalogue import CARRIER_PLAN_ADAPTER
-    from service.cli.own_data.spacecraft import read_spacecraft
+    from service.cli.importing.catalogue import read_plan, read_spacecraft
     from service.pipeline.planning.assumed_beams import NOISES, assume_payload
     from service.records.catalogue import CarrierPlan
 
     stated = dict(_beam(text) for text in beams)
     try:
-        spacecraft = read_spacecraft(files.spacecraft).to_record()
-        carriers = decode(CARRIER_PLAN_ADAPTER, _carriers_json(_read(files.carriers))).to_records()
+        with _of_file(files.spacecraft):
+            spacecraft = read_spacecraft(
+                files.spacecraft, lambda text: typer.echo(f"warning: {text}", err=True)
+            ).to_record()
+        with _of_file(files.carriers):
+            carriers = read_plan(files.carriers).to_records()
         stated |= _contour_beams(files.contours, carriers, spacecraft.longitude_deg)
         _require_known(stated, carriers)
         meant = NOISES[noise] if files.quiet is None else NOISES[noise]._replace(meaning=f"that of {files.quiet.name}")
@@ -176,21 +181,15 @@ def _beam(text: str) -> tuple[str, Any]:
     return name or "*", AssumedBeam(azimuth_deg, elevation_deg, width_deg, rest[0] if rest else width_deg)
 
 
-def _read(path: Path) -> bytes:
-    """Return a file's bytes."""
+@contextmanager
+def _of_file(path: Path) -> Iterator[None]:
+    """Name the file in what is raised within."""
+    from service.formats.foreign.table import ForeignTableError
+
     try:
-        return path.read_bytes()
-    except OSError as error:
-        raise InvalidInputError("plan.file", f"{path} cannot be read: {error.strerror}") from None
-
-
-def _carriers_json(raw: bytes) -> bytes:
-    """Return a carrier plan as JSON; what does not begin with a brace is CSV."""
-    from service.formats.carrier_plan_csv import read_carrier_plan
-
-    if raw.lstrip().startswith(b"{"):
-        return raw
-    return json.dumps({"carriers": read_carrier_plan(raw)}).encode()
+        yield
+    except ForeignTableError as error:
+        raise InvalidInputError("plan.file", f"{path}: {error}") from None
 
 
 def _directions(positions: list[Any], longitude_deg: float) -> AntennaDirection:

@@ -17,7 +17,8 @@ from service.core.geometry.frames import attitude_of_quaternion, matrix_of_quate
 from service.errors import InvalidInputError
 from service.formats.ccsds import Segment, calendar_us, epoch_of, read_segments, require, require_one_object
 from service.formats.ephemeris import read_mean_elements, read_oem, read_tle, utc_us
-from service.formats.foreign.layout import ForeignTableError
+from service.formats.foreign.table import ForeignTableError, Table
+from service.formats.tdm import read_tdm
 from service.records.catalogue import Ephemeris
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import FloatArray
@@ -420,3 +421,28 @@ def _is_reversed(segment: Segment) -> bool:
     if direction not in ("A2B", "B2A"):
         raise ForeignTableError(f"ATTITUDE_DIR = {direction}; understood: A2B, B2A")
     return is_swapped != (direction == "B2A")
+
+
+def tracking_table(text: str) -> Table:
+    """Return the carrier powers of a TDM as a table of one level a line.
+
+    ``TRACK_ID`` is ``source/carrier`` as this service writes it, or the name of a carrier; a segment without one is
+    called by its number.
+    """
+    import pyarrow as pa
+
+    try:
+        tracks = read_tdm(message_text(text))
+    except InvalidInputError as error:
+        raise ForeignTableError(error.detail) from None
+    epochs, sources, carriers, levels = [], [], [], []
+    for number, track in enumerate(tracks, start=1):
+        source, _, carrier = track.track_id.rpartition("/")
+        epochs += [format_epoch(each) for each in track.epochs_us.tolist()]
+        sources += [source] * len(track.epochs_us)
+        carriers += [carrier or f"segment {number}"] * len(track.epochs_us)
+        levels += [repr(each) for each in track.power_dbm.tolist()]
+    if not epochs:
+        raise ForeignTableError("the message holds no CARRIER_POWER")
+    columns = [pa.array(each) for each in (epochs, sources, carriers, levels)]
+    return Table(["epoch", "source", "carrier", "level_dbm"], columns, np.arange(1, len(epochs) + 1), notes=["TDM"])

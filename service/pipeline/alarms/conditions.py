@@ -171,7 +171,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
         _condition(
             ("rows_missing", Kind.ABOVE, "rows", "source", Origin.CLOCK),
             "missing from source {thing} in the last hour: {value}",
-            "see GET .../archive/gaps; `soo send` brings what the front end's spool still holds",
+            "see GET .../archive/gaps; `soo put powers` brings what the front end's spool still holds",
             ConditionLimits(warning=0.0, distress=100.0, on_s=120.0, off_s=60.0, repeat_s=None),
         ),
         _condition(

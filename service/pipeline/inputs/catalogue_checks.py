@@ -11,7 +11,7 @@ import numpy as np
 
 from service.core.geometry.frames import satellite_elevation_deg
 from service.errors import FieldError
-from service.records.catalogue import Carrier, Ephemeris
+from service.records.catalogue import Carrier, Ephemeris, Spacecraft
 
 #: below it no radio path exists, refraction of 0.5 deg counted in
 HORIZON_DEG = -0.5
@@ -110,6 +110,59 @@ def _frequency_faults(carriers: Sequence[Carrier]) -> Iterator[FieldError]:
                 whose = "satellites use" if band is None else f"band {band} is"
                 detail = f"{name} is {frequency_hz / GHZ:g} GHz, {whose} {low / GHZ:g} to {high / GHZ:g} GHz"
                 yield FieldError(f"/carriers/{k}/{name}", code, detail)
+
+
+#: what satellites of geostationary orbit have: moments of inertia, kg m^2; torque, N m; momentum of a wheel, N m s
+_LIKELY_INERTIA_KG_M2 = (50.0, 500_000.0)
+_LIKELY_TORQUE_N_M = (1e-3, 5.0)
+_LIKELY_MOMENTUM_N_M_S = (0.5, 500.0)
+#: carriers from which one transponder for all is odd
+_MANY_CARRIERS = 6
+
+
+def unlikely_body(spacecraft: Spacecraft) -> list[str]:
+    """Return figures of a spacecraft outside of what satellites have: a person must confirm them."""
+    moments = np.linalg.eigvalsh(np.array(spacecraft.inertia_kg_m2, dtype=np.float64))
+    wheels = spacecraft.wheels
+    figures = (
+        ("/inertia_kg_m2", float(moments[0]), _LIKELY_INERTIA_KG_M2, "kg m^2"),
+        ("/inertia_kg_m2", float(moments[-1]), _LIKELY_INERTIA_KG_M2, "kg m^2"),
+        ("/torque_limit_n_m", spacecraft.torque_limit_n_m, _LIKELY_TORQUE_N_M, "N m"),
+        ("/wheels/torque_limit_n_m", wheels.torque_limit_n_m, _LIKELY_TORQUE_N_M, "N m"),
+        ("/wheels/momentum_limit_n_m_s", wheels.momentum_limit_n_m_s, _LIKELY_MOMENTUM_N_M_S, "N m s"),
+    )
+    return [
+        f"{pointer}: {value:g} {unit}; satellites have {low:g} to {high:g} {unit}"
+        for pointer, value, (low, high), unit in figures
+        if not low <= value <= high
+    ]
+
+
+def unlikely_carriers(carriers: Sequence[Carrier], satellite_longitude_deg: float) -> list[str]:
+    """Return what looks exchanged or left out in a plan: a person must confirm it."""
+    found = []
+    both = [(each.uplink_hz, each.downlink_hz) for each in carriers if each.uplink_hz is not None]
+    if both and all(uplink_hz < downlink_hz for uplink_hz, downlink_hz in both):
+        detail = "/carriers: every uplink is below its downlink: uplink_hz and downlink_hz look exchanged"
+        found.append(detail)
+    stations = [each.station for each in carriers if each.station is not None]
+    if stations:
+        latitude_deg, longitude_deg = np.array([(each.latitude_deg, each.longitude_deg) for each in stations]).T
+        seen, mirrored = (
+            int(
+                np.sum(
+                    satellite_elevation_deg(sign * longitude_deg, latitude_deg, 0.0, satellite_longitude_deg) > LOW_DEG
+                )
+            )
+            for sign in (1.0, -1.0)
+        )
+        if mirrored > seen:
+            detail = f"/carriers: {seen} of {len(stations)} stations see the satellite well, {mirrored} with"
+            found.append(f"{detail} the sign of the longitudes turned: East is positive")
+    if len(carriers) >= _MANY_CARRIERS and len({each.transponder for each in carriers}) == 1:
+        whole = f"all {len(carriers)} carriers are on transponder {carriers[0].transponder}"
+        found.append(f"/carriers: {whole}: one fault spoils them all")
+    return found
 
 
 def contradiction_of(ephemeris: Ephemeris, satellite_longitude_deg: float) -> str | None:

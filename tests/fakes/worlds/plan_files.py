@@ -51,7 +51,7 @@ def orbit_document(ephemeris: Ephemeris) -> dict[str, object]:
 
 
 def write_powers(path: Path, series: MeasurementSeries) -> None:
-    """Write powers as ``soo send`` reads them."""
+    """Write powers as ``soo put powers`` reads them."""
     lines = [",".join(("epoch", *(f"{name}_dbm" for name in series.carrier_ids)))]
     for epoch_us, powers in zip(series.epochs_us.tolist(), series.power_dbm.tolist(), strict=True):
         cells = ("" if np.isnan(power) else f"{power:.3f}" for power in powers)

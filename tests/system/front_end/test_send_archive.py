@@ -1,4 +1,4 @@
-"""``soo send`` as a process against a service as a process: killed in the middle it goes on, and nothing is doubled."""
+"""``soo put powers`` as a process against a service as a process: killed it goes on, nothing is doubled."""
 
 import json
 import random
@@ -14,7 +14,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from service.cli.station.send import send
+from service.cli.importing.put_command import put
 
 pytestmark = pytest.mark.system
 
@@ -48,7 +48,7 @@ def write(path: Path, carriers: list[str]) -> list[str]:
 
 def command(path: Path, url: str, *options: str) -> list[str]:
     """Return the command that sends a file."""
-    head = [sys.executable, "-m", "service", "send", str(path), "--spacecraft", "sim-1", "--source", "sa-9"]
+    head = [sys.executable, "-m", "service", "put", "powers", str(path), "--spacecraft", "sim-1", "--source", "sa-9"]
     return [*head, "--service", url, "--json", *options]
 
 
@@ -134,11 +134,11 @@ def test_exit_codes_tell_what_became_of_the_rows(
     path = tmp_path / "levels.csv"
     path.write_text("epoch,c00_dbm,strange\n2026-01-01T00:00:00Z,-40,1\n1999-01-01T00:00:00Z,-40,1\nyesterday,-40,1\n")
     app = typer.Typer()
-    app.command()(send)
+    app.command()(put)
     before = signal.getsignal(signal.SIGTERM)
 
     def code_of(*options: str, url: str = service.url) -> int:
-        given = [str(path), "--spacecraft", "sim-1", "--source", "sa-9", "--service", url, *options]
+        given = ["powers", str(path), "--spacecraft", "sim-1", "--source", "sa-9", "--service", url, *options]
         return CliRunner().invoke(app, given).exit_code
 
     try:
@@ -155,6 +155,6 @@ def test_exit_codes_tell_what_became_of_the_rows(
     refused = (tmp_path / "refused.csv").read_text().splitlines()
     assert [line.split(",")[:2] for line in refused] == [
         ["line", "code"],
-        ["3", "time.too_old"],
+        ["3", "row.unreadable"],
         ["4", "row.unreadable"],
     ]

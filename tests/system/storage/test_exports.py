@@ -23,7 +23,7 @@ from waiting import wait_until
 from db.storage import SqlStorage
 from service.api.export.export_files import OFFERED
 from service.api.protocol.paging import EVERYTHING
-from service.cli.station.send import send
+from service.cli.importing.put_command import put
 from service.ports import LIVE, Outcome
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import Axes, CarrierResults, TorqueCommand, row_without_attitude
@@ -268,10 +268,10 @@ def test_every_format_goes_round(
 def send_rows(path: Path, spacecraft_id: str, url: str) -> int:
     """Send a file with the command and return how many rows were new."""
     app = typer.Typer()
-    app.command()(send)
+    app.command()(put)
     before = signal.getsignal(signal.SIGTERM)
     try:
-        given = [str(path), "--spacecraft", spacecraft_id, "--source", "sa-1", "--service", url, "--json"]
+        given = ["powers", str(path), "--spacecraft", spacecraft_id, "--source", "sa-1", "--service", url, "--json"]
         done = CliRunner().invoke(app, given)
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -1,515 +1,488 @@
-"""``soo send`` with tables and messages of other programs: what is stated, read back, sent and refused."""
+"""Files of other programs, kind by kind: read right, asked about, or refused with the cause; never read differently.
 
-import json
-import random
-import shlex
-import tracemalloc
-from contextlib import closing
-from datetime import UTC, datetime, timedelta
+Each case is a file of our own that reproduces what people report of neighbouring programs, with the sentence that the
+reader answers. The table holds what must be asked (fields of the manifest), what is noted, or why it is refused.
+"""
+
+import gzip
+import io
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import httpx
+import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as parquet
 import pytest
-import typer
-from foreign_files import Truth, Writing, table, truth, write_table
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from pyarrow import parquet
-from typer.testing import CliRunner, Result
 
-from service.cli.own_data.foreign_archive import ForeignArchive, sample_of
-from service.cli.own_data.tdm_archive import open_any_archive
-from service.cli.station import send as module
-from service.client.service_client import ServiceClient
-from service.formats.foreign.layout import StatedLayout, TableLayout
-from service.formats.foreign.proposal import propose
-from service.frontend.backfill.columns import ArchiveError
-from service.frontend.backfill.reader import FileRow
-from service.records.epoch import format_epoch
+from service.formats.foreign.columns import (
+    Interpretation,
+    PowersStatement,
+    ReadingsStatement,
+    interpret_powers,
+    interpret_readings,
+)
+from service.formats.foreign.table import Container, ForeignTableError, read_table
 
-CARRIERS = ("c00", "c01", "c02")
-PLAN = {each: each for each in CARRIERS}
-STATED = StatedLayout(tz="UTC", unit="dBm")
+CARRIERS = {f"c{k:02d}": f"c{k:02d}" for k in range(3)}
+START_S = 1_795_132_800  # 2026-11-20T00:00:00Z
+NOW_US = (START_S + 86_400) * 1_000_000
+ROWS = 60
 
 
-def layout_of(path: Path, stated: StatedLayout) -> TableLayout:
-    """Return the layout of a file that leaves no question."""
-    proposal = propose(sample_of(path), stated, PLAN)
-    assert proposal.questions == ()
-    assert proposal.layout is not None
-    return proposal.layout
+def level(row: int, carrier: int) -> float:
+    """Return a level, dBm, with two decimals."""
+    return round(-45.0 - carrier + 0.3 * np.sin(1.7 * row + carrier) + 0.01 * (row % 7), 2)
 
 
-def rows_of(path: Path, stated: StatedLayout = STATED) -> list[FileRow]:
-    """Return the rows of a file, those that cannot be read too."""
-    with closing(ForeignArchive(path, layout_of(path, stated))) as archive:
-        return list(archive.rows())
+def angle(row: int, axis: int) -> float:
+    """Return an angle, deg, with four decimals."""
+    return round(0.05 * np.sin(0.21 * row + axis) + 0.0001 * (row % 5), 4)
 
 
-def read(path: Path, stated: StatedLayout = STATED) -> dict[int, list[float | None]]:
-    """Return levels by epoch, in the order of the carriers."""
-    order = list(dict.fromkeys(layout_of(path, stated).carriers.values()))
-    rows = rows_of(path, stated)
-    assert [row.detail for row in rows if row.fault] == []
-    return {row.cells[0]: [row.cells[1 + order.index(name)] for name in CARRIERS if name in order] for row in rows}
+def epoch(row: int, form: str = "%Y-%m-%dT%H:%M:%SZ") -> str:
+    """Return the epoch of a row, a minute after the other."""
+    from datetime import UTC, datetime
+
+    return datetime.fromtimestamp(START_S + 60 * row, UTC).strftime(form)
 
 
-def wanted(known: Truth) -> dict[int, list[float]]:
-    """Return the truth by epoch."""
-    return {
-        round(epoch.timestamp() * 1e6): list(levels)
-        for epoch, levels in zip(known.epochs, known.levels_dbm, strict=True)
-    }
+def table(
+    *,
+    separator: str = ",",
+    time: Callable[[int], str] = epoch,
+    names: str = "Time,c00 (dBm),c01 (dBm),c02 (dBm)",
+    cell: Callable[[int, int], str] = lambda row, k: f"{level(row, k):.2f}",
+    end: str = "\n",
+    rows: int = ROWS,
+) -> str:
+    """Return a table of powers."""
+    lines = [names.replace(",", separator) if separator != "," else names]
+    lines += [separator.join((time(row), *(cell(row, k) for k in range(3)))) for row in range(rows)]
+    return end.join((*lines, ""))
+
+
+def readings(
+    *,
+    time: Callable[[int], str] = epoch,
+    names: str = "Time,Yaw [deg],Roll [deg],Pitch [deg]",
+    cell: Callable[[int, int], str] = lambda row, k: f"{angle(row, k):.4f}",
+    rows: int = ROWS,
+) -> str:
+    """Return a table of angles."""
+    return "\n".join((names, *(",".join((time(r), *(cell(r, k) for k in range(3)))) for r in range(rows)), ""))
+
+
+def read(folder: Path, content: str | bytes, name: str = "file.csv", **stated: object) -> Interpretation:
+    """Return how a file is read."""
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    is_readings = b"Yaw" in path.read_bytes() or "Крен" in str(content) or "columns" in stated
+    if is_readings:
+        readings_of = ReadingsStatement.model_validate({"file": name, **stated})
+        return interpret_readings(read_table(path, readings_of.container), readings_of, NOW_US)
+    powers = PowersStatement.model_validate({"file": name, **stated})
+    return interpret_powers(read_table(path, powers.container), powers, CARRIERS, NOW_US)
+
+
+def asked(found: Interpretation) -> set[str]:
+    """Return the fields that must be stated."""
+    return {each.field for each in found.questions}
+
+
+def is_truth(found: Interpretation, *, rows: int = ROWS, is_readings: bool = False) -> bool:
+    """Return whether the rows are those that were written."""
+    if found.rows is None or len(found.rows.lines) != rows:
+        return False
+    value = angle if is_readings else level
+    wanted = np.array([[value(row, k) for k in range(3)] for row in range(rows)])
+    seconds = START_S + 60 * np.arange(rows)
+    return bool(
+        np.all(found.rows.epochs_us == seconds * 1_000_000) and np.allclose(found.rows.values, wanted, atol=5e-5)
+    )
+
+
+def comma(row: int, k: int) -> str:
+    """Return a level with a decimal comma."""
+    return f"{level(row, k):.2f}".replace(".", ",")
+
+
+def xlsx(sheets: dict[str, str]) -> bytes:
+    """Return a workbook of sheets, whose rows are given as XML."""
+    out = io.BytesIO()
+    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    rel = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+    with zipfile.ZipFile(out, "w") as file:
+        entries, links, types = "", "", ""
+        for number, (name, rows) in enumerate(sheets.items(), start=1):
+            entries += f'<sheet name="{name}" sheetId="{number}" r:id="rId{number}"/>'
+            links += f'<Relationship Id="rId{number}" Type="{rel}/worksheet" Target="worksheets/sheet{number}.xml"/>'
+            kind = "application/vnd.openxmlformats-officedocument.spreadsheetml.worksheet+xml"
+            types += f'<Override PartName="/xl/worksheets/sheet{number}.xml" ContentType="{kind}"/>'
+            file.writestr(
+                f"xl/worksheets/sheet{number}.xml",
+                f'<worksheet xmlns="{main}"><sheetData>{rows}</sheetData></worksheet>',
+            )
+        styles = '<cellXfs count="2"><xf numFmtId="0"/><xf numFmtId="22" applyNumberFormat="1"/></cellXfs>'
+        links += f'<Relationship Id="rId99" Type="{rel}/styles" Target="styles.xml"/>'
+        file.writestr("xl/styles.xml", f'<styleSheet xmlns="{main}">{styles}</styleSheet>')
+        file.writestr(
+            "xl/workbook.xml", f'<workbook xmlns="{main}" xmlns:r="{rel}"><sheets>{entries}</sheets></workbook>'
+        )
+        package = "http://schemas.openxmlformats.org/package/2006"
+        file.writestr(
+            "xl/_rels/workbook.xml.rels", f'<Relationships xmlns="{package}/relationships">{links}</Relationships>'
+        )
+        file.writestr("[Content_Types].xml", f'<Types xmlns="{package}/content-types">{types}</Types>')
+        root = f'<Relationship Id="rId1" Type="{rel}/officeDocument" Target="xl/workbook.xml"/>'
+        file.writestr("_rels/.rels", f'<Relationships xmlns="{package}/relationships">{root}</Relationships>')
+    return out.getvalue()
+
+
+def sheet() -> str:
+    """Return the rows of a sheet: instants as serial numbers of a date format."""
+    names = ("Time (UTC)", "c00 (dBm)", "c01 (dBm)", "c02 (dBm)")
+    lines = ["<row>" + "".join(f'<c t="inlineStr"><is><t>{name}</t></is></c>' for name in names) + "</row>"]
+    for row in range(ROWS):
+        serial = 25_569 + (START_S + 60 * row) / 86_400
+        cells = "".join(f"<c><v>{level(row, k)}</v></c>" for k in range(3))
+        lines.append(f'<row><c s="1"><v>{serial!r}</v></c>{cells}</row>')
+    return "".join(lines)
+
+
+def zipped(**files: str) -> bytes:
+    """Return a zip of files."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as file:
+        for name, text in files.items():
+            file.writestr(name.replace("_csv", ".csv"), text)
+    return out.getvalue()
+
+
+#: what each kind reads to, without a question
+RIGHT: dict[str, str | bytes] = {
+    "as usual": table(),
+    "sep line": "sep=;\n" + table(separator=";"),
+    "comments before the header": "# logger v2\n# RBW=30kHz, VBW=300kHz\n" + table(),
+    "header in a comment": "# " + table(),
+    "preamble of other width": "Station;Dubna\nAnalyzer;FSV\n\n" + table(separator=";"),
+    "decimal commas and commas in names": table(
+        separator=";", names="Time,c00§ dBm,c01§ dBm,c02§ dBm", cell=comma
+    ).replace("§", ","),
+    "tabs": table(separator="\t"),
+    "blanks": table(separator=" ", names="Time,c00_dbm,c01_dbm,c02_dbm"),
+    "CR only": table(end="\r"),
+    "CR LF": table(end="\r\n"),
+    "U+0085": table(end="\x85"),
+    "UTF-16": table().encode("utf-16"),
+    "UTF-16 without a mark": table().encode("utf-16-le"),
+    "byte order mark": b"\xef\xbb\xbf" + table().encode(),
+    "gzip": gzip.compress(table().encode()),
+    "zip of one": zipped(levels_csv=table()),
+    "unit row": table(names="Time,c00,c01,c02").replace("c02\n", "c02\nUTC,dBm,dBm,dBm\n"),
+    "repeated header": table().replace(epoch(30), "Time,c00 (dBm),c01 (dBm),c02 (dBm)\n" + epoch(30)),
+    "footer": table() + "End of file\n",
+    "footer of the same width": table() + "Mean,-45.1,-46.1,-47.1\n",
+    "blank columns": table().replace("\n", ",\n"),
+    "blank rows": table().replace("\n", "\n,,,\n\n"),
+    "quoted": table(cell=lambda row, k: f'"{level(row, k):.2f}"'),
+    "date and time apart, a counter": table(
+        time=lambda r: f"{epoch(r, '%d.%m.%Y,%H:%M:%S')},{1_000_000_000 + r}",
+        names="Date (UTC),Time (UTC),Record,c00 (dBm),c01 (dBm),c02 (dBm)",
+    ),
+    "a frequency of oscillators": table(
+        time=lambda r: f"{epoch(r, '%Y-%m-%d,%H:%M:%SZ')},975000000",
+        names="Date,Time,LO Freq (Hz),c00 (dBm),c01 (dBm),c02 (dBm)",
+    ),
+    "month names": table(time=lambda r: epoch(r, "%d-%b-%Y %H:%M:%S"), names="Time UTC,c00 (dBm),c01 (dBm),c02 (dBm)"),
+    "half days": table(time=lambda r: epoch(r, "%Y-%m-%d %I:%M:%S %p"), names="Time GMT,c00 (dBm),c01 (dBm),c02 (dBm)"),
+    "day of the year": table(time=lambda r: epoch(r, "%Y-%jT%H:%M:%S.000Z")),
+    "day of the year and a blank": table(time=lambda r: epoch(r, "%Y-%j %H:%M:%SZ")),
+    "zone in the name": table(
+        time=lambda r: epoch(r + 180, "%d.%m.%Y %H:%M:%S"), names="Time (UTC+3),c00 (dBm),c01 (dBm),c02 (dBm)"
+    ),
+    "offsets": table(time=lambda r: epoch(r + 180, "%Y-%m-%d %H:%M:%S+0300")),
+    "unix seconds": table(time=lambda r: str(START_S + 60 * r), names="unix time,c00 (dBm),c01 (dBm),c02 (dBm)"),
+    "unix milliseconds": table(time=lambda r: f"{START_S + 60 * r}000", names="timestamp_ms,c00_dbm,c01_dbm,c02_dbm"),
+    "unix nanoseconds": table(time=lambda r: f"{START_S + 60 * r}000000000", names="epoch,c00_dbm,c01_dbm,c02_dbm"),
+    "milliwatts": table(
+        names="Time,c00 (mW),c01 (mW),c02 (mW)", cell=lambda row, k: f"{10 ** (level(row, k) / 10):.10e}"
+    ),
+    "units in the cells": table(names="Time,c00,c01,c02", cell=lambda row, k: f"{level(row, k):.2f} dBm"),
+    "one level a line": "Time,Carrier,Level dBm\n"
+    + "".join(f"{epoch(r)},c{k:02d},{level(r, k):.2f}\n" for r in range(ROWS) for k in range(3)),
+    "sign of typography": table(cell=lambda row, k: f"\N{MINUS SIGN}{-level(row, k):.2f}"),
+    "a workbook": xlsx({"Levels": sheet(), "Empty": ""}),
+}
+
+
+@pytest.mark.parametrize("kind", RIGHT)
+def test_kinds_of_files_are_read_right(tmp_path: Path, kind: str) -> None:
+    found = read(tmp_path, RIGHT[kind])
+    assert (asked(found), found.rows and found.rows.faults) == (set(), []), found.questions
+    assert is_truth(found), found.notes
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1251", "koi8-r", "cp866", "utf-16"])
+def test_names_in_other_encodings_are_read(tmp_path: Path, encoding: str) -> None:
+    names = "Время (UTC);Рыскание, град;Крен, град;Тангаж, град"
+    text = readings(time=lambda r: epoch(r, "%d.%m.%Y %H:%M:%S"), names="@").replace(",", ";").replace(".", ",")
+    text = text.replace("@", names).replace("20,11,2026", "20.11.2026")
+    found = read(tmp_path, text.encode(encoding), columns={})
+    assert asked(found) == set()
+    assert is_truth(found, is_readings=True)
+
+
+def spoiled(rows: dict[int, str], carrier: int = 0) -> str:
+    """Return a table with other cells of one carrier in some rows."""
+    return table(cell=lambda row, k: rows.get(row, "") if row in rows and k == carrier else f"{level(row, k):.2f}")
 
 
 @pytest.mark.parametrize(
-    ("writing", "stated"),
+    "code", ["9.91E+37", "9.91e37", "9.9E37", "-9.9E37", "OVLD", "<-80", "---", "n/a", "NaN", "", "#N/A", "-inf"]
+)
+def test_a_cell_without_a_reading_is_absent_and_its_row_stays(tmp_path: Path, code: str) -> None:
+    found = read(tmp_path, spoiled(dict.fromkeys(range(0, 40, 2), code)))
+    assert asked(found) == set()
+    assert found.rows is not None
+    assert len(found.rows.lines) == ROWS
+    absent = np.isnan(found.rows.values)
+    assert np.flatnonzero(absent[:, 0]).tolist() == list(range(0, 40, 2))
+    assert not absent[:, 1:].any()
+
+
+#: what each kind asks, and the guess
+ASKED: dict[str, tuple[str, dict[str, object]]] = {
+    "no zone": (table(time=lambda r: epoch(r, "%Y-%m-%d %H:%M:%S")), {"tz": "UTC"}),
+    "local time": (
+        table(time=lambda r: epoch(r, "%Y-%m-%d %H:%M:%S"), names="Local time,c00 (dBm),c01 (dBm),c02 (dBm)"),
+        {"tz": "UTC"},
+    ),
+    "GPS calendar": (
+        table(time=lambda r: epoch(r, "%Y-%m-%d %H:%M:%S"), names="GPS time,c00 (dBm),c01 (dBm),c02 (dBm)"),
+        {"tz": "GPS"},
+    ),
+    "GPS in the name, Z in the cells": (table(names="GPS time,c00 (dBm),c01 (dBm),c02 (dBm)"), {"tz": "UTC"}),
+    "GPS seconds": (
+        table(
+            time=lambda r: str(START_S + 60 * r - 315_964_800 + 18), names="gps_seconds,c00 (dBm),c01 (dBm),c02 (dBm)"
+        ),
+        {"tz": "GPS"},
+    ),
+    "GPS week": (
+        table(time=lambda r: f"2445,{432_018 + 60 * r}", names="GPS week,TOW (s),c00 (dBm),c01 (dBm),c02 (dBm)"),
+        {"tz": "GPS"},
+    ),
+    "day and month": (
+        table(time=lambda r: epoch(r, "%Y-%m-%dT%H:%M:%SZ").replace("2026-11-20", "10/11/2026")),
+        {"time_format": "%d/%m/%Y %H:%M:%S"},
+    ),
+    "year or day first": (
+        table(time=lambda r: epoch(r, "%H:%M:%SZ").join(("11.10.12 ", ""))),
+        {"time_format": "%d.%m.%y %H:%M:%S"},
+    ),
+    "MJD": (
+        table(time=lambda r: f"{40_587 + (START_S + 60 * r) / 86_400:.8f}", names="MJD,c00 (dBm),c01 (dBm),c02 (dBm)"),
+        {"tz": "UTC"},
+    ),
+    "time of day only": (table(time=lambda r: epoch(r, "%H:%M:%S")), {"date": None}),
+    "two clocks": (
+        table(time=lambda r: f"{epoch(r)},{epoch(r + 1)}", names="Begin,End,c00 (dBm),c01 (dBm),c02 (dBm)"),
+        {"time_columns": "Begin"},
+    ),
+    "no unit": (table(names="Time,c00,c01,c02"), {"unit": "dBm"}),
+    "milliwatts called dBm": (table(cell=lambda row, k: f"{10 ** (level(row, k) / 10):.4e}"), {"unit": "mW"}),
+    "two columns of one carrier": (
+        table(names="Time,c00 (dBm),C00 (dBm),c02 (dBm)"),
+        {"carriers": None},
+    ),
+    "a repeated code": (spoiled(dict.fromkeys((3, 9, 27), "-99.99")), {"missing": ["-99.99"]}),
+    "a repeated zero": (spoiled(dict.fromkeys((3, 9), "0.00")), {"missing": ["0"]}),
+    "a column that never changes": (
+        table(cell=lambda row, k: "-200.00" if k == 1 else f"{level(row, k):.2f}"),
+        {"missing": ["-200"]},
+    ),
+    "old": (table().replace("2026-11-20", "2025-11-20"), {"last_day": "2025-11-20"}),
+    "in the future": (table().replace("2026-11-20", "2027-11-20"), {"last_day": "2027-11-20"}),
+    "angles without a unit": (readings(names="Time,Yaw,Roll,Pitch"), {"unit": "deg"}),
+    "millidegrees called deg": (readings(cell=lambda row, k: f"{1000 * angle(row, k):.1f}"), {"unit": "mdeg"}),
+    "angles beyond the disc": (readings(cell=lambda r, k: f"{20.0 + r + angle(r, k):.4f}", rows=30), {"unit": "mdeg"}),
+    "tiny angles": (readings(names="Time,Yaw [arcsec],Roll [arcsec],Pitch [arcsec]"), {"unit": "deg"}),
+    "angles of a code": (
+        readings(cell=lambda row, k: "-99.99" if row % 20 == 0 else f"{angle(row, k):.4f}"),
+        {"missing": ["-99.99"]},
+    ),
+    "rows of zeros": (
+        readings(cell=lambda row, k: "0.00" if row % 20 == 0 else f"{angle(row, k) + 0.11:.4f}"),
+        {"missing": ["0"]},
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ASKED)
+def test_what_no_content_proves_is_asked_with_a_guess(tmp_path: Path, kind: str) -> None:
+    text, wanted = ASKED[kind]
+    found = read(tmp_path, text)
+    guesses = {each.field: each.default for each in found.questions}
+    assert {name: guesses.get(name, "not asked") for name in wanted} == wanted
+
+
+@pytest.mark.parametrize(
+    ("kind", "stated", "more"),
     [
-        (Writing(), STATED),
-        (Writing(separator=";", decimal=",", pattern="%d.%m.%Y %H:%M:%S", end="\r\n", mark=b"\xef\xbb\xbf"), STATED),
-        (Writing(separator="\t", pattern="%m/%d/%Y %I:%M:%S %p"), STATED),
-        (Writing(decimal=",", pattern="%Y/%m/%d %H:%M"), STATED),
-        (Writing(pattern="1"), STATED),
-        (Writing(pattern="1000"), STATED),
-        (Writing(pattern="%Y-%m-%dT%H:%M:%S%z", zone="Asia/Tokyo"), StatedLayout(unit="dBm")),
-        (Writing(zone="Europe/Moscow"), StatedLayout(tz="Europe/Moscow", unit="dBm")),
-        (Writing(zone="Asia/Kolkata"), StatedLayout(tz="+05:30", unit="dBm")),
-        (Writing(offset_db=30.0), StatedLayout(tz="UTC", unit="dBW")),
-        (Writing(offset_db=30.0, names={each: f"{each} (dBW)" for each in CARRIERS}), StatedLayout(tz="UTC")),
-        (Writing(time_name="epoch UTC", names={each: f"{each}_dBm" for each in CARRIERS}), StatedLayout()),
-        (Writing(is_long=True), STATED),
-        (Writing(is_long=True, separator=";", decimal=","), STATED),
-        (
-            Writing(names={"c00": "Ch 1", "c01": "Ch 2", "c02": "Ch=3"}),
-            StatedLayout(tz="UTC", unit="dBm", carriers={"Ch 1": "c00", "Ch 2": "c01", "Ch=3": "c02"}),
-        ),
-        (
-            Writing(is_long=True, names={"c00": "A", "c01": "B", "c02": "C"}),
-            StatedLayout(tz="UTC", unit="dBm", carrier_column="Channel", carriers={"A": "c00", "B": "c01", "C": "c02"}),
-        ),
+        ("GPS calendar", {"tz": "GPS"}, -18),
+        ("GPS seconds", {"tz": "GPS"}, 0),
+        ("GPS week", {"tz": "GPS"}, 0),
+        ("MJD", {"tz": "UTC"}, 0),
+        ("time of day only", {"date": "2026-11-20", "tz": "UTC"}, 0),
     ],
 )
-def test_tables_are_read_back_to_what_was_written(tmp_path: Path, writing: Writing, stated: StatedLayout) -> None:
-    # a day above the twelfth proves the order of day and month
-    known = truth(CARRIERS, 200, datetime(2026, 3, 21, 20, 0, tzinfo=UTC))
-    path = write_table(tmp_path / "levels.csv", table(known, writing), writing)
-    assert read(path, stated) == wanted(known)
+def test_what_is_stated_is_obeyed(tmp_path: Path, kind: str, stated: dict[str, object], more: int) -> None:
+    found = read(tmp_path, ASKED[kind][0], **stated)
+    assert asked(found) == set()
+    assert found.rows is not None
+    wanted = (START_S + more + 60 * np.arange(ROWS)) * 1_000_000
+    assert np.abs(found.rows.epochs_us - wanted).max() <= 1000
 
 
-def test_long_tables_may_come_carrier_by_carrier(tmp_path: Path) -> None:
-    known = truth(CARRIERS, 50)
-    header, *rows = table(known, Writing(is_long=True))
-    rows.sort(key=lambda row: row[1])
-    assert read(write_table(tmp_path / "levels.csv", [header, *rows], Writing())) == wanted(known)
+#: why each kind is refused
+REFUSED: dict[str, tuple[str | bytes, str]] = {
+    "several sheets": (xlsx({"A": sheet(), "B": sheet(), "C": sheet()}), "an Excel workbook with 3 sheets"),
+    "zip of two": (zipped(a_csv=table(), b_csv=table()), "a zip of 2 files"),
+    "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(100), "a picture, which is no table"),
+    "decimal commas between commas": (table(cell=comma), "needs another separator or quotes"),
+    "columns twice": (table(names="Time,c00 (dBm),c00 (dBm),c02 (dBm)"), "columns occur twice"),
+    "decimals of two kinds": (
+        table(separator=";", cell=lambda r, k: comma(r, k) if k else f"{level(r, k):.2f}"),
+        "decimals of two kinds",
+    ),
+    "no names": ("\n".join(table().splitlines()[1:]) + "\n", "no line of names"),
+    "a tenth is no number": (spoiled(dict.fromkeys(range(6), "high")), "6 of 60 rows cannot be read"),
+    "an open quote": (table().replace("-45.", '"-45.', 1), "a quote is not closed"),
+    "another separator": (table() + table(separator=";").split("\n", 1)[1], "another separator than the header"),
+    "seconds cut off": (
+        table(time=lambda r: epoch(r // 6, "%Y-%m-%d %H:%MZ")),
+        "are the seconds cut off",
+    ),
+    "half of the epochs": (table(time=lambda r: epoch(r) if r % 2 else "power fail"), "cannot be read"),
+    "zero bytes": (table().encode()[:300] + bytes(50) + table().encode()[300:], "zero bytes"),
+    "levels that no analyzer shows": (table(cell=lambda r, k: f"{level(r, k) + 900:.2f}"), "the middle level"),
+    "a column in two units": (
+        readings(names="Time,Yaw [deg],Yaw [deg],Pitch [deg]"),
+        "columns occur twice",
+    ),
+}
 
 
-def test_a_second_level_of_one_carrier_at_one_epoch_is_kept_back(tmp_path: Path) -> None:
-    header, *rows = table(truth(CARRIERS, 3), Writing(is_long=True))
-    path = write_table(tmp_path / "levels.csv", [header, *rows, [*rows[0][:2], "-1.5"]], Writing())
-    kept_back = [row for row in rows_of(path) if row.fault]
-    assert [(row.line, row.fault) for row in kept_back] == [(11, "second level of one carrier at one epoch")]
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_cannot_be_read_right_is_refused_with_the_cause(tmp_path: Path, kind: str) -> None:
+    content, message = REFUSED[kind]
+    with pytest.raises(ForeignTableError) as refusal:
+        read(tmp_path, content)
+    assert message in str(refusal.value)
 
 
-def test_date_and_time_in_two_columns(tmp_path: Path) -> None:
-    known = truth(CARRIERS, 20, datetime(2026, 3, 21, tzinfo=UTC))
-    rows = [[*row[0].split(" "), *row[1:]] for row in table(known, Writing(pattern="%d.%m.%Y %H:%M:%S"))[1:]]
-    path = write_table(tmp_path / "levels.csv", [["Date", "Clock", *CARRIERS], *rows], Writing())
-    assert layout_of(path, STATED).time_columns == ("Date", "Clock")
-    assert read(path) == wanted(known)
+@pytest.mark.parametrize("rows", [1, 3])
+def test_few_rows_are_left_out_with_their_lines(tmp_path: Path, rows: int) -> None:
+    found = read(tmp_path, spoiled(dict.fromkeys(range(10, 10 + rows), "high")))
+    assert found.rows is not None
+    assert [line for line, _ in found.rows.faults] == list(range(12, 12 + rows))
+    assert "'c00 (dBm)' holds no number" in found.rows.faults[0][1]
+    assert f"{rows} rows" in found.notes[-1]
+
+
+def test_partial_stores_the_rest(tmp_path: Path) -> None:
+    found = read(tmp_path, spoiled(dict.fromkeys(range(20), "high")), partial=True)
+    assert found.rows is not None
+    assert (len(found.rows.lines), len(found.rows.faults)) == (ROWS - 20, 20)
+
+
+def test_angles_of_a_whole_turn_are_wrapped(tmp_path: Path) -> None:
+    found = read(tmp_path, readings(cell=lambda row, k: f"{angle(row, k) % 360.0:.4f}"))
+    assert asked(found) == set()
+    assert is_truth(found, is_readings=True)
+
+
+def test_a_single_reading_beyond_the_disc_is_refused_by_itself(tmp_path: Path) -> None:
+    found = read(tmp_path, readings(cell=lambda row, k: "-99.99" if row == 7 else f"{angle(row, k):.4f}"))
+    assert found.rows is not None
+    ((line, reason),) = found.rows.faults
+    assert (line, "beyond the Earth's disc" in reason) == (9, True)
+
+
+def test_a_clock_that_was_not_set_costs_its_rows_only(tmp_path: Path) -> None:
+    found = read(tmp_path, table(time=lambda r: epoch(r) if r > 1 else f"2000-01-01T00:0{r}:00Z"))
+    assert found.rows is not None
+    assert [line for line, _ in found.rows.faults] == [2, 3]
+    assert "years apart" in found.rows.faults[0][1]
+
+
+def test_the_order_of_the_days_proves_day_and_month(tmp_path: Path) -> None:
+    from datetime import UTC, datetime
+
+    def local(row: int) -> str:
+        return datetime.fromtimestamp(1_794_182_400 + 600 * row, UTC).strftime("%d.%m.%Y %H:%M:%S")
+
+    found = read(tmp_path, table(time=local, rows=200), tz="UTC", last_day="2026-11-10")
+    assert asked(found) == set()
+    assert found.rows is not None
+    assert found.rows.epochs_us[0] == 1_794_182_400_000_000
+
+
+def test_times_of_day_roll_over_at_midnight(tmp_path: Path) -> None:
+    found = read(tmp_path, table(time=lambda r: epoch(r + 1410, "%H:%M:%S")), date="2026-11-20", tz="UTC")
+    assert found.rows is not None
+    assert found.rows.epochs_us.tolist() == [(START_S + 60 * (r + 1410)) * 1_000_000 for r in range(ROWS)]
+
+
+def test_hours_that_the_clocks_repeat_are_told_apart_by_their_order(tmp_path: Path) -> None:
+    from datetime import UTC, datetime
+    from zoneinfo import ZoneInfo
+
+    start_s = int(datetime(2026, 10, 25, 0, 0, tzinfo=UTC).timestamp())
+    zone = ZoneInfo("Europe/Berlin")
+
+    def local(row: int) -> str:
+        return datetime.fromtimestamp(start_s + 300 * row, zone).strftime("%Y-%m-%d %H:%M:%S")
+
+    found = read(tmp_path, table(time=local), tz="Europe/Berlin", last_day="2026-10-25")
+    assert found.rows is not None
+    assert found.rows.epochs_us.tolist() == [(start_s + 300 * row) * 1_000_000 for row in range(ROWS)]
+
+
+def test_a_last_line_without_its_end_is_left_out(tmp_path: Path) -> None:
+    found = read(tmp_path, table()[:-3])
+    assert found.rows is not None
+    assert (len(found.rows.lines), found.rows.faults[0][1]) == (
+        ROWS - 1,
+        "the last line does not end; the file may be cut off",
+    )
 
 
 @pytest.mark.parametrize("zone", [None, "UTC", "Asia/Tokyo"])
-@pytest.mark.parametrize("unit", ["us", "ns", "ms"])
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
 def test_parquet_is_read_with_and_without_a_zone(tmp_path: Path, zone: str | None, unit: str) -> None:
-    known = truth(CARRIERS, 30)
-    levels = {name: [row[k] for row in known.levels_dbm] for k, name in enumerate(CARRIERS)}
-    instants = pa.array([each.replace(tzinfo=None) for each in known.epochs], pa.timestamp(unit))
-    if zone is not None:
-        instants = instants.cast(pa.timestamp(unit, tz=zone))
-    path = tmp_path / "levels.parquet"
-    parquet.write_table(pa.table({"when": instants, **levels}), path)
-    stated = STATED if zone is None else StatedLayout(unit="dBm")
-    if zone is None:
-        questions = propose(sample_of(path), StatedLayout(unit="dBm"), PLAN).questions
-        assert [each.option for each in questions] == ["--tz"]
-    assert read(path, stated) == wanted(known)
-
-
-def test_cells_without_a_level_are_absent_and_odd_ones_are_kept_back(tmp_path: Path) -> None:
-    header, *rows = table(truth(CARRIERS, 60), Writing())
-    rows[3][1], rows[4][2], rows[5][3], rows[6][1] = "", "NaN", "n/a", "---"
-    rows[7][1], rows[8][2], rows[9][0] = "overload", "-60,5", "2026-02-30 00:00:00"
-    path = write_table(tmp_path / "levels.csv", [header, *rows], Writing())
-    found = rows_of(path)
-    assert [found[k].cells[n] for k, n in ((3, 1), (4, 2), (5, 3), (6, 1))] == [None] * 4
-    odd = {row.line: row for row in found if row.fault}
-    assert {line: row.fault for line, row in odd.items()} == {
-        9: "level is no number with decimal point",
-        10: "level is no number with decimal point",
-        11: "epoch is not iso",
-    }
-    # under our own header: what is understood in dBm, the rest as it stands
-    assert odd[9].cells[1] == "overload"
-    assert odd[11].cells == ["2026-02-30 00:00:00", *map(float, rows[9][1:])]
-
-
-def test_a_file_that_was_cut_off_does_not_give_a_cut_number(tmp_path: Path) -> None:
-    known = truth(CARRIERS, 20)
-    path = write_table(tmp_path / "levels.csv", table(known, Writing()), Writing())
-    whole = path.read_bytes()
-    draw = random.Random(3)
-    for _ in range(40):
-        path.write_bytes(whole[: draw.randrange(len(whole) // 2, len(whole) - 1)])
-        readable = {row.cells[0]: row.cells[1:] for row in rows_of(path) if not row.fault}
-        assert readable.items() <= wanted(known).items()
-        assert len(readable) >= 8
-
-
-@pytest.mark.parametrize("zone", ["Europe/Berlin", "America/New_York"])
-def test_hours_that_a_change_of_the_clocks_repeats_are_kept_back(tmp_path: Path, zone: str) -> None:
-    known = truth(CARRIERS, 8, datetime(2025, 10, 26, tzinfo=UTC), step_s=900.0)
-    if zone == "America/New_York":
-        known = truth(CARRIERS, 8, datetime(2025, 11, 2, 5, tzinfo=UTC), step_s=900.0)
-    path = write_table(tmp_path / "levels.csv", table(known, Writing(zone=zone)), Writing())
-    faults = [row.fault for row in rows_of(path, StatedLayout(tz=zone, unit="dBm"))]
-    assert faults == ["epoch in an hour that the change of the clocks repeats or leaves out"] * 8
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "no header with lines"),
-        (b"\xff\xfet\x00", "UTF-16"),
-        ("Время;c00\n2026;-1\n".encode("cp1251"), "not UTF-8"),
-        (b"Time,c00;c01\n" + b"2026-03-01 00:00:00;-60.5;-61\n" * 5, "mixed separators"),
-        (b"Time,c00,c01\n" + b"2026-03-01 00:00:00,-60,5,-61,25\n" * 5, "decimal comma"),
-        (b"x" * (1 << 20) + b"\n", "this is no table"),
-        (b'Time,c00\n"2026,-1\n' + b"2026,-1\n" * 40_000, "check the quotes|no header|separator"),
-        (b"nothing of a table\nat all\n", "mixed separators"),
-    ],
-)
-def test_what_is_no_table_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
-    path = tmp_path / "levels.csv"
-    path.write_bytes(content)
-    with pytest.raises(ArchiveError, match=message):
-        sample_of(path)
-
-
-def test_a_parquet_file_that_was_cut_off_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "levels.parquet"
-    parquet.write_table(pa.table({"Time": ["2026-03-01 00:00:00"] * 100, "c00": [-60.0] * 100}), path)
-    path.write_bytes(path.read_bytes()[:-10])
-    with pytest.raises(ArchiveError, match="cut off"):
-        sample_of(path)
-
-
-@pytest.mark.parametrize("is_long", [False, True])
-def test_memory_does_not_grow_with_the_file(tmp_path: Path, is_long: bool) -> None:
-    writing = Writing(is_long=is_long)
-    path = write_table(tmp_path / "levels.csv", table(truth(CARRIERS, 200), writing), writing)
-    layout = layout_of(path, STATED)
-    peaks = []
-    for rows in (500, 5_000):
-        write_table(path, table(truth(CARRIERS, rows), writing), writing)
-        archive = ForeignArchive(path, layout)
-        tracemalloc.start()
-        assert sum(1 for _ in archive.rows()) == rows
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-        archive.close()
-    assert peaks[1] < 1.5 * peaks[0] + 100_000
-    print(f"peak {peaks[1] / 1e6:.2f} MB")
-
-
-@settings(deadline=None)
-@given(st.binary(max_size=400))
-def test_no_bytes_end_in_anything_but_a_refusal(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
-    path = tmp_path_factory.mktemp("bytes") / "levels.csv"
-    path.write_bytes(b"Time,c00\n" + content)
-    try:
-        sample = sample_of(path)
-    except ArchiveError:
-        return
-    assert all(len(row) == len(sample.header) for row in sample.rows)
-
-
-UTC_DBM = ("--tz", "UTC", "--unit", "dBm")
-
-
-class Service:
-    """A service that keeps rows by epoch."""
-
-    def __init__(self, *, simulated: bool = False) -> None:
-        self.rows: dict[str, list[float | None]] = {}
-        self.simulated = simulated
-        #: answers of the state of the estimates, rows that wait
-        self.pending = [3, 1, 0]
-
-    def handle(self, request: httpx.Request) -> httpx.Response:
-        """Answer one request."""
-        if request.url.path.endswith("/carriers"):
-            return httpx.Response(200, json={"plan_id": 1, "carriers": [{"id": each} for each in CARRIERS]})
-        if request.url.path.endswith("/status"):
-            pending = self.pending.pop(0) if len(self.pending) > 1 else self.pending[0]
-            ids = {"calibration_id": 1, "alignment_id": 1, "newest_attitude": "2026-03-01T00:00:00.000000Z"}
-            return httpx.Response(200, json={"aligned": True, "pending": pending, **ids})
-        if request.method == "GET":
-            return httpx.Response(200, json={"id": "sc", "simulated": self.simulated})
-        rows = json.loads(request.content)["measurements"]
-        known = sum(each["epoch"] in self.rows for each in rows)
-        self.rows |= {each["epoch"]: each["power_dbm"] for each in rows}
-        counts = {"accepted": len(rows) - known, "duplicates": known, "late": len(rows), "refused": []}
-        return httpx.Response(200, json=counts)
-
-
-@pytest.fixture
-def service(monkeypatch: pytest.MonkeyPatch) -> Service:
-    """The service that the command is connected with."""
-    made = Service()
-
-    def connected(*_: object, **__: object) -> ServiceClient:
-        return ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(made.handle))
-
-    monkeypatch.setattr(module, "connected", connected)
-    monkeypatch.setattr("service.cli.own_data.angles._POLL_S", 0.0)
-    return made
-
-
-def run(path: Path, *options: str, answers: str | None = None) -> Result:
-    """Run the command; with answers, as on a terminal."""
-    app = typer.Typer()
-    app.command()(module.send)
-    given = [str(path), "--spacecraft", "sc", "--source", "old", "--patience", "30", *options]
-    if answers is None:
-        return CliRunner().invoke(app, given)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_is_terminal", lambda: True)
-        return CliRunner().invoke(app, given, input=answers)
-
-
-def written(folder: Path, writing: Writing, known: Truth, name: str = "levels.csv") -> Path:
-    """Return a foreign file."""
-    return write_table(folder / name, table(known, writing), writing)
-
-
-def file_wanted(known: Truth) -> dict[str, list[float]]:
-    """Return the truth by epoch as the service has it."""
-    return {format_epoch(epoch_us): levels for epoch_us, levels in wanted(known).items()}
-
-
-def test_without_a_terminal_the_command_ends_with_the_options_that_answer_it(service: Service, tmp_path: Path) -> None:
-    known = truth(CARRIERS, 100, datetime(2026, 3, 3, tzinfo=UTC))
-    german = Writing(separator=";", decimal=",", pattern="%d.%m.%Y %H:%M:%S", zone="Europe/Berlin", offset_db=30.0)
-    path = written(tmp_path, german, known)
-    first = run(path, "--json")
-    assert first.exit_code == 2
-    assert "--time-format: day and month may be exchanged: '03.03.2026 01:00:00'" in first.output
-    second = run(path, "--time-format", "%d.%m.%Y %H:%M:%S", "--json")
-    assert second.exit_code == 2
-    command = shlex.split(second.output.splitlines()[-1])
-    assert command[:2] == ["soo", "send"]
-    assert command[-4:] == ["--tz", "TZ", "--unit", "dBm|dBW"]
-    assert service.rows == {}
-    stated = [*command[7:], "--json"]
-    stated[stated.index("TZ")], stated[stated.index("dBm|dBW")] = "Europe/Berlin", "dBW"
-    done = run(path, *stated)
-    assert done.exit_code == 0, done.output
-    assert service.rows == file_wanted(known)
-
-
-def test_a_person_answers_on_the_terminal_and_gets_the_command(service: Service, tmp_path: Path) -> None:
-    known = truth(CARRIERS, 100, datetime(2026, 3, 3, tzinfo=UTC))
-    names = {"c00": "Ch 1", "c01": "Ch 2", "c02": "Ch 3"}
-    path = written(tmp_path, Writing(pattern="%d/%m/%Y %H:%M", names=names), known)
-    # day first, a zone that is none and one that is, carriers (the third left out), a unit that is none and one that is
-    done = run(path, answers="1\nMoon\nUTC\nc00\nc02\n\ndB\ndBm\ny\n")
-    assert done.exit_code == 0, done.output
-    assert "'Moon' is no time zone" in done.output
-    assert "'dB' is no unit" in done.output
-    assert list(service.rows.values()) == [[a, None, b] for a, b, _ in known.levels_dbm]
-    again = next(line for line in done.output.splitlines() if line.startswith("without questions: "))
-    service.rows.clear()
-    options = shlex.split(again.removeprefix("without questions: "))[7:]
-    assert run(path, *options, "--state", str(tmp_path / "other")).exit_code == 0
-    assert len(service.rows) == 100
-
-
-def test_a_person_who_does_not_agree_sends_nothing(service: Service, tmp_path: Path) -> None:
-    path = written(tmp_path, Writing(), truth(CARRIERS, 10))
-    assert run(path, *UTC_DBM, answers="n\n").exit_code == 2
-    assert service.rows == {}
-
-
-def test_the_report_says_how_old_the_rows_are_and_waits_for_angles(service: Service, tmp_path: Path) -> None:
-    done = run(written(tmp_path, Writing(), truth(CARRIERS, 10)), *UTC_DBM)
-    assert done.exit_code == 0, done.output
-    assert "of them historical" in done.output
-    assert "angles exist up to 2026-03-01T00:00:00.000000Z" in done.output
-    assert service.pending == [0]
-
-
-def test_a_dry_run_reports_gaps_duplicates_spans_and_grouped_faults(service: Service, tmp_path: Path) -> None:
-    header, *rows = table(truth(CARRIERS, 300), Writing())
-    for k in range(40, 60):
-        rows[k][0] = "soon"
-    rows[5][1] = ""
-    path = write_table(tmp_path / "levels.csv", [header, *rows[:150], *rows[149:151], *rows[200:]], Writing())
-    done = run(path, *UTC_DBM, "--dry-run", "--json")
-    assert done.exit_code == 3, done.output
-    report = json.loads(done.output)
-    assert (report["rows"], report["unreadable"], report["duplicate_epochs"], report["gaps"]) == (232, 20, 1, 2)
-    assert [(each["rows"], each["kind"]) for each in report["faults"]] == [(20, "epoch is not iso")]
-    assert report["levels"]["c00"]["empty"] == 1
-    assert report["layout"]["tz"] == "UTC"
-    assert service.rows == {}
-    assert "20 rows: epoch is not iso" in run(path, *UTC_DBM, "--dry-run").output
-
-
-def test_a_newest_epoch_in_the_future_is_refused_unless_the_spacecraft_is_simulated(
-    service: Service, tmp_path: Path
-) -> None:
-    # a zone nine hours wrong puts rows of the last hour into the future
-    known = truth(CARRIERS, 60, datetime.now(UTC).replace(second=0, microsecond=0) - timedelta(hours=1))
-    path = written(tmp_path, Writing(zone="Asia/Tokyo"), known)
-    done = run(path, *UTC_DBM)
-    assert done.exit_code == 2
-    assert "after now" in done.output
-    assert "is --tz right?" in done.output
-    assert run(path, *UTC_DBM, "--dry-run", "--json").exit_code == 2
-    assert service.rows == {}
-    assert run(path, "--tz", "Asia/Tokyo", "--unit", "dBm").exit_code == 0
-    service.simulated = True
-    assert run(path, *UTC_DBM, "--state", str(tmp_path / "other")).exit_code == 0
-
-
-def test_levels_that_no_analyzer_shows_are_refused(service: Service, tmp_path: Path) -> None:
-    # C/N0 in dBHz that somebody calls dBm
-    path = written(tmp_path, Writing(offset_db=-140.0), truth(CARRIERS, 30))
-    done = run(path, *UTC_DBM)
-    assert done.exit_code == 2
-    assert "which no analyzer shows for a carrier" in done.output
-    assert service.rows == {}
-
-
-def test_mixed_separators_anywhere_refuse_the_file(service: Service, tmp_path: Path) -> None:
-    known = truth(CARRIERS, 6000, step_s=10.0)
-    path = written(tmp_path, Writing(), known)
-    with path.open("a") as file:
-        file.write("2026-03-03 00:00:00;-60.5;-61.5;-62.5\n")
-    done = run(path, *UTC_DBM)
-    assert done.exit_code == 2
-    assert "mixed separators: 1 rows" in done.output
-    assert service.rows == {}
-
-
-def test_the_same_file_with_another_zone_is_another_sending(service: Service, tmp_path: Path) -> None:
-    known = truth(CARRIERS, 10)
-    path = written(tmp_path, Writing(), known)
-    assert run(path, "--tz", "+03:00", "--unit", "dBm").exit_code == 0
-    assert run(path, *UTC_DBM).exit_code == 0
-    assert len(service.rows) == 20
-    assert file_wanted(known).items() <= service.rows.items()
-    # and the same once more sends nothing
-    service.rows.clear()
-    assert run(path, *UTC_DBM).exit_code == 0
-    assert service.rows == {}
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--map", "c00"), "write NAME=CARRIER"),
-        (("--map", "a=c00", "--map", "a=c01"), "one thing twice"),
-        (("--map", "Nobody=c00", *UTC_DBM), "no column 'Nobody'"),
-        (("--unit", "dBHz"), "dBHz"),
-    ],
-)
-def test_options_that_mean_nothing_end_with_2(
-    service: Service, tmp_path: Path, options: tuple[str, ...], message: str
-) -> None:
-    done = run(written(tmp_path, Writing(), truth(CARRIERS, 10)), *options)
-    assert done.exit_code == 2
-    assert message in done.output
-
-
-def test_files_of_our_own_are_sent_without_a_question(service: Service, tmp_path: Path) -> None:
-    known = truth(CARRIERS, 10)
-    names = {each: f"{each}_dbm" for each in CARRIERS}
-    own = Writing(pattern="%Y-%m-%dT%H:%M:%SZ", time_name="epoch", names=names)
-    done = run(written(tmp_path, own, known), "--json", answers="")
-    assert done.exit_code == 0, done.output
-    assert service.rows == file_wanted(known)
-    without = Writing(pattern="%Y-%m-%d %H:%M:%S", time_name="epoch", names=names)
-    path = written(tmp_path, without, known, "again.csv")
-    refused = run(path, "--dry-run", "--json")
-    assert refused.exit_code == 3
-    fault = json.loads(refused.output)["faults"][0]
-    assert (fault["rows"], fault["kind"]) == (10, "epoch without offset; state --tz")
-    assert run(path, "--tz", "UTC", "--dry-run", "--json").exit_code == 0
-
-
-MESSAGE = """CCSDS_TDM_VERS = 2.0
-META_START
-TRACK_ID = sa-1/c01
-TIME_SYSTEM = UTC
-META_STOP
-DATA_START
-CARRIER_POWER = 2026-11-21T00:01:00.000000 -72.25
-CARRIER_POWER = 2026-11-21T00:00:00.000000 -72.1
-DATA_STOP
-META_START
-TRACK_ID = sa-1/c00
-TIME_SYSTEM = UTC
-META_STOP
-DATA_START
-CARRIER_POWER = 2026-11-21T00:00:00.000000 -80
-PC_N0 = 2026-11-21T00:00:00.000000 70
-DATA_STOP
-"""
-LINES = '{"epoch":"2026-11-21T00:00:00Z","c00_dbm":-40.5}\n\n{"c00_dbm":null,"epoch":"2026-11-21T00:00:01Z"}\n'
-
-
-def tdm_read(path: Path, text: str) -> tuple[list[str], list[list[Any]]]:
-    """Return header and cells of a file with this text."""
-    path.write_text(text)
-    with closing(open_any_archive(path)) as archive:
-        rows = [row.cells for row in archive.rows()]
-        assert archive.done == archive.total
-        return archive.header, rows
-
-
-def test_segments_of_a_message_become_rows(tmp_path: Path) -> None:
-    header, rows = tdm_read(tmp_path / "powers.tdm", MESSAGE)
-    assert header == ["epoch", "source", "c01_dbm", "c00_dbm"]
-    assert rows == [[1_795_219_200_000_000, "sa-1", -42.1, -50.0], [1_795_219_260_000_000, "sa-1", -42.25, None]]
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "word"),
-    [("sa-1/c01", "track 7", "TRACK_ID"), ("-72.25", "loud", "line 7"), ("CCSDS_TDM", "CCSDS_XXX", "line 1")],
-)
-def test_other_messages_are_refused(tmp_path: Path, old: str, new: str, word: str) -> None:
-    with pytest.raises(ArchiveError, match=word):
-        tdm_read(tmp_path / "powers.tdm", MESSAGE.replace(old, new))
-
-
-def test_objects_are_read_by_name(tmp_path: Path) -> None:
-    header, rows = tdm_read(tmp_path / "levels.ndjson", LINES)
-    assert header == ["epoch", "c00_dbm"]
-    assert rows == [["2026-11-21T00:00:00Z", -40.5], ["2026-11-21T00:00:01Z", None]]
-
-
-@pytest.mark.parametrize(
-    ("line", "word"),
-    [("{", "line 4 is no JSON"), ("[1]", "line 4 is no JSON object"), ('{"epoch":1}', "line 4 has other names")],
-)
-def test_lines_that_are_no_such_objects_are_refused(tmp_path: Path, line: str, word: str) -> None:
-    with pytest.raises(ArchiveError, match=word):
-        tdm_read(tmp_path / "levels.ndjson", LINES + line + "\n")
-
-
-def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ArchiveError):
-        open_any_archive(tmp_path / "none.tdm")
+    seconds = np.array([START_S + 60 * row for row in range(ROWS)])
+    times = pa.array(seconds * 1000, pa.timestamp("ms")).cast(pa.timestamp(unit, tz=zone))
+    columns = {f"c{k:02d}_dbm": [level(row, k) for row in range(ROWS)] for k in range(3)}
+    parquet.write_table(pa.table({"time": times, **columns}), tmp_path / "t.parquet")
+    found = read(tmp_path, (tmp_path / "t.parquet").read_bytes(), "t.parquet")
+    assert asked(found) == (set() if zone else {"tz"})
+    assert is_truth(found)
+
+
+def test_a_carrier_name_that_two_have_is_asked(tmp_path: Path) -> None:
+    path = tmp_path / "file.csv"
+    path.write_text(table(names="Time,Omsk (dBm),c01 (dBm),c02 (dBm)"))
+    powers = PowersStatement(file="file.csv")
+    found = interpret_powers(read_table(path, Container()), powers, CARRIERS | {"Omsk": ""}, NOW_US)
+    assert "carriers" in asked(found)
+
+
+def test_stated_separator_lines_and_encoding_are_obeyed(tmp_path: Path) -> None:
+    text = "a,b,c,d\n1,2,3,4\n" + table()
+    found = read(tmp_path, text.encode("cp1251"), skip_lines=2, separator=",", encoding="cp1251")
+    assert is_truth(found)
+    for wrong, message in (({"separator": "ab"}, "write one sign"), ({"encoding": "klingon"}, "encoding 'klingon'")):
+        with pytest.raises(ForeignTableError, match=message):
+            read(tmp_path, text, **wrong)

@@ -16,8 +16,8 @@ from plan_files import write_plan_files, write_powers
 from typer.testing import CliRunner
 
 from service.cli.command_group import new_app
-from service.cli.own_data.carriers import read_plan
-from service.cli.own_data.importing.manifest import write_manifest
+from service.cli.importing.catalogue import read_plan
+from service.cli.importing.manifest import write_manifest
 from service.cli.planning import beams as beams_module
 from service.cli.planning import plan as plan_module
 from service.cli.planning.plan import plan

@@ -1,4 +1,4 @@
-"""``soo spacecraft|carriers|ephemeris|references put``: what is understood, stored, left as it is and refused."""
+"""``soo put KIND FILE``: what is understood, stored, left as it is and refused."""
 
 import csv
 import json
@@ -9,10 +9,11 @@ from typing import Any
 
 import httpx
 import pytest
+import typer
 from foreign_orbits import attitude_message, elements, omm_kvn, quaternion, tle
 from typer.testing import CliRunner, Result
 
-from service.cli.own_data import carriers, ephemeris, references, spacecraft
+from service.cli.importing import put_command
 from service.client.service_client import ServiceClient
 
 SITE = {"name": "Shchyolkovo", "latitude_deg": 55.92, "longitude_deg": 38.0, "height_m": 160.0}
@@ -35,6 +36,7 @@ CARRIER = {
     "bandwidth_hz": 1250000.0,
 }
 FIRST = datetime(2026, 3, 21, tzinfo=UTC)
+PAST = ("--tz", "UTC", "--last-day", "2026-03-21")
 
 
 class Catalogue:
@@ -67,15 +69,16 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Catalogue:
     def connected(*_: object, **__: object) -> ServiceClient:
         return ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(made.handle))
 
-    for module in (carriers, ephemeris, references, spacecraft):
-        monkeypatch.setattr(module, "connected", connected)
+    monkeypatch.setattr(put_command, "connected", connected)
     return made
 
 
-def put(module: Any, path: Path, *options: str) -> Result:
+def put(kind: str, path: Path, *options: str) -> Result:
     """Run one command."""
-    named = () if module is spacecraft else ("--spacecraft", "yamal-202")
-    return CliRunner().invoke(module.app, ["put", str(path), *named, *options])
+    named = () if kind == "spacecraft" else ("--spacecraft", "yamal-202")
+    app = typer.Typer()
+    app.command()(put_command.put)
+    return CliRunner().invoke(app, [kind, str(path), *named, *options])
 
 
 def write(folder: Path, content: str, name: str = "file") -> Path:
@@ -98,21 +101,21 @@ def test_a_spacecraft_is_created_once_and_changed_only_when_asked(
 ) -> None:
     service.craft = None
     path = write(tmp_path, form(CRAFT))
-    dry = put(spacecraft, path, "--dry-run")
+    dry = put("spacecraft", path, "--dry-run")
     assert (dry.exit_code, service.sent) == (0, []), dry.output
-    done = put(spacecraft, path)
+    done = put("spacecraft", path)
     assert done.exit_code == 0, done.output
     assert [(method, name) for method, name, _ in service.sent] == [("POST", "spacecraft")]
     assert service.sent[0][2] == CRAFT
     service.craft, service.sent = {**CRAFT, "simulated": False}, []
-    assert put(spacecraft, path).exit_code == 0
+    assert put("spacecraft", path).exit_code == 0
     assert service.sent == []
     service.craft = {**CRAFT, "torque_limit_n_m": 0.1}
-    different = put(spacecraft, path)
+    different = put("spacecraft", path)
     assert different.exit_code == 3
     assert "torque_limit_n_m: the file has 0.05, the service 0.1" in different.output
     assert service.sent == []
-    assert put(spacecraft, path, "--change").exit_code == 0
+    assert put("spacecraft", path, "--change").exit_code == 0
     assert service.sent == [("PATCH", "yamal-202", {"torque_limit_n_m": 0.05})]
 
 
@@ -122,7 +125,7 @@ def test_a_spacecraft_is_created_once_and_changed_only_when_asked(
         (json.dumps({**CRAFT, "longitude_deg": 400.0}), "/longitude_deg"),
         (json.dumps({**CRAFT, "receiving_site": {**SITE, "latitude_deg": 38.0, "longitude_deg": -120.0}}), "elevation"),
         (json.dumps({**CRAFT, "colour": "red"}), "/colour"),
-        ("{", "is refused"),
+        ("{", "refused"),
         ("a,b\n1,2\n", "columns field and value"),
         ("field,value\nid,x\nid,y\n", "occurs twice"),
         ("field,value\nid,x\nid.y,z\n", "lies within a field"),
@@ -132,7 +135,7 @@ def test_a_spacecraft_is_created_once_and_changed_only_when_asked(
 def test_a_file_that_is_no_spacecraft_is_refused(
     service: Catalogue, tmp_path: Path, content: str, message: str
 ) -> None:
-    done = put(spacecraft, write(tmp_path, content))
+    done = put("spacecraft", write(tmp_path, content))
     assert done.exit_code == 2
     assert message in done.output
     assert service.sent == []
@@ -149,21 +152,21 @@ def test_a_file_that_is_no_spacecraft_is_refused(
 )
 def test_a_plan_is_shown_and_stored(service: Catalogue, tmp_path: Path, content: str) -> None:
     path = write(tmp_path, content)
-    dry = put(carriers, path, "--dry-run", "--json")
+    dry = put("carriers", path, "--dry-run", "--json")
     assert (dry.exit_code, service.sent) == (0, []), dry.output
     assert json.loads(dry.output)["carriers"][0]["elevation_deg"] == "35.0"
-    assert put(carriers, path).exit_code == 0
+    assert put("carriers", path).exit_code == 0
     assert service.sent == [("PUT", "carriers", {"carriers": [CARRIER]})]
 
 
 def test_exchanged_coordinates_of_stations_are_told(service: Catalogue, tmp_path: Path) -> None:
     service.craft = {**CRAFT, "longitude_deg": 90.0}
     station = {"name": "Vladivostok", "latitude_deg": 131.9, "longitude_deg": 43.1}
-    done = put(carriers, write(tmp_path, json.dumps([{**CARRIER, "station": station}])))
+    done = put("carriers", write(tmp_path, json.dumps([{**CARRIER, "station": station}])))
     assert done.exit_code == 2
     assert "latitude" in done.output
     station = {"name": "Bengaluru", "latitude_deg": 77.6, "longitude_deg": 13.0}
-    done = put(carriers, write(tmp_path, json.dumps([{**CARRIER, "station": station}])))
+    done = put("carriers", write(tmp_path, json.dumps([{**CARRIER, "station": station}])))
     assert done.exit_code == 2
     assert "latitude and longitude look exchanged" in done.output
     assert service.sent == []
@@ -172,28 +175,30 @@ def test_exchanged_coordinates_of_stations_are_told(service: Catalogue, tmp_path
 @pytest.mark.parametrize("form", [lambda known: "\n".join(["YAMAL 202", *tle(known)]), omm_kvn])
 def test_an_orbit_is_shown_and_stored(service: Catalogue, tmp_path: Path, form: Any) -> None:
     path = write(tmp_path, form(elements(49.0)))
-    dry = put(ephemeris, path, "--dry-run", "--json")
+    steep = put("ephemeris", path)
+    assert (steep.exit_code, "state inclined if that is so" in steep.output) == (2, True)
+    dry = put("ephemeris", path, "--dry-run", "--json", "--inclined")
     assert (dry.exit_code, service.sent) == (0, []), dry.output
     understood = json.loads(dry.output)["understood"]
     assert understood["object"] == "YAMAL 202"
     assert understood["mean_longitude_deg_east"] == pytest.approx(49.0, abs=1.0)
     assert understood["is_over"] is False
-    assert put(ephemeris, path).exit_code == 0
+    assert put("ephemeris", path, "--inclined").exit_code == 0
     ((method, name, body),) = service.sent
     assert (method, name, list(body)[-1]) == ("PUT", "ephemeris", "tle" if form is not omm_kvn else "track")
 
 
 def test_the_orbit_of_another_satellite_is_refused(service: Catalogue, tmp_path: Path) -> None:
     neighbour = write(tmp_path, "\n".join(tle(elements(49.0, designator="2014-010A"))))
-    done = put(ephemeris, neighbour)
+    done = put("ephemeris", neighbour)
     assert done.exit_code == 2
     assert "2014-010A; spacecraft yamal-202 is 2003-053F" in done.output
     far = write(tmp_path, "\n".join(tle(elements(90.0))))
-    done = put(ephemeris, far)
+    done = put("ephemeris", far)
     assert done.exit_code == 2
     assert "the orbit of another satellite: the mean longitude over a day is" in done.output
     assert service.sent == []
-    assert put(ephemeris, far, "--relocating").exit_code == 0
+    assert put("ephemeris", far, "--relocating", "--inclined").exit_code == 0
     assert service.sent[0][2]["relocating"] is True
 
 
@@ -216,16 +221,16 @@ def sensor_csv(path: Path, header: list[str], order: tuple[int, ...], first: dat
 
 def test_readings_of_a_table_and_of_a_message_reach_the_service(service: Catalogue, tmp_path: Path) -> None:
     path = sensor_csv(tmp_path / "star.csv", ["pitch_deg", "yaw_deg", "roll_deg"], (2, 0, 1))
-    done = put(references, path, "--tz", "UTC", "--sigma-deg", "yaw=0.02", "--sigma-deg", "roll=0.01")
+    done = put("references", path, *PAST, "--sigma-deg", "yaw=0.02", "--sigma-deg", "roll=0.01")
     assert done.exit_code == 0, done.output
-    assert "not_checked" in done.output
+    assert "not checked" in done.output
     by_table = service.sent.pop()[2]
     assert by_table["source"] == "star_tracker"
     assert by_table["references"][3]["sigma_deg"] == {"yaw": 0.02, "roll": 0.01}
     epochs = [FIRST + timedelta(minutes=k) for k in range(20)]
     rows = [(epoch, quaternion(*angles)) for epoch, angles in zip(epochs, attitudes(), strict=True)]
     message = write(tmp_path, attitude_message(rows, scalar="LAST"))
-    assert put(references, message, "--source", "other").exit_code == 0
+    assert put("references", message, *PAST[2:], "--source", "other").exit_code == 0
     by_message = service.sent.pop()[2]
     for one, other, angles in zip(by_table["references"], by_message["references"], attitudes(), strict=True):
         assert one["epoch"] == other["epoch"]
@@ -233,39 +238,39 @@ def test_readings_of_a_table_and_of_a_message_reach_the_service(service: Catalog
             assert one[f"{axis}_deg"] == pytest.approx(angle, abs=1e-6)
             assert other[f"{axis}_deg"] == pytest.approx(angle, abs=1e-6)
     document = write(tmp_path, json.dumps(by_table), "references.json")
-    assert put(references, document).exit_code == 0
+    assert put("references", document, *PAST[2:]).exit_code == 0
     assert service.sent.pop()[2] == {
         **by_table,
         "references": [
             {**each, "sigma_deg": {"yaw": 0.02, "roll": 0.01, "pitch": None}} for each in by_table["references"]
         ],
     }
-    assert put(references, document, "--source", "earth_sensor").exit_code == 2
+    assert put("references", document, "--source", "earth_sensor").exit_code == 2
 
 
 def test_what_must_be_stated_of_a_sensor_is_printed(service: Catalogue, tmp_path: Path) -> None:
     path = sensor_csv(tmp_path / "star.csv", ["yaw", "roll", "pitch"], (0, 1, 2))
-    done = put(references, path)
+    done = put("references", path)
     assert done.exit_code == 2
-    assert done.output.splitlines()[-1].endswith("--spacecraft yamal-202 --tz TZ --unit UNIT")
-    assert put(references, path, "--tz", "UTC", "--unit", "deg", "--dry-run").exit_code == 0
+    assert done.output.splitlines()[-1].endswith("--tz UTC --unit deg --last-day 2026-03-21")
+    assert put("references", path, *PAST, "--unit", "deg", "--dry-run").exit_code == 0
     assert service.sent == []
 
 
 def test_readings_that_cannot_be_are_refused(service: Catalogue, tmp_path: Path) -> None:
     header, order = ["yaw_deg", "roll_deg", "pitch_deg"], (0, 1, 2)
     ahead = sensor_csv(tmp_path / "ahead.csv", header, order, datetime.now(UTC) + timedelta(hours=3))
-    done = put(references, ahead, "--tz", "UTC")
+    done = put("references", ahead, "--tz", "UTC")
     assert done.exit_code == 2
-    assert "lies in the future" in done.output
+    assert "ahead of now" in done.output
     # degrees that somebody calls radians
     mistaken = sensor_csv(tmp_path / "mistaken.csv", ["yaw", "roll", "pitch"], order)
     lines = mistaken.read_text().splitlines()
     mistaken.write_text("\n".join((lines[0], *(f"{line.rpartition(',')[0]},0.4" for line in lines[1:]))) + "\n")
-    done = put(references, mistaken, "--tz", "UTC", "--unit", "rad")
+    done = put("references", mistaken, *PAST, "--unit", "rad")
     assert done.exit_code == 2
-    assert "pitch is +22.92 deg in the mean" in done.output
-    assert put(references, mistaken, "--tz", "UTC", "--unit", "deg", "--sigma-deg", "tilt=1").exit_code == 2
+    assert "beyond the Earth's disc" in done.output
+    assert put("references", mistaken, *PAST, "--unit", "deg", "--sigma-deg", "tilt=1").exit_code == 2
     assert service.sent == []
 
 
@@ -274,8 +279,32 @@ def test_lines_that_cannot_be_read_are_grouped_and_the_others_sent(service: Cata
     lines = path.read_text().splitlines()
     lines[3] = lines[3].rpartition(",")[0] + ",lost"
     path.write_text("\n".join(lines) + "\n")
-    done = put(references, path, "--tz", "UTC", "--json")
+    done = put("references", path, *PAST, "--json")
     assert done.exit_code == 3
     report = json.loads(done.output)
     assert (report["accepted"], report["unreadable"]) == (19, 1)
-    assert report["faults"][0]["kind"] == "no number with decimal point"
+    assert "holds no number with decimal point (first: line 4)" in report["faults"][0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "message"),
+    [
+        ("spacecraft", json.dumps({**CRAFT, "inertia_kg_m2": [[2.6, 0, 0], [0, 1.4, 0], [0, 0, 2.6]]}), "1.4 kg m^2"),
+        ("spacecraft", json.dumps({**CRAFT, "torque_limit_n_m": 50.0}), "50 N m"),
+        ("carriers", json.dumps([{**CARRIER, "uplink_hz": 11.4e9, "downlink_hz": 14.0e9}]), "look exchanged"),
+        (
+            "carriers",
+            json.dumps([{**CARRIER, "id": f"c{k}"} for k in range(8)]),
+            "all 8 carriers are on transponder Ku1",
+        ),
+    ],
+)
+def test_a_catalogue_that_no_satellite_has_must_be_confirmed(
+    service: Catalogue, tmp_path: Path, kind: str, content: str, message: str
+) -> None:
+    service.craft = None if kind == "spacecraft" else service.craft
+    path = write(tmp_path, content)
+    done = put(kind, path)
+    assert (done.exit_code, message in done.output, service.sent) == (2, True, []), done.output
+    assert put(kind, path, "--confirmed").exit_code == 0
+    assert len(service.sent) == 1

@@ -6,16 +6,14 @@ epoch. A value tagged ``!guess`` is one that the content does not prove.
 
 from collections.abc import Hashable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError
 from pydantic_core import PydanticCustomError
 
-from service.cli.command_group import end
-from service.cli.own_data.document_file import read_text
-from service.formats.foreign.layout import StatedLayout
-from service.formats.foreign.sensor import StatedSensor
+from service.formats.foreign.columns import PowersStatement, ReadingsStatement
+from service.formats.foreign.table import ForeignTableError
 from service.records.epoch import format_epoch, parse_epoch
 
 NAME = "soo.yaml"
@@ -24,7 +22,6 @@ _HEAD = """\
 # Manifest of soo import. A value marked !guess is not proven by the files: correct it and remove the mark.
 # soo import FOLDER --propose writes it again; what is not marked stays.
 """
-Axis = Literal["yaw", "roll", "pitch"]
 
 
 class Guess(NamedTuple):
@@ -36,7 +33,7 @@ class Guess(NamedTuple):
     line: int = 0
 
 
-S = TypeVar("S", bound="_Section")
+S = TypeVar("S", bound=BaseModel)
 
 
 def plain_value(given: Any) -> Any:
@@ -55,54 +52,6 @@ class SpacecraftSection(_Section):
 
     file: str | None = None
     id: str | None = None
-
-
-class TimedSection(_Section):
-    """A table with epochs."""
-
-    file: str
-    source: str = ""
-    time_columns: tuple[str, ...] = ()
-    time_format: str | None = None
-    tz: str | None = None
-
-
-class PowersSection(TimedSection):
-    """Powers of carriers, as ``soo send`` states them."""
-
-    decimal: Literal["point", "comma"] | None = None
-    unit: Literal["dBm", "dBW"] | None = None
-    carrier_column: str | None = None
-    level_column: str | None = None
-    carriers: dict[str, str] = Field(default_factory=dict)
-
-    def layout(self) -> StatedLayout:
-        """Return what is stated of the layout."""
-        return StatedLayout(
-            self.time_columns,
-            self.time_format,
-            self.tz,
-            self.decimal,
-            self.unit,
-            self.carrier_column,
-            self.level_column,
-            self.carriers,
-        )
-
-
-class ReferencesSection(TimedSection):
-    """Readings of a sensor, as ``soo references put`` states them."""
-
-    unit: str | None = None
-    scalar: Literal["first", "last"] | None = None
-    #: axis by column
-    columns: dict[str, Axis] = Field(default_factory=dict)
-    sigma_deg: dict[Axis, Annotated[float, Field(gt=0.0, le=180.0)]] = Field(default_factory=dict)
-
-    def layout(self) -> StatedSensor:
-        """Return what is stated of the layout."""
-        time = StatedLayout(self.time_columns, self.time_format, self.tz)
-        return StatedSensor(time, self.unit, self.scalar, self.columns)
 
 
 def _epoch_us(given: Any) -> int:
@@ -137,8 +86,11 @@ class FolderManifest(_Section):
     spacecraft: SpacecraftSection = SpacecraftSection()
     carriers: str | None = None
     ephemeris: str | None = None
-    powers: tuple[PowersSection, ...] = ()
-    references: tuple[ReferencesSection, ...] = ()
+    #: an orbit inclined by more than 1 deg, and a catalogue outside of what satellites have, are what they should be
+    inclined: bool = False
+    confirmed: bool = False
+    powers: tuple[PowersStatement, ...] = ()
+    references: tuple[ReadingsStatement, ...] = ()
     windows: WindowsSection = WindowsSection()
     #: why a file has no role, by its name
     left_out: dict[str, str] = Field(default_factory=dict)
@@ -179,14 +131,14 @@ _Loader.add_constructor(_TAG, _Loader.construct_guess)
 
 
 def read_manifest(folder: Path) -> FolderManifest:
-    """Return the manifest of a folder, or end where it holds guesses or cannot be read."""
+    """Return the manifest of a folder, ; ForeignTableError where it holds guesses or is none."""
     path = folder / NAME
     document = _document(path)
     guesses = list(guesses_in(document))
     if guesses:
         lines = [f"{path} holds guesses; correct each value, remove its {_TAG}, and run the command again:"]
         lines += [f"  line {guess.line}: {name}: {guess.value or 'nothing'}" for name, guess in guesses]
-        end("\n".join(lines))
+        raise ForeignTableError("\n".join(lines))
     return validated(path, FolderManifest, document)
 
 
@@ -194,6 +146,18 @@ def read_stated(folder: Path) -> FolderManifest:
     """Return what a manifest states, guesses left out; an empty one where there is no file."""
     path = folder / NAME
     return validated(path, FolderManifest, _without_guesses(_document(path))) if path.exists() else FolderManifest()
+
+
+#: fields of the whole manifest that the command line states
+TOP_FIELDS = ("inclined", "confirmed", "spacecraft", "carriers", "ephemeris")
+
+
+def with_top_fields(manifest: FolderManifest, stated: Mapping[str, Any]) -> FolderManifest:
+    """Return a manifest with fields that the command line states; a spacecraft is stated by its id."""
+    if not stated:
+        return manifest
+    fields = dict(stated) | ({"spacecraft": {"id": stated["spacecraft"]}} if "spacecraft" in stated else {})
+    return validated(Path(NAME), FolderManifest, manifest.model_dump(mode="json", exclude_unset=True) | fields)
 
 
 def read_statement(text: str) -> Any:
@@ -206,21 +170,21 @@ def read_statement(text: str) -> Any:
 
 
 def _document(path: Path) -> dict[str, Any]:
-    """Return the content of a manifest, or end."""
+    """Return the content of a manifest."""
     if not path.exists():
-        end(f"{path.parent} has no {NAME}; make it: soo import {path.parent} --propose")
+        raise ForeignTableError(f"{path.parent} has no {NAME}; make it: soo import {path.parent} --propose")
     try:
         # a safe loader: it makes texts, lists, mappings and guesses only
-        document = yaml.load(read_text(path), Loader=_Loader)  # noqa: S506
-    except yaml.YAMLError as error:
-        end(f"{path} is no YAML: {error}", cause=error)
+        document = yaml.load(path.read_text("utf-8-sig"), Loader=_Loader)  # noqa: S506
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
+        raise ForeignTableError(f"{path} is no YAML: {error}") from None
     if not isinstance(document, dict):
-        end(f"{path} is no manifest; make it with soo import {path.parent} --propose")
+        raise ForeignTableError(f"{path} is no manifest; make it with soo import {path.parent} --propose")
     return document
 
 
 def validated(path: Path, kind: type[S], document: Any) -> S:
-    """Return a manifest or a section of one, or end with every field at fault."""
+    """Return a manifest or a section of one, or raise ForeignTableError with every field at fault."""
     try:
         return kind.model_validate(_without_empty(document))
     except ValidationError as error:
@@ -228,7 +192,7 @@ def validated(path: Path, kind: type[S], document: Any) -> S:
         from service.api.problems.problems import faults_of
 
         faults = [f"  {fault.pointer}: {fault.detail}" for fault in faults_of(error.errors())]
-        end("\n".join((f"{path} is refused:", *faults)), cause=error)
+        raise ForeignTableError("\n".join((f"{path} is refused:", *faults))) from None
 
 
 def guesses_in(value: Any, name: str = "") -> Iterable[tuple[str, Guess]]:

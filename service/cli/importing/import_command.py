@@ -1,0 +1,357 @@
+"""``soo import``: an operator's own files, proposed as a manifest, asked about, and sent by it.
+
+Exit codes: 0 all is there, or the manifest was written, 1 the service refused a request or did not answer (the same
+command continues), 2 the manifest holds guesses (standard error names the option that states each), or a file or option
+is wrong, 3 the service has other values, which were not changed, rows were refused or could not be read, or a
+calibration with warnings stayed a draft.
+"""
+
+import json
+import shlex
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+from service.cli.command_group import end, new_app
+from service.cli.operation.connection import (
+    DEFAULT_KEY_ENVIRONMENT,
+    DEFAULT_SERVICE,
+    JsonOption,
+    KeyEnvironment,
+    ServiceUrl,
+    connected,
+)
+
+if TYPE_CHECKING:
+    from service.cli.importing.folder import FolderProposal
+    from service.cli.importing.manifest import FolderManifest, Guess
+    from service.client.service_client import ServiceClient
+
+#: exit code where the service holds something else, which was not changed
+EXIT_DIFFERENT = 3
+EXIT_STOPPED = 1
+_DRAFT_NEXT = (
+    ", its warnings stand and nothing was aligned: correct what they name and run the command again, or accept them "
+    'with --accept "REASON", which is stored with the calibration'
+)
+app = new_app()
+
+
+@app.command("import")
+def import_files(
+    files: Annotated[list[Path], typer.Argument(help="Folder with the files, or files of one folder.", exists=True)],
+    *,
+    propose: Annotated[bool, typer.Option("--propose", help="Write soo.yaml beside the files, send nothing.")] = False,
+    state: Annotated[list[str] | None, typer.Option(help="FILE.FIELD=VALUE in place of a guess; repeat it.")] = None,
+    calibrate: Annotated[bool, typer.Option("--calibrate", help="Calibrate, and activate the calibration.")] = False,
+    accept: Annotated[
+        str | None, typer.Option(help="With --calibrate: why the calibration is activated with its warnings.")
+    ] = None,
+    align: Annotated[bool, typer.Option("--align", help="Align, so that angles begin.")] = False,
+    patience: Annotated[float, typer.Option(min=0.0, help="Seconds to wait for powers and angles.")] = 600.0,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Compare with the service, send nothing.")] = False,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Send files: spacecraft, carriers, orbit, readings and powers; creates what is missing, changes nothing."""
+    if propose and (calibrate or align or dry_run):
+        end("--propose sends nothing; run the command again without it")
+    # validation and numpy cost more than the command line itself
+    from service.cli.importing.manifest import NAME, read_manifest
+    from service.cli.importing.steps import require_files
+    from service.formats.foreign.table import ForeignTableError
+
+    folder, named = _folder_of(files)
+    try:
+        if propose or state or not (folder / NAME).exists():
+            _propose(folder, named, _statements(state or []), files, is_only=propose, as_json=as_json)
+            if propose:
+                return
+        manifest = read_manifest(folder)
+        require_files(manifest, folder)
+        signal.signal(signal.SIGTERM, _stop)
+        with connected(service, key_env, retries=0, timeout_s=60.0) as client:
+            done = _import(client, folder, manifest, patience, is_dry=dry_run, is_quiet=as_json)
+            if not dry_run:
+                done |= _operate(client, done, manifest, (calibrate, align, accept))
+                done |= _angles(client, done["spacecraft"], patience, is_quiet=as_json) if "alignment" in done else {}
+    except ForeignTableError as error:
+        end(str(error), cause=error)
+    except KeyboardInterrupt as stop:
+        end("stopped; the same command continues where this one stopped", EXIT_STOPPED, stop)
+    typer.echo(json.dumps(done)) if as_json else _show(done)
+    is_draft = done.get("calibration", {}).get("state") == "draft"
+    if is_draft or any(each.get("refused") or each.get("unreadable") for each in done.get("files", {}).values()):
+        raise typer.Exit(EXIT_DIFFERENT)
+
+
+def _folder_of(files: list[Path]) -> tuple[Path, list[Path] | None]:
+    """Return the folder of files, and the files themselves where they are named one by one."""
+    if len(files) == 1 and files[0].is_dir():
+        return files[0], None
+    folders = {path.resolve().parent for path in files}
+    if any(path.is_dir() for path in files) or len(folders) > 1:
+        end("name one folder, or files of one folder")
+    return files[0].parent, [files[0].parent / path.name for path in files]
+
+
+def _statements(stated: list[str]) -> dict[str, dict[str, Any]]:
+    """Return fields of entries by the name of their file, of the whole manifest by no name, or end."""
+    from service.cli.importing.manifest import TOP_FIELDS, read_statement
+
+    found: dict[str, dict[str, Any]] = {}
+    for text in stated:
+        where, _, value = text.partition("=")
+        file, _, field = where.rpartition(".")
+        if not field or not value or (not file and field not in TOP_FIELDS):
+            end(f"--state {text!r}: write FILE.FIELD=VALUE, as --state levels.csv.tz=Europe/Moscow")
+        found.setdefault(file, {})[field] = read_statement(value)
+    return found
+
+
+def _propose(
+    folder: Path,
+    named: list[Path] | None,
+    statements: dict[str, dict[str, Any]],
+    files: list[Path],
+    *,
+    is_only: bool,
+    as_json: bool,
+) -> None:
+    """Write the manifest of files; what it leaves open is asked on a terminal, or ends the command with its options."""
+    from service.cli.importing.folder import ImportFiles, files_of, propose
+    from service.cli.importing.manifest import guesses_in, read_stated, with_top_fields, write_manifest
+    from service.runtime.clock import system_now_us
+
+    while True:
+        paths, left_out = files_of(folder) if named is None else (sorted(named), {})
+        stated = with_top_fields(read_stated(folder), statements.get("", {}))
+        importing = ImportFiles(folder, paths, stated, statements, system_now_us(), left_out)
+        proposal = propose(importing)
+        guesses = [(name, guess) for name, guess in guesses_in(proposal.sections) if not name.startswith("windows")]
+        if not guesses or is_only or as_json or not _is_terminal():
+            break
+        for name, guess in guesses:
+            file, field = _place_of(name)
+            statements.setdefault(file, {})[field] = _answer(name, guess)
+    path = write_manifest(folder, proposal.sections)
+    step = f"soo import {shlex.join(map(str, files))}"
+    options = " ".join(f"--state {shlex.quote(f'{_where(name)}={_value(guess)}')}" for name, guess in guesses)
+    document = {
+        "manifest": str(path),
+        "guesses": {name: guess.reason for name, guess in guesses_in(proposal.sections)},
+        "shortcomings": list(proposal.shortcomings),
+        "left_out": proposal.sections.get("left_out", {}),
+        "notes": {name: list(notes) for name, notes in proposal.notes.items()},
+        "next": step + (f" {options}" if options else ""),
+    }
+    if not as_json:
+        _show_proposal(path, proposal, importing.warnings)
+    broken = [name for name, role in importing.faulty.items() if role in _needed(proposal)]
+    if is_only:
+        next_step = "correct what is marked !guess, or state it: " if guesses else ""
+        typer.echo(json.dumps(document) if as_json else f"{path} is written; next: {next_step}{document['next']}")
+    elif guesses:
+        lines = [f"{path} is written, nothing was sent; this must be stated, it is not guessed:"]
+        lines += [f"  {name} = {_value(guess)}: {guess.reason}" for name, guess in guesses]
+        end("\n".join((*lines, f"State it: {document['next']}")))
+    elif broken:
+        reasons = [f"  {name}: {importing.left_out[name]}" for name in broken]
+        end("\n".join(("nothing was sent: a file that the others need is left out", *reasons)))
+
+
+def _needed(proposal: "FolderProposal") -> set[str]:
+    """Return the roles without which the others mean nothing, where no other file has them."""
+    return {role for role in ("spacecraft", "carriers", "ephemeris") if not proposal.sections.get(role)} | {
+        "spacecraft" if proposal.sections.get("spacecraft", {}).get("file") is None else ""
+    }
+
+
+def _place_of(name: str) -> tuple[str, str]:
+    """Return file and field of a guess; no file for one of the whole manifest."""
+    entry, _, where = name.partition(" ")
+    return (where.rpartition(".")[0], where.rpartition(".")[2]) if where else ("", entry.partition(".")[0])
+
+
+def _where(name: str) -> str:
+    """Return a guess as --state names it."""
+    file, field = _place_of(name)
+    return f"{file}.{field}" if file else field
+
+
+def _value(guess: "Guess") -> str:
+    """Return the value of a guess as --state writes it."""
+    if isinstance(guess.value, list):
+        return " + ".join(map(str, guess.value))
+    if isinstance(guess.value, dict):
+        return "{" + ", ".join(f"{name}: {value}" for name, value in guess.value.items()) + "}"
+    return "VALUE" if guess.value is None else str(guess.value)
+
+
+def _answer(name: str, guess: "Guess") -> Any:
+    """Return what a person states in place of a guess."""
+    from service.cli.importing.manifest import read_statement
+
+    default = None if guess.value is None else _value(guess)
+    return read_statement(str(typer.prompt(f"{name}: {guess.reason}", default=default, err=True)).strip())
+
+
+def _is_terminal() -> bool:
+    """Return whether a person can be asked."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def _show_proposal(path: Path, proposal: "FolderProposal", warnings: list[str]) -> None:
+    """Print role and reading of each file, in lines that any terminal can hold."""
+    lines = [f"{path}:"]
+    reasons: dict[str, list[str]] = {}
+    for role, section in proposal.sections.items():
+        if role == "left_out":
+            for name, reason in section.items():
+                reasons.setdefault(reason, []).append(name)
+            continue
+        for entry in section if isinstance(section, list) else [section]:
+            lines += _entry_lines(role, entry, proposal)
+    lines += [f"  left out: {', '.join(names)}: {reason}" for reason, names in reasons.items()]
+    lines += [f"warning: {text}" for text in dict.fromkeys(warnings)]
+    lines += [f"windows: {text}" for text in proposal.shortcomings]
+    for line in lines:
+        typer.echo(printable(line))
+
+
+def _entry_lines(role: str, entry: Any, proposal: "FolderProposal") -> list[str]:
+    """Return an entry of a manifest as lines."""
+    from service.cli.importing.manifest import plain_value
+
+    members = plain_value(entry)
+    if not isinstance(members, dict) or role == "spacecraft":
+        return [f"  {role}: {_brief(entry)}"]
+    fields = [f"    {name}: {_brief(value)}" for name, value in members.items() if name != "file"]
+    notes = [f"    ({note})" for note in proposal.notes.get(str(members.get("file")), ())]
+    return [f"  {role}: {members.get('file', '')}", *fields, *notes]
+
+
+def printable(text: str) -> str:
+    """Return a text that the terminal's encoding can hold."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return text.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def _brief(value: Any) -> str:
+    """Return a field for people; a guess ends with a question mark."""
+    from service.cli.importing.manifest import Guess, plain_value
+
+    plain = plain_value(value)
+    if isinstance(plain, dict):
+        plain = ", ".join(f"{name} = {plain_value(each)}" for name, each in plain.items())
+    elif isinstance(plain, list):
+        plain = " + ".join(map(str, plain))
+    return f"{plain} ?" if isinstance(value, Guess) else str(plain)
+
+
+def _import(
+    client: "ServiceClient",
+    folder: Path,
+    manifest: "FolderManifest",
+    patience_s: float,
+    *,
+    is_dry: bool,
+    is_quiet: bool,
+) -> dict[str, Any]:
+    """Read everything, then create what is missing and send the files; end where the service has something else."""
+    from service.cli.importing.catalogue import compared
+    from service.cli.importing.steps import import_powers, import_readings, read_catalogue, read_tables
+
+    own = read_catalogue(folder, manifest)
+    comparison = compared(client, own)
+    if comparison.differences:
+        lines = [
+            f"  {name}: the folder has {here}, the service {there}"
+            for name, (here, there) in comparison.differences.items()
+        ]
+        lines.append("nothing was sent; correct the file, change the service (soo put ...), or leave the file out")
+        end("\n".join((f"the service has {own.spacecraft_id} otherwise:", *lines)), EXIT_DIFFERENT)
+    tables = read_tables(client, folder, manifest, own, is_simulated=bool(comparison.members.get("simulated")))
+    done: dict[str, Any] = {"spacecraft": own.spacecraft_id, "created": [] if is_dry else list(comparison.creations)}
+    if is_dry:
+        return done | {"missing": list(comparison.creations), "rows": {n: len(r.lines) for n, r in tables.items()}}
+    for create in comparison.creations.values():
+        create()
+    files = {}
+    for readings in manifest.references:
+        files[readings.file] = import_readings(client, own.spacecraft_id, readings, tables[readings.file])
+    for powers in manifest.powers:
+        order = (folder / powers.file, own.spacecraft_id, patience_s)
+        files[powers.file] = import_powers(client, order, powers, tables[powers.file], is_quiet=is_quiet)
+    return done | {"files": files}
+
+
+def _operate(
+    client: "ServiceClient",
+    done: dict[str, Any],
+    manifest: "FolderManifest",
+    wanted: tuple[bool, bool, str | None],
+) -> dict[str, Any]:
+    """Calibrate and align as far as that was asked for; nothing is aligned with a calibration that stays a draft."""
+    from service.cli.importing.steps import align, calibrate
+
+    is_calibrated, is_aligned, reason = wanted
+    found: dict[str, Any] = {}
+    if is_calibrated:
+        made = calibrate(client, done["spacecraft"], manifest, reason)
+        warnings = made["quality"].get("warnings", [])
+        found["calibration"] = {"id": made["id"], "state": made["state"], "warnings": warnings}
+        is_aligned = is_aligned and made["state"] == "active"
+    if is_aligned:
+        aligned = align(client, done["spacecraft"], manifest)
+        found["alignment"] = {"id": aligned["id"], "epoch": aligned["epoch"]}
+    return found
+
+
+def _angles(client: "ServiceClient", spacecraft_id: str, patience_s: float, *, is_quiet: bool) -> dict[str, Any]:
+    """Wait for the angles of the rows and return the newest."""
+    from service.cli.importing.sending import wait_for_angles
+
+    angles = wait_for_angles(client, spacecraft_id, patience_s, is_quiet=is_quiet)
+    names = ("epoch", "yaw_deg", "roll_deg", "pitch_deg")
+    newest: dict[str, Any] = dict(client.attitude(spacecraft_id)) if angles["newest_attitude"] else {}
+    return {"angles": angles, "attitude": {name: newest.get(name) for name in names}}
+
+
+def _show(done: dict[str, Any]) -> None:
+    """Print what was done, for people."""
+    if "missing" in done:
+        typer.echo(f"missing in the service: {', '.join(done['missing']) or 'nothing'}; nothing was sent")
+        return
+    typer.echo(f"{done['spacecraft']}: created {', '.join(done['created']) or 'nothing, all was there'}")
+    for name, counts in done["files"].items():
+        shown = ("accepted", "duplicates", "refused", "unreadable")
+        typer.echo(printable(f"{name}: " + ", ".join(f"{counts[each]} {each}" for each in shown)))
+        for fault in counts.get("faults", ()):
+            typer.echo(printable(f"  {fault}"))
+    if "calibration" in done:
+        next_step = _DRAFT_NEXT if done["calibration"]["state"] == "draft" else ""
+        for warning in done["calibration"]["warnings"]:
+            typer.echo(f"warning: {warning}")
+        typer.echo(f"calibration {done['calibration']['id']} is {done['calibration']['state']}{next_step}")
+    if "alignment" in done:
+        typer.echo(f"alignment {done['alignment']['id']} at {done['alignment']['epoch']}")
+    if "angles" in done:
+        typer.echo(_newest_angles(done["attitude"]))
+
+
+def _newest_angles(attitude: dict[str, Any]) -> str:
+    """Return the newest angles as a sentence."""
+    if attitude["yaw_deg"] is None:
+        return "no angles yet: no row lies after the alignment; they begin with the next row"
+    angles = ", ".join(f"{axis} {attitude[f'{axis}_deg']:+.3f}" for axis in ("yaw", "roll", "pitch"))
+    return f"angles at {attitude['epoch']}: {angles} deg"
+
+
+def _stop(*_: object) -> NoReturn:
+    """Let a signal end the command as Ctrl-C does."""
+    raise KeyboardInterrupt

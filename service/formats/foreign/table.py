@@ -1,0 +1,582 @@
+"""Files of other programs as tables of cells: containers, encodings, separators, headers; every cell stays a text.
+
+Text, workbooks (xlsx, xls, ods), Parquet and lines of JSON give one `Table`. What stands before the header, comments,
+unit rows, repeated headers and footers are no rows and are named in the notes. A row of another width is a fault of its
+line. Whatever a library raises becomes a `ForeignTableError` with what to do next.
+"""
+
+import csv
+import gzip
+import io
+import json
+import re
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import date, datetime, time, timedelta
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: bytes of a file, unpacked
+MOST_BYTES = 2 << 30
+SEPARATORS = (",", ";", "\t", "|")
+_BY_NAME = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "bar": "|"}
+#: lines and rows from which separator and header are found
+_SAMPLE = 600
+#: physical lines that one quoted cell may span
+_MOST_SPANNED = 50
+_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe\0\0": "utf-32", b"\0\0\xfe\xff": "utf-32"}
+_MARKS |= {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+_NO_TABLE = {
+    b"%PDF": "a PDF document",
+    b"\x89PNG": "a picture",
+    b"\xff\xd8\xff": "a picture",
+    b"\x89HDF": "an HDF5 file",
+    b"MATLAB": "a MATLAB file",
+    b"ARROW1": "an Arrow file",
+    b"SQLite": "an SQLite database",
+    b"7z\xbc\xaf": "a 7-Zip archive",
+    b"Rar!": "a RAR archive",
+    b"CDF": "a NetCDF file",
+}
+#: single-byte encodings that are told apart; names only depend on them, numbers are ASCII in each
+_ENCODINGS = ["cp1251", "koi8_r", "cp866", "cp1252"]
+_COMMENT = re.compile(r"\s*(#|%|//|!)\s*")
+
+
+def word_set(*words: str) -> frozenset[str]:
+    """Return the words of texts."""
+    return frozenset(" ".join(words).split())
+
+
+#: cells without a reading, lower case; what SCPI and spreadsheets write stands here too
+CODES = frozenset({"", "no data", "no signal", "нет данных"}) | word_set(
+    "nan -nan null none na n/a #n/a - -- --- ---- * ** *** **** ? ?? ??? nil missing nodata no_data ovld ovl ovr ol",
+    "over under uncal err error invalid fault bad off inf +inf -inf infinity -infinity #value! #div/0! #ref! #num!",
+    "#null! #name? 1.#qnan -1.#ind 1.#inf -1.#inf н/д нет overload underrange overrange",
+)
+NUMBER = r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?"
+_VALUE = re.compile(
+    rf"{NUMBER}|{NUMBER} ?(?:dBm|dBW|[mµu]?W|m?deg|°|rad|mrad|arcsec)"
+    r"|[<>]=? ?[+-]?\d[\d.,]*"
+    r"|(?:[^\W\d]{3,9}[., ]+)*\d{1,4} ?[-./:T ] ?(?:\d{1,3}|[^\W\d]{3,9})(?:[-./:T ]|, ?)?[\w:.\-/+ ]*,?\d*Z?"
+    r"|\d{8}T?\d{4,6}[\d.]*Z?"
+)
+_UNIT_WORDS = word_set(
+    "dbm dbw mw w µw uw nw pw db deg degree degrees ° mdeg rad mrad arcsec arcmin µrad urad utc gmt s sec "
+    "ms us ns hz khz mhz ghz h min c k v a % yyyy-mm-dd hh:mm:ss dd.mm.yyyy град дбм дбвт - iso8601 iso "
+    "text string"
+)
+
+
+class ForeignTableError(ValueError):
+    """The file cannot be read; the text says why and what to do."""
+
+
+class Question(NamedTuple):
+    """One thing that a person must state, because no content proves it."""
+
+    #: field of the manifest; with dashes the option of ``soo put``
+    field: str
+    text: str
+    #: what may be answered; empty = free text
+    choices: tuple[str, ...] = ()
+    #: answer that the content suggests
+    default: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """What a person stated of the container; None = not stated."""
+
+    sheet: str | None = None
+    encoding: str | None = None
+    separator: str | None = None
+    skip_lines: int = 0
+
+
+@dataclass(slots=True)
+class Table:
+    """Columns of texts, without blanks around them; an empty text is an empty cell."""
+
+    header: list[str]
+    #: arrays of pyarrow, one a column
+    columns: list[Any]
+    #: physical line of each row; of a workbook its row
+    lines: NDArray[np.int64]
+    #: line and reason of each row that is none
+    faults: list[tuple[int, str]] = field(default_factory=list)
+    #: how the file was understood
+    notes: list[str] = field(default_factory=list)
+    #: unit that the row below the header states, by column
+    units: dict[str, str] = field(default_factory=dict)
+
+    def column(self, name: str) -> Any:
+        """Return a column by its name; ForeignTableError when there is none."""
+        if name not in self.header:
+            raise ForeignTableError(f"no column {name[:60]!r}; the columns are {', '.join(self.header[:20])}")
+        return self.columns[self.header.index(name)]
+
+
+def read_table(path: Path, stated: Container) -> Table:
+    """Return the table of a file, read to its end.
+
+    Raises
+    ------
+    ForeignTableError
+        No table, several where none was stated, or one whose separator or header is not clear.
+    """
+    if path.stat().st_size > MOST_BYTES:
+        raise ForeignTableError(f"the file is larger than {MOST_BYTES >> 30} GiB; split it by days")
+    name, content = unpacked(path.name, path.read_bytes())
+    if content[:4] == b"PAR1":
+        return _of_parquet(content)
+    if is_workbook(content):
+        return _of_workbook(content, stated)
+    text, notes = decoded_text(content, stated.encoding)
+    if name.lower().endswith((".ndjson", ".jsonl")) or text.lstrip()[:1] in ("{", "["):
+        return _of_objects(text)
+    return _of_text(text, stated, notes)
+
+
+def unpacked(name: str, content: bytes) -> tuple[str, bytes]:
+    """Return name and content of the only file in a packed one; ForeignTableError names what is no table."""
+    try:
+        if content[:2] == b"\x1f\x8b":
+            with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
+                return _bounded(name.removesuffix(".gz"), file.read(MOST_BYTES + 1))
+        if content[:4] == b"PK\x03\x04" and not is_workbook(content):
+            with zipfile.ZipFile(io.BytesIO(content)) as archive:
+                names = [each for each in archive.namelist() if not re.search(r"/$|^__MACOSX|(^|/)\.", each)]
+                if len(names) != 1:
+                    raise ForeignTableError(f"a zip of {len(names)} files ({', '.join(names[:5])}): unpack it")
+                with archive.open(names[0]) as member:
+                    return _bounded(Path(names[0]).name, member.read(MOST_BYTES + 1))
+    except (OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+        raise ForeignTableError(f"the packed file cannot be unpacked: {error}; unpack it yourself") from None
+    kind = next((kind for start, kind in _NO_TABLE.items() if content.startswith(start)), None)
+    if kind is not None:
+        raise ForeignTableError(f"{kind}, which is no table; export CSV, a workbook or Parquet")
+    return name, content
+
+
+def _bounded(name: str, content: bytes) -> tuple[str, bytes]:
+    """Return an unpacked file unless it is too large."""
+    if len(content) > MOST_BYTES:
+        raise ForeignTableError(f"the file holds more than {MOST_BYTES >> 30} GiB; split it by days")
+    return name, content
+
+
+def is_workbook(content: bytes) -> bool:
+    """Return whether a file is xlsx, xlsb, ods or xls."""
+    if content[:8] == b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1":
+        return True
+    is_zip = content[:4] == b"PK\x03\x04"
+    return is_zip and (b"xl/workbook" in content or b"application/vnd.oasis.opendocument.spreadsheet" in content[:200])
+
+
+def decoded_text(content: bytes, encoding: str | None) -> tuple[str, list[str]]:
+    """Return the text of a file with one end of lines, and how it was decoded.
+
+    Raises
+    ------
+    ForeignTableError
+        No such encoding, a text that is none in it, or bytes that are no text.
+    """
+    found = encoding or next((name for mark, name in _MARKS.items() if content.startswith(mark)), None)
+    found = found or _encoding_of(content)
+    try:
+        text = content.decode(found)
+    except LookupError:
+        raise ForeignTableError(f"the encoding {found[:40]!r} is unknown; write utf-8, cp1251, koi8-r") from None
+    except UnicodeDecodeError as error:
+        raise ForeignTableError(f"the text is not {found}: {error.reason}; state encoding, as cp1251") from None
+    text = text.removeprefix("\ufeff").rstrip("\0")
+    if "\0" in text:
+        raise ForeignTableError("the file holds zero bytes: a binary file, or one that was not written to its end")
+    text = re.sub("\r*\n", "\n", text) if "\r" in text else text
+    text = re.sub("[\r\x85\u2028\u2029\v\f]", "\n", text)
+    # blanks and signs of typography, which no number has
+    text = text.translate({0x2212: "-", 0xA0: " ", 0x2007: " ", 0x2009: " ", 0x202F: " "})
+    return text, [] if found in ("utf-8", "utf-8-sig") else [f"encoding {found}"]
+
+
+def _encoding_of(content: bytes) -> str:
+    """Return the likely encoding of a text without a mark."""
+    head = content[:4096]
+    if head.count(0) > len(head) // 4:
+        return "utf-16-le" if head[1::2].count(0) > head[::2].count(0) else "utf-16-be"
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        # a second that only such files need
+        from charset_normalizer import from_bytes
+
+        odd = b"\n".join(line for line in re.split(rb"[\r\n\x85]+", content[: 1 << 20]) if not line.isascii())[:4096]
+        best = from_bytes(odd, cp_isolation=_ENCODINGS).best()
+        if best is None and b"\x85" in content and b"\n" not in content:
+            return "latin-1"
+        return "cp1252" if best is None else best.encoding
+    return "utf-8"
+
+
+def is_value(cell: str) -> bool:
+    """Return whether a cell is a number, a date, a time of day or a code for no reading, and no name."""
+    return cell.lower() in CODES or _VALUE.fullmatch(cell) is not None
+
+
+def _is_data(cells: Sequence[str]) -> bool:
+    """Return whether a row holds values and no names."""
+    held = [cell.strip() for cell in cells if cell.strip()]
+    values = sum(map(is_value, held))
+    return values > 0 and 2 * values >= len(held)
+
+
+def _of_text(text: str, stated: Container, notes: list[str]) -> Table:
+    """Return the table of a text."""
+    lines = text.split("\n")
+    is_cut = lines[-1] != ""
+    if not is_cut:
+        lines.pop()
+    separator = _stated_separator(stated.separator)
+    first = stated.skip_lines
+    if separator is None and lines[:1] and (named := re.fullmatch(r"sep=(.)", lines[0].strip().strip('"'))):
+        separator, first = named.group(1), max(first, 1)
+    numbered, comments, spans = _content_lines(lines, first)
+    if len(numbered) < 2:
+        raise ForeignTableError("the file has no header with lines below it")
+    sample = [line for _, line in numbered[:_SAMPLE]]
+    separator = separator or _separator_of(sample)
+    top = _top_of([_split(line, separator) for line in sample], comments, separator)
+    header, body = top.header, numbered[top.first_row :]
+    if top.header_position > 0:
+        notes = [*notes, f"{top.header_position} lines before the header"]
+    good, numbers, faults = _rows_of(body, top, separator, spans, is_cut=is_cut)
+    names = {"\t": "tabs", " ": "blanks"}
+    notes = [*notes, f"separated by {names.get(separator, separator)}", *_footer(faults, numbers, body, is_cut=is_cut)]
+    if not good:
+        raise ForeignTableError(f"no row below the header can be read{'; ' + faults[0][1] if faults else ''}")
+    columns = _columns_of(good, separator, len(header))
+    return _finished(header, columns, np.array(numbers, dtype=np.int64), faults, notes, top.units)
+
+
+def _stated_separator(stated: str | None) -> str | None:
+    """Return a stated separator as a sign."""
+    if stated is None:
+        return None
+    found = _BY_NAME.get(stated.lower(), stated.replace("\\t", "\t"))
+    if len(found) != 1 or found.isalnum() or found in '".-+':
+        raise ForeignTableError(f"the separator {stated[:20]!r} is none; write one sign, tab or space")
+    return found
+
+
+def _content_lines(lines: list[str], first: int) -> tuple[list[tuple[int, str]], dict[int, str], dict[int, int]]:
+    """Return the lines that hold something, with their numbers, and comments by the position of the line below them.
+
+    Lines that a quoted cell spans become one; last comes by number how many more they were.
+    """
+    numbered: list[tuple[int, str]] = []
+    comments: dict[int, str] = {}
+    spans: dict[int, int] = {}
+    is_inside = False
+    for number, line in enumerate(lines[first:], start=first + 1):
+        is_odd = line.count('"') % 2 == 1
+        if is_inside:
+            begun, held = numbered[-1]
+            numbered[-1] = (begun, f"{held} {line}")
+            spans[begun] = number - begun
+            is_inside = not is_odd
+            if spans[begun] > _MOST_SPANNED:
+                break
+        elif (mark := _COMMENT.match(line)) is not None:
+            comments[len(numbered)] = line[mark.end() :]
+        elif line.strip(" \t,;|"):
+            numbered.append((number, line))
+            is_inside = is_odd
+    if is_inside:
+        raise ForeignTableError(f"line {numbered[-1][0]}: a quote is not closed; correct it, or remove the sign")
+    return numbered, comments, spans
+
+
+def _split(line: str, separator: str) -> list[str]:
+    """Return the cells of a line."""
+    if '"' in line:
+        return next(csv.reader([line], delimiter=separator, skipinitialspace=separator != "\t"))
+    return line.split() if separator == " " else line.split(separator)
+
+
+def _separator_of(sample: list[str]) -> str:
+    """Return the separator that leaves numbers, dates and codes in the cells of most lines."""
+    scores: dict[str, float] = {}
+    for mark in (*SEPARATORS, " "):
+        rows = [_split(line, mark) for line in sample]
+        ((width, count),) = Counter(map(len, rows)).most_common(1)
+        cells = [cell.strip() for row in rows if len(row) == width for cell in row if cell.strip()]
+        values = sum(map(is_value, cells))
+        scores[mark] = 0.0 if width < 2 or not cells else values / len(cells) * count / len(rows)
+    best = max(SEPARATORS, key=lambda mark: scores[mark])
+    if scores[best] < 0.4 < scores[" "]:
+        return " "
+    rivals = [mark for mark in SEPARATORS if mark != best and scores[mark] > 0.8 * scores[best]]
+    if scores[best] < 0.25 or rivals:
+        shown = ", ".join(f"{mark!r} leaves {scores[mark]:.0%} values" for mark in SEPARATORS if scores[mark])
+        detail = f"mixed separators: {shown}" if shown else "no comma, semicolon, tab or bar splits the lines alike"
+        raise ForeignTableError(f"{detail}; state separator, or skip_lines for the lines before the header")
+    return best
+
+
+class _Top(NamedTuple):
+    """Header of a table and where its rows begin."""
+
+    header: list[str]
+    width: int
+    header_position: int
+    first_row: int
+    #: cells of the unit row, as it is written
+    unit_row: list[str]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units by column."""
+        pairs = zip(self.header, self.unit_row, strict=False)
+        return {name: unit.strip(" ()[]") for name, unit in pairs if unit.strip()}
+
+
+def _top_of(rows: list[list[str]], comments: dict[int, str], separator: str) -> _Top:
+    """Return the header above the first row of values that has the width of most rows."""
+    ((width, _),) = Counter(len(row) for row in rows if _is_data(row)).most_common(1) or [(0, 0)]
+    first = next((k for k, row in enumerate(rows) if len(row) == width and _is_data(row)), None)
+    if first is None:
+        raise ForeignTableError("no line holds values of a table: no number, date or time of day")
+    position, unit_row = first - 1, []
+    while position >= 0 and _is_unit_row(rows[position]):
+        unit_row, position = rows[position], position - 1
+    header = rows[position] if position >= 0 else []
+    commented = comments.get(first)
+    if commented is not None and len(header) != width and len(_split(commented, separator)) == width:
+        header, position = _split(commented, separator), 0
+    while len(header) > width and not header[-1].strip():
+        header = header[:-1]
+    if len(header) == width - 1 and not any(row[-1].strip() for row in rows[first:] if len(row) == width):
+        header = [*header, ""]
+    if len(header) != width:
+        shown = f"the line above has {len(header)}" if header else "there is no line of names above it"
+        hint = "; a decimal comma needs another separator or quotes" if separator == "," and header else ""
+        raise ForeignTableError(f"the first row of values has {width} cells, {shown}{hint}; write one header line")
+    return _Top([" ".join(name.split()).strip("'\" ") for name in header], width, max(position, 0), first, unit_row)
+
+
+def _is_unit_row(cells: Sequence[str]) -> bool:
+    """Return whether each cell of a row is a unit, and one at least."""
+    held = [cell.strip(" ()[]").lower() for cell in cells if cell.strip(" ()[]")]
+    return bool(held) and all(cell in _UNIT_WORDS for cell in held) and any(cell not in CODES for cell in held)
+
+
+def _rows_of(
+    body: list[tuple[int, str]], top: _Top, separator: str, spans: dict[int, int], *, is_cut: bool
+) -> tuple[list[str], list[int], list[tuple[int, str]]]:
+    """Return the lines of the table's width, their numbers, and the faults of the others."""
+    good: list[str] = []
+    numbers: list[int] = []
+    faults: list[tuple[int, str]] = []
+    rivals = [mark for mark in SEPARATORS if mark != separator]
+    last = body[-1][0] if is_cut and body else None
+    starts = (top.header[0], f'"{top.header[0]}"') if top.header[0] else ("\0",)
+    for number, line in body:
+        is_plain = '"' not in line and separator != " "
+        width = line.count(separator) + 1 if is_plain else len(_split(line, separator))
+        if number == last:
+            faults.append((number, "the last line does not end; the file may be cut off"))
+        elif width == top.width:
+            if line.startswith(starts) and not _is_data(_split(line, separator)):
+                continue
+            good.append(line)
+            numbers.append(number)
+        elif width == top.width + 1 and line.rstrip().endswith(separator):
+            good.append(line.rstrip()[:-1])
+            numbers.append(number)
+        else:
+            is_mixed = any(line.count(mark) + 1 == top.width for mark in rivals)
+            reason = f"{width} cells, the header has {top.width}"
+            reason = "the line has another separator than the header" if is_mixed else reason
+            # each line that a quote swallowed was a row of its own
+            faults += [(number, reason)] * (1 + spans.get(number, 0))
+    return good, numbers, faults
+
+
+def _footer(
+    faults: list[tuple[int, str]], numbers: list[int], body: list[tuple[int, str]], *, is_cut: bool
+) -> list[str]:
+    """Take the lines below the last row that hold no row out of the faults, and return the note of them."""
+    last = numbers[-1] if numbers else 0
+    texts = dict(body[-20:])
+    tail = [each for each in faults if each[0] > last and each[0] in texts and not (is_cut and each is faults[-1])]
+    if not tail or len(tail) > 10:
+        return []
+    for each in tail:
+        faults.remove(each)
+    return [f"below the table: {texts[tail[0][0]][:60]!r}"]
+
+
+def _columns_of(lines: list[str], separator: str, width: int) -> list[Any]:
+    """Return the columns of lines of one width."""
+    # pyarrow costs what only tables need
+    import pyarrow as pa
+    import pyarrow.csv as arrow_csv
+
+    if separator == " " or any('"' in line for line in lines):
+        return [pa.array(cells) for cells in zip(*(_split(line, separator) for line in lines), strict=True)]
+    names = [str(position) for position in range(width)]
+    found = arrow_csv.read_csv(
+        pa.BufferReader(("\n".join(lines) + "\n").encode()),
+        arrow_csv.ReadOptions(column_names=names, block_size=max(1 << 20, 2 * max(map(len, lines)) * 4)),
+        arrow_csv.ParseOptions(delimiter=separator, quote_char=False, ignore_empty_lines=False),
+        arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False),
+    )
+    return [found.column(name).combine_chunks() for name in names]
+
+
+def _finished(
+    header: list[str],
+    columns: list[Any],
+    lines: NDArray[np.int64],
+    faults: list[tuple[int, str]],
+    notes: list[str],
+    units: dict[str, str],
+) -> Table:
+    """Return a table without blank columns, its cells trimmed; a column without a name is called by its position."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    kept: dict[str, Any] = {}
+    for position, (name, column) in enumerate(zip(header, columns, strict=True), start=1):
+        texts = pc.utf8_trim_whitespace(pc.fill_null(column.cast(pa.string()), ""))
+        if pc.max(pc.match_substring(texts, "'")).as_py():
+            texts = pc.replace_substring_regex(texts, pattern=r"^'([=+\-@])", replacement=r"\1")
+        if not name and pc.max(pc.utf8_length(texts)).as_py() in (0, None):
+            continue
+        name = name or f"column {position}"
+        if name in kept:
+            raise ForeignTableError(f"columns occur twice: {name}; name each column once")
+        kept[name] = texts
+    return Table(list(kept), list(kept.values()), lines, faults, notes, units)
+
+
+def workbook_rows(content: bytes, sheet: str | None) -> list[tuple[str, ...]]:
+    """Return the rows of a workbook's sheet as texts; ForeignTableError where several hold something."""
+    from python_calamine import CalamineError, CalamineWorkbook
+
+    try:
+        book = CalamineWorkbook.from_filelike(io.BytesIO(content))
+        sheets = {name: book.get_sheet_by_name(name).to_python(skip_empty_area=False) for name in book.sheet_names}
+    except (CalamineError, OSError, ValueError, KeyError, RuntimeError) as error:
+        raise ForeignTableError(f"the workbook cannot be read: {error}; save it as xlsx or CSV") from None
+    filled = [name for name, rows in sheets.items() if any(any(cell != "" for cell in row) for row in rows)]
+    if sheet is not None and sheet not in sheets:
+        raise ForeignTableError(f"no sheet {sheet[:40]!r}; the sheets are {', '.join(sheets)}")
+    if sheet is None and len(filled) != 1:
+        raise ForeignTableError(f"an Excel workbook with {len(filled)} sheets ({', '.join(filled)}): state sheet")
+    columns = [_texts_of(cells) for cells in zip(*sheets[sheet or filled[0]], strict=True)]
+    return list(zip(*columns, strict=True))
+
+
+def _of_workbook(content: bytes, stated: Container) -> Table:
+    """Return the table of a workbook's sheet."""
+    import pyarrow as pa
+
+    numbered = list(enumerate(workbook_rows(content, stated.sheet), start=1))[stated.skip_lines :]
+    rows = [(number, list(row)) for number, row in numbered if any(cell.strip() for cell in row)]
+    if len(rows) < 2:
+        raise ForeignTableError("the sheet has no header with rows below it")
+    top = _top_of([row for _, row in rows[:_SAMPLE]], {}, "")
+    body = [(number, row) for number, row in rows[top.first_row :] if row != rows[top.header_position][1]]
+    columns = [pa.array(cells) for cells in zip(*(row for _, row in body), strict=True)]
+    lines = np.array([number for number, _ in body], dtype=np.int64)
+    return _finished(top.header, columns, lines, [], [f"sheet {stated.sheet or 'of the workbook'}"], top.units)
+
+
+def _texts_of(cells: Sequence[Any]) -> list[str]:
+    """Return the cells of a workbook's column as texts; in a column of instants, midnight is one of them."""
+    has_instants = any(isinstance(cell, datetime) for cell in cells)
+    return [_cell_text(cell, is_midnight=has_instants) for cell in cells]
+
+
+def _cell_text(cell: Any, *, is_midnight: bool) -> str:
+    """Return a cell of a workbook as text; instants are rounded to the millisecond, which its format holds."""
+    if isinstance(cell, datetime):
+        return str((cell + timedelta(microseconds=500)).isoformat(" ", "milliseconds"))
+    if isinstance(cell, date):
+        if cell.year < 1901:
+            return "00:00:00"
+        return f"{cell.isoformat()} 00:00:00" if is_midnight else cell.isoformat()
+    if isinstance(cell, time):
+        return cell.isoformat()
+    if isinstance(cell, timedelta):
+        milliseconds = round(cell / timedelta(milliseconds=1))
+        seconds, rest = divmod(milliseconds, 1000)
+        return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}.{rest:03d}"
+    if isinstance(cell, float) and cell.is_integer() and abs(cell) < 1e15:
+        return str(int(cell))
+    return str(cell)
+
+
+def _of_parquet(content: bytes) -> Table:
+    """Return the table of a Parquet file; a zoned instant ends with Z, one without a zone has no offset."""
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    try:
+        found = parquet.read_table(pa.BufferReader(content))
+    except (pa.ArrowInvalid, OSError, NotImplementedError) as error:
+        raise ForeignTableError(f"no Parquet file, or it is cut off: {error}") from None
+    header, columns = [], []
+    for name, column in zip(found.column_names, found.columns, strict=True):
+        kind = column.type
+        if pa.types.is_nested(kind):
+            continue
+        if pa.types.is_dictionary(kind):
+            column = column.cast(kind.value_type)
+        if pa.types.is_timestamp(kind):
+            # nanoseconds beyond the microsecond are cut off
+            column = column.cast(pa.timestamp("us", tz=None if kind.tz is None else "UTC"), safe=False)
+        header.append(" ".join(str(name).split()))
+        columns.append(column.cast(pa.string()).combine_chunks())
+    if found.num_rows == 0 or not header:
+        raise ForeignTableError("the Parquet file holds no rows")
+    return _finished(header, columns, np.arange(1, found.num_rows + 1), [], ["Parquet"], {})
+
+
+def _of_objects(text: str) -> Table:
+    """Return the table of JSON: one object a line, or an array of flat objects."""
+    import pyarrow as pa
+
+    try:
+        if text.lstrip().startswith("["):
+            objects = list(enumerate(json.loads(text), start=1))
+        else:
+            lines_of = enumerate(text.split("\n"), start=1)
+            objects = [(number, json.loads(line)) for number, line in lines_of if line.strip()]
+    except (ValueError, RecursionError) as error:
+        raise ForeignTableError(f"a line is no JSON: {error}") from None
+    header = list(objects[0][1]) if objects and isinstance(objects[0][1], dict) else []
+    if not header:
+        raise ForeignTableError("no lines of JSON objects")
+    rows = [_object_cells(number, each, header) for number, each in objects]
+    columns = [pa.array(cells) for cells in zip(*rows, strict=True)]
+    lines = np.array([number for number, _ in objects], dtype=np.int64)
+    return _finished([str(name) for name in header], columns, lines, [], ["JSON objects"], {})
+
+
+def _object_cells(number: int, found: Any, header: Sequence[str]) -> list[str]:
+    """Return the cells of an object, which must have the names of the first and plain values."""
+    if not isinstance(found, dict) or set(found) != set(header):
+        odd = ", ".join(sorted(set(header) ^ set(found))[:5]) if isinstance(found, dict) else "no object"
+        raise ForeignTableError(f"line {number} has other names than the first: {odd}")
+    if any(isinstance(value, dict | list) for value in found.values()):
+        raise ForeignTableError(f"line {number} holds a list or an object in place of a value")
+    return ["" if found[name] is None else str(found[name]) for name in header]

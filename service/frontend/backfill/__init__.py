@@ -1,1 +1,0 @@
-"""Backfill: archive files sent to the service in resumable pieces."""
