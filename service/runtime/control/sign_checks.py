@@ -33,6 +33,7 @@ from service.pipeline.control.release.interlock import Instant, Interlock
 from service.pipeline.control.release.interlock_conditions import (
     ReleaseSettings,
     microseconds,
+    missed_limit,
     own_affair,
 )
 from service.pipeline.control.release.release_checks import (
@@ -293,7 +294,8 @@ def handle_row(context: ReleaseContext, stored: StoredRow, row: AttitudeRow, at:
     if stored.outcome.applied is not None:
         release.handle(Applied(at, _effect(stored.outcome.applied.command, spacecraft)))
     evidence = stored.evidence
-    if evidence is not None and not evidence.missed_log_ratio <= context.settings.missed_log_ratio:
+    limit = missed_limit(context.state.interlock.row, context.settings)
+    if evidence is not None and not evidence.missed_log_ratio <= limit:
         release.handle(ResponseJudged(at, evidence.missed_log_ratio))
     if evidence is not None and context.sign_rows is not None:
         context.sign_rows.append(row.epoch_us, evidence.model, evidence.deviation_db)
@@ -309,7 +311,9 @@ def judge_report(context: ReleaseContext, event: Report) -> None:
     evidence = None if context.stored is None else context.stored.evidence
     if command is None or evidence is None or evidence.unreported_log_ratio is None or command.is_sign_check:
         return
-    if event.transition is CommandTransition.EXECUTED and command.executed == command.schedule:
+    is_whole = event.transition is CommandTransition.EXECUTED and command.executed == command.schedule
+    # one command proves less than all of an hour
+    if is_whole and not evidence.unreported_log_ratio <= context.settings.missed_log_ratio:
         context.release.handle(ResponseJudged(event.at, evidence.unreported_log_ratio))
 
 

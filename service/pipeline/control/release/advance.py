@@ -32,7 +32,13 @@ from service.pipeline.control.release.events import (
     UplinkEffect,
 )
 from service.pipeline.control.release.interlock import Instant, Interlock, Request, Terms, fire, settle, tripped
-from service.pipeline.control.release.interlock_conditions import ALARMED, Condition, ReleaseSettings, microseconds
+from service.pipeline.control.release.interlock_conditions import (
+    ALARMED,
+    Condition,
+    ReleaseSettings,
+    microseconds,
+    missed_limit,
+)
 from service.records.epoch import US_PER_S
 from service.records.operations.release import Command, InterlockHold
 
@@ -103,7 +109,7 @@ def _inputs_changed(state: ReleaseState, event: events.InputsChanged, _settings:
 
 def _response_judged(state: ReleaseState, event: events.ResponseJudged, settings: ReleaseSettings) -> Step:
     """Return the step of a judged response; a missed one trips."""
-    if event.log_ratio <= settings.missed_log_ratio:
+    if event.log_ratio <= missed_limit(state.interlock.row, settings):
         return Step(state)
     return Step(replace(state, interlock=tripped(state.interlock, Condition.RESPONSE_MISSED, event.at, settings)))
 

@@ -16,6 +16,7 @@ from service.pipeline.control.release.interlock_conditions import (
     InterlockRow,
     ReleaseSettings,
     input_conditions,
+    is_beyond,
     microseconds,
     row_conditions,
 )
@@ -191,16 +192,9 @@ def tripped(interlock: Interlock, condition: Condition, at: Instant, settings: R
     return replace(moved, trips=latched)
 
 
-def _is_beyond(row: InterlockRow | None, settings: ReleaseSettings) -> bool:
-    """Return whether roll or pitch is known to be beyond the range of automatic release; what is not known inhibits."""
-    if row is None:
-        return False
-    return any(abs(angle) > settings.recovery_deg for angle in (row.attitude_deg.roll, row.attitude_deg.pitch))
-
-
 def _is_due(interlock: Interlock, trigger: Trigger, at: Instant, settings: ReleaseSettings) -> bool:
     """Return whether an instant brings a trigger about."""
-    is_good, is_beyond = not interlock.inhibiting, _is_beyond(interlock.row, settings)
+    is_good, is_far = not interlock.inhibiting, is_beyond(interlock.row, settings)
     authorisation = interlock.authorisation
     due = {
         Trigger.TRIP: bool(interlock.tripping),
@@ -208,8 +202,8 @@ def _is_due(interlock: Interlock, trigger: Trigger, at: Instant, settings: Relea
         Trigger.LAPSE: not interlock.may_balance,
         Trigger.INHIBIT: not is_good,
         Trigger.CLEAR: is_good and _has_lasted(interlock.good_since_us, at, settings.good_s),
-        Trigger.BEYOND: is_beyond,
-        Trigger.WITHIN: is_good and not is_beyond,
+        Trigger.BEYOND: is_far,
+        Trigger.WITHIN: is_good and not is_far,
     }
     return due[trigger]
 
@@ -229,15 +223,15 @@ def _has_lasted(since_us: int | None, at: Instant, seconds: float) -> bool:
 def _holds(guard: Guard, interlock: Interlock, at: Instant, settings: ReleaseSettings, asked: Request | None) -> bool:
     """Return whether a guard lets a transition happen."""
     may_arm = not interlock.inhibiting and _has_lasted(interlock.good_since_us, at, settings.good_s)
-    is_beyond = _is_beyond(interlock.row, settings)
+    is_far = is_beyond(interlock.row, settings)
     holds = {
         Guard.ALWAYS: True,
-        Guard.BEYOND_AND_ARMED: interlock.is_armed and is_beyond,
+        Guard.BEYOND_AND_ARMED: interlock.is_armed and is_far,
         Guard.AUTHORISED: interlock.authorisation is not None,
         Guard.ARMED: interlock.is_armed,
         Guard.AFTER_RESET: interlock.is_after_reset,
         Guard.MAY_BALANCE: interlock.may_balance,
-        Guard.MAY_ARM_BEYOND: may_arm and is_beyond,
+        Guard.MAY_ARM_BEYOND: may_arm and is_far,
         Guard.MAY_ARM: may_arm,
         Guard.SECOND_PERSON: _is_second(interlock.request, asked, settings),
         Guard.FIRST_PERSON: _is_first(interlock.request, asked, settings),

@@ -30,6 +30,9 @@ class ReleaseSettings:
     )
     clock_jump_s: float = setting(2.0, "the clock may differ from the steady one by this much, s", CHOSEN)
     missed_log_ratio: float = setting(9.0, "log-likelihood ratio with which a command's response is missed", TUNED)
+    missed_beyond_log_ratio: float = setting(
+        4.5, "the same where roll or pitch is beyond the range of automatic control; the filter acts on 5", TUNED
+    )
     recovery_deg: float = setting(0.4, "roll or pitch beyond it: single commands by an approver, deg", PUBLISHED)
     hand_over_deg: float = setting(
         2.0, "roll or pitch beyond it, its sign in doubt: over to the sensor mode, deg", TUNED
@@ -119,7 +122,8 @@ class Condition(Enum):
     )
     RESPONSE_MISSED = (
         Consequence.TRIP,
-        "a command did nothing or the reverse by the powers, ratio above {missed_log_ratio:g}",
+        "a command did nothing or the reverse by the powers: ratio above {missed_log_ratio:g}, with roll or pitch "
+        "beyond {recovery_deg:g} deg above {missed_beyond_log_ratio:g}",
     )
     ENVELOPE = (Consequence.TRIP, "the control law asked for more than the envelope")
     CONFIGURATION = (Consequence.TRIP, "calibration, carrier plan or spacecraft changed since control was armed")
@@ -338,6 +342,22 @@ def greater_angle_deg(attitude_deg: Axes) -> float:
     return max(abs(attitude_deg.roll), abs(attitude_deg.pitch)) if is_known else math.nan
 
 
+def missed_limit(row: InterlockRow | None, settings: ReleaseSettings) -> float:
+    """Return the log-likelihood ratio beyond which the response of commands is missed.
+
+    Beyond the range of automatic control the filter's own belief is enough: single commands that it takes for reversed
+    would lead a flipped axis out of the model before the ratio for all commands is reached.
+    """
+    return settings.missed_beyond_log_ratio if is_beyond(row, settings) else settings.missed_log_ratio
+
+
+def is_beyond(row: InterlockRow | None, settings: ReleaseSettings) -> bool:
+    """Return whether roll or pitch is known to be beyond the range of automatic release; what is not known inhibits."""
+    if row is None:
+        return False
+    return any(abs(angle) > settings.recovery_deg for angle in (row.attitude_deg.roll, row.attitude_deg.pitch))
+
+
 def condition_limits(row: InterlockRow | None, settings: ReleaseSettings) -> dict[Condition, float]:
     """Return the limits of `MEASURES`; that of an age needs the period of rows, a fade has none."""
     by_row = {} if row is None else {Condition.ESTIMATE_OLD: settings.stale_us(row.period_s) / US_PER_S}
@@ -350,7 +370,7 @@ def condition_limits(row: InterlockRow | None, settings: ReleaseSettings) -> dic
         Condition.HAND_OVER: settings.hand_over_deg,
         Condition.CLOCK_JUMP: settings.clock_jump_s,
         Condition.MOMENTUM: 100.0 * settings.momentum_share_limit,
-        Condition.RESPONSE_MISSED: settings.missed_log_ratio,
+        Condition.RESPONSE_MISSED: missed_limit(row, settings),
         Condition.UNREPORTED: settings.max_unreported,
         Condition.LEASE: 1,
     }

@@ -140,6 +140,17 @@ FLAT = [(condition, act) for condition, acts in CASES.items() for act in acts]
 STOPS = [(c, act) for c, act in FLAT if c.consequence in (Consequence.INHIBIT, Consequence.TRIP)]
 
 
+@pytest.mark.parametrize(
+    ("roll_deg", "ratio", "has_tripped"), [(0.39, 9.0, False), (0.41, 4.4, False), (0.41, 4.6, True)]
+)
+def test_beyond_the_range_what_the_filter_believes_is_enough_to_miss_a_response(roll_deg, ratio, has_tripped):
+    """A flipped axis was led on by single commands that the filter took for reversed."""
+    driver = ReleaseDriver().armed()
+    row(attitude_deg=Axes(0.0, roll_deg, 0.0))(driver)
+    driver.send(ResponseJudged(driver.at, ratio))
+    assert (driver.name == "TRIPPED") is has_tripped
+
+
 def test_every_condition_has_a_case():
     assert set(CASES) == set(Condition)
 
