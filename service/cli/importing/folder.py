@@ -33,12 +33,10 @@ from service.formats.foreign.columns import (
     ReadingsStatement,
     TableRows,
     TableStatement,
-    holds_angles,
     interpret_powers,
-    interpret_readings,
-    judged_readings,
 )
 from service.formats.foreign.messages import VERSIONS, message_text, read_attitude_message, tracking_table
+from service.formats.foreign.readings import holds_angles, interpret_readings, judged_readings
 from service.formats.foreign.table import Container, ForeignTableError, Question, Table, is_workbook, read_table
 from service.formats.foreign.units import without_unit
 from service.pipeline.config import CalibrationConfig

@@ -315,9 +315,8 @@ def _put_powers(client: "ServiceClient", options: _Options) -> None:
         span_lines,
         wait_for_angles,
     )
-    from service.formats.foreign.columns import PowersStatement, grouped, interpret_powers
+    from service.formats.foreign.columns import PowersStatement, interpret_powers
     from service.formats.foreign.table import ForeignTableError
-    from service.records.epoch import format_epoch
     from service.runtime.clock import system_now_us
 
     if options.source is None:
@@ -356,26 +355,27 @@ def _put_powers(client: "ServiceClient", options: _Options) -> None:
     if rows.other_sources and not len(rows.lines):
         end(f"no row of {options.source}; the file's are of {', '.join(rows.other_sources)}: see --from-source")
     if options.is_dry:
-        faults = {"unreadable": len(rows.faults), "faults": grouped(rows.faults)}
-        start, stop = (format_epoch(int(rows.epochs_us[k])) for k in (0, -1))
-        document = {
-            "rows": len(rows.lines),
-            "start": start,
-            "stop": stop,
-            "other_sources": rows.other_sources,
-            **faults,
-        }
-        options.report({**document, **dict(_understood(interpretation))}, f"{len(rows.lines)} rows; nothing was sent")
+        _report_powers(options, interpretation, rows)
     else:
         report = send_with_progress(client, order, rows, state, is_quiet=options.as_json)
         angles = wait_for_angles(client, options.spacecraft, sending["patience"], is_quiet=options.as_json)
-        counts = ", ".join(
-            f"{report[name]} {name}" for name in ("accepted", "duplicates", "late", "refused", "unreadable")
-        )
+        names = ("accepted", "duplicates", "late", "refused", "unreadable")
+        counts = ", ".join(f"{report[name]} {name}" for name in names)
         sentence = "\n".join((counts, *report["faults"], angles_line(angles, options.spacecraft)))
         options.report(report | {"angles": angles}, sentence)
     if rows.faults or state.counters.refused:
         raise typer.Exit(EXIT_DIFFERENT)
+
+
+def _report_powers(options: _Options, interpretation: "Interpretation", rows: "TableRows") -> None:
+    """Print what would be sent."""
+    from service.formats.foreign.columns import grouped
+    from service.records.epoch import format_epoch
+
+    start, stop = (format_epoch(int(rows.epochs_us[k])) for k in (0, -1))
+    faults = {"unreadable": len(rows.faults), "faults": grouped(rows.faults), "other_sources": rows.other_sources}
+    document = {"rows": len(rows.lines), "start": start, "stop": stop, **faults}
+    options.report({**document, **dict(_understood(interpretation))}, f"{len(rows.lines)} rows; nothing was sent")
 
 
 _PUTTERS = {

@@ -1,4 +1,4 @@
-"""Columns of foreign tables: levels of carriers and angles of a sensor, read whole, judged, or asked about.
+"""Columns of foreign tables: what all have in common, and levels of carriers; read whole, judged, or asked about.
 
 What no content proves is a question with a guess. A row is left out with its line and reason; too many of them refuse
 the file. A fault that depends on the size or sign of a value is asked about or refused, never left over: what remained
@@ -13,15 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from service.core.geometry.frames import attitude_of_quaternion
-from service.formats.foreign.messages import scalar_of, wrong_length
+from service.formats.foreign.clocks import find_clock
 from service.formats.foreign.table import Container, ForeignTableError, Question, Table
-from service.formats.foreign.times import Clock, Epochs, age_question, find_clock, in_words, words_of
+from service.formats.foreign.times import Clock, Epochs, age_question, in_words
 from service.formats.foreign.units import (
-    ANGLE_UNITS,
     LEVEL_UNITS,
-    angle_unit,
-    contradicted_angle_unit,
     contradicted_level_unit,
     decimal_of,
     level_unit,
@@ -39,27 +35,10 @@ Axis = Literal["yaw", "roll", "pitch"]
 AXES: tuple[Axis, ...] = ("yaw", "roll", "pitch")
 #: levels of a carrier at an analyzer, dBm
 PLAUSIBLE_DBM = (-170.0, 30.0)
-#: beyond it roll or pitch do not point to the Earth from geosynchronous height
-EARTH_DISC_DEG = 8.7
 #: rows that may be left out: a number, and a share
 MOST_ROWS, MOST_SHARE = 3, 0.02
-#: words of names by axis, and words that say nothing more
-_AXIS_WORDS: dict[Axis, set[str]] = {
-    "yaw": {"yaw", "рыскание", "рысканье", "gier", "gieren"},
-    "roll": {"roll", "крен", "rollen"},
-    "pitch": {"pitch", "тангаж", "nick", "nicken"},
-}
-_OTHER_WORDS = frozenset({"angle", "attitude", "att", "угол", "est", "meas", "measured"})
-_QUATERNIONS: tuple[tuple[tuple[str, str, str, str], str | None], ...] = (
-    (("q1", "q2", "q3", "q4"), None),
-    (("q0", "q1", "q2", "q3"), None),
-    (("q1", "q2", "q3", "qc"), "last"),
-    (("qx", "qy", "qz", "qw"), "last"),
-    (("qx", "qy", "qz", "qs"), "last"),
-    (("qw", "qx", "qy", "qz"), "first"),
-)
-#: least distance of a code for no reading to the levels, dB, and to the angles, deg
-_CODE_GAP_DB, _CODE_GAP_DEG = 10.0, 1.0
+#: least distance of a code for no reading to the levels, dB
+_CODE_GAP_DB = 10.0
 #: a step of sorted epochs beyond it parts rows of another time
 _APART_US = 400 * DAY_US
 
@@ -169,7 +148,7 @@ def grouped(faults: Sequence[tuple[int, str]]) -> list[str]:
     return [f"{len(lines)} rows: {reason} (first: line {min(lines)})" for reason, lines in ordered]
 
 
-class _Reader:
+class TableReader:
     """What powers and readings have in common: clock, decimal sign, numbers, questions and the judgement of rows."""
 
     def __init__(self, table: Table, stated: TableStatement) -> None:
@@ -284,13 +263,6 @@ def _refuse_second_rows(epochs: Epochs, values: FloatArray) -> None:
     epochs.refuse("a second row of one epoch with other values: are the seconds cut off?", is_second)
 
 
-def holds_angles(table: Table) -> bool:
-    """Return whether names of columns are those of angles or of a quaternion."""
-    parts = {"".join(each for each in name.casefold() if each.isalnum()) for name in table.header}
-    axes = {_axis_of(name) for name in table.header} - {None}
-    return len(axes) > 1 or any(parts.issuperset(names) for names, _ in _QUATERNIONS)
-
-
 def interpret_powers(
     table: Table, stated: PowersStatement, carriers: Mapping[str, str], now_us: int, *, is_simulated: bool = False
 ) -> Interpretation:
@@ -315,7 +287,7 @@ def interpret_powers(
         A stated thing that the table contradicts, or a table of which nothing can be read.
     """
     _check_stated_carriers(table, stated, carriers)
-    reader = _Reader(table, stated)
+    reader = TableReader(table, stated)
     plan_ids = tuple(dict.fromkeys(filter(None, carriers.values())))
     matched = _matched(reader, reader.rest, carriers, stated.carriers) if stated.carrier_column is None else {}
     carrier_column = stated.carrier_column or (None if matched else _carrier_column(reader, carriers))
@@ -336,12 +308,12 @@ def interpret_powers(
         levels, faults, fields["unit"] = _levels(reader, level_columns)
         rows = _rows_of_one_source(reader, stated, carrier_column, matched, (levels, faults))
     if rows is None:
-        return Interpretation(_without_empty(fields), tuple(reader.questions), None, tuple(reader.notes))
+        return Interpretation(without_empty(fields), tuple(reader.questions), None, tuple(reader.notes))
     ordered = np.full((len(rows.lines), len(plan_ids)), np.nan)
     ordered[:, [plan_ids.index(each) for each in rows.names]] = rows.values
     rows.names, rows.values = plan_ids, ordered
     is_own = "epoch" in table.header and all(name.endswith(("_dbm", "_dbw")) for name in level_columns)
-    return _judged(reader, rows, fields, now_us, is_simulated=is_simulated, is_own=is_own)
+    return judged(reader, rows, fields, now_us, is_simulated=is_simulated, is_own=is_own)
 
 
 def _check_stated_carriers(table: Table, stated: PowersStatement, carriers: Mapping[str, str]) -> None:
@@ -351,12 +323,12 @@ def _check_stated_carriers(table: Table, stated: PowersStatement, carriers: Mapp
         plan = ", ".join(dict.fromkeys(filter(None, carriers.values())))
         raise ForeignTableError(f"carriers names {unknown[0][:40]!r}, which is no carrier of the plan: {plan[:300]}")
     for name in stated.carriers if stated.carrier_column is None else ():
-        if name not in table.header and _carrier_column(_Reader(table, stated), carriers) is None:
+        if name not in table.header and _carrier_column(TableReader(table, stated), carriers) is None:
             table.column(name)
 
 
 def _rows_of_one_source(
-    reader: _Reader,
+    reader: TableReader,
     stated: PowersStatement,
     carrier_column: str | None,
     matched: Mapping[str, str],
@@ -376,8 +348,8 @@ def _rows_of_one_source(
     return rows
 
 
-def _judged(
-    reader: _Reader, rows: TableRows, fields: dict[str, Any], now_us: int, *, is_simulated: bool, is_own: bool
+def judged(
+    reader: TableReader, rows: TableRows, fields: dict[str, Any], now_us: int, *, is_simulated: bool, is_own: bool
 ) -> Interpretation:
     """Return the reading of a table whose rows are few enough at fault, with the age of the newest."""
     rows.require_few_faults(is_partial=reader.stated.partial)
@@ -386,16 +358,16 @@ def _judged(
         reader.questions += [] if question is None else [question]
     first, last = (in_words(int(rows.epochs_us[k]), now_us) for k in (0, -1))
     notes = (*reader.notes, f"{len(rows.lines)} rows from {first.split(',')[0]} to {last}", *grouped(rows.faults))
-    return Interpretation(_without_empty(fields), tuple(reader.questions), rows, notes)
+    return Interpretation(without_empty(fields), tuple(reader.questions), rows, notes)
 
 
-def _without_empty(fields: dict[str, Any]) -> dict[str, Any]:
+def without_empty(fields: dict[str, Any]) -> dict[str, Any]:
     """Return the fields that hold something."""
     return {name: value for name, value in fields.items() if value not in (None, "", [], {}, ())}
 
 
 def _matched(
-    reader: _Reader, names: Sequence[str], carriers: Mapping[str, str], stated: Mapping[str, str]
+    reader: TableReader, names: Sequence[str], carriers: Mapping[str, str], stated: Mapping[str, str]
 ) -> dict[str, str]:
     """Return the carrier of each name: stated, or equal to an id or name of the plan without its unit.
 
@@ -414,7 +386,7 @@ def _matched(
     return {name: carrier for name, carrier in matched.items() if name in stated or (name not in twice)}
 
 
-def _carrier_column(reader: _Reader, carriers: Mapping[str, str]) -> str | None:
+def _carrier_column(reader: TableReader, carriers: Mapping[str, str]) -> str | None:
     """Return the column in which names of carriers stand, where there is one such column."""
     import pyarrow.compute as pc
 
@@ -429,7 +401,7 @@ def _carrier_column(reader: _Reader, carriers: Mapping[str, str]) -> str | None:
     return holding[0] if len(holding) == 1 else None
 
 
-def _level_column(reader: _Reader, carrier_column: str) -> str | None:
+def _level_column(reader: TableReader, carrier_column: str) -> str | None:
     """Return the column of levels of a table with one level a line, or ask for it."""
     numbers = [name for name in reader.numeric() if name != carrier_column]
     named = [name for name in numbers if level_unit(name, reader.table.units)] or numbers
@@ -438,7 +410,7 @@ def _level_column(reader: _Reader, carrier_column: str) -> str | None:
     return named[0] if named else None
 
 
-def _ask_carriers(reader: _Reader, carrier_column: str | None, plan_ids: Sequence[str]) -> dict[str, str]:
+def _ask_carriers(reader: TableReader, carrier_column: str | None, plan_ids: Sequence[str]) -> dict[str, str]:
     """Ask which columns or names are which carriers, and return the guess: equally many suggest their order."""
     if any(each.field == "carriers" for each in reader.questions):
         return {}
@@ -453,7 +425,7 @@ def _ask_carriers(reader: _Reader, carrier_column: str | None, plan_ids: Sequenc
     return in_order
 
 
-def _levels(reader: _Reader, columns: Sequence[str]) -> tuple[FloatArray, list[tuple[str, BoolArray]], str | None]:
+def _levels(reader: TableReader, columns: Sequence[str]) -> tuple[FloatArray, list[tuple[str, BoolArray]], str | None]:
     """Return levels in dBm (T, N), the faults of cells, and the unit to state for columns that name none."""
     stated, table = reader.stated, reader.table
     if stated.unit is not None and stated.unit not in LEVEL_UNITS:
@@ -499,7 +471,7 @@ def _is_plausible(dbm: FloatArray) -> bool:
     return bool(np.isfinite(dbm).any() and PLAUSIBLE_DBM[0] < float(np.nanmedian(dbm)) < PLAUSIBLE_DBM[1])
 
 
-def _other_sources(reader: _Reader, stated: PowersStatement) -> dict[str, BoolArray]:
+def _other_sources(reader: TableReader, stated: PowersStatement) -> dict[str, BoolArray]:
     """Return the rows of other sources than the wanted one, by source."""
     if "source" not in reader.table.header or not (stated.source or stated.from_source):
         return {}
@@ -509,7 +481,7 @@ def _other_sources(reader: _Reader, stated: PowersStatement) -> dict[str, BoolAr
 
 
 def _gathered(
-    reader: _Reader,
+    reader: TableReader,
     carrier_column: str,
     matched: Mapping[str, str],
     levels: FloatArray,
@@ -542,158 +514,3 @@ def _gathered(
     for reason, rows in epochs.reasons:
         left_out += [(line, reason) for line in lines[rows].tolist()]
     return TableRows(used, us, values, line_of, sorted(left_out))
-
-
-def interpret_readings(
-    table: Table, stated: ReadingsStatement, now_us: int, *, is_simulated: bool = False
-) -> Interpretation:
-    """Return how a table of a sensor's readings is read; the parameters are those of `interpret_powers`."""
-    reader = _Reader(table, stated)
-    columns, scalar = _axes_of(reader, stated)
-    fields = reader.fields() | {"columns": {name: axis for axis, name in columns.items() if axis in AXES}}
-    if not columns:
-        text = "no column is named yaw, roll, pitch or q1 to q4; state NAME: yaw, NAME: roll, NAME: pitch"
-        reader.ask("columns", text, reader.rest)
-        return Interpretation(_without_empty(fields), tuple(reader.questions), None, tuple(reader.notes))
-    numbers = {axis: reader.numbers(name) for axis, name in columns.items()}
-    faults = [
-        (f"{columns[axis]!r} holds no number with decimal {reader.decimal}", bad)
-        for axis, (_, bad, _) in numbers.items()
-    ]
-    raw = np.column_stack([values for values, _, _ in numbers.values()])
-    if "q4" in columns:
-        angles, more, fields["scalar"] = _quaternion_angles(raw, stated.scalar, scalar)
-    else:
-        in_cells = {columns[axis]: unit for axis, (_, _, unit) in numbers.items()}
-        angles, more, fields["unit"] = _angles(reader, columns, raw, in_cells)
-    values = np.full((len(raw), 3), np.nan)
-    present = [AXES.index(axis) for axis in columns] if "q4" not in columns else [0, 1, 2]
-    values[:, present] = angles
-    with np.errstate(invalid="ignore"):
-        is_beyond = np.any(np.abs(values[:, 1:]) > EARTH_DISC_DEG, axis=1) | (np.abs(values[:, 0]) > 180.0)
-    if 2 * int(is_beyond.sum()) > len(values) and not reader.questions:
-        shown = ", ".join(
-            f"{axis} {np.nanmedian(np.abs(values[:, k])):.2f}" for k, axis in enumerate(AXES) if k in present
-        )
-        raise ForeignTableError(
-            f"the angles, in the middle {shown} deg, lie beyond the Earth's disc of {EARTH_DISC_DEG} deg: check unit,"
-            " axes and frame (angles from the nadir frame to the body are wanted)"
-        )
-    beyond = f"roll or pitch beyond the Earth's disc ({EARTH_DISC_DEG} deg), or an angle beyond 360 deg"
-    rows = reader.rows_of(AXES, values, [*faults, *more, (beyond, is_beyond)])
-    if rows is None:
-        return Interpretation(_without_empty(fields), tuple(reader.questions), None, tuple(reader.notes))
-    return _judged(reader, rows, fields, now_us, is_simulated=is_simulated, is_own=False)
-
-
-def judged_readings(
-    epochs_us: IntArray,
-    angles_deg: FloatArray,
-    stated: ReadingsStatement,
-    now_us: int,
-    *,
-    is_simulated: bool,
-    sigma_deg: FloatArray | None = None,
-) -> Interpretation:
-    """Return the readings of a message, whose columns and units its standard states, under the rules of tables."""
-    is_beyond = np.any(np.abs(np.nan_to_num(angles_deg)) > [180.0, EARTH_DISC_DEG, EARTH_DISC_DEG], axis=1)
-    order = np.argsort(epochs_us, kind="stable")
-    kept = order[~is_beyond[order]]
-    faults = [
-        (int(k) + 1, f"roll or pitch beyond the Earth's disc ({EARTH_DISC_DEG} deg)") for k in np.flatnonzero(is_beyond)
-    ]
-    rows = TableRows(AXES, epochs_us[kept], angles_deg[kept], kept + 1, faults)
-    rows.sigma_deg = None if sigma_deg is None else sigma_deg[kept]
-    rows.require_few_faults(is_partial=stated.partial)
-    question = age_question(rows.epochs_us, now_us, stated.last_day, is_simulated=is_simulated)
-    first, last = (in_words(int(rows.epochs_us[k]), now_us) for k in (0, -1))
-    notes = (f"{len(rows.lines)} rows from {first.split(',')[0]} to {last}", *grouped(faults))
-    found = {"last_day": stated.last_day, "partial": stated.partial}
-    return Interpretation(_without_empty(found), () if question is None else (question,), rows, notes)
-
-
-def _axes_of(reader: _Reader, stated: ReadingsStatement) -> tuple[dict[str, str], str | None]:
-    """Return the columns by axis, or by part of a quaternion in its order, and where the scalar stands by its name."""
-    for name in stated.columns:
-        reader.table.column(name)
-    by_part = {"".join(each for each in name.casefold() if each.isalnum()): name for name in reader.rest}
-    for parts, scalar in _QUATERNIONS:
-        if not stated.columns and all(part in by_part for part in parts):
-            return dict(zip(("q1", "q2", "q3", "q4"), (by_part[part] for part in parts), strict=True)), scalar
-    found: dict[str, list[str]] = {}
-    for name in reader.rest:
-        axis = stated.columns.get(name) if stated.columns else _axis_of(name)
-        if axis is not None:
-            found.setdefault(axis, []).append(name)
-    twice = [names for names in found.values() if len(names) > 1]
-    if twice:
-        reader.ask("columns", f"columns {' and '.join(map(repr, twice[0]))} are one axis", twice[0])
-    return {axis: found[axis][0] for axis in AXES if axis in found}, None
-
-
-def _axis_of(name: str) -> Axis | None:
-    """Return the axis that a column's name states; None for one that holds anything else, as a rate or a sigma."""
-    words = words_of(name)
-    axes = [axis for axis, known in _AXIS_WORDS.items() if words & known]
-    if (
-        len(axes) != 1
-        or words - _AXIS_WORDS[axes[0]] - {word for unit in ANGLE_UNITS.values() for word in unit[1]} - _OTHER_WORDS
-    ):
-        return None
-    return axes[0]
-
-
-def _angles(
-    reader: _Reader, columns: Mapping[str, str], raw: FloatArray, in_cells: Mapping[str, str | None]
-) -> tuple[FloatArray, list[tuple[str, BoolArray]], str | None]:
-    """Return angles in deg, wrapped to half a turn, the faults of cells, and the unit to state."""
-    stated = reader.stated.unit
-    if stated is not None and stated not in ANGLE_UNITS:
-        raise ForeignTableError(f"unit {stated[:20]!r} is unknown; write {', '.join(ANGLE_UNITS)}")
-    named = [in_cells[name] or angle_unit(name, reader.table.units) for name in columns.values()]
-    if stated is not None and any(each not in (None, stated) for each in named):
-        if contradicted_angle_unit(raw, list(columns), named, EARTH_DISC_DEG) is None:
-            raise ForeignTableError(
-                f"the columns name {', '.join(sorted(set(filter(None, named))))}, unit {stated} is stated"
-            )
-        named = [stated] * len(named)
-    units = [each or stated for each in named]
-    unit = stated
-    if None in units:
-        reader.ask("unit", "unit of the angles; no column names it", tuple(ANGLE_UNITS), "deg")
-        units, unit = [each or "deg" for each in units], "deg"
-    elif stated is None and (odd := contradicted_angle_unit(raw, list(columns), units, EARTH_DISC_DEG)) is not None:
-        reader.ask("unit", odd[0], tuple(ANGLE_UNITS), odd[1])
-        units, unit = [odd[1]] * len(units), odd[1]
-    scale = np.array([ANGLE_UNITS[each or "deg"][0] for each in units])
-    reader.ask_codes(raw, list(columns.values()), float(_CODE_GAP_DEG / scale.max()), has_zero_rows=True)
-    angles = raw * scale
-    with np.errstate(invalid="ignore"):
-        angles = np.where((angles > 180.0) & (angles <= 360.0), angles - 360.0, angles)
-        angles = np.where((angles < -180.0) & (angles >= -360.0), angles + 360.0, angles)
-    return angles, [], unit
-
-
-def _quaternion_angles(
-    raw: FloatArray, stated: str | None, named: str | None
-) -> tuple[FloatArray, list[tuple[str, BoolArray]], str]:
-    """Return the angles of quaternions, the faults, and where their scalar stands, which the numbers prove."""
-    whole = np.isfinite(raw).all(axis=1)
-    if not whole.any():
-        raise ForeignTableError("no row holds the four parts of a quaternion")
-    proven = scalar_of(raw[whole])
-    if proven is None:
-        raise ForeignTableError(
-            "neither the first nor the last part of the quaternions stays near one: columns are exchanged, or they do"
-            " not turn the nadir frame to the body of a satellite that points to the Earth; inertial quaternions must"
-            " be turned into the orbital frame first"
-        )
-    if (stated or named or proven) != proven:
-        raise ForeignTableError(f"the scalar is {stated or named} by statement or name, the numbers show it {proven}")
-    is_wrong = np.zeros(len(raw), dtype=np.bool_)
-    is_wrong[whole] = wrong_length(raw[whole])
-    angles = np.full((len(raw), 3), np.nan)
-    right = whole & ~is_wrong
-    ordered = np.roll(raw[right], -1, axis=1) if proven == "first" else raw[right]
-    angles[right] = attitude_of_quaternion(ordered)
-    return angles, [("quaternion is not of unit length", is_wrong)], proven

@@ -20,8 +20,8 @@ from service.formats.foreign.columns import (
     PowersStatement,
     ReadingsStatement,
     interpret_powers,
-    interpret_readings,
 )
+from service.formats.foreign.readings import interpret_readings
 from service.formats.foreign.table import Container, ForeignTableError, read_table
 
 CARRIERS = {f"c{k:02d}": f"c{k:02d}" for k in range(3)}
