@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -57,11 +58,16 @@ def number_column(texts: Any, decimal: str, missing: Sequence[str]) -> tuple[Flo
     import pyarrow.compute as pc
 
     unit = None
+    is_number = pc.match_substring_regex(texts, pattern=_PATTERNS[decimal])
+    if pc.all(is_number).as_py() and not missing and decimal == "point":
+        with suppress(pa.ArrowInvalid):
+            values = texts.cast(pa.float64()).to_numpy(zero_copy_only=False).copy()
+            values[np.abs(values) >= _NO_NUMBER] = np.nan
+            return values, np.zeros(len(values), dtype=np.bool_), None
     low = pc.utf8_lower(texts)
     codes = pa.array([*CODES, *(each.strip().casefold() for each in missing)])
     # a limit is no reading: <-80
     is_code = pc.or_(pc.is_in(low, codes), pc.match_substring_regex(texts, pattern=r"^[<>≤≥]=?\s?[+-]?\d"))
-    is_number = pc.match_substring_regex(texts, pattern=_PATTERNS[decimal])
     if not pc.any(is_number).as_py():
         parts = pc.extract_regex(texts, pattern=_WITH_UNIT)
         found = pc.unique(pc.struct_field(parts, "u").drop_null()).to_pylist()
