@@ -157,6 +157,7 @@ def answers(writing: Writing) -> dict[str, Any]:
         "time_format": form if form != "%Y-%m-%dT%H:%M:%SZ" else "iso",
         "last_day": newest.strftime("%Y-%m-%d"),
         "missing": ["none"],
+        "encoding": writing.encoding,
         "decimal": "comma" if writing.is_comma else "point",
     }
 

@@ -40,6 +40,8 @@ _DATES = (
 )
 _DAY_FORMATS = tuple(each for group in _DATES for each in group)
 _CLOCK_FORMATS = ("%H:%M:%S", "%I:%M:%S %p", "%H:%M", "%I:%M %p", "%H.%M.%S", "%H-%M-%S", "%H%M%S")
+_PLAIN_NUMBER = re.compile(r"[+-]?\d*[.,]?\d+")
+_COMPACT_FORMATS = ("%Y%m%d", "%Y%j", "%H%M%S")
 _NAMED_DAYS = frozenset({"%Y%m%d", "%Y%j"})
 _FULL_FORMATS = (
     ISO,
@@ -243,6 +245,9 @@ def words_of(name: str) -> set[str]:
 def _fits(some: Any, formats: Sequence[str]) -> bool:
     """Return whether one format reads more than a quarter of some cells."""
     texts = some[:: max(1, len(some) // 20)].to_pylist()
+    if all(map(_PLAIN_NUMBER.fullmatch, texts)):
+        # no other format has a number without a second sign
+        formats = [each for each in formats if each in _COMPACT_FORMATS]
     return any(4 * _matching(texts, each) > len(texts) for each in formats) if texts else False
 
 

@@ -302,6 +302,12 @@ def interpret_powers(
     fields["carriers"] = matched
     left_out = [name for name in names if name not in matched and name != "source"]
     reader.notes += [f"no carrier of the plan: {', '.join(left_out[:12])}"] if left_out else []
+    odd = [name for name in left_out if not name.isascii()]
+    guess = next((note for note in table.notes if note.startswith("encoding ")), None)
+    if odd and guess is not None and stated.encoding is None:
+        # a name in the wrong letters would lose its carrier without a word
+        found = guess.removeprefix("encoding ")
+        reader.ask("encoding", f"in {found} {odd[0]!r} is no carrier", ("cp1251", "koi8-r", "cp866", "cp1252"), found)
     level_columns = list(matched) if carrier_column is None else [fields["level_column"]]
     rows = None
     if reader.epochs is not None and matched and None not in level_columns:

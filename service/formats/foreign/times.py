@@ -206,7 +206,7 @@ def read_epochs(texts: Any, clock: Clock, decimal: str) -> Epochs:
     if clock.time_format in COUNTS or clock.time_format == WEEK:
         epochs = _counted(texts, clock.time_format or "", decimal)
     else:
-        epochs = _calendar(texts, clock)
+        epochs = (_plain_iso(texts) if clock.time_format == ISO else None) or _calendar(texts, clock)
     scale = (clock.tz or "").upper()
     if scale in SCALES:
         epochs.us = np.where(epochs.is_local, utc_us(epochs.us, scale), epochs.us)
@@ -307,6 +307,23 @@ class _Fields:
         """Return the numbers that the first letters of a part stand for, -1 for unknown ones."""
         texts, rows = self.encoded(name) or ([], np.zeros(self.count, dtype=np.int64))
         return np.array([*(values.get(each.casefold()[:length], -1) for each in texts), -1], dtype=np.int64)[rows]
+
+
+def _plain_iso(texts: Any) -> Epochs | None:
+    """Return the epochs of texts that are all RFC 3339, or all without an offset; None: some are odd."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    # a date alone would be read as its midnight
+    if not len(texts) or pc.min(pc.utf8_length(texts)).as_py() < len("2026-11-20T00:00"):
+        return None
+    for zone in ("UTC", None):
+        try:
+            us = texts.cast(pa.timestamp("us", tz=zone)).cast(pa.int64()).to_numpy()
+        except pa.ArrowInvalid:
+            continue
+        return Epochs(us.copy(), np.zeros(len(us), dtype=np.bool_), [], np.full(len(us), zone is None))
+    return None
 
 
 def _calendar(texts: Any, clock: Clock) -> Epochs:
