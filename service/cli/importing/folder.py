@@ -347,7 +347,8 @@ def _table_entry(
 
     found = files.guarded(path, role, read)
     if found is None:
-        if path.name in files.statements or path.name in {each.file for section in own for each in section}:
+        is_stated = path.name in files.statements or path.name in {each.file for section in own for each in section}
+        if is_stated and not files.faulty:
             # left out, what a person stated would be lost with it
             raise ForeignTableError(f"{path.name}: {files.left_out[path.name]}")
         return None

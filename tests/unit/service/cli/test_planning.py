@@ -531,7 +531,7 @@ def test_gaps_repeated_rows_and_missing_carriers_are_said(options: list[str], tm
     document = json.loads(result.stdout)
     notes = "\n".join(document["notes"])
     for words in (
-        "columns that are no carrier of the plan: humidity, c77_dbm",
+        "no carrier of the plan: humidity, c77_dbm",
         "carriers of the plan without powers: c03, c05",
         "1 rows repeat an epoch",
         "1 gaps beyond half an hour, the longest of 4.2 h from",
