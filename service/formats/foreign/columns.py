@@ -450,7 +450,8 @@ def _levels(reader: TableReader, columns: Sequence[str]) -> tuple[FloatArray, li
         span = f"{np.nanmin(raw):g} to {np.nanmax(raw):g}" if np.isfinite(raw).any() else "nothing"
         who = contradicted[0] if contradicted else "no column name states the unit"
         plausible = [each for each in LEVEL_UNITS if _is_plausible(levels_dbm(raw, [each] * raw.shape[1]))]
-        default = contradicted[1] if contradicted else (plausible or ["dBm"])[0]
+        looks_like = contradicted or contradicted_level_unit(raw, ["dBm"] * raw.shape[1])
+        default = looks_like[1] if looks_like else (plausible or ["dBm"])[0]
         reader.ask("unit", f"{who}; levels span {span}", tuple(LEVEL_UNITS), default)
         unit = default
     elif unit is not None and contradicted is None and set(units) - {unit, None}:

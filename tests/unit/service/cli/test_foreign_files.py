@@ -291,6 +291,10 @@ ASKED: dict[str, tuple[str, dict[str, object]]] = {
         {"time_columns": "Begin"},
     ),
     "no unit": (table(names="Time,c00,c01,c02"), {"unit": "dBm"}),
+    "milliwatts of which nobody says": (
+        table(names="Time,c00,c01,c02", cell=lambda row, k: f"{10 ** (level(row, k) / 10):.4e}"),
+        {"unit": "mW"},
+    ),
     "milliwatts called dBm": (table(cell=lambda row, k: f"{10 ** (level(row, k) / 10):.4e}"), {"unit": "mW"}),
     "two columns of one carrier": (
         table(names="Time,c00 (dBm),C00 (dBm),c02 (dBm)"),
