@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from service.core.estimation.design import (
     AXIS_WEIGHTS,
-    MAX_TRANSPONDER_SHARE,
     choose_carriers,
+    most_share,
 )
 from service.core.estimation.observability import crlb_deg, judge_set
 from service.pipeline.inputs.known_motion import CommandedMotion, consume, heard
@@ -184,6 +184,11 @@ def cost(sensitivity, sigma, chosen):
     return float(np.sum(np.square(AXIS_WEIGHTS * bound)))
 
 
+def allowed(count):
+    """Carriers of one transponder: 35 of a hundred, or what three transponders can do."""
+    return max(1, (35 * count) // 100, -(-count // 3))
+
+
 @settings(max_examples=examples(150), deadline=None)
 @given(payloads())
 def test_constraints_hold_wherever_the_plan_allows(payload):
@@ -193,7 +198,7 @@ def test_constraints_hold_wherever_the_plan_allows(payload):
     assert free[design.chosen].all()
     assert len(set(design.chosen.tolist())) == len(design.chosen) == min(count, free.sum())
     assert design.redundancy == len(design.chosen) - 5
-    limit = max(1, math.floor(MAX_TRANSPONDER_SHARE * len(design.chosen)))
+    limit = allowed(len(design.chosen))
     held, there = np.bincount(transponder[design.chosen], minlength=6), np.bincount(transponder[free], minlength=6)
     if np.minimum(there, limit).sum() >= len(design.chosen):
         assert held.max(initial=0) <= limit
@@ -210,9 +215,7 @@ def test_no_allowed_exchange_lowers_the_bound(payload):
     design = choose_carriers(sensitivity, sigma, transponder, count, eligible=eligible)
     if not math.isfinite(design.cost_deg2) or len(design.chosen) < 6:
         return
-    limit = max(
-        max(1, math.floor(MAX_TRANSPONDER_SHARE * len(design.chosen))), np.bincount(transponder[design.chosen]).max()
-    )
+    limit = max(allowed(len(design.chosen)), np.bincount(transponder[design.chosen]).max())
     outside = np.setdiff1d(np.flatnonzero(eligible & np.isfinite(sensitivity).all(axis=1)), design.chosen)
     for leaving in design.chosen:
         for coming in outside:
@@ -241,7 +244,7 @@ def test_levels_of_their_own_never_help(payload):
     free = choose_carriers(sensitivity, sigma, transponder, count, eligible=eligible)
     held = choose_carriers(sensitivity, sigma, transponder, count, eligible=eligible, level=transponder)
     assert len(held.chosen) == len(free.chosen)
-    assert held.transponder_share <= max(MAX_TRANSPONDER_SHARE, free.transponder_share)
+    assert held.transponder_share <= max(most_share(len(held.chosen)), free.transponder_share)
     tied = judge_set(sensitivity[held.chosen], sigma[held.chosen], transponder[held.chosen])
     loose = judge_set(sensitivity[held.chosen], sigma[held.chosen])
     assert tied.redundancy <= loose.redundancy

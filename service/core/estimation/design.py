@@ -29,7 +29,7 @@ _UNKNOWNS = 4
 MIN_REDUNDANCY = 6
 #: Fewest carriers of a choice that counts as sufficient.
 MIN_CARRIERS = 12
-#: Largest share of the chosen carriers in one transponder.
+#: Share of the chosen carriers in one transponder, wherever three can keep to it.
 MAX_TRANSPONDER_SHARE = 0.35
 #: 1/deg^2 and 1/dB^2, prior of an angle and of a level that lets the first few carriers be compared.
 _ANGLE_PRIOR, _LEVEL_PRIOR = 1e-2, 1e-4
@@ -139,11 +139,22 @@ def largest_share(transponder: IntArray) -> float:
     return float(np.unique_counts(transponder).counts.max() / len(transponder))
 
 
+def most_share(count: int) -> float:
+    """Return the share of so many carriers that one transponder may hold; three share 13 as 5, 4, 4 at best.
+
+    Examples
+    --------
+    >>> most_share(12), round(most_share(13), 3)
+    (0.35, 0.385)
+    """
+    return max(MAX_TRANSPONDER_SHARE, math.ceil(count / 3) / max(count, 1))
+
+
 def _transponder_limit(transponder: IntArray, count: int) -> int:
     """Return how many carriers one transponder may hold: its share, or as little more as the plan forces."""
     held = np.unique_counts(transponder).counts
     wanted = min(count, len(transponder))
-    limit = max(1, math.floor(MAX_TRANSPONDER_SHARE * wanted))
+    limit = max(1, math.floor(most_share(wanted) * wanted + 1e-9))
     while int(np.minimum(held, limit).sum()) < wanted:
         limit += 1
     return limit

@@ -18,11 +18,11 @@ from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.calibration_turns import recommended_turns
 from service.core.estimation.design import (
     AXIS_WEIGHTS,
-    MAX_TRANSPONDER_SHARE,
     MIN_CARRIERS,
     MIN_REDUNDANCY,
     choose_carriers,
     largest_share,
+    most_share,
 )
 from service.core.estimation.observability import SetStatistics, averaged_crlb_deg, crlb_deg, judge_set
 from service.core.estimation.paper.selection import AxisSelection, SelectionReason, axis_dominance, select_by_axis
@@ -155,8 +155,7 @@ def _shortcomings(figures: SetStatistics, transponders: list[str], share: float)
     """Return the requirements that a set misses, with its figures and the required ones."""
     count = len(transponders)
     fullest = max(sorted(set(transponders)), key=transponders.count, default="")
-    # three transponders cannot share 13 carriers more evenly
-    most = max(MAX_TRANSPONDER_SHARE, math.ceil(count / 3) / max(count, 1))
+    most = most_share(count)
     texts = (
         (
             bool(np.isfinite(figures.crlb_deg).all()),
