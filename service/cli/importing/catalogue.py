@@ -291,7 +291,7 @@ def known_document(client: "ServiceClient", path: str, missing_code: str) -> dic
 Differences = dict[str, tuple[Any, Any]]
 
 
-class Catalogue(NamedTuple):
+class OwnCatalogue(NamedTuple):
     """Spacecraft, carriers and orbit of an operator's files; None: there is none."""
 
     spacecraft_id: str
@@ -300,7 +300,7 @@ class Catalogue(NamedTuple):
     orbit: tuple[OrbitFile, Ephemeris] | None
 
 
-class Comparison(NamedTuple):
+class CatalogueComparison(NamedTuple):
     """Members of the spacecraft, creations by their names, and differences to the service by their fields."""
 
     members: dict[str, Any]
@@ -308,7 +308,7 @@ class Comparison(NamedTuple):
     differences: Differences
 
 
-def compared(client: "ServiceClient", own: Catalogue) -> Comparison:
+def compared(client: "ServiceClient", own: OwnCatalogue) -> CatalogueComparison:
     """Return how a catalogue and the service compare; ForeignTableError where there is no such spacecraft."""
     path = f"/spacecraft/{own.spacecraft_id}"
     known = known_document(client, path, "spacecraft.unknown")
@@ -336,7 +336,7 @@ def compared(client: "ServiceClient", own: Catalogue) -> Comparison:
             creations["ephemeris"] = lambda: client.put_ephemeris(own.spacecraft_id, orbit.body)
         else:
             differences |= _orbit_differences(ephemeris, there)
-    return Comparison(known or stated, creations, differences)
+    return CatalogueComparison(known or stated, creations, differences)
 
 
 def spacecraft_differences(document: "SpacecraftDocument", known: Mapping[str, Any]) -> Differences:

@@ -55,7 +55,7 @@ _BIN_US = 60_000_000
 _HEAD = 1 << 16
 
 
-class Role(StrEnum):
+class FileRole(StrEnum):
     """Role of a file."""
 
     SPACECRAFT = "spacecraft"
@@ -67,17 +67,17 @@ class Role(StrEnum):
 
 #: members of a JSON object that only one role has
 _MEMBERS = {
-    "inertia_kg_m2": Role.SPACECRAFT,
-    "receiving_site": Role.SPACECRAFT,
-    "carriers": Role.CARRIERS,
-    "downlink_hz": Role.CARRIERS,
-    "references": Role.REFERENCES,
-    "tle": Role.EPHEMERIS,
-    "oem": Role.EPHEMERIS,
-    "ascending_nodes": Role.EPHEMERIS,
-    "MEAN_MOTION": Role.EPHEMERIS,
+    "inertia_kg_m2": FileRole.SPACECRAFT,
+    "receiving_site": FileRole.SPACECRAFT,
+    "carriers": FileRole.CARRIERS,
+    "downlink_hz": FileRole.CARRIERS,
+    "references": FileRole.REFERENCES,
+    "tle": FileRole.EPHEMERIS,
+    "oem": FileRole.EPHEMERIS,
+    "ascending_nodes": FileRole.EPHEMERIS,
+    "MEAN_MOTION": FileRole.EPHEMERIS,
 }
-_MESSAGES = {"oem": Role.EPHEMERIS, "omm": Role.EPHEMERIS, "aem": Role.REFERENCES, "tdm": Role.POWERS}
+_MESSAGES = {"oem": FileRole.EPHEMERIS, "omm": FileRole.EPHEMERIS, "aem": FileRole.REFERENCES, "tdm": FileRole.POWERS}
 Statements = Mapping[str, Mapping[str, Any]]
 T = TypeVar("T")
 W = TypeVar("W", bound=TableStatement)
@@ -94,10 +94,10 @@ class ImportFiles:
     now_us: int
     left_out: dict[str, str] = field(default_factory=dict)
     #: of the left out, those that were recognized and are at fault, by role
-    faulty: dict[str, Role] = field(default_factory=dict)
+    faulty: dict[str, FileRole] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
-    def guarded(self, path: Path, role: Role | None, call: Callable[[], T]) -> T | None:
+    def guarded(self, path: Path, role: FileRole | None, call: Callable[[], T]) -> T | None:
         """Return what a call gives, or leave its file out with the reason, whatever was raised."""
         try:
             return call()
@@ -138,17 +138,17 @@ def propose(files: ImportFiles) -> FolderProposal:
     """Return the manifest of files; what was stated before is kept."""
     roles = {path: files.guarded(path, None, lambda path=path: _role_of(path)) for path in files.paths}  # type: ignore[misc]
     spacecraft_name, spacecraft = _first(
-        files, _named(roles, Role.SPACECRAFT), files.stated.spacecraft.file, Role.SPACECRAFT
+        files, _named(roles, FileRole.SPACECRAFT), files.stated.spacecraft.file, FileRole.SPACECRAFT
     )
-    plan_name, plan = _first(files, _named(roles, Role.CARRIERS), files.stated.carriers, Role.CARRIERS)
+    plan_name, plan = _first(files, _named(roles, FileRole.CARRIERS), files.stated.carriers, FileRole.CARRIERS)
     longitude_deg = None if spacecraft is None else float(spacecraft.longitude_deg)
     if plan is not None and longitude_deg is not None:
         path = files.folder / plain_value(plan_name)
-        files.guarded(path, Role.CARRIERS, lambda: check_plan(plan, longitude_deg, files.warnings.append))
+        files.guarded(path, FileRole.CARRIERS, lambda: check_plan(plan, longitude_deg, files.warnings.append))
     carriers = {} if plan is None else carrier_names([each.model_dump() for each in plan.carriers])
     is_simulated = bool(spacecraft is not None and spacecraft.simulated)
     tables = [path for path, role in roles.items() if role is None and path.name not in files.left_out]
-    entries: dict[Role, list[dict[str, Any]]] = {Role.POWERS: [], Role.REFERENCES: []}
+    entries: dict[FileRole, list[dict[str, Any]]] = {FileRole.POWERS: [], FileRole.REFERENCES: []}
     notes: dict[str, tuple[str, ...]] = {}
     readings: list[TableRows] = []
     tables += [path for path, role in roles.items() if role in entries]
@@ -158,15 +158,15 @@ def propose(files: ImportFiles) -> FolderProposal:
             role, entry, interpretation = made
             entries[role].append(entry)
             notes[path.name] = interpretation.notes
-            readings += [interpretation.rows] if role is Role.REFERENCES and interpretation.rows is not None else []
+            readings += [interpretation.rows] if role is FileRole.REFERENCES and interpretation.rows is not None else []
     unknown = set(files.statements) - {path.name for path in files.paths} - {""}
     if unknown:
         raise ForeignTableError(f"--state: no file {', '.join(sorted(unknown))} is imported")
-    orbits = _orbits(files, _named(roles, Role.EPHEMERIS), spacecraft)
+    orbits = _orbits(files, _named(roles, FileRole.EPHEMERIS), spacecraft)
     orbit_name = _chosen(list(orbits), files.stated.ephemeris)
     own: dict[str, Any] = {"file": spacecraft_name} if spacecraft_name else {"id": files.stated.spacecraft.id}
     own = own if any(own.values()) else {"id": Guess(None, "no file of a spacecraft")}
-    windows, shortcomings = _windows(readings, entries[Role.REFERENCES], files.stated)
+    windows, shortcomings = _windows(readings, entries[FileRole.REFERENCES], files.stated)
     odd = [] if longitude_deg is None else unlikely(spacecraft, plan, longitude_deg)
     sections = {
         "spacecraft": own,
@@ -174,15 +174,15 @@ def propose(files: ImportFiles) -> FolderProposal:
         "ephemeris": orbit_name,
         "inclined": _inclined(files, orbits, orbit_name),
         "confirmed": "true" if files.stated.confirmed else (Guess(None, "; ".join(odd)) if odd else None),
-        "powers": entries[Role.POWERS],
-        "references": entries[Role.REFERENCES],
+        "powers": entries[FileRole.POWERS],
+        "references": entries[FileRole.REFERENCES],
         "windows": windows,
         "left_out": files.left_out,
     }
     return FolderProposal({name: value for name, value in sections.items() if value}, shortcomings, notes)
 
 
-def _role_of(path: Path) -> Role | None:
+def _role_of(path: Path) -> FileRole | None:
     """Return the role that a file's beginning proves; None: a table."""
     with path.open("rb") as opened:
         head = opened.read(_HEAD)
@@ -199,7 +199,7 @@ def _role_of(path: Path) -> Role | None:
         return _MESSAGES[kind or _kind_of_xml(start)]
     if start.startswith(("{", "[")):
         return _of_json(path)
-    return Role.EPHEMERIS if _ELEMENTS.search(text.replace("\r", "\n")) else _of_first_line(text)
+    return FileRole.EPHEMERIS if _ELEMENTS.search(text.replace("\r", "\n")) else _of_first_line(text)
 
 
 def _kind_of_xml(text: str) -> str:
@@ -210,17 +210,17 @@ def _kind_of_xml(text: str) -> str:
     return kinds[0]
 
 
-def _of_first_line(text: str) -> Role | None:
+def _of_first_line(text: str) -> FileRole | None:
     """Return the role that the columns of a catalogue's file state, None for other tables."""
     names = {name.strip().strip('"') for name in re.split("[,;\t]", text.lstrip().partition("\n")[0])}
     if names == {"field", "value"}:
-        return Role.SPACECRAFT
+        return FileRole.SPACECRAFT
     if {"id", "downlink_hz"} <= names:
-        return Role.CARRIERS
-    return Role.EPHEMERIS if "MEAN_MOTION" in names else None
+        return FileRole.CARRIERS
+    return FileRole.EPHEMERIS if "MEAN_MOTION" in names else None
 
 
-def _of_json(path: Path) -> Role:
+def _of_json(path: Path) -> FileRole:
     """Return the role of a JSON document."""
     try:
         document = json.loads(file_text(path))
@@ -233,7 +233,7 @@ def _of_json(path: Path) -> Role:
     return role
 
 
-def _named(roles: Mapping[Path, Role | None], role: Role) -> list[Path]:
+def _named(roles: Mapping[Path, FileRole | None], role: FileRole) -> list[Path]:
     """Return the files of a role."""
     return [path for path, found in roles.items() if found is role]
 
@@ -245,10 +245,10 @@ def _chosen(names: list[str], stated: str | None) -> Any:
     return names[0] if len(names) == 1 else Guess(names[0], f"one of {', '.join(names)}")
 
 
-def _first(files: ImportFiles, paths: list[Path], stated: str | None, role: Role) -> tuple[Any, Any]:
+def _first(files: ImportFiles, paths: list[Path], stated: str | None, role: FileRole) -> tuple[Any, Any]:
     """Return the file of a role and its document; those at fault are left out."""
     read: Callable[[Path], Any] = (
-        read_plan if role is Role.CARRIERS else lambda path: read_spacecraft(path, files.warnings.append)
+        read_plan if role is FileRole.CARRIERS else lambda path: read_spacecraft(path, files.warnings.append)
     )
     documents = {path.name: files.guarded(path, role, lambda path=path: read(path)) for path in paths}  # type: ignore[misc]
     names = [name for name, document in documents.items() if document is not None]
@@ -260,7 +260,7 @@ def _orbits(files: ImportFiles, paths: list[Path], spacecraft: Any) -> dict[str,
     """Return the orbits of this spacecraft by file; those of others are left out."""
     own = {}
     for path in paths:
-        found = files.guarded(path, Role.EPHEMERIS, lambda path=path: read_orbit(path))  # type: ignore[misc]
+        found = files.guarded(path, FileRole.EPHEMERIS, lambda path=path: read_orbit(path))  # type: ignore[misc]
         if found is None:
             continue
         orbit, ephemeris = found
@@ -325,8 +325,8 @@ def _readings_of_json(path: Path, source: str) -> tuple[np.ndarray, np.ndarray, 
 
 
 def _table_entry(
-    files: ImportFiles, path: Path, role: Role | None, carriers: Mapping[str, str], *, is_simulated: bool
-) -> tuple[Role, dict[str, Any], Interpretation] | None:
+    files: ImportFiles, path: Path, role: FileRole | None, carriers: Mapping[str, str], *, is_simulated: bool
+) -> tuple[FileRole, dict[str, Any], Interpretation] | None:
     """Return role, entry and reading of a table or message; None: it is left out."""
     own = files.stated.powers, files.stated.references
 
@@ -335,10 +335,10 @@ def _table_entry(
         former = {"file": path.name} if given is None else given.model_dump(exclude_unset=True)
         return validated(Path(path.name), kind, former | dict(files.statements.get(path.name, {})))
 
-    def read() -> tuple[Role, TableStatement, Interpretation]:
+    def read() -> tuple[FileRole, TableStatement, Interpretation]:
         container = _container_of(files, path)
         kind = role or _table_role(table_of(path, container), carriers, files.stated, path.name)
-        if kind is Role.REFERENCES:
+        if kind is FileRole.REFERENCES:
             readings = stated(ReadingsStatement, own[1])
             return kind, readings, read_readings(path, readings, files.now_us, is_simulated=is_simulated)
         powers = stated(PowersStatement, own[0])
@@ -369,21 +369,21 @@ def _container_of(files: ImportFiles, path: Path) -> Container:
     return validated(Path(path.name), TableStatement, {"file": path.name, **fields}).container
 
 
-def _table_role(table: Table, carriers: Mapping[str, str], stated: FolderManifest, name: str) -> Role:
+def _table_role(table: Table, carriers: Mapping[str, str], stated: FolderManifest, name: str) -> FileRole:
     """Return whether a table holds powers or readings."""
     if any(each.file == name for each in stated.powers):
-        return Role.POWERS
+        return FileRole.POWERS
     if any(each.file == name for each in stated.references) or holds_angles(table):
-        return Role.REFERENCES
+        return FileRole.REFERENCES
     known = {each.casefold() for each in carriers}
     if any(without_unit(each).casefold() in known for each in table.header):
-        return Role.POWERS
+        return FileRole.POWERS
     for column in table.columns:
         if {str(each).casefold() for each in column.unique().to_pylist()[:2000]} & known:
-            return Role.POWERS
+            return FileRole.POWERS
     numbers = sum(table_is_numeric(table, each) for each in table.header)
     if carriers and 0 <= numbers - len(set(carriers.values())) <= 1:
-        return Role.POWERS
+        return FileRole.POWERS
     raise ForeignTableError("no column is a carrier or an angle")
 
 
@@ -396,9 +396,9 @@ def table_is_numeric(table: Table, name: str) -> bool:
     return bool(2 * numbers > len(column))
 
 
-def _source_guess(path: Path, role: Role, interpretation: Interpretation) -> Any:
+def _source_guess(path: Path, role: FileRole, interpretation: Interpretation) -> Any:
     """Return the source of a file: that of its own rows, of its name, or a guess."""
-    if role is Role.POWERS:
+    if role is FileRole.POWERS:
         return interpretation.found.get("from_source") or "sa-1"
     hinted = next((sensor for word, sensor in _SENSORS.items() if word in path.name.lower()), None)
     return hinted or Guess("star_tracker", f"its name names no sensor: {', '.join(SENSOR_NAMES)}")

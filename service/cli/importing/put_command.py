@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from service.formats.foreign.columns import Interpretation, TableRows, TableStatement
 
 
-class Kind(StrEnum):
+class FileKind(StrEnum):
     """Kind of a file."""
 
     SPACECRAFT = "spacecraft"
@@ -45,17 +45,17 @@ class Kind(StrEnum):
 
 def _spacecraft_of(ctx: typer.Context, given: str) -> str:
     """Return the spacecraft that is meant; the file of one names it itself."""
-    return "" if ctx.params.get("kind") is Kind.SPACECRAFT else chosen_spacecraft(ctx, given)
+    return "" if ctx.params.get("kind") is FileKind.SPACECRAFT else chosen_spacecraft(ctx, given)
 
 
 #: fields of a statement that an option states as a list, by the option's name
 _PAIRS = {"map": "NAME=CARRIER or NAME=AXIS", "sigma_deg": "AXIS=DEG"}
-_CATALOGUE = (Kind.SPACECRAFT, Kind.CARRIERS, Kind.EPHEMERIS)
+_CATALOGUE = (FileKind.SPACECRAFT, FileKind.CARRIERS, FileKind.EPHEMERIS)
 _TABLE_HELP = "Tables only: "
 
 
 def put(
-    kind: Annotated[Kind, typer.Argument(help="What the file holds.")],
+    kind: Annotated[FileKind, typer.Argument(help="What the file holds.")],
     file: Annotated[Path, typer.Argument(help="The file.", dir_okay=False, exists=True)],
     *,
     spacecraft: Annotated[
@@ -127,7 +127,7 @@ def put(
     flags = {"relocating": relocating, "inclined": inclined, "confirmed": confirmed, "change": change}
     sending = {"batch_rows": batch_rows, "patience": patience, "state": state, "refuse_unknown": refuse_unknown}
     options = _Options(file, spacecraft, source, stated, flags, sending, is_dry=dry_run, as_json=as_json)
-    with connected(service, key_env, retries=0 if kind is Kind.POWERS else 3, timeout_s=60.0) as client:
+    with connected(service, key_env, retries=0 if kind is FileKind.POWERS else 3, timeout_s=60.0) as client:
         try:
             _PUTTERS[kind](client, options)
         except ForeignTableError as error:
@@ -137,7 +137,7 @@ def put(
 
 
 class _Options:
-    """What a person stated."""
+    """Statements of a person."""
 
     def __init__(
         self,
@@ -379,11 +379,11 @@ def _report_powers(options: _Options, interpretation: "Interpretation", rows: "T
 
 
 _PUTTERS = {
-    Kind.SPACECRAFT: _put_spacecraft,
-    Kind.CARRIERS: _put_carriers,
-    Kind.EPHEMERIS: _put_ephemeris,
-    Kind.REFERENCES: _put_references,
-    Kind.POWERS: _put_powers,
+    FileKind.SPACECRAFT: _put_spacecraft,
+    FileKind.CARRIERS: _put_carriers,
+    FileKind.EPHEMERIS: _put_ephemeris,
+    FileKind.REFERENCES: _put_references,
+    FileKind.POWERS: _put_powers,
 }
 
 

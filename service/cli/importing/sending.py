@@ -52,7 +52,7 @@ class SendCounters:
 
 @dataclass(frozen=True, slots=True)
 class SendOrder:
-    """Where the rows of a file go, and how."""
+    """Order to send the rows of a file."""
 
     path: Path
     spacecraft_id: str

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from service.cli.importing.catalogue import (
-    Catalogue,
+    OwnCatalogue,
     carrier_names,
     check_orbit,
     check_plan,
@@ -49,7 +49,7 @@ def require_files(manifest: FolderManifest, folder: Path) -> None:
         raise ForeignTableError(f"{folder} has no {', '.join(missing)}, which the manifest names")
 
 
-def read_catalogue(folder: Path, manifest: FolderManifest) -> Catalogue:
+def read_catalogue(folder: Path, manifest: FolderManifest) -> OwnCatalogue:
     """Return the catalogue of a manifest; a file at fault is named."""
     warnings: list[str] = []
     spacecraft_file = manifest.spacecraft.file
@@ -71,7 +71,7 @@ def read_catalogue(folder: Path, manifest: FolderManifest) -> Catalogue:
     odd = [] if spacecraft is None or manifest.confirmed else unlikely(spacecraft, plan, spacecraft.longitude_deg)
     if odd:
         raise ForeignTableError("\n  ".join(("this must be confirmed (confirmed: true in the manifest):", *odd)))
-    return Catalogue(spacecraft_id, spacecraft, plan, orbit)
+    return OwnCatalogue(spacecraft_id, spacecraft, plan, orbit)
 
 
 @contextmanager
@@ -84,7 +84,7 @@ def _of_file(folder: Path, name: str | None) -> Iterator[None]:
 
 
 def read_tables(
-    client: "ServiceClient", folder: Path, manifest: FolderManifest, own: Catalogue, *, is_simulated: bool
+    client: "ServiceClient", folder: Path, manifest: FolderManifest, own: OwnCatalogue, *, is_simulated: bool
 ) -> dict[str, TableRows]:
     """Return the rows of all tables of a manifest by file, each read to its end."""
     now_us = system_now_us()

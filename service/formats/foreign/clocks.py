@@ -18,8 +18,8 @@ from service.formats.foreign.times import (
     ISO,
     SCALES,
     WEEK,
-    Clock,
     Epochs,
+    TableClock,
     is_clock_only,
     read_epochs,
     regex_of,
@@ -70,14 +70,14 @@ _SCALED = {"gps_s": "GPS", WEEK: "GPS"}
 _PROVING_STEP_US, _CONTRADICTING_STEP_US = 6 * 3600 * US_PER_S, 20 * DAY_US
 
 
-def find_clock(table: Table, stated: Clock, decimal: str) -> tuple[Clock, list[Question], Epochs | None]:
+def find_clock(table: Table, stated: TableClock, decimal: str) -> tuple[TableClock, list[Question], Epochs | None]:
     """Return the clock of a table, what it leaves open, and the epochs that it gives.
 
     Parameters
     ----------
     table : Table
         The whole table.
-    stated : Clock
+    stated : TableClock
         What a person stated; it is checked and never replaced.
     decimal : str
         Decimal sign of numbers.
@@ -106,7 +106,7 @@ def find_clock(table: Table, stated: Clock, decimal: str) -> tuple[Clock, list[Q
     return found, questions, read_epochs(texts, found, decimal)
 
 
-def _with_columns(table: Table, found: Clock, questions: list[Question]) -> Clock:
+def _with_columns(table: Table, found: TableClock, questions: list[Question]) -> TableClock:
     """Return the clock with its columns; several are a question with the first as its guess."""
     if found.columns:
         return found
@@ -118,7 +118,7 @@ def _with_columns(table: Table, found: Clock, questions: list[Question]) -> Cloc
     return replace(found, columns=candidates[0]) if candidates else found
 
 
-def _with_format(table: Table, found: Clock, questions: list[Question]) -> Clock:
+def _with_format(table: Table, found: TableClock, questions: list[Question]) -> TableClock:
     """Return the clock with the format of its epochs; several are a question with the first as its guess."""
     if not found.columns:
         return replace(found, time_format=None)
@@ -136,7 +136,7 @@ def _with_format(table: Table, found: Clock, questions: list[Question]) -> Clock
     return found
 
 
-def _with_date_and_zone(found: Clock, epochs: Epochs, texts: Any, questions: list[Question]) -> Clock:
+def _with_date_and_zone(found: TableClock, epochs: Epochs, texts: Any, questions: list[Question]) -> TableClock:
     """Return the clock with date and zone; what is not proven joins the questions with a guess."""
     first = texts[0].as_py()
     named, reason = zone_in_names(found.columns)
@@ -330,7 +330,8 @@ def _formats_of(texts: Any, table: Table, columns: Sequence[str]) -> list[str]:
         if counted:
             return counted
     read = {
-        each: ~read_epochs(texts, Clock(tuple(columns), each, "UTC", "2026-01-01"), "point").is_bad for each in tried
+        each: ~read_epochs(texts, TableClock(tuple(columns), each, "UTC", "2026-01-01"), "point").is_bad
+        for each in tried
     }
     most = max((int(rows.sum()) for rows in read.values()), default=0)
     best = [each for each, rows in read.items() if int(rows.sum()) == most and most > 0]
@@ -343,7 +344,7 @@ def _proven_by_days(texts: Any, formats: list[str]) -> list[str]:
     """Return the only format under which the days follow one another, or all where the table does not show it."""
     smooth, broken = [], []
     for each in formats:
-        epochs = read_epochs(texts, Clock((), each, "UTC"), "point")
+        epochs = read_epochs(texts, TableClock((), each, "UTC"), "point")
         us = epochs.us[~epochs.is_bad]
         steps = np.abs(np.diff(us))
         crosses = len(us) > 1 and us[0] // DAY_US != us[-1] // DAY_US

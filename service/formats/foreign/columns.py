@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from service.formats.foreign.clocks import find_clock
 from service.formats.foreign.table import Container, ForeignTableError, Question, Table
-from service.formats.foreign.times import Clock, Epochs, age_question, in_words
+from service.formats.foreign.times import Epochs, TableClock, age_question, in_words
 from service.formats.foreign.units import (
     LEVEL_UNITS,
     contradicted_level_unit,
@@ -44,7 +44,7 @@ _APART_US = 400 * DAY_US
 
 
 class TableStatement(BaseModel):
-    """What a person stated of a table; empty = not stated."""
+    """Statement of a person about a table; empty = not stated."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -130,7 +130,7 @@ class TableRows:
 
 
 class Interpretation(NamedTuple):
-    """How a table is read: fields of its entry, guesses among them, and the rows under these."""
+    """Reading of a table: fields of its entry, guesses among them, and the rows under these."""
 
     found: dict[str, Any]
     questions: tuple[Question, ...]
@@ -149,12 +149,12 @@ def grouped(faults: Sequence[tuple[int, str]]) -> list[str]:
 
 
 class TableReader:
-    """What powers and readings have in common: clock, decimal sign, numbers, questions and the judgement of rows."""
+    """Reader of powers and of readings: clock, decimal sign, numbers, questions and the judgement of rows."""
 
     def __init__(self, table: Table, stated: TableStatement) -> None:
         self.table, self.stated = table, stated
         self.decimal = stated.decimal or decimal_of(table)
-        clock = Clock(stated.time_columns, stated.time_format, stated.tz, stated.date)
+        clock = TableClock(stated.time_columns, stated.time_format, stated.tz, stated.date)
         self.clock, self.questions, epochs = find_clock(table, clock, self.decimal)
         self.rest = [name for name in table.header if name not in self.clock.columns]
         self.epochs: Epochs | None = epochs

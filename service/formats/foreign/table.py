@@ -92,7 +92,7 @@ class Question(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """What a person stated of the container; None = not stated."""
+    """Statement of a person about the container; None = not stated."""
 
     sheet: str | None = None
     encoding: str | None = None

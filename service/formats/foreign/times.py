@@ -70,7 +70,7 @@ _OLD_US = 7 * DAY_US
 
 
 @dataclass(slots=True)
-class Clock:
+class TableClock:
     """Columns, format, zone or scale, and first date of the epochs of a table."""
 
     columns: tuple[str, ...] = ()
@@ -201,7 +201,7 @@ def is_clock_only(time_format: str) -> bool:
     return "%" in time_format and not any(token in time_format for token in ("%d", "%j"))
 
 
-def read_epochs(texts: Any, clock: Clock, decimal: str) -> Epochs:
+def read_epochs(texts: Any, clock: TableClock, decimal: str) -> Epochs:
     """Return the epochs of texts under a clock; rows without one are bad, with their reason."""
     if clock.time_format in COUNTS or clock.time_format == WEEK:
         epochs = _counted(texts, clock.time_format or "", decimal)
@@ -326,7 +326,7 @@ def _plain_iso(texts: Any) -> Epochs | None:
     return None
 
 
-def _calendar(texts: Any, clock: Clock) -> Epochs:
+def _calendar(texts: Any, clock: TableClock) -> Epochs:
     """Return the epochs of calendar texts as UTC where they state an offset, as they stand where they state none."""
     time_format = clock.time_format or ISO
     fields = _Fields(texts, time_format)

@@ -122,8 +122,8 @@ class Condition(Enum):
     )
     RESPONSE_MISSED = (
         Consequence.TRIP,
-        "a command did nothing or the reverse by the powers: ratio above {missed_log_ratio:g}, with roll or pitch "
-        "beyond {recovery_deg:g} deg above {missed_beyond_log_ratio:g}",
+        "a command did nothing or the reverse by the powers: ratio above {missed_log_ratio:g}, beyond "
+        "{recovery_deg:g} deg {missed_beyond_log_ratio:g}",
     )
     ENVELOPE = (Consequence.TRIP, "the control law asked for more than the envelope")
     CONFIGURATION = (Consequence.TRIP, "calibration, carrier plan or spacecraft changed since control was armed")

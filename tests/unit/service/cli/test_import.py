@@ -312,7 +312,7 @@ def test_a_calibration_with_a_warning_stays_a_draft_until_it_is_accepted(service
 
 
 def test_a_second_calibration_with_the_same_figures_leaves_one_draft(service: Service, folder: Path) -> None:
-    propose(folder, *STATED, DAY_FIRST)
+    propose(folder, *STATED, DAY_FIRST, LAST_DAY)
     with_windows(folder)
     for _ in range(2):
         assert "calibration 1 is draft" in run(folder, "--calibrate").output

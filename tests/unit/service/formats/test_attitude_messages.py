@@ -8,10 +8,10 @@ import pytest
 from foreign_orbits import attitude_message, quaternion
 from hypothesis import given
 from hypothesis import strategies as st
-from service.formats.foreign.layout import ForeignTableError
 
 from service.core.geometry.frames import body_from_nadir
 from service.formats.foreign.messages import read_attitude_message
+from service.formats.foreign.table import ForeignTableError
 
 FIRST = datetime(2026, 3, 21, tzinfo=UTC)
 

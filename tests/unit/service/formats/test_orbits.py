@@ -10,7 +10,6 @@ import pytest
 from foreign_orbits import elements, omm_kvn, omm_xml, tle
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from service.formats.foreign.layout import ForeignTableError
 
 from service.errors import InvalidInputError
 from service.formats.ephemeris import (
@@ -25,6 +24,7 @@ from service.formats.ephemeris import (
     timescale,
 )
 from service.formats.foreign.messages import read_orbit_file
+from service.formats.foreign.table import ForeignTableError
 from service.records.catalogue import Track
 from service.records.epoch import format_epoch
 
