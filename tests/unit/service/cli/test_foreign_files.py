@@ -285,6 +285,10 @@ ASKED: dict[str, tuple[str, dict[str, object]]] = {
         table(time=lambda r: f"{40_587 + (START_S + 60 * r) / 86_400:.8f}", names="MJD,c00 (dBm),c01 (dBm),c02 (dBm)"),
         {"tz": "UTC"},
     ),
+    "serial numbers of a workbook": (
+        table(time=lambda r: f"{25_569 + (START_S + 60 * r) / 86_400:.8f}"),
+        {"tz": "UTC"},
+    ),
     "time of day only": (table(time=lambda r: epoch(r, "%H:%M:%S")), {"date": None}),
     "two clocks": (
         table(time=lambda r: f"{epoch(r)},{epoch(r + 1)}", names="Begin,End,c00 (dBm),c01 (dBm),c02 (dBm)"),
