@@ -37,7 +37,7 @@ class CalibratedWorld:
     """One world, its calibration, and what the calibration took."""
 
     world: World
-    epochs_us: np.ndarray
+    arrays: dict[str, Any]
     data: CalibrationInput
     result: CalibrationResult
     spent_s: float
@@ -46,16 +46,16 @@ class CalibratedWorld:
     def of(cls, name: str, seed: int, operation_days: float = 7.0, **options: Any) -> "CalibratedWorld":
         """Calibrate on the quiet days and the turns of a scenario."""
         world = World(scenario_named(name, operation_days=operation_days, **options), seed)
-        ground = ground_of(world)
-        data = calibration_input(ground)
+        arrays = export_arrays(world)
+        data = calibration_input(_ground(arrays))
         begin = time.process_time()
         result = calibrate_geometry(data, CalibrationConfig())
-        return cls(world, ground.epochs_us, data, result, time.process_time() - begin)
+        return cls(world, arrays, data, result, time.process_time() - begin)
 
     def level_error_db(self, day: int) -> np.ndarray:
         """Return predicted less true levels (T, N) over a day of operation, what all carriers share taken out."""
         start_us = self.world.scenario.operation_start_us + (day - 1) * DAY_US
-        epochs_us = self.epochs_us
+        epochs_us = self.arrays["epoch_us"]
         epochs_us = epochs_us[(epochs_us >= start_us) & (epochs_us < start_us + DAY_US)][::10]
         fit = self.result.geometry
         expected = ExpectedLevel(geometry_model(fit, self.result.carriers), fit, self.data.ephemeris)
@@ -83,7 +83,7 @@ class CalibratedWorld:
         """Return the levels (T, N) of a body held to the nadir frame: beams, dishes and the solar day."""
         world = self.world
         still = attitude_gain_db(world.plan, world.orbit, epochs_us, np.zeros((len(epochs_us), 3)))
-        seconds = (epochs_us - self.epochs_us[0]) / 1e6
+        seconds = (epochs_us - self.arrays["epoch_us"][0]) / 1e6
         size_db = world.scenario.noise.thermal_db
         warm = [daily_wave(stream(world.seed, "thermal", c.id), seconds, size_db) for c in world.plan.carriers]
         dish = dishes_loss_db(world.plan, world.orbit, epochs_us, world.seed)
@@ -97,7 +97,11 @@ def calibrated_world(name: str, seed: int) -> CalibratedWorld:
 
 def ground_of(world: World) -> Ground:
     """Return the ground's half of a world, as its file has it."""
-    return world_of({name: np.asarray(values) for name, values in export_arrays(world).items()}).ground
+    return _ground(export_arrays(world))
+
+
+def _ground(arrays: dict[str, Any]) -> Ground:
+    return world_of({name: np.asarray(values) for name, values in arrays.items()}).ground
 
 
 def calibration_input(ground: Ground) -> CalibrationInput:

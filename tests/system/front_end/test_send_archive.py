@@ -132,14 +132,18 @@ def test_exit_codes_tell_what_became_of_the_rows(
         chaos.set_up(client, spacecraft, carriers)
         monkeypatch.setenv("SOO_KEY", client.headers["Authorization"].partition(" ")[2])
     path = tmp_path / "levels.csv"
-    path.write_text("epoch,c00_dbm,strange\n2026-01-01T00:00:00Z,-40,1\n1999-01-01T00:00:00Z,-40,1\nyesterday,-40,1\n")
+    good = [f"2026-01-01T00:{minute:02d}:00Z,-40.{minute:02d},1" for minute in range(12)]
+    bad = ["1999-01-01T00:00:00Z,-40.3,1", "yesterday,-40.4,1"]
+    path.write_text("\n".join(("epoch,c00_dbm,strange", good[0], *bad, *good[1:], "")))
     app = typer.Typer()
     app.command()(put)
     before = signal.getsignal(signal.SIGTERM)
 
     def code_of(*options: str, url: str = service.url) -> int:
-        given = ["powers", str(path), "--spacecraft", "sim-1", "--source", "sa-9", "--service", url, *options]
-        return CliRunner().invoke(app, given).exit_code
+        given = ["powers", str(path), "--spacecraft", "sim-1", "--source", "sa-9", "--service", url]
+        result = CliRunner().invoke(app, [*given, "--last-day", "2026-01-01", *options])
+        print(result.output)
+        return result.exit_code
 
     try:
         assert code_of("--refuse-unknown") == 2
