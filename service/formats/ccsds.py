@@ -1,7 +1,7 @@
 """CCSDS messages: their key-value notation, and attitude ephemerides (AEM)."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from math import isfinite
@@ -11,7 +11,7 @@ import numpy as np
 from service.core.geometry.frames import quaternion_of_attitude, with_continuous_sign
 from service.errors import InvalidInputError
 from service.records.epoch import parse_epoch
-from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
+from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 
 LINE_LIMIT = 254
 _KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*?)\s*")
@@ -174,6 +174,19 @@ def calendar_us(text: str) -> int:
             message = f"{text[:8]} is no day of its year"
             raise ValueError(message)
     return parse_epoch(f"{date}T{clock}Z")
+
+
+def is_useable(meta: Mapping[str, str], epochs_us: IntArray) -> BoolArray:
+    """Return which epochs (T,), in the segment's own time, lie in the span that its metadata call useable.
+
+    ValueError where the metadata state no epoch.
+    """
+    found = np.ones(len(epochs_us), dtype=np.bool_)
+    if start := meta.get("USEABLE_START_TIME"):
+        found &= epochs_us >= calendar_us(start)
+    if stop := meta.get("USEABLE_STOP_TIME"):
+        found &= epochs_us <= calendar_us(stop)
+    return found
 
 
 def epoch_of(number: int, text: str) -> int:

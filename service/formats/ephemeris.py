@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sgp4.io import compute_checksum
 
 from service.errors import InvalidInputError
-from service.formats.ccsds import calendar_us
+from service.formats.ccsds import calendar_us, is_useable
 from service.records.catalogue import Ephemeris, Track
 
 FloatArray = NDArray[np.float64]
@@ -371,17 +371,13 @@ def _useable(segment: _Segment) -> tuple[IntArray, FloatArray]:
     if method not in _INTERPOLATIONS:
         raise _unsupported("INTERPOLATION", [method], sorted(_INTERPOLATIONS - {""}))
     epochs_us = np.array(segment.epochs_us, dtype=np.int64)
-    is_useable = np.ones(len(epochs_us), dtype=np.bool_)
     try:
-        if start := segment.meta.get("USEABLE_START_TIME"):
-            is_useable &= epochs_us >= calendar_us(start)
-        if stop := segment.meta.get("USEABLE_STOP_TIME"):
-            is_useable &= epochs_us <= calendar_us(stop)
+        inside = is_useable(segment.meta, epochs_us)
     except ValueError as error:
         raise InvalidInputError("oem.malformed", f"useable span: {error}") from None
     states = np.array(segment.states, dtype=np.float64).reshape(-1, 6)
     system = segment.meta.get("TIME_SYSTEM", "").upper()
-    return utc_us(epochs_us[is_useable], system), states[is_useable]
+    return utc_us(epochs_us[inside], system), states[inside]
 
 
 def _check_velocities(epochs_us: IntArray, states: FloatArray) -> None:

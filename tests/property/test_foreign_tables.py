@@ -44,7 +44,7 @@ OFFSETS_DB = {"dBm": 0.0, "dBW": 30.0, "mW": None}
 
 
 class Writing(NamedTuple):
-    """What a writer draws."""
+    """Choices of a writer of tables."""
 
     start_s: int
     step_s: int

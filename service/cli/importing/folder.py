@@ -8,7 +8,6 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -26,6 +25,7 @@ from service.cli.importing.catalogue import (
     read_spacecraft,
     unlikely,
 )
+from service.cli.importing.dialogue import FileRole
 from service.cli.importing.manifest import NAME, FolderManifest, Guess, plain_value, validated
 from service.formats.foreign.columns import (
     Interpretation,
@@ -53,16 +53,6 @@ SENSOR_NAMES = ("star_tracker", "earth_sensor", "radio_beacon", "other")
 _BIN_US = 60_000_000
 #: bytes from which the kind of a file is found
 _HEAD = 1 << 16
-
-
-class FileRole(StrEnum):
-    """Role of a file."""
-
-    SPACECRAFT = "spacecraft"
-    CARRIERS = "carriers"
-    EPHEMERIS = "ephemeris"
-    POWERS = "powers"
-    REFERENCES = "references"
 
 
 #: members of a JSON object that only one role has

@@ -9,13 +9,13 @@ calibration with warnings stayed a draft.
 import json
 import shlex
 import signal
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.cli.command_group import end, new_app
+from service.cli.importing.dialogue import EXIT_DIFFERENT, EXIT_STOPPED, is_terminal, printable, stop
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
     from service.cli.importing.manifest import FolderManifest, Guess
     from service.client.service_client import ServiceClient
 
-#: exit code where the service holds something else, which was not changed
-EXIT_DIFFERENT = 3
-EXIT_STOPPED = 1
 _DRAFT_NEXT = (
     ", its warnings stand and nothing was aligned: correct what they name and run the command again, or accept them "
     'with --accept "REASON", which is stored with the calibration'
@@ -73,7 +70,7 @@ def import_files(
                 return
         manifest = read_manifest(folder)
         require_files(manifest, folder)
-        signal.signal(signal.SIGTERM, _stop)
+        signal.signal(signal.SIGTERM, stop)
         with connected(service, key_env, retries=0, timeout_s=60.0) as client:
             done = _import(client, folder, manifest, patience, is_dry=dry_run, is_quiet=as_json)
             if not dry_run:
@@ -81,8 +78,8 @@ def import_files(
                 done |= _angles(client, done["spacecraft"], patience, is_quiet=as_json) if "alignment" in done else {}
     except ForeignTableError as error:
         end(str(error), cause=error)
-    except KeyboardInterrupt as stop:
-        end("stopped; the same command continues where this one stopped", EXIT_STOPPED, stop)
+    except KeyboardInterrupt as error:
+        end("stopped; the same command continues where this one stopped", EXIT_STOPPED, error)
     typer.echo(json.dumps(done)) if as_json else _show(done)
     is_draft = done.get("calibration", {}).get("state") == "draft"
     if is_draft or any(each.get("refused") or each.get("unreadable") for each in done.get("files", {}).values()):
@@ -133,7 +130,7 @@ def _propose(
         importing = ImportFiles(folder, paths, stated, statements, system_now_us(), left_out)
         proposal = propose(importing)
         guesses = [(name, guess) for name, guess in guesses_in(proposal.sections) if not name.startswith("windows")]
-        if not guesses or is_only or as_json or not _is_terminal():
+        if not guesses or is_only or as_json or not is_terminal():
             break
         for name, guess in guesses:
             file, field = _place_of(name)
@@ -200,11 +197,6 @@ def _answer(name: str, guess: "Guess") -> Any:
     return read_statement(str(typer.prompt(f"{name}: {guess.reason}", default=default, err=True)).strip())
 
 
-def _is_terminal() -> bool:
-    """Return whether a person can be asked."""
-    return sys.stdin.isatty() and sys.stderr.isatty()
-
-
 def _show_proposal(path: Path, proposal: "FolderProposal", warnings: list[str]) -> None:
     """Print role and reading of each file, in lines that any terminal can hold."""
     lines = [f"{path}:"]
@@ -233,12 +225,6 @@ def _entry_lines(role: str, entry: Any, proposal: "FolderProposal") -> list[str]
     fields = [f"    {name}: {_brief(value)}" for name, value in members.items() if name != "file"]
     notes = [f"    ({note})" for note in proposal.notes.get(str(members.get("file")), ())]
     return [f"  {role}: {members.get('file', '')}", *fields, *notes]
-
-
-def printable(text: str) -> str:
-    """Return a text that the terminal's encoding can hold."""
-    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
-    return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def _brief(value: Any) -> str:
@@ -350,8 +336,3 @@ def _newest_angles(attitude: dict[str, Any]) -> str:
         return "no angles yet: no row lies after the alignment; they begin with the next row"
     angles = ", ".join(f"{axis} {attitude[f'{axis}_deg']:+.3f}" for axis in ("yaw", "roll", "pitch"))
     return f"angles at {attitude['epoch']}: {angles} deg"
-
-
-def _stop(*_: object) -> NoReturn:
-    """Let a signal end the command as Ctrl-C does."""
-    raise KeyboardInterrupt

@@ -10,14 +10,13 @@ import json
 import shlex
 import signal
 import sys
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.cli.command_group import end
-from service.cli.importing.import_command import EXIT_DIFFERENT, EXIT_STOPPED, _is_terminal, _stop, printable
+from service.cli.importing.dialogue import EXIT_DIFFERENT, EXIT_STOPPED, FileRole, is_terminal, printable, stop
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -33,29 +32,19 @@ if TYPE_CHECKING:
     from service.formats.foreign.columns import Interpretation, TableRows, TableStatement
 
 
-class FileKind(StrEnum):
-    """Kind of a file."""
-
-    SPACECRAFT = "spacecraft"
-    CARRIERS = "carriers"
-    EPHEMERIS = "ephemeris"
-    REFERENCES = "references"
-    POWERS = "powers"
-
-
 def _spacecraft_of(ctx: typer.Context, given: str) -> str:
     """Return the spacecraft that is meant; the file of one names it itself."""
-    return "" if ctx.params.get("kind") is FileKind.SPACECRAFT else chosen_spacecraft(ctx, given)
+    return "" if ctx.params.get("kind") is FileRole.SPACECRAFT else chosen_spacecraft(ctx, given)
 
 
 #: fields of a statement that an option states as a list, by the option's name
 _PAIRS = {"map": "NAME=CARRIER or NAME=AXIS", "sigma_deg": "AXIS=DEG"}
-_CATALOGUE = (FileKind.SPACECRAFT, FileKind.CARRIERS, FileKind.EPHEMERIS)
+_CATALOGUE = (FileRole.SPACECRAFT, FileRole.CARRIERS, FileRole.EPHEMERIS)
 _TABLE_HELP = "Tables only: "
 
 
 def put(
-    kind: Annotated[FileKind, typer.Argument(help="What the file holds.")],
+    kind: Annotated[FileRole, typer.Argument(help="What the file holds.")],
     file: Annotated[Path, typer.Argument(help="The file.", dir_okay=False, exists=True)],
     *,
     spacecraft: Annotated[
@@ -123,17 +112,17 @@ def put(
     stated = {name: value for name, value in stated.items() if value}
     if kind in _CATALOGUE and stated:
         end(f"--{next(iter(stated)).replace('_', '-')} is stated for tables only")
-    signal.signal(signal.SIGTERM, _stop)
+    signal.signal(signal.SIGTERM, stop)
     flags = {"relocating": relocating, "inclined": inclined, "confirmed": confirmed, "change": change}
     sending = {"batch_rows": batch_rows, "patience": patience, "state": state, "refuse_unknown": refuse_unknown}
     options = _Options(file, spacecraft, source, stated, flags, sending, is_dry=dry_run, as_json=as_json)
-    with connected(service, key_env, retries=0 if kind is FileKind.POWERS else 3, timeout_s=60.0) as client:
+    with connected(service, key_env, retries=0 if kind is FileRole.POWERS else 3, timeout_s=60.0) as client:
         try:
             _PUTTERS[kind](client, options)
         except ForeignTableError as error:
             end(printable(f"{file}: {error}"), cause=error)
-        except KeyboardInterrupt as stop:
-            end("stopped; the same command continues where this one stopped", EXIT_STOPPED, stop)
+        except KeyboardInterrupt as error:
+            end("stopped; the same command continues where this one stopped", EXIT_STOPPED, error)
 
 
 class _Options:
@@ -379,11 +368,11 @@ def _report_powers(options: _Options, interpretation: "Interpretation", rows: "T
 
 
 _PUTTERS = {
-    FileKind.SPACECRAFT: _put_spacecraft,
-    FileKind.CARRIERS: _put_carriers,
-    FileKind.EPHEMERIS: _put_ephemeris,
-    FileKind.REFERENCES: _put_references,
-    FileKind.POWERS: _put_powers,
+    FileRole.SPACECRAFT: _put_spacecraft,
+    FileRole.CARRIERS: _put_carriers,
+    FileRole.EPHEMERIS: _put_ephemeris,
+    FileRole.REFERENCES: _put_references,
+    FileRole.POWERS: _put_powers,
 }
 
 
@@ -396,7 +385,7 @@ def _answered(options: _Options, kind: Any, read: Any) -> "tuple[TableStatement,
         interpretation = read(statement)
         if not interpretation.questions and interpretation.rows is not None:
             return statement, interpretation, interpretation.rows
-        if options.as_json or not _is_terminal():
+        if options.as_json or not is_terminal():
             end(printable(_statement(options, interpretation)))
         options.show(_understood(interpretation))
         for question in interpretation.questions:

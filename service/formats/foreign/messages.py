@@ -15,7 +15,7 @@ import numpy as np
 
 from service.core.geometry.frames import attitude_of_quaternion, matrix_of_quaternion, quaternion_of_matrix
 from service.errors import InvalidInputError
-from service.formats.ccsds import Segment, calendar_us, epoch_of, read_segments, require, require_one_object
+from service.formats.ccsds import Segment, epoch_of, is_useable, read_segments, require, require_one_object
 from service.formats.ephemeris import read_mean_elements, read_oem, read_tle, utc_us
 from service.formats.foreign.table import ForeignTableError, Table
 from service.formats.tdm import read_tdm
@@ -144,7 +144,7 @@ def _single(entries: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _members(content: str) -> dict[str, str]:
-    """Return the members of an OMM, keyword = value; one that stands twice with two values is refused."""
+    """Return the members of an OMM, keyword = value; one that occurs twice with two values is refused."""
     found: dict[str, str] = {}
     for line in content.splitlines():
         pair = _PAIR.fullmatch(line)
@@ -311,11 +311,11 @@ def read_attitude_message(text: str) -> tuple[np.ndarray, FloatArray]:
         require_one_object(segments)
         for segment in segments:
             epochs_us, matrices = _attitude_states(segment)
-            is_useable = _is_useable(segment, epochs_us)
-            epochs.append(utc_us(epochs_us[is_useable], segment.meta.get("TIME_SYSTEM", "").upper()))
+            inside = _useable(segment, epochs_us)
+            epochs.append(utc_us(epochs_us[inside], segment.meta.get("TIME_SYSTEM", "").upper()))
             # a matrix of the other direction is the transposed one
             turned = np.swapaxes(matrices, -1, -2) if _is_reversed(segment) else matrices
-            angles.append(attitude_of_quaternion(quaternion_of_matrix(turned[is_useable])))
+            angles.append(attitude_of_quaternion(quaternion_of_matrix(turned[inside])))
     except InvalidInputError as error:
         raise ForeignTableError(error.detail) from None
     return np.concatenate(epochs), np.concatenate(angles)
@@ -392,17 +392,11 @@ def _euler(segment: Segment, angles_deg: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def _is_useable(segment: Segment, epochs_us: np.ndarray) -> np.ndarray:
-    """Return which epochs lie in the span that the metadata call useable."""
-    found = np.ones(len(epochs_us), dtype=np.bool_)
+def _useable(segment: Segment, epochs_us: np.ndarray) -> np.ndarray:
     try:
-        if start := segment.meta.get("USEABLE_START_TIME"):
-            found &= epochs_us >= calendar_us(start)
-        if stop := segment.meta.get("USEABLE_STOP_TIME"):
-            found &= epochs_us <= calendar_us(stop)
+        return is_useable(segment.meta, epochs_us)
     except ValueError as error:
         raise ForeignTableError(f"useable span: {error}") from None
-    return found
 
 
 def _is_reversed(segment: Segment) -> bool:

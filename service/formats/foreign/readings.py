@@ -122,7 +122,7 @@ def judged_readings(
 
 
 def _axes_of(reader: TableReader, stated: ReadingsStatement) -> tuple[dict[str, str], str | None]:
-    """Return the columns by axis, or by part of a quaternion in its order, and where the scalar stands by its name."""
+    """Return the columns by axis, or by part of a quaternion in its order, and the place of the scalar by its name."""
     for name in stated.columns:
         reader.table.column(name)
     by_part = {"".join(each for each in name.casefold() if each.isalnum()): name for name in reader.rest}
@@ -186,7 +186,7 @@ def _angles(
 def _quaternion_angles(
     raw: FloatArray, stated: str | None, named: str | None
 ) -> tuple[FloatArray, list[tuple[str, BoolArray]], str]:
-    """Return the angles of quaternions, the faults, and where their scalar stands, which the numbers prove."""
+    """Return the angles of quaternions, the faults, and the place of their scalar, which the numbers prove."""
     whole = np.isfinite(raw).all(axis=1)
     if not whole.any():
         raise ForeignTableError("no row holds the four parts of a quaternion")

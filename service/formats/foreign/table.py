@@ -1,6 +1,6 @@
 """Files of other programs as tables of cells: containers, encodings, separators, headers; every cell stays a text.
 
-Text, workbooks (xlsx, xls, ods), Parquet and lines of JSON give one `Table`. What stands before the header, comments,
+Text, workbooks (xlsx, xls, ods), Parquet and lines of JSON give one `Table`. Lines before the header, comments,
 unit rows, repeated headers and footers are no rows and are named in the notes. A row of another width is a fault of its
 line. Whatever a library raises becomes a `ForeignTableError` with what to do next.
 """
@@ -54,7 +54,7 @@ def word_set(*words: str) -> frozenset[str]:
     return frozenset(" ".join(words).split())
 
 
-#: cells without a reading, lower case; what SCPI and spreadsheets write stands here too
+#: cells without a reading, lower case; those of SCPI and spreadsheets among them
 CODES = frozenset({"", "no data", "no signal", "нет данных"}) | word_set(
     "nan -nan null none na n/a #n/a - -- --- ---- * ** *** **** ? ?? ??? nil missing nodata no_data ovld ovl ovr ol",
     "over under uncal err error invalid fault bad off inf +inf -inf infinity -infinity #value! #div/0! #ref! #num!",

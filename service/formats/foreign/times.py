@@ -167,7 +167,7 @@ def regex_of(time_format: str) -> str:
     Raises
     ------
     ForeignTableError
-        A sign after % that is not known, or one that stands twice.
+        A sign after % that is not known, or one that occurs twice.
     """
     if time_format == ISO:
         seconds = r"(?::(?P<S>\d{2})(?:[.,](?P<f>\d{1,12}))?)?"
@@ -184,7 +184,7 @@ def regex_of(time_format: str) -> str:
         if sign == "%":
             token = text[position + 1 : position + 2]
             if token not in _TOKENS or token in seen:
-                raise ForeignTableError(f"time_format {time_format[:40]!r}: %{token} is unknown or stands twice")
+                raise ForeignTableError(f"time_format {time_format[:40]!r}: %{token} is unknown or occurs twice")
             # without a sign between them numbers have two digits
             is_close = text[max(position - 2, 0) : position].startswith("%") and position > 0
             seen.add(token)

@@ -295,7 +295,7 @@ ASKED: dict[str, tuple[str, dict[str, object]]] = {
         {"time_columns": "Begin"},
     ),
     "no unit": (table(names="Time,c00,c01,c02"), {"unit": "dBm"}),
-    "milliwatts of which nobody says": (
+    "milliwatts without a unit": (
         table(names="Time,c00,c01,c02", cell=lambda row, k: f"{10 ** (level(row, k) / 10):.4e}"),
         {"unit": "mW"},
     ),
