@@ -15,7 +15,7 @@ from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg
 from service.cli.planning.sources import PlanFiles, PlanRequest, planned_by_files
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
-from service.core.estimation.design import choose_carriers
+from service.core.estimation.design import choose_carriers, most_share
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.model.filter_model import (
@@ -158,8 +158,8 @@ def test_choice_out_of_forty_stations(stations, count):
         f"random over it {chance / optimal.crlb_deg}, seed {SEED}"
     )
     assert len(optimal.chosen) == count
-    # the largest share that a whole number of carriers leaves below 35 %
-    assert optimal.transponder_share <= 0.35
+    # 35 %, or what three transponders hold of so many carriers: 3 of 8 is 37.5 %
+    assert optimal.transponder_share <= most_share(count)
     cost = np.array([0.05, 1.0, 1.0])
     ratio = np.sqrt(np.sum((cost * paper) ** 2) / optimal.cost_deg2)
     assert 1.1 < ratio < 1.45
