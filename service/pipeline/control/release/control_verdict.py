@@ -51,7 +51,7 @@ _NEXT_STEPS = {
     "Read the service log and run `soo doctor`: rows are kept and computed later.": "estimator_failed",
     "Wait: it clears by itself.": "late catch_up settling no_rate gap good_minutes chain_step",
     "Check links and newest_measurement of GET .../status.": "estimate_old no_attitude expired",
-    "Check the excluded carriers of GET .../attitude.": (
+    "Check the excluded carriers of GET .../attitude; if all are missing, the receiving chain.": (
         "no_fix invalid redundancy sigma_roll sigma_pitch protection_level integrity_unmonitored"
     ),
     "Look at live rows: a smoothed row is about the past and never drives control.": "smoothed",
