@@ -212,8 +212,6 @@ class ApiContext:
     leader_silent_s: Callable[[], float] = float
     #: whether the estimator runs
     is_following: Callable[[], bool] = _always
-    #: who writes exported levels
-    kernels: Literal["numba", "numpy"] = "numba"
     #: called with the spacecraft whenever something of it entered the journal, for rows with their newest number
     on_accepted: Callable[..., None] = _ignore
     on_startup: Callable[[], Awaitable[None]] = _nothing

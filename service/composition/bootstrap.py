@@ -225,7 +225,6 @@ def _stated(settings: Settings) -> dict[str, Any]:
         "clock_kind": settings.clock,
         "calibration": settings.calibration,
         "interlock": settings.interlock,
-        "kernels": settings.kernels,
     }
 
 

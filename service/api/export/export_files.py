@@ -25,7 +25,6 @@ from service.api.export.export_chunks import (
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.ccsds import AemWriter, AttitudeMessage
 from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
-from service.formats.tabular.row_text import ready_kernels
 from service.formats.tabular.series_tables import (
     ATTITUDE,
     EVENTS,
@@ -181,9 +180,7 @@ class _Maker:
             return read_ahead(block for block in blocks if block.plan_id in plan_ids)
 
         def write(chunks: Iterable[Chunk], _: Window) -> Iterator[bytes]:
-            is_text = self._format in {"csv", "ndjson"}
-            kernels = ready_kernels(self._context.kernels) if is_text else self._context.kernels
-            file = measurement_file(columns, cast("TableFormat", self._format), kernels)
+            file = measurement_file(columns, cast("TableFormat", self._format))
             return file_bytes(file, cast("Iterable[MeasurementBlock]", chunks))
 
         return ArchiveFile("measurements", parameters, read, write)
