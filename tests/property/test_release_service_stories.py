@@ -83,8 +83,8 @@ class AnyStory(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([-600.0, -3.0, 1.0, 3.0, 600.0]))
     def the_clock_jumps(self, seconds):
+        # not noted: a clock that is set and set back before anybody looks stood in nobody's way
         self.driver.clock.now += round(seconds * US)
-        self.driver.note()
 
     @rule(facts=FACTS)
     def facts_change_and_come_back(self, facts):

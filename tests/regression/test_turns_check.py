@@ -90,7 +90,7 @@ def require_lag(lag_s, seeds, calibrate=calibrate_geometry):
         assert not check.reason or f"{side} the star tracker" in check.reason
 
 
-@pytest.mark.parametrize("lag_s", [30.0, -890.0, 18_000.0])
+@pytest.mark.parametrize("lag_s", [30.0, -890.0])
 def test_a_lag_is_found_and_named(lag_s):
     require_lag(lag_s, (1,))
 
@@ -100,9 +100,8 @@ def by_paper(data, config):
     return calibrate_paper(replace(data, quiet_references=()), config)
 
 
-@pytest.mark.parametrize("lag_s", [30.0, 900.0])
-def test_a_lag_is_found_by_the_paper_method(lag_s):
-    require_lag(lag_s, (1,), by_paper)
+def test_a_lag_is_found_by_the_paper_method():
+    require_lag(900.0, (1,), by_paper)
 
 
 @pytest.mark.nightly
