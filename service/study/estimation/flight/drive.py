@@ -22,6 +22,7 @@ from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
+from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.inputs.knowledge import JournalDocuments
 from service.pipeline.inputs.sensor_angles import smooth_angles
 from service.records.calibration import (
@@ -161,6 +162,33 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     UndrivenError
         The calibration or the alignment was refused.
     """
+    past = Past()
+    opened = open_chain(ground, config, past.recorder)
+    return replace(_operate(opened, ground, past), smoothed=past.series())
+
+
+class OpenedChain(NamedTuple):
+    """Chain that has consumed everything before the rows of operation."""
+
+    chain: Chain
+    documents: JournalDocuments
+    #: slow inputs of the operation
+    entries: list[Entry]
+
+    def measurements(self, ground: Ground) -> Iterator[Measurement]:
+        """Yield the rows of operation, teaching the chain what comes before each of them."""
+        rows = np.flatnonzero(ground.is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
+        return measurements(self.chain, ground, self.documents, self.entries, rows)
+
+
+def open_chain(ground: Ground, config: ChainConfig | None = None, recorder: RowRecorder | None = None) -> OpenedChain:
+    """Return the chain of a ground, calibrated and aligned.
+
+    Raises
+    ------
+    UndrivenError
+        The calibration or the alignment was refused.
+    """
     documents = JournalDocuments()
     opening: list[SlowInput] = [SpacecraftChange(ground.spacecraft, 1), documents.add_plan(ground.carriers)]
     opening.append(documents.add_ephemeris(ground.ephemeris))
@@ -169,11 +197,10 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     start_us = ground.phases["operation"].start_us
     before = [entry.content for entry in entries if entry.epoch_us < start_us]
     documents.alignments[1] = align(ground, documents)
-    past = Past()
-    chain = Chain(documents, config or ChainConfig(), recorder=past.recorder)
+    chain = Chain(documents, config or ChainConfig(), recorder=recorder)
     for content in (*opening, CalibrationActivation(1, 1), *before, AlignmentSet(1)):
         chain.update(content)
-    return replace(_operate(chain, ground, documents, entries[len(before) :], past), smoothed=past.series())
+    return OpenedChain(chain, documents, entries[len(before) :])
 
 
 def calibrate(
@@ -242,12 +269,13 @@ def align(ground: Ground, documents: JournalDocuments) -> Alignment:
     return replace(aligned.to_record(stated, window, ",".join(sorted(set(ground.sensors))), "study"), id=1)
 
 
-def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries: list[Entry], past: Past) -> Driven:
+def _operate(opened: OpenedChain, ground: Ground, past: Past) -> Driven:
     """Run the chain over the rows of operation and keep what every method says, and what the smoothers need."""
+    chain, documents = opened.chain, opened.documents
     rows = np.flatnonzero(ground.is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
     reported: list[tuple[AttitudeRow, ...]] = []
     hypothesis: list[list[int]] = []
-    for measurement in measurements(chain, ground, documents, entries, rows):
+    for measurement in opened.measurements(ground):
         outcome = chain.step(measurement)
         hypothesis.append(
             _hypotheses(chain, ground.carrier_ids) if len(reported) % _ASKED_ROWS == 0 else hypothesis[-1]
