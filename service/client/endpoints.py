@@ -171,16 +171,6 @@ class JobEndpoints:
         """Delete a replay and its rows; one that runs or waits ends."""
         return Call("DELETE", below(spacecraft_id, f"/replays/{replay_id}"))
 
-    @endpoint
-    def start_closed_loop(self, request: Mapping[str, Any]) -> Call[Json]:
-        """Start a flight in the orbital frame; the answer names its job."""
-        return Call("POST", "/analyses/closed-loop", request)
-
-    @endpoint
-    def closed_loop(self, job_id: str) -> Call[Json]:
-        """Return time series and figures of merit of a flight that is over."""
-        return Call("GET", f"/analyses/closed-loop/{job_id}")
-
 
 class ReleaseEndpoints:
     """Methods of commands and control."""

@@ -121,13 +121,9 @@ _CATALOGUE = {
     "oem.gap": "Write the message again with a smaller step.",
     "ccsds.malformed": "Correct that line, or write the message again.",
     "ccsds.unsupported": "Write the message again in one of these.",
-    "analysis.not_physical": "Correct the parameter; check its unit.",
     "analysis.busy": "Try again after Retry-After seconds.",
-    "analysis.too_long": "Ask for fewer pulses, points or days.",
+    "analysis.too_long": "Ask for fewer days.",
     "analysis.ended": "Wait Retry-After seconds first; if it ends again, check the system log for lack of memory.",
-    "analysis.unfinished": "Ask again when its job is done.",
-    "analysis.failed": "Correct the request, then start another flight.",
-    "analysis.gone": "Send the request for the flight again.",
 }
 _INPUTS = {
     "time.future": "Check the clock and the time zone of the source.",
