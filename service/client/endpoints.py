@@ -407,14 +407,6 @@ class ResultEndpoints:
         return Series(below(spacecraft_id, f"/carriers/{quote(carrier, safe='')}/results"), params)
 
     @endpoint
-    def beams(
-        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, group: str | None = None
-    ) -> Call[Json]:
-        """Return boresights of the antennas and beams at the stations; ``group``: ``band`` or ``transponder``."""
-        params = {**epochs(start=start, stop=stop), "group": group}
-        return Call("GET", below(spacecraft_id, "/beams"), params=params)
-
-    @endpoint
     def samples(
         self,
         spacecraft_id: str,

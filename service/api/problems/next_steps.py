@@ -172,7 +172,6 @@ _RESULTS = {
     "alignment.no_reference": "Send attitude references, or name another source or window.",
     "alignment.no_powers": "Choose a window with measurements, inside the span of the ephemeris.",
     "alignment.inconsistent": "Check the sensor's axes and signs, or give override_reason.",
-    "beams.no_calibration": "Calibrate with method geometry, then activate the calibration.",
     "selection.no_calibration": "Calibrate first.",
     "selection.count": "Ask for fewer carriers.",
     "selection.too_few": "Add users to the carrier plan, then calibrate again.",

@@ -21,7 +21,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     *(catalogue.spacecraft_router, catalogue.carriers_router, catalogue.ephemeris_router, catalogue.sources_router),
     *(inputs.inputs_router, inputs.operations_router, calibrations.calibrations_router),
     *(calibrations.alignments_router, calibrations.harmonics_router, calibrations.carrier_selection_router),
-    *(calibrations.beams_router, control.status_router, measurements.measurements_router),
+    *(control.status_router, measurements.measurements_router),
     *(archive.samples_router, archive.timeline_router, measurements.traces_router),
     # torque_commands behind the names of torques, which its ids must not hide
     *(control.attitude_router, control.carrier_results_router, control.torques_router, control.torque_commands_router),
