@@ -75,7 +75,6 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         calibrator=cast("Any", None),
         aligner=cast("Any", None),
         replayer=cast("Any", None),
-        flights=cast("Any", None),
         release_service=ReleaseService(
             storage,
             clock,
