@@ -27,9 +27,7 @@ from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator
-from service.runtime.jobs.flight_analysis_job import FlightAnalyses
 from service.runtime.jobs.replay_job import Replayer
-from service.runtime.jobs.workers import Workers
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -192,8 +190,6 @@ class ApiContext:
     calibrator: Calibrator
     aligner: Aligner
     replayer: Replayer
-    flights: FlightAnalyses
-    workers: Workers
     #: interlock and commands
     release_service: ReleaseService
     #: how harmonics are fitted and carriers judged on demand

@@ -64,9 +64,6 @@ _COMMANDS = {
     "plan": CommandSource(
         "planning.plan", "Choose carriers, judge what they can see, and print a timetable of calibration turns."
     ),
-    "beams": CommandSource(
-        "planning.beams", "Tell where the antennas point against the body, by powers and a working sensor."
-    ),
     "doctor": CommandSource(
         "administration.doctor", "Look at an archive, also of a running service, and say what is wrong and what to do."
     ),

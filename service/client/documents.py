@@ -279,7 +279,7 @@ class JobReply(TypedDict):
 
     #: Id of the job.
     id: str
-    #: Kind of the work: `calibration`, `replay` or `closed-loop`.
+    #: Kind of the work: `calibration` or `replay`.
     kind: str
     #: `queued`, `running`, `done` or `failed`.
     state: Literal["queued", "running", "done", "failed"]
@@ -289,8 +289,6 @@ class JobReply(TypedDict):
     created_at: str
     #: Why it failed, and what to do.
     error: str | None
-    #: Path of its result while that is kept; null for jobs whose result is another resource.
-    result: str | None
 
 
 class StatusReply(TypedDict):

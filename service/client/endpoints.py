@@ -171,16 +171,6 @@ class JobEndpoints:
         """Delete a replay and its rows; one that runs or waits ends."""
         return Call("DELETE", below(spacecraft_id, f"/replays/{replay_id}"))
 
-    @endpoint
-    def start_closed_loop(self, request: Mapping[str, Any]) -> Call[Json]:
-        """Start a flight in the orbital frame; the answer names its job."""
-        return Call("POST", "/analyses/closed-loop", request)
-
-    @endpoint
-    def closed_loop(self, job_id: str) -> Call[Json]:
-        """Return time series and figures of merit of a flight that is over."""
-        return Call("GET", f"/analyses/closed-loop/{job_id}")
-
 
 class ReleaseEndpoints:
     """Methods of commands and control."""
@@ -415,14 +405,6 @@ class ResultEndpoints:
         """Yield what a method made of one carrier at every row; other parameters as for `attitude_history`."""
         params = {**window(start, stop, limit), "method": method, "version": version}
         return Series(below(spacecraft_id, f"/carriers/{quote(carrier, safe='')}/results"), params)
-
-    @endpoint
-    def beams(
-        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, group: str | None = None
-    ) -> Call[Json]:
-        """Return boresights of the antennas and beams at the stations; ``group``: ``band`` or ``transponder``."""
-        params = {**epochs(start=start, stop=stop), "group": group}
-        return Call("GET", below(spacecraft_id, "/beams"), params=params)
 
     @endpoint
     def samples(

@@ -17,7 +17,6 @@ from service.api.context import ApiContext, Limits, MonitoringSettings
 from service.composition.setting_entries import entries_in_force
 from service.composition.settings import Settings
 from service.console.pages import with_console
-from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.checkpoints import fingerprint
 from service.ports import Clock, Storage, Term
@@ -31,7 +30,6 @@ from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
 from service.runtime.jobs.calibration_job import Calibrator, fitted
-from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.lagged_run import LaggedSeries, lagged_in_process
 from service.runtime.jobs.replay_job import Replayer
@@ -288,13 +286,6 @@ def _lagged_series(settings: Settings, storage: Storage, leading: Leading) -> tu
     return series, end
 
 
-def _flights(settings: Settings, jobs: JobRunner, workers: Workers) -> FlightAnalyses:
-    """Return what flies analyses; without a compiler shorter ones only."""
-    most_steps = MOST_STEPS if settings.kernels == "numba" else MOST_STEPS_PLAIN
-    flown = partial(fly_thinned, kernels=settings.kernels)
-    return FlightAnalyses(jobs, partial(workers.run, flown), most_steps)
-
-
 def build_app(settings: Settings, storage: Storage) -> FastAPI:
     """Return the application over an archive that is prepared; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
@@ -304,8 +295,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     alarms = build_alarms(settings, storage, clock, feed, leading.term, failures)
     release_service = build_release_service(settings, storage, clock, feed, lambda sc: supervisor.notify(sc), leading)
     supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.term, release_service, failures)
-    # apart, so that no calibration waits for an analysis
-    jobs, analyses = JobRunner(storage.results, clock), JobRunner(storage.results, clock)
+    jobs = JobRunner(storage.results, clock)
     workers = Workers(settings.workers)
     replayer, prepare_replays, end_replays = _replayer(settings, storage, clock)
     lagged, end_lagged = _lagged_series(settings, storage, leading)
@@ -320,7 +310,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         lagged.start()
 
     async def stop() -> None:
-        running = (release_service.stop, supervisor.stop, alarms.stop, workers.stop, jobs.stop, analyses.stop)
+        running = (release_service.stop, supervisor.stop, alarms.stop, workers.stop, jobs.stop)
         for end in (end_lagged, end_replays, *running, maintainer.stop, leading.stop, storage.close):
             await asyncio.to_thread(end)
 
@@ -339,8 +329,6 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         calibrator=_calibrator(settings, storage, clock, jobs, workers),
         aligner=Aligner(storage, clock, settings.alignment),
         replayer=replayer,
-        flights=_flights(settings, analyses, workers),
-        workers=workers,
         release_service=release_service,
         **_stated(settings),
     )

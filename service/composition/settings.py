@@ -154,7 +154,7 @@ class Settings(BaseSettings):
     kernels: Literal["numba", "numpy"] = Field(
         "numba", description="who computes the robust filter: `numba` is faster, `numpy` spares 130 MB of memory"
     )
-    workers: WorkerConfig = Field(WorkerConfig(), description="analyses and calibrations in worker processes")
+    workers: WorkerConfig = Field(WorkerConfig(), description="calibrations in worker processes")
     calibration: CalibrationConfig = Field(CalibrationConfig(), description="calibration jobs")
     alignment: AlignmentConfig = Field(AlignmentConfig(), description="alignments")
     estimation: EstimationConfig = Field(EstimationConfig(), description="the paper method in operation")

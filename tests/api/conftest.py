@@ -21,7 +21,6 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
-from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.step_failures import StepFailures
 
@@ -57,16 +56,8 @@ def storage(empty_database: Path, tmp_path: Path) -> Iterator[SqlStorage]:
     opened.close()
 
 
-@pytest.fixture(scope="session")
-def workers() -> Iterator[Workers]:
-    """Worker processes of all tests: each takes a second to start."""
-    shared = Workers(WorkerConfig(analysis_timeout_s=120.0))
-    yield shared
-    shared.stop()
-
-
 @pytest.fixture
-async def soo(storage: SqlStorage, workers: Workers) -> AsyncIterator[Soo]:
+async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
     clock, accepted = SetClock(), list[str]()
     limits = Limits(max_body_bytes=200_000, max_rows_per_batch=200)
     context = ApiContext(
@@ -84,8 +75,6 @@ async def soo(storage: SqlStorage, workers: Workers) -> AsyncIterator[Soo]:
         calibrator=cast("Any", None),
         aligner=cast("Any", None),
         replayer=cast("Any", None),
-        flights=cast("Any", None),
-        workers=workers,
         release_service=ReleaseService(
             storage,
             clock,

@@ -172,14 +172,6 @@ def flooded(start_service: Any, spacecraft: Any, carriers: Any) -> Iterator[Call
         client.close()
 
 
-def test_analyses_of_a_viewer(flooded):
-    """48 at a time kept /healthz waiting for 29 s."""
-    answered = flooded().by("analyses")
-    assert answered.keys() <= {200, 429}
-    assert answered[200] > 0
-    assert answered[429] > answered[200]
-
-
 def test_silent_connections(flooded):
     """1000 of them shut everybody out, and nothing stood in the log."""
     target = flooded()

@@ -36,15 +36,6 @@ CALIBRATION = {
     "method": "paper",
 }
 REPLAY = {"start": "2026-11-21T00:00:00Z", "stop": "2026-11-21T01:00:00Z"}
-CAPTURE = {
-    "omega_rad_s": 1.0,
-    "damping_ratio": 0.01,
-    "coupling": 0.5,
-    "inertia_kg_m2": 1000.0,
-    "motor_torque_n_m": 0.2,
-    "alpha_rad": 0.0175,
-    "beta_rad": 0.0349,
-}
 
 
 def align(database: Path) -> None:
@@ -76,8 +67,9 @@ def has_ended(process_id: int) -> bool:
 
 def begin_work(client: httpx.Client, service_id: int) -> tuple[set[int], dict[str, Any], dict[str, Any]]:
     """Start a calibration and a replay whose workers stand still; return the workers and both."""
-    # the first analysis starts the one worker, the first replay that of replays
-    assert client.post("/api/v1/analyses/capture-boundary", json=CAPTURE).status_code == 200
+    # the first calibration, which fails for want of rows, starts the one worker; the first replay that of replays
+    failed = client.post(f"{SC}/calibrations", json=CALIBRATION).json()
+    wait_until(lambda: job_of(client, failed)["state"] == "failed", "a calibration of nothing does not end")
     first = client.post(f"{SC}/replays", json=REPLAY).json()
     wait_until(lambda: job_of(client, first)["state"] == "done", "a replay of nothing does not end")
     workers = workers_of(service_id)

@@ -121,13 +121,9 @@ _CATALOGUE = {
     "oem.gap": "Write the message again with a smaller step.",
     "ccsds.malformed": "Correct that line, or write the message again.",
     "ccsds.unsupported": "Write the message again in one of these.",
-    "analysis.not_physical": "Correct the parameter; check its unit.",
     "analysis.busy": "Try again after Retry-After seconds.",
-    "analysis.too_long": "Ask for fewer pulses, points or days.",
+    "analysis.too_long": "Ask for fewer days.",
     "analysis.ended": "Wait Retry-After seconds first; if it ends again, check the system log for lack of memory.",
-    "analysis.unfinished": "Ask again when its job is done.",
-    "analysis.failed": "Correct the request, then start another flight.",
-    "analysis.gone": "Send the request for the flight again.",
 }
 _INPUTS = {
     "time.future": "Check the clock and the time zone of the source.",
@@ -176,7 +172,6 @@ _RESULTS = {
     "alignment.no_reference": "Send attitude references, or name another source or window.",
     "alignment.no_powers": "Choose a window with measurements, inside the span of the ephemeris.",
     "alignment.inconsistent": "Check the sensor's axes and signs, or give override_reason.",
-    "beams.no_calibration": "Calibrate with method geometry, then activate the calibration.",
     "selection.no_calibration": "Calibrate first.",
     "selection.count": "Ask for fewer carriers.",
     "selection.too_few": "Add users to the carrier plan, then calibrate again.",

@@ -4,12 +4,12 @@ from fastapi import APIRouter
 
 from service.api.routes import (
     access,
-    analyses,
     archive,
     calibrations,
     catalogue,
     control,
     inputs,
+    jobs,
     measurements,
     shift,
     stream,
@@ -21,13 +21,13 @@ ROUTERS: tuple[APIRouter, ...] = (
     *(catalogue.spacecraft_router, catalogue.carriers_router, catalogue.ephemeris_router, catalogue.sources_router),
     *(inputs.inputs_router, inputs.operations_router, calibrations.calibrations_router),
     *(calibrations.alignments_router, calibrations.harmonics_router, calibrations.carrier_selection_router),
-    *(calibrations.beams_router, control.status_router, measurements.measurements_router),
+    *(control.status_router, measurements.measurements_router),
     *(archive.samples_router, archive.timeline_router, measurements.traces_router),
     # torque_commands behind the names of torques, which its ids must not hide
     *(control.attitude_router, control.carrier_results_router, control.torques_router, control.torque_commands_router),
-    *(control.control_router, stream.router, archive.export_router, analyses.replays_router, analyses.jobs_router),
+    *(control.control_router, stream.router, archive.export_router, jobs.replays_router, jobs.jobs_router),
     *(shift.report_router, shift.links_router, shift.list_router, shift.alarms_router, shift.alarm_limits_router),
     *(shift.notes_router, shift.handover_router, access.keys_router, access.audit_router),
-    *(analyses.analyses_router, analyses.closed_loop_router, access.about_router),
+    access.about_router,
 )
 PUBLIC_ROUTERS: tuple[APIRouter, ...] = (access.health_router, access.session_router)

@@ -96,9 +96,6 @@ class AuditPage(Answer):
 class JobAnswer(members_of(Job, number=float), Answer):
     """One piece of long work."""
 
-    result: str | None
-    """Path of its result while that is kept; null for jobs whose result is another resource."""
-
 
 def _name(text: str) -> str:
     try:

@@ -302,7 +302,7 @@ class PredictedAnswer(Answer):
     """Change of the stored momentum of each wheel."""
 
 
-_VERDICTS = {"verdict": Literal["accept", "warn", "reject"]}
+_VERDICTS = {"verdict": Literal["accept", "reject"]}
 
 
 class ScheduleCheckAnswer(members_of(ScheduleVerdict, number=float, types=_VERDICTS), Answer):

@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.context import ApiContext, CarrierNameCache
 from service.api.problems.problems import invalid_request
 from service.api.protocol.paging import EVERYTHING
+from service.api.schemas.access import JobAnswer
 from service.api.schemas.base import Answer
 from service.api.schemas.control import (
     AttitudeAnswer,
@@ -21,7 +22,7 @@ from service.api.schemas.control import (
 )
 from service.api.schemas.measurements import MeasurementAnswer
 from service.api.schemas.shift import AlarmChangeAnswer, NoteAnswer, StatusAnswer
-from service.api.views.present import job_answer, link_answers, status_of
+from service.api.views.present import link_answers, status_of
 from service.errors import FieldError
 from service.ports import LIVE, SMOOTHED, Storage
 from service.records.catalogue import Method
@@ -335,7 +336,7 @@ def _commands(context: ApiContext, spacecraft_id: str) -> Records:
 
 
 def _jobs(context: ApiContext, _spacecraft_id: str) -> Records:
-    return {job.id: _record(job_answer(context, job)) for job in context.storage.results.newest_jobs(_NEWEST)}
+    return {job.id: _record(JobAnswer.of(job)) for job in context.storage.results.newest_jobs(_NEWEST)}
 
 
 def _links(context: ApiContext, spacecraft_id: str) -> Records:

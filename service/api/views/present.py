@@ -6,7 +6,6 @@ from itertools import chain
 from typing import Any, NamedTuple, TypeVar
 
 from service.api.context import ApiContext
-from service.api.schemas.access import JobAnswer
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.inputs import OperationAnswer
 from service.api.schemas.shift import (
@@ -33,19 +32,10 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation
 from service.records.levels.attitude import NO_AXES, AttitudeRow, Axes, ReleasedCommand, Status, TorqueCommand
 from service.records.operations.alarms import Alarm, Cover
-from service.records.operations.work import Job, LinkReport, LinkState
+from service.records.operations.work import LinkReport, LinkState
 from service.runtime.jobs.archive_maintenance import newest_advice, runnable_methods
 
 _Found = TypeVar("_Found")
-#: path below which results of closed loops stand, each under the id of its job
-RESULTS = "/api/v1/analyses/closed-loop"
-
-
-def job_answer(context: ApiContext, job: Job) -> JobAnswer:
-    """Return a job with the path of its result."""
-    has_result = context.flights.result(job.id) is not None
-    return JobAnswer.of(job, result=f"{RESULTS}/{job.id}" if has_result else None)
-
 
 #: state of a link that has missed its reports
 SILENT = "SILENT"

@@ -1,1 +1,1 @@
-"""Commands `soo plan`, selection of carriers and timetable of turns, and `soo beams`, where the antennas point."""
+"""Command `soo plan`: selection of carriers and timetable of turns."""

@@ -239,25 +239,6 @@ class LimitCycle(NamedTuple):
     is_momentum_consistent: bool
 
 
-class LimitCycleAnalysis(NamedTuple):
-    """Limit cycles of one axis with their closed forms."""
-
-    #: on one side
-    cycles: tuple[LimitCycle, ...]
-    cycles_over_both_lines: tuple[CycleOverBothLines, ...]
-    #: for which there is none on one side; empty where there is one
-    reason: str
-    #: closed forms of the single pulse
-    forms: SinglePulseForms
-    passive_rad_s2: float
-    pulse_rad_s2: float
-    #: succession function: (S,) speeds and (S,) speeds of the next arrivals, NaN = none
-    speeds_rad_s: FloatArray
-    next_speeds_rad_s: FloatArray
-    #: (C, 2) corners of the ladder from the chosen start
-    ladder_rad_s: FloatArray
-
-
 def find_limit_cycles(drive: WheelDrive, law: SwitchingLaw) -> tuple[LimitCycle, ...]:
     """Return the cycles that return to the first line after one visit of at most `MOST_PULSES` pulses, by speed.
 
@@ -277,99 +258,6 @@ def find_limit_cycles(drive: WheelDrive, law: SwitchingLaw) -> tuple[LimitCycle,
     """
     motion = one_sided_motion(drive, law)._replace(most_pulses=MOST_PULSES)
     return tuple(_describe(speed, motion, drive) for speed in _fixed_speeds(motion))
-
-
-def analyse_limit_cycle(  # everything that the REST route shows
-    *,
-    inertia_kg_m2: float,
-    motor_torque_n_m: float,
-    dry_friction_n_m: float,
-    viscous_loss_n_m: float,
-    momentum_limit_n_m_s: float,
-    momentum_n_m_s: float,
-    alpha_rad: float,
-    beta_rad: float,
-    pulse_s: float,
-    pulse_count: int = 1,
-    line_step_rad: float = 0.0,
-    external_torque_n_m: float = 0.0,
-    start_speed_rad_s: float | None = None,
-    returns: int = 50,
-    map_points: int = 200,
-) -> LimitCycleAnalysis:
-    """Return limit cycles on one side and over both lines, closed forms, succession function and ladder of one axis.
-
-    Parameters
-    ----------
-    inertia_kg_m2, motor_torque_n_m, dry_friction_n_m, viscous_loss_n_m, momentum_limit_n_m_s, momentum_n_m_s,
-    external_torque_n_m : float
-        As in `WheelDrive`.
-    alpha_rad, beta_rad, pulse_s, pulse_count, line_step_rad
-        As in `SwitchingLaw`.
-    start_speed_rad_s : float or None, rad/s
-        First arrival of the ladder; default half the speed that one pulse gives, moved by a tenth.
-    returns : int
-        Returns of the ladder.
-    map_points : int
-        Points of the succession function between 0 and the gain of a pulse.
-
-    Raises
-    ------
-    ValueError
-        Something is not physical; the message says what and what to do.
-    """
-    drive = WheelDrive(
-        inertia_kg_m2,
-        motor_torque_n_m,
-        dry_friction_n_m,
-        viscous_loss_n_m,
-        momentum_limit_n_m_s,
-        momentum_n_m_s,
-        external_torque_n_m,
-    )
-    law = SwitchingLaw(alpha_rad, beta_rad, pulse_s, pulse_count, line_step_rad)
-    motion = one_sided_motion(drive, law)._replace(most_pulses=MOST_PULSES)
-    if returns < 1 or map_points < 2:
-        raise ValueError(f"returns is {returns} and map_points {map_points}; at least 1 and 2 are needed")
-    gained = motion.pulse_rad_s2 * motion.pulse_s
-    speeds = np.linspace(0.0, gained, map_points + 1)[1:]
-    start = 0.55 * gained if start_speed_rad_s is None else start_speed_rad_s
-    if not (math.isfinite(start) and start > 0.0):
-        raise ValueError(f"start_speed_rad_s is {start:g}, an arrival at the line needs a speed above 0")
-    cycles, over_both = find_limit_cycles(drive, law), find_cycles_over_both_lines(drive, law)
-    next_speeds = succession(speeds, motion)
-    return LimitCycleAnalysis(
-        cycles=cycles,
-        cycles_over_both_lines=over_both,
-        reason="" if cycles else _why_none(next_speeds - speeds, gained, crossing_speed_rad_s(drive, law)),
-        forms=single_pulse_forms(drive, pulse_s),
-        passive_rad_s2=motion.passive_rad_s2,
-        pulse_rad_s2=motion.pulse_rad_s2,
-        speeds_rad_s=speeds,
-        next_speeds_rad_s=next_speeds,
-        ladder_rad_s=koenigs_lamerey(start, returns, motion),
-    )
-
-
-def _why_none(excess_rad_s: FloatArray, gained_rad_s: float, crossing_rad_s: float) -> str:
-    """Return why no motion on one side closes, from what the succession function adds to each speed."""
-    known = excess_rad_s[np.isfinite(excess_rad_s)]
-    if not len(known):
-        return (
-            f"no arrival comes back to its own line: a pulse gives up to {gained_rad_s:.3g} rad/s and "
-            f"{crossing_rad_s:.3g} rad/s bring the body through neutral to the other line; see cycles_over_both_lines, "
-            "or shorten the pulse"
-        )
-    if known.min() > 0.0 or known.max() < 0.0:
-        changed = "faster" if known.min() > 0.0 else "slower"
-        return (
-            f"every visit that returns ends {changed} than it began, until the number of its pulses changes or the "
-            "body leaves for the other line; change line_step_rad, pulse_count or pulse_s"
-        )
-    return (
-        "the succession function passes the diagonal only in jumps, where the number of pulses changes: the motion "
-        "wanders, or closes after several visits, which are not looked for; change line_step_rad or pulse_count"
-    )
 
 
 def cycle_multiplier(speed_rad_s: float, motion: OneSided) -> float:

@@ -1,1 +1,1 @@
-"""Carrier model: arrays of a calibration, expected levels, level control, beams."""
+"""Carrier model: arrays of a calibration, expected levels, level control."""

@@ -234,7 +234,7 @@ class Pulse:
 class ScheduleVerdict:
     """Verdict of the flexible modes on a schedule, the worst of the axes."""
 
-    #: accept, warn or reject
+    #: accept or reject
     verdict: Annotated[str, "A rejected schedule is not released."]
     peak_deg: Annotated[float, "Peak angle that the panels add to the hub, over +-15 % of each frequency."]
     residual_deg: Annotated[float, "Amplitude of the oscillation after the last pulse."]

@@ -1,1 +1,1 @@
-"""Long work: calibrations, alignments, replays, analyses, archive maintenance."""
+"""Long work: calibrations, alignments, replays, archive maintenance."""

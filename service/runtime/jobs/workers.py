@@ -1,4 +1,4 @@
-"""Worker processes: analyses and fits beside the serving process, bounded in number, in waiting and in time.
+"""Worker processes: fits, replays and smoothing beside the serving process, bounded in number and in time.
 
 Each worker is a pool of one process, so that ending one that takes too long harms no other. A process is started when
 the first work needs it, and replaced when it has died or was ended. Workers yield the processor to the service.
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from queue import LifoQueue
 from threading import TIMEOUT_MAX, Lock, Thread, Timer
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
-from service.errors import BusyError, InvalidInputError, UnavailableError
+from service.errors import InvalidInputError, UnavailableError
 from service.records.setting import CHOSEN, setting
 from service.runtime.jobs.job_runner import JobInterruptedError
 
@@ -40,19 +40,15 @@ _DIED = "its worker process ended unexpectedly; start it again"
 class WorkerConfig:
     """Bounds of the computations in worker processes."""
 
-    processes: int = setting(2, "worker processes that compute analyses and calibrations", CHOSEN)
-    max_waiting: int = setting(8, "analyses that wait while all workers compute; one more is 429", CHOSEN)
+    processes: int = setting(2, "worker processes that compute calibrations", CHOSEN)
     max_calibrations: int = setting(8, "calibrations that wait or run; one more is 429", CHOSEN)
     max_replays: int = setting(8, "replays that wait or run; one more is 429", CHOSEN)
-    analysis_timeout_s: float = setting(30.0, "an analysis is ended after this, s", CHOSEN)
-    job_timeout_s: float = setting(
-        600.0, "a calibration, or a flight in the orbital frame, is ended after this, s", CHOSEN
-    )
+    job_timeout_s: float = setting(600.0, "a calibration is ended after this, s", CHOSEN)
 
     def __post_init__(self) -> None:
         """Refuse bounds under which nothing is computed."""
         least = min(self.processes, self.max_calibrations, self.max_replays)
-        if least < 1 or min(self.analysis_timeout_s, self.job_timeout_s) <= 0:
+        if least < 1 or self.job_timeout_s <= 0:
             raise ValueError("at least one process, one calibration, one replay and more than 0 s are needed")
 
 
@@ -74,30 +70,8 @@ class Workers:
         for worker in self._all:
             self._idle.put(worker)
         self._lock = Lock()
-        self._analyses = 0
         self._preparing: Timer | None = None
         self._is_stopping = False
-
-    def analyse(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Future[Found]:
-        """Queue an analysis; its future raises what the work raises, or as `run` does.
-
-        Raises
-        ------
-        BusyError
-            ``analysis.busy``: too many wait already.
-        """
-        with self._lock:
-            self.check_room()
-            future = self._submit(self._config.analysis_timeout_s, work, *args, **kwargs)
-            self._analyses += 1
-        future.add_done_callback(self._leave)
-        return future
-
-    def check_room(self) -> None:
-        """Raise the BusyError that `analyse` would raise now."""
-        if self._analyses >= self._config.processes + self._config.max_waiting:
-            detail = f"{self._analyses} analyses are computed or wait already"
-            raise BusyError("analysis.busy", detail)
 
     def run(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Found:
         """Return the result of a job's work, or raise its error.
@@ -175,10 +149,6 @@ class Workers:
             return self._threads.submit(computed)
         except RuntimeError:
             raise UnavailableError("analysis.ended", _STOPPING) from None
-
-    def _leave(self, _future: Future[Any]) -> None:
-        with self._lock:
-            self._analyses -= 1
 
 
 class _Worker:

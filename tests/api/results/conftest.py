@@ -62,11 +62,9 @@ from service.runtime.control.release_context import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator, fitted
-from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
 from service.runtime.jobs.replay_run import ReplayRun
-from service.runtime.jobs.workers import Workers
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -224,7 +222,7 @@ class Bench:
 
 
 @pytest.fixture
-async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
+async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
     """A spacecraft with six carriers and an ephemeris; the supervisor is there but does not run."""
     storage.catalogue.add_spacecraft(
         Spacecraft(
@@ -256,8 +254,6 @@ async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
         replayer=Replayer(
             storage, clock, jobs, lambda sc, version, report: ReplayRun(storage, config, sc, version).run(report)
         ),
-        workers=workers,
-        flights=FlightAnalyses(jobs, partial(fly_thinned, kernels="numpy")),
         release_service=ReleaseService(
             storage, clock, ReleaseSettings(), TorqueConfig(), publisher, steady_us=clock.system_us
         ),

@@ -43,7 +43,9 @@ def distinct(field: RecordField, position: int, epoch_us: int) -> Any:
         FieldKind.TEXTS: (field.name, str(position)),
         FieldKind.AXES: axes,
         FieldKind.AXIS_TRUTHS: (True, False, True),
-        FieldKind.RECORD: ScheduleVerdict("warn", position + 0.1, position + 0.2, position + 0.3, position, field.name),
+        FieldKind.RECORD: ScheduleVerdict(
+            "reject", position + 0.1, position + 0.2, position + 0.3, position, field.name
+        ),
     }
     elements = {
         float: position + 0.625,

@@ -55,18 +55,6 @@ class Flood:
         while self.goes_on():
             time.sleep(0.05)
 
-    def analyses(self) -> None:
-        """48 schedules of 500 pulses on 16 modes at a time."""
-        body = {
-            "pulses": [{"start_s": 7.0 * k, "duration_s": 1.0, "torque_n_m": 0.2} for k in range(500)],
-            "inertia_kg_m2": 5000.0,
-            "modes": [{"omega_rad_s": 0.3 + 0.1 * k, "damping_ratio": 0.003, "coupling": 0.4} for k in range(16)],
-            "peak_allowed_rad": 1e-9,
-        }
-        content = json.dumps(body).encode()
-        path = "/api/v1/analyses/torque-schedule"
-        self.by_requests(48, 1.0, lambda client: client.post(path, content=content, headers=self.headers))
-
     def silence(self) -> None:
         """1000 connections that say nothing, opened again when they are closed."""
         target = urlsplit(self.url)

@@ -127,8 +127,6 @@ def client(handle: Callable[[httpx.Request], httpx.Response]) -> ServiceClient:
             "/spacecraft/x/control:sign-check",
             {"axis": "roll", "comment": ""},
         ),
-        (lambda c: c.start_closed_loop({"seed": 2}), "POST", "/analyses/closed-loop", {"seed": 2}),
-        (lambda c: c.closed_loop("j-1"), "GET", "/analyses/closed-loop/j-1", None),
         (lambda c: c.request("DELETE", "/keys/1"), "DELETE", "/keys/1", None),
     ],
 )

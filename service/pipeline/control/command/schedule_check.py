@@ -38,7 +38,6 @@ _WORDS = {
     "interval": "space the pulses {:.3g} s apart",
     "wait": "send it {:.3g} s later",
 }
-_RANK = ("accept", "warn", "reject")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +67,7 @@ def schedule_verdict(
 
     Notes
     -----
-    Peaks of the axes are told apart, the greatest one counts. Without a regulator on board that switches on the angle
-    the jitter of the hub is the only limit.
+    Each axis is judged by its own peak; the greatest one counts. The jitter of the hub is the only limit.
     """
     if not spacecraft.modes or not schedule:
         return None
@@ -81,7 +79,7 @@ def schedule_verdict(
     ]
     if not found:
         return None
-    worst, positions = max(found, key=lambda one: (_RANK.index(one[0].verdict), one[0].peak_rad))
+    worst, positions = max(found, key=lambda one: one[0].peak_rad)
     return ScheduleVerdict(
         verdict=worst.verdict,
         peak_deg=math.degrees(worst.peak_rad),

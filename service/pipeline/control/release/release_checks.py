@@ -87,7 +87,7 @@ def _schedule_checks(command: Command, at: Instant, settings: ReleaseSettings) -
     passed = f"the uplink needs {lead:g} s: the schedule begins before it can be there"
     too_long = f"the schedule must be over within {limit:g} s: what has gone out no trip can stop"
     return (
-        _check("flexible response", verdict in ("accept", "warn"), "schedule.rejected", rejected),
+        _check("flexible response", verdict == "accept", "schedule.rejected", rejected),
         _check("start", command.start_us >= soonest_us, "command.start_passed", passed),
         _check("end", stop_us <= latest_us, "command.too_long", too_long),
         _check("pulses", bool(command.schedule), "command.empty", "a command without a pulse does nothing"),

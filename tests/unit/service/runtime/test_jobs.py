@@ -1,8 +1,7 @@
-"""Jobs: every one ends and says how; alignment, calibration, analyses and upkeep from what the archive stores."""
+"""Jobs: every one ends and says how; alignment, calibration and upkeep from what the archive stores."""
 
 import threading
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -13,8 +12,6 @@ from synthetic_payload import HOUR, START_US, SyntheticPayload
 
 import service.runtime.jobs.calibration_job as calibrating
 from service.api.schemas.calibrations import AlignmentAnswer
-from service.core.dynamics.orbital_frame_analysis import SettlingRequest, Start
-from service.core.dynamics.orbital_frame_model import rigid_spacecraft
 from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError, StorageError
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method, Onboard
@@ -31,7 +28,6 @@ from service.records.storage import (
 )
 from service.runtime.jobs.alignment_service import AlignmentRequest
 from service.runtime.jobs.archive_maintenance import ArchiveMaintenance, newest_advice, runnable_methods
-from service.runtime.jobs.flight_analysis_job import MOST_WAITING, FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner
 
 TRACKER = ("star_tracker",) * 3
@@ -476,45 +472,6 @@ def test_only_so_many_wait_and_leaving_makes_room(ground):
             "analysis.too_long: it was ended after 600 s of computing",
         )
     assert calibrator.start(ground.id, ground.payload.request, "engineer")
-
-
-FLOWN = partial(fly_thinned, kernels="numpy")
-SHORT = SettlingRequest(rigid_spacecraft(), Start(yaw_deg=1.0), 1.0)
-
-
-def test_a_flight_is_kept_thinned(ground):
-    flights = FlightAnalyses(ground.jobs, FLOWN)
-    job = flights.start(SHORT, points=3)
-    assert ground.finish(job.id) is JobState.DONE
-    found = flights.result(job.id)
-    assert found.flight.time_s.tolist() == [0.0, 0.375, 0.75]
-    assert found.merit.peak_deg[2] == pytest.approx(1.0)
-    assert flights.result("closed-loop-0") is None
-
-
-def test_too_many_are_refused_until_one_is_over_even_by_failing(ground):
-    may_go = threading.Event()
-
-    def flown(_wish, _points):
-        assert may_go.wait(120)
-        raise ValueError("no kernel")
-
-    flights = FlightAnalyses(ground.jobs, flown)
-    waiting = [flights.start(SHORT, 3) for _ in range(MOST_WAITING)]
-    assert all(waiting)
-    with pytest.raises(BusyError, match=r"analysis\.busy: 4 analyses wait or fly"):
-        flights.start(SHORT, 3)
-    may_go.set()
-    for job in waiting:
-        assert ground.finish(job.id) is JobState.FAILED
-    assert ground.storage.results.job(waiting[0].id).error == "no kernel"
-    assert flights.start(SHORT, 3) is not None
-
-
-def test_the_longest_flight_is_that_of_the_kernel(ground):
-    flights = FlightAnalyses(ground.jobs, FLOWN, most_steps=8)
-    with pytest.raises(ValueError, match="8 steps"):
-        flights.start(SHORT._replace(duration_s=1.2), 3)
 
 
 def runner_run(ground, work):

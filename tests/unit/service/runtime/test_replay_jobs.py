@@ -14,7 +14,7 @@ import pytest
 from busy_station import BOTH, SC, at, everything, text
 
 from db.results import jobs
-from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError, UnavailableError
+from service.errors import ConflictError, InvalidInputError, NotFoundError, UnavailableError
 from service.pipeline.config import ChainConfig
 from service.ports import LIVE
 from service.records.calibration import CalibrationMethod
@@ -266,7 +266,7 @@ def await_end(process_id):
 @pytest.mark.timeout(300)
 def test_work_is_done_in_another_process_that_yields_to_the_service(make_workers):
     workers = make_workers(processes=1)
-    assert workers.analyse(pow, 2, 10).result() == 1024
+    assert workers.run(pow, 2, 10) == 1024
     assert workers.run(os.getpid) == workers.run(os.getpid) != os.getpid()
     assert workers.run(os.nice, 0) > os.nice(0)
 
@@ -289,25 +289,13 @@ def raise_conflict():
 
 
 @pytest.mark.timeout(300)
-def test_one_too_many_is_refused_and_leaving_makes_room(make_workers):
-    workers = make_workers(processes=1, max_waiting=1)
-    waiting = [workers.analyse(time.sleep, 0.5) for _ in range(2)]
-    with pytest.raises(BusyError, match=r"analysis\.busy: 2 analyses"):
-        workers.analyse(time.sleep, 0)
-    for each in waiting:
-        each.result()
-    assert workers.analyse(pow, 2, 3).result() == 8
-
-
-@pytest.mark.timeout(300)
 def test_work_beyond_its_time_is_ended_with_its_process_and_harms_no_other(make_workers):
-    workers = make_workers(processes=2, analysis_timeout_s=1.0)
-    process_id = workers.analyse(os.getpid).result()
+    workers = make_workers(processes=2, job_timeout_s=1.0)
+    process_id = workers.run(os.getpid)
     began = time.monotonic()
-    endless = workers.analyse(time.sleep, 10_000)
     with pytest.raises(InvalidInputError, match=r"analysis\.too_long: it was ended after 1 s"):
-        endless.result()
-    # neither a calibration beside it nor what comes next notices
+        workers.run(time.sleep, 10_000)
+    # what comes next does not notice
     assert workers.run(pow, 2, 4) == 16
     assert time.monotonic() - began < 200
     await_end(process_id)
@@ -336,24 +324,23 @@ def test_a_process_that_dies_at_work_says_so(make_workers):
 
 
 @pytest.mark.timeout(300)
-def test_a_stop_ends_what_is_computed_and_what_waits(make_workers):
+def test_a_stop_ends_what_is_computed_and_what_waits(make_workers, tmp_path):
     workers = make_workers(processes=1)
     process_id = workers.run(os.getpid)
-    working, waiting = workers.analyse(time.sleep, 10_000), workers.analyse(time.sleep, 10_000)
-    while not working.running():
-        time.sleep(0.01)
-    workers.stop()
-    with pytest.raises(UnavailableError, match="the service is stopping"):
-        working.result()
-    assert waiting.cancelled()
+    with ThreadPoolExecutor(2) as callers:
+        both = [callers.submit(workers.run, never_end, tmp_path / "begun") for _ in range(2)]
+        await_prepared(tmp_path / "begun")
+        workers.stop()
+        for each in both:
+            with pytest.raises(UnavailableError, match="the service is stopping"):
+                each.result()
     await_end(process_id)
-    for refused in (workers.analyse, workers.run):
-        with pytest.raises(UnavailableError, match="the service is stopping"):
-            refused(pow, 2, 2)
+    with pytest.raises(UnavailableError, match="the service is stopping"):
+        workers.run(pow, 2, 2)
 
 
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("bound", [{"processes": 0}, {"max_calibrations": 0}, {"analysis_timeout_s": 0.0}])
+@pytest.mark.parametrize("bound", [{"processes": 0}, {"max_calibrations": 0}, {"job_timeout_s": 0.0}])
 def test_bounds_that_let_nothing_through_are_refused(bound):
     with pytest.raises(ValueError, match="at least one process"):
         WorkerConfig(**bound)
@@ -370,6 +357,12 @@ def end_at_first(folder, times):
 def leave_process_id(path):
     """Write the number of this process."""
     path.write_text(str(os.getpid()))
+
+
+def never_end(path):
+    """Leave the number of this process, then work for hours."""
+    leave_process_id(path)
+    time.sleep(10_000)
 
 
 def await_prepared(path):

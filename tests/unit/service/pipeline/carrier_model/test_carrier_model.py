@@ -1,4 +1,4 @@
-"""Expectations of the model of carriers: noise, deviation, level and its control, beams."""
+"""Expectations of the model of carriers: level and its control, errors."""
 
 from dataclasses import replace
 
@@ -9,17 +9,13 @@ from geometry_flight import HOUR, MINUTE, SITE, START_US, FlightPayload, S
 from geometry_payload import GeometryPayload
 
 from service.core.estimation.calibration.geometry_columns import exact_response, predict_deviation
-from service.pipeline.carrier_model.beam_report import (
-    HOUR_US,
-    Group,
-    HourlyMeans,
-    WaveCause,
-    beam_report,
+from service.pipeline.carrier_model.expected_level import (
+    ExpectedLevel,
+    carrier_model,
     daily_error_db,
-    hourly_sigma_db,
+    expected_levels,
+    geometry_model,
 )
-from service.pipeline.carrier_model.expected_level import ExpectedLevel, carrier_model, expected_levels, geometry_model
-from service.pipeline.carrier_model.expected_level import daily_error_db as model_error_db
 from service.pipeline.carrier_model.level_control import (
     alc_groups,
     centred_model,
@@ -31,62 +27,10 @@ from service.pipeline.carrier_model.level_control import (
     without_group_means,
 )
 from service.pipeline.config import RobustConfig
-from service.records.calibration import Window
 from service.records.catalogue import CarrierPlan
 from service.records.noise import NoiseComponent
 
-SEED = 6
 DAY_US = 86_400_000_000
-
-
-def process(rng, part, rows, step_s=60.0):
-    """Return a process of the first order, rows a minute."""
-    keep = np.exp(-step_s / part.correlation_time_s)
-    drawn = rng.normal(0.0, part.sigma_db, rows)
-    for k in range(1, rows):
-        drawn[k] = keep * drawn[k - 1] + np.sqrt(1.0 - keep**2) * drawn[k]
-    return drawn
-
-
-@pytest.fixture(scope="module")
-def result():
-    result = FlightPayload.make().calibration().result
-    carriers = tuple(
-        replace(one, sigma_white_db=0.08, noise=(NoiseComponent(1200.0, 0.09),)) for one in result.carriers
-    )
-    return replace(result, carriers=carriers)
-
-
-def test_sigma_of_an_hour_is_that_of_drawn_noise(result):
-    rng = np.random.default_rng(SEED)
-    carrier = result.carriers[0]
-    drawn = process(rng, carrier.noise[0], 60 * 3000) + rng.normal(0.0, carrier.sigma_white_db, 60 * 3000)
-    measured = drawn.reshape(-1, 60).mean(axis=1).std()
-    stated = hourly_sigma_db(carrier, np.array([60, 60, 0, 59]))
-    assert stated == pytest.approx(measured, rel=0.06)
-    assert hourly_sigma_db(carrier, np.array([5, 5])) > stated, "an hour of five rows is less sure"
-    assert np.isfinite(hourly_sigma_db(carrier, np.zeros(2, dtype=np.int64)))
-
-
-def test_error_of_the_daily_change_is_that_of_drawn_noise(result):
-    rng = np.random.default_rng(SEED + 1)
-    rows, part = 3 * 1440, result.carriers[0].noise[0]
-    angle = 2 * np.pi * np.arange(rows) / 1440
-    design = np.column_stack([np.ones(rows), np.cos(angle), np.sin(angle)])
-    waves = [np.linalg.lstsq(design, process(rng, part, rows), rcond=None)[0][1:] for _ in range(120)]
-    measured = float(np.sqrt(np.mean(np.square(waves))))
-    fit = replace(result.geometry, daily_error_db=(0.04,) * len(result.carriers))
-    quiet = Window(START_US - 3 * DAY_US, START_US)
-    soon = daily_error_db(result, fit, quiet, np.array([START_US + DAY_US]))
-    # 240 parts: a sigma of five percent
-    np.testing.assert_allclose(soon, measured, rtol=0.2)
-    later = daily_error_db(result, fit, quiet, np.array([START_US + 60 * DAY_US]))
-    assert (later > 1.5 * soon).all(), "the orbit's day has moved by two months"
-    half_year = daily_error_db(result, fit, quiet, np.array([START_US + 181 * DAY_US]))
-    np.testing.assert_allclose(half_year, np.hypot(0.08, soon), rtol=0.05)
-    assert np.isfinite(daily_error_db(result, fit, quiet, np.zeros(0, dtype=np.int64))).all()
-
-
 GROUP = np.array([-1, 0, 0, 0, 1, 1, 1, 1])
 
 
@@ -270,7 +214,7 @@ def test_a_long_replay_keeps_only_some_days(monkeypatch):
 
 def error_of(payload, ephemeris, **changes):
     result = payload.calibration(**changes).result
-    return model_error_db(geometry_model(result.geometry, result.carriers), result.geometry, ephemeris, START_US)
+    return daily_error_db(geometry_model(result.geometry, result.carriers), result.geometry, ephemeris, START_US)
 
 
 def spread(payload, sigma):
@@ -316,132 +260,6 @@ def test_levels_of_many_epochs_leave_the_solar_day_out():
     np.testing.assert_allclose(
         at(np.array([START_US]))[0] + solar, payload.power_dbm([START_US], np.zeros(3))[0], atol=1e-10
     )
-
-
-BEAM_SEED = 8
-QUIET = Window(START_US - 72 * HOUR_US, START_US)
-HOURS = 72
-WAVE_DEG = 0.06
-
-
-@pytest.fixture(scope="module")
-def calibrated():
-    return FlightPayload.make(16).calibration().result
-
-
-def two_bands(calibrated):
-    """Return the calibration with its carriers in two bands, so with two antennas."""
-    fit = calibrated.geometry
-    half = len(calibrated.carriers) // 2
-    band = (0,) * half + (1,) * (len(calibrated.carriers) - half)
-    zeros = tuple(tuple(0.0 for _ in range(4)) for _ in range(np.array(fit.downlink_gain).shape[1]))
-    return replace(
-        calibrated,
-        geometry=replace(
-            fit,
-            bands=("C", "Ku"),
-            band=band,
-            rain_share=(0.1, 1.0),
-            downlink=((0.0, 0.0),) * 2,
-            downlink_covariance=tuple(map(tuple, 0.01 * np.eye(4))),
-            downlink_gain=(zeros,) * len(calibrated.carriers),
-        ),
-    )
-
-
-def hours(calibrated, waves, noise_db=0.01):
-    """Return hours at held angles in which carriers see their antenna move; waves (N,) in deg to the North."""
-    rng = np.random.default_rng(BEAM_SEED)
-    fit = calibrated.geometry
-    attitude = rng.normal(0.0, 0.02, (HOURS, 3))
-    model = geometry_model(fit, calibrated.carriers)
-    north = np.array(waves) * np.cos(2 * np.pi * np.arange(HOURS) / 24.0)[:, None]
-    deviation = predict_deviation(attitude, model.response) - np.array(fit.gradient)[:, 1] * north
-    deviation += rng.normal(0.0, noise_db, deviation.shape)
-    rows = np.full(deviation.shape, 60)
-    start_us = START_US + HOUR_US * np.arange(HOURS)
-    return HourlyMeans(start_us, deviation, rows, attitude, np.full(HOURS, 0.03))
-
-
-def reported(calibrated, waves, before=None, group=Group.BAND):
-    return beam_report(calibrated, calibrated.geometry, QUIET, before, hours(calibrated, waves), group)
-
-
-def test_one_antenna_may_be_the_sensor(calibrated):
-    (antenna,) = reported(calibrated, np.full(16, WAVE_DEG)).antennas
-    assert antenna.cause is WaveCause.ANTENNA_OR_SENSOR
-    assert antenna.north.daily.amplitude_deg == pytest.approx(WAVE_DEG, abs=0.008)
-    assert antenna.east.daily.amplitude_deg < 0.01
-    (still,) = reported(calibrated, np.zeros(16)).antennas
-    assert still.cause is WaveCause.NONE
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "causes"),
-    [
-        (WAVE_DEG, 0.0, (WaveCause.ANTENNA, WaveCause.NONE)),
-        (WAVE_DEG, WAVE_DEG, (WaveCause.BODY_OR_SENSOR, WaveCause.BODY_OR_SENSOR)),
-        (0.0, 0.0, (WaveCause.NONE, WaveCause.NONE)),
-    ],
-    ids=["one moves", "both move alike", "neither"],
-)
-def test_only_a_difference_of_antennas_is_proven(calibrated, first, second, causes):
-    both = two_bands(calibrated)
-    found = reported(both, [first] * 8 + [second] * 8).antennas
-    assert [one.antenna for one in found] == ["C", "Ku"]
-    assert tuple(one.cause for one in found) == causes
-
-
-def test_transponders_of_few_carriers_are_no_antenna(calibrated):
-    found = reported(calibrated, np.zeros(16), group=Group.TRANSPONDER)
-    held = np.bincount(calibrated.geometry.transponder)
-    assert len(found.antennas) == np.count_nonzero(held >= 5)
-    assert len(found.stations) == 16
-
-
-def test_hours_of_a_turn_tell_nothing(calibrated):
-    told = hours(calibrated, np.zeros(16))
-    turning = told._replace(range_deg=np.where(np.arange(HOURS) < 5, 0.4, told.range_deg))
-    report = beam_report(calibrated, calibrated.geometry, QUIET, None, turning, Group.BAND)
-    assert report.is_turned.sum() == 5
-    assert np.isnan(report.antennas[0].series.boresight_deg[:5]).all()
-    assert np.isfinite(report.antennas[0].series.boresight_deg[5:]).all()
-
-
-def test_beacons_and_level_control_tell_nothing(calibrated):
-    fit = replace(calibrated.geometry, alc_group=(-1, 0, 0, 0) + (-1,) * 12)
-    one = replace(calibrated, geometry=replace(fit, station_azimuth_deg=(*fit.station_azimuth_deg[:15], float("nan"))))
-    (antenna,) = reported(one, np.zeros(16)).antennas
-    (plain,) = reported(calibrated, np.zeros(16)).antennas
-    left_out = {carrier.id for carrier in (*calibrated.carriers[1:4], calibrated.carriers[15])}
-    assert left_out <= set(plain.carrier_ids)
-    assert antenna.carrier_ids == tuple(name for name in plain.carrier_ids if name not in left_out)
-
-
-def test_no_hours_give_stations_and_no_boresight(calibrated):
-    none = np.zeros((0, 16))
-    hours_of_none = HourlyMeans(np.zeros(0, np.int64), none, none.astype(np.int64), np.zeros((0, 3)), np.zeros(0))
-    report = beam_report(calibrated, calibrated.geometry, QUIET, None, hours_of_none, Group.BAND)
-    assert len(report.stations) == 16
-    assert np.isnan(report.antennas[0].north.mean_deg)
-    assert report.antennas[0].cause is WaveCause.NONE
-
-
-def test_beams_are_compared_with_those_of_the_campaign_before(calibrated):
-    assert all(np.isnan(one.change_sigmas) for one in reported(calibrated, np.zeros(16)).stations)
-    moved = list(map(list, calibrated.geometry.gradient))
-    sigma = np.sqrt(np.array(calibrated.geometry.covariance)[2, -5, -5])
-    moved[2][0] += 10.0 * sigma
-    places = (*calibrated.geometry.station_azimuth_deg[:15], calibrated.geometry.station_azimuth_deg[15] + 1.0)
-    before = replace(
-        calibrated,
-        carriers=(*calibrated.carriers[:5], replace(calibrated.carriers[5], id="former"), *calibrated.carriers[6:]),
-        geometry=replace(calibrated.geometry, gradient=tuple(map(tuple, moved)), station_azimuth_deg=places),
-    )
-    change = np.array([one.change_sigmas for one in reported(calibrated, np.zeros(16), before).stations])
-    assert change[2] > 5.0
-    assert np.isnan(change[[5, 15]]).all(), "another carrier, and one that stood elsewhere"
-    np.testing.assert_allclose(np.delete(change, [2, 5, 15]), 0.0, atol=1e-6)
 
 
 CONFIG = RobustConfig()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from service.core.control.slew_schedule import Envelope, envelope_excesses
-from service.core.flexible.schedule import analyse_schedule
+from service.core.flexible.schedule import ScheduleLimits, TorquePulse, check_schedule
+from service.core.flexible.spacecraft import HubMode
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.balance import basis_at, basis_of, predicted_deg, with_executed
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
@@ -322,12 +323,10 @@ def swinging(payload):
 def test_the_verdict_is_that_of_the_analysis_of_the_axis(swinging):
     reported = schedule_verdict((roll(10.0), roll(40.0)), swinging, TorqueConfig())
     (inertia,) = {swinging.inertia_kg_m2[0][0]}
-    own = analyse_schedule(
-        pulses=((0.0, 1.0, 0.02), (30.0, 1.0, 0.02)),
-        inertia_kg_m2=inertia,
-        modes=((0.6, 0.003, 0.4),),
-        peak_allowed_rad=np.radians(TorqueConfig().panel_peak_limit_deg),
+    limits = ScheduleLimits(
+        inertia, (HubMode(0.6, 0.003, 0.4),), float(np.radians(TorqueConfig().panel_peak_limit_deg))
     )
+    own = check_schedule((TorquePulse(0.0, 1.0, 0.02), TorquePulse(30.0, 1.0, 0.02)), limits, (0j,))
     assert (reported.verdict, reported.worst_mode) == (own.verdict, 1)
     assert reported.peak_deg == pytest.approx(np.degrees(own.peak_rad), rel=1e-12)
     assert reported.residual_deg == pytest.approx(np.degrees(own.residual_rad), rel=1e-12)
