@@ -2,21 +2,17 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.cli.command_group import end
 from service.cli.extras import require
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-)
+from service.cli.operation.connection import JsonOption, SpacecraftOption, on_service
+
+if TYPE_CHECKING:
+    from service.client.service_client import ServiceClient
+
 
 _FOUND_SIGMAS = 3.0
 _CAUSES = {
@@ -27,21 +23,20 @@ _CAUSES = {
 }
 
 
+@on_service
 def beams(
+    client: "ServiceClient",
     spacecraft: SpacecraftOption,
     start: Annotated[str | None, typer.Option(help="From here, RFC 3339; default: seven days before the end.")] = None,
     stop: Annotated[str | None, typer.Option(help="To here, exclusive; default: the newest row.")] = None,
     group: Annotated[str, typer.Option(help="Carriers of one antenna: `band` or `transponder`.")] = "band",
     figure: Annotated[Path | None, typer.Option(help="Draw boresights and beams into this PNG or SVG file.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Tell where the antennas point against the body, by powers and a working sensor."""
     if figure is not None:
         require("matplotlib")
-    with connected(service, key_env) as client:
-        document: dict[str, Any] = dict(client.beams(spacecraft, start, stop, group=group))
+    document: dict[str, Any] = dict(client.beams(spacecraft, start, stop, group=group))
     if figure is not None:
         # matplotlib costs half a second that a report without a figure need not pay
         from service.cli.planning.figures import draw_beams

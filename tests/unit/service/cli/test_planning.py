@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from service.cli.command_group import new_app
 from service.cli.importing.catalogue import read_plan
 from service.cli.importing.manifest import write_manifest
+from service.cli.operation import connection
 from service.cli.planning import beams as beams_module
 from service.cli.planning import plan as plan_module
 from service.cli.planning.plan import plan
@@ -94,7 +95,7 @@ def run(monkeypatch):
                 asked.append((args, options))
                 return document
 
-        monkeypatch.setattr(beams_module, "connected", lambda *_: nullcontext(Client()))
+        monkeypatch.setattr(connection, "connected", lambda *_: nullcontext(Client()))
         app = new_app()
         app.command()(beams_module.beams)
         return CliRunner().invoke(app, ["--spacecraft", "sc", *arguments]), asked
