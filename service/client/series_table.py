@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.records.epoch import format_epoch, parse_epoch
-from service.records.units import unit_of
+from service.records.setting import unit_of
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation

@@ -46,8 +46,7 @@ def estimation(
 
     from service.study.estimation.campaign import CampaignPlan, run_campaign
     from service.study.estimation.flight.world import ExportFailedError
-    from service.study.estimation.report import markdown, tables, verdict_lines
-    from service.study.estimation.report_document import as_document
+    from service.study.estimation.report import as_document, markdown, tables, verdict_lines
     from service.study.executors import ClusterError, WorkerChoice
 
     plan = CampaignPlan(_scenarios(scenario, group), seeds, WorkerChoice(workers, scheduler), operation_days)

@@ -28,11 +28,11 @@ from service.records.calibration import (
     CalibrationMethod,
     CalibrationResult,
     CarrierReference,
+    GeometryFit,
     Window,
 )
 from service.records.catalogue import Ephemeris, Method
 from service.records.epoch import US_PER_S
-from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 from service.records.levels.measurement import MeasurementSeries
 

@@ -20,9 +20,8 @@ from service.core.estimation.beams import (
 )
 from service.core.estimation.calibration.geometry_columns import predict_deviation
 from service.pipeline.carrier_model.expected_level import GeometryModel, geometry_model
-from service.records.calibration import CalibrationResult, CarrierCalibration, Window
+from service.records.calibration import CalibrationResult, CarrierCalibration, GeometryFit, Window
 from service.records.epoch import US_PER_S
-from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 
 _HOUR_S, _YEAR_DAYS = 3600.0, 365.25

@@ -13,11 +13,10 @@ from service.pipeline.config import AlignmentConfig, EstimationConfig
 from service.pipeline.estimation.paper.harmonic_removal import expected_power, remove_harmonic
 from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
 from service.pipeline.inputs.sensor_angles import StatedAngles
-from service.records.calibration import CalibrationMethod, Window
+from service.records.calibration import CalibrationMethod, NoiseComponent, Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementSeries
-from service.records.noise import NoiseComponent
 
 ALIGNED_US = START_US + HOUR
 WINDOW = Window(ALIGNED_US - 30 * MINUTE, ALIGNED_US + 1)

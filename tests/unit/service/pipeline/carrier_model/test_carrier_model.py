@@ -31,9 +31,8 @@ from service.pipeline.carrier_model.level_control import (
     without_group_means,
 )
 from service.pipeline.config import RobustConfig
-from service.records.calibration import Window
+from service.records.calibration import NoiseComponent, Window
 from service.records.catalogue import CarrierPlan
-from service.records.noise import NoiseComponent
 
 SEED = 6
 DAY_US = 86_400_000_000
