@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 
 from service.cli.app import app
 from service.cli.operation import connection
+from service.cli.operation import operate as operate_module
 from service.cli.operation.comparison import compare as compare_module
 from service.cli.operation.connection import connected
 from service.cli.operation.profile import ProfileError, UserProfile, profile_path, read_profile, write_profile
@@ -302,7 +303,8 @@ class Service:
 def service(monkeypatch: pytest.MonkeyPatch) -> Service:
     made = Service()
 
-    monkeypatch.setattr(connection, "connected", lambda _service, _key_env: nullcontext(made))
+    for module in (connection, operate_module):
+        monkeypatch.setattr(module, "connected", lambda _service, _key_env: nullcontext(made))
     return made
 
 
