@@ -67,7 +67,7 @@ def estimation(
 
 def _scenarios(named: list[str] | None, group: str | None) -> tuple[str, ...]:
     """Return the scenarios to run: those named, a group, or both; all where neither is given."""
-    from service.study.estimation.scenarios import GROUPS
+    from service.study.estimation.campaign import GROUPS
 
     if group is not None and group not in GROUPS:
         end(f"no group {group!r}; there are {', '.join(GROUPS)}")
