@@ -59,8 +59,10 @@ def _draw_map(axes: Any, stations: list[dict[str, Any]]) -> None:
         if len(own) >= _MIN_STATIONS:
             _draw_contours(axes, position, beams, colour)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"azimuth, deg East; arrows: where the level rises, {_BEAM_ARROW_DEG:g} deg for 1 dB/deg")
-    axes.set_ylabel("elevation, deg North")
+    axes.set(
+        xlabel=f"azimuth, deg East; arrows: where the level rises, {_BEAM_ARROW_DEG:g} deg for 1 dB/deg",
+        ylabel="elevation, deg North",
+    )
     if names:
         axes.legend(loc="upper right", ncols=4, frameon=False)
 
@@ -115,8 +117,7 @@ def draw_planning(planning: CarrierPlanning, path: Path) -> None:
                 _draw_station(axes, row, position, leverage.get(row["carrier"]), colour)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.12)
-        axes.set_xlabel("azimuth in the antenna frame, deg (East positive)")
-        axes.set_ylabel("elevation, deg (North positive)")
+        axes.set(xlabel="azimuth in the antenna frame, deg (East positive)", ylabel="elevation, deg (North positive)")
         axes.set_title(
             f"{planning.name}: arrows show where the level rises, {_ARROW_DEG:g} deg for 1 dB/deg; size: leverage"
         )
@@ -188,9 +189,7 @@ def _draw_allan(panel: Any, carriers: list[dict[str, Any]]) -> None:
         panel.loglog(spans_s, one, color=_USABLE if row["usable"] else _UNUSABLE, alpha=0.4, linewidth=0.9)
     known = np.isfinite(values).any(axis=0)
     panel.loglog(np.array(spans_s)[known], np.nanmedian(values[:, known], axis=0), "k-o", markersize=3, label="median")
-    panel.set_xlabel("averaging time, s")
-    panel.set_ylabel("Allan deviation, dB")
-    panel.set_title("carriers, grey: not usable")
+    panel.set(xlabel="averaging time, s", ylabel="Allan deviation, dB", title="carriers, grey: not usable")
     panel.legend()
 
 
