@@ -4,14 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_calibration import GeometryCalibration
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: three unknowns an hour and two carriers that check them
 MIN_CARRIERS = 5

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray
 from service.core.flexible.capture import SwitchOn, critical_amplitude_rad, perpetual_amplitude_rad
-from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.spacecraft import (
     HubMode,
     SwitchingLaw,

@@ -27,7 +27,6 @@ from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.drivers.scpi import (
     AnalyzerMessage,
     AnswerError,
-    FloatArray,
     Identity,
     is_message,
     levels_of_block,
@@ -41,6 +40,7 @@ from service.frontend.drivers.scpi import (
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import InputPart, SweepPart
 from service.records.epoch import US_PER_S, parse_epoch
+from service.records.levels.attitude import FloatArray
 from service.records.levels.sweep import SWEEP_FLAGS, Sweep, SweepSettings
 
 #: deviation of an edge, in spans, that counts as "not what was asked for"

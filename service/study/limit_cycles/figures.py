@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from service.core.arrays import FloatArray
 from service.core.flexible.capture import least_capturing_amplitude_rad, rigid_frequency_rad_s, stable_band
 from service.core.flexible.limit_cycle import cycle_period_s, koenigs_lamerey, succession
 from service.core.flexible.motion import FlexibleMotion, follow_motion
-from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.propagation import BodyState
 from service.core.flexible.spacecraft import HubMode, SwitchingLaw, WheelDrive
 from service.study.limit_cycles import reference
