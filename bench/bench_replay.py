@@ -22,7 +22,7 @@ from bench.load.plain_batch import plain_batch
 from db.storage import SqlStorage
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import Method
 from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobState, Replay

@@ -27,7 +27,7 @@ from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.__main__ import main as serve
 from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.storage import sqlite_url
 from tests.fakes.worlds.synthetic_payload import SC, START_US, S, SyntheticPayload
 

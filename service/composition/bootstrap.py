@@ -21,7 +21,7 @@ from service.console.pages import with_console
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.checkpoints import fingerprint
-from service.ports import Clock, Storage, Term
+from service.ports.storage import Clock, Storage, Term
 from service.records.operations.access import DONE, AccessKey, AuditEvent, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarms import Severity
 from service.runtime.alarms.alarm_service import AlarmService

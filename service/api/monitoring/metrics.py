@@ -20,13 +20,13 @@ from typing import Any, Literal, NamedTuple
 
 from service.api.context import ApiContext
 from service.api.limits.http_protocol import Connections
+from service.api.monitoring.access_log import DURATION_BOUNDS_S, RequestMetrics
 from service.api.monitoring.readiness import parts_of
-from service.api.monitoring.request_metrics import DURATION_BOUNDS_S, RequestMetrics
 from service.api.stream.event_stream import OpenStreams
 from service.api.views.present import link_answers, newest_attitude, present_of
 from service.api.views.shipped import program_version
 from service.errors import StorageError
-from service.ports import SMOOTHED
+from service.ports.archive import SMOOTHED
 from service.records.catalogue import LIVE_METHODS, Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow

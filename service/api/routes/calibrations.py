@@ -27,7 +27,8 @@ from service.api.schemas.carrier_selection import BeamsAnswer, CarrierSelectionA
 from service.pipeline.carrier_model.beam_report import Group
 from service.pipeline.planning.candidates import WHEEL_PERIOD_S, stated_wheels
 from service.pipeline.planning.planning import Rule
-from service.ports import LIVE, Storage
+from service.ports.archive import LIVE
+from service.ports.storage import Storage
 from service.records.calibration import Calibration, Window
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S

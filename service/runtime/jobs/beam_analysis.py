@@ -11,7 +11,8 @@ import numpy as np
 from service.core.rows import SampleBins
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.carrier_model.beam_report import HOUR_US, BeamReport, Group, HourlyMeans, beam_report
-from service.ports import LIVE, Storage
+from service.ports.archive import LIVE
+from service.ports.storage import Storage
 from service.records.calibration import Calibration, CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method
 from service.records.epoch import LATEST_EPOCH_US

@@ -6,7 +6,7 @@ from geometry_flight import FlightPayload
 
 from service.core.estimation.calibration.geometry_columns import predict_deviation
 from service.pipeline.carrier_model.expected_level import geometry_model
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.calibration import CalibrationMethod, CalibrationRequest, Window
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch

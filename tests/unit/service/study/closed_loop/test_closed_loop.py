@@ -12,7 +12,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
 from service.pipeline.inputs.knowledge import Knowledge
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import (
     AxisTorques,
     ControlMode,
