@@ -24,7 +24,7 @@ from analyzer_sim.world.spacecraft.hub_tones import HubTone, parse_tone
 
 if TYPE_CHECKING:
     from analyzer_sim.plant.plant import PlantOptions
-    from analyzer_sim.world.scenario.scenario import Scenario
+    from analyzer_sim.world.scenario.story import Scenario
 
 _SUBCOMMANDS = ("serve", "export", "plant", "scenarios")
 

@@ -38,7 +38,7 @@ from analyzer_sim.plant.flown_world import MAX_LINE_BYTES, ChangeError, FlownWor
 from analyzer_sim.plant.plant import MAX_LINE_CHARACTERS, PlantOptions, ScheduleError, fed_forward_line
 from analyzer_sim.scpi.framing import MessageFramer
 from analyzer_sim.world.ground.ground_port import Gate, serve_ground
-from analyzer_sim.world.scenario.scenario import Scenario
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.world import World
 
 _READ_BYTES = 1 << 16

@@ -10,11 +10,8 @@ floats apart). Memory: all is exported once after one day was, so that what is l
 
 import argparse
 import csv
-import json
-import os
 import secrets
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -30,12 +27,13 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
+from bench.load.plain_batch import plain_batch
+from bench.load.server_process import running
 from db.storage import SqlStorage
 from service.api.export.export_files import FileOrder, archive_file
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.epoch import format_epoch
-from service.records.levels.measurement import MeasurementBatch
 from service.records.storage import sqlite_url
 
 CARRIERS = 16
@@ -83,17 +81,8 @@ def fill(path: Path, rows: Rows) -> None:
     plan_id = storage.catalogue.put_plan("bench", carriers, "bench").id
     for first in range(0, len(rows.levels), DAY_ROWS):
         part = rows.levels[first : first + DAY_ROWS]
-        batch = MeasurementBatch(
-            "bench",
-            "sa-1",
-            plan_id,
-            int(rows.epochs_us[first]),
-            np.arange(len(part)),
-            rows.epochs_us[first : first + DAY_ROWS],
-            part,
-            (None,) * len(part),
-            np.zeros(len(part), dtype=bool),
-        )
+        epochs_us = rows.epochs_us[first : first + DAY_ROWS]
+        batch = plain_batch("bench", int(epochs_us[0]), epochs_us, part, plan_id)
         storage.archive.append_measurements(batch).result()
     last_us = int(rows.epochs_us[-1]) + 1
     for _ in storage.archive.seal("bench", last_us, last_us):
@@ -253,18 +242,11 @@ class Works:
 def served(path: Path) -> Iterator[tuple[httpx.Client, int]]:
     """Run the service over the archive; give a client and its process."""
     key = secrets.token_urlsafe(16)
-    environment = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "OPENBLAS_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "service", "serve", "--port", "0", "--database", sqlite_url(str(path))]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment)
-    try:
-        assert process.stdout is not None
-        url = json.loads(process.stdout.readline())["url"]
+    with running(command, key) as process:
         headers = {"Authorization": f"Bearer {key}"}
-        with httpx.Client(base_url=url, headers=headers, timeout=300.0, trust_env=False) as client:
+        with httpx.Client(base_url=process.url, headers=headers, timeout=300.0, trust_env=False) as client:
             yield client, process.pid
-    finally:
-        process.terminate()
-        process.wait(30)
 
 
 def resident_mb(process: int) -> float:

@@ -10,11 +10,9 @@ Batches of 100 rows tell what a backlog costs, single rows of 32 clients what ma
 
 import argparse
 import asyncio
-import json
 import os
 import secrets
 import statistics
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.load.http_load import Load, Rate, Shape
+from bench.load.server_process import served
 from service.client.service_client import ServiceClient
 from service.records.storage import sqlite_url
 
@@ -141,16 +140,8 @@ def _judge(name: str, figure: float, goal: float, *, is_most: bool = False) -> b
 def _served(kind: str, url_of_database: str, shape: Shape) -> Iterator[Load]:
     """Start a server with a carrier plan, give the load on it, and end it."""
     key = secrets.token_urlsafe(16)
-    command = [sys.executable, "-m", "bench.load.ingest_server", "--archive", kind, "--database", url_of_database]
-    environment = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "OPENBLAS_NUM_THREADS": "1"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
-        try:
-            if process.stdout is None:
-                raise RuntimeError("the server has no output")
-            url = str(json.loads(process.stdout.readline())["url"])
-            yield Load(url, key, _add_plan(url, key, shape), shape)
-        finally:
-            process.terminate()
+    with served(kind, url_of_database, key) as process:
+        yield Load(process.url, key, _add_plan(process.url, key, shape), shape)
 
 
 def _add_plan(url: str, key: str, shape: Shape) -> int:

@@ -26,13 +26,13 @@ from urllib.parse import urlencode
 import httpx
 import numpy as np
 
+from bench.load.plain_batch import plain_batch
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.records.calibration import Window
 from service.records.epoch import format_epoch, parse_epoch
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import Axes
-from service.records.levels.measurement import MeasurementBatch
 from service.records.storage import sqlite_url
 from service.runtime.jobs.alignment_service import AlignmentRequest
 from tests.fakes.drivers.busy_station import SC, Station
@@ -151,18 +151,8 @@ def _append(station: Station, minutes: range) -> None:
     """Store rows of some minutes, at most ten thousand."""
     epochs_us = np.array([at(minute) for minute in minutes], dtype=np.int64)
     noise_db = NOISE_DB * np.random.default_rng(minutes.start + 1_000_000).normal(size=(len(minutes), CARRIERS))
-    power_dbm = (PAYLOAD.power_dbm(epochs_us, angles_deg(minutes)) + noise_db).astype(np.float32)
-    batch = MeasurementBatch(
-        SC,
-        "sa-1",
-        1,
-        int(epochs_us[-1]) + S,
-        np.arange(len(minutes)),
-        epochs_us,
-        power_dbm,
-        (None,) * len(minutes),
-        np.zeros(len(minutes), dtype=bool),
-    )
+    power_dbm = PAYLOAD.power_dbm(epochs_us, angles_deg(minutes)) + noise_db
+    batch = plain_batch(SC, int(epochs_us[-1]) + S, epochs_us, power_dbm)
     station.storage.archive.append_measurements(batch).result(timeout=600)
 
 

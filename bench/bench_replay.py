@@ -18,12 +18,13 @@ from unittest.mock import patch
 import numpy as np
 
 from bench.bench_chain import yardstick_s
+from bench.load.plain_batch import plain_batch
 from db.storage import SqlStorage
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import Method
-from service.records.levels.measurement import Measurement, MeasurementBatch
+from service.records.levels.measurement import Measurement
 from service.records.operations.work import Job, JobState, Replay
 from service.records.storage import sqlite_url
 from service.runtime.jobs.replay_run import ReplayRun
@@ -87,17 +88,7 @@ def _fill(storage: SqlStorage, rows: int) -> None:
         epochs_us = START_US + HOUR + MINUTE * number
         angles_deg = 0.2 * np.sin(number[:, np.newaxis] / np.array([90.0, 70.0, 50.0]))
         power_dbm = payload.power_dbm(epochs_us, angles_deg) + _NOISE_DB * rng.normal(size=(len(number), CARRIERS))
-        batch = MeasurementBatch(
-            SC,
-            "sa-1",
-            1,
-            received_at_us=int(epochs_us[-1]),
-            index=number,
-            epochs_us=epochs_us,
-            power_dbm=power_dbm.astype(np.float32),
-            flags=(None,) * len(number),
-            is_stale=np.zeros(len(number), dtype=bool),
-        )
+        batch = plain_batch(SC, int(epochs_us[-1]), epochs_us, power_dbm)
         assert storage.archive.append_measurements(batch).result(timeout=60).accepted == len(number)
 
 

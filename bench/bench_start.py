@@ -22,12 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.bench_chain import measure_filter
+from bench.load.plain_batch import plain_batch
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.__main__ import main as serve
 from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
-from service.ports import LIVE
-from service.records.levels.measurement import MeasurementBatch
+from service.ports.archive import LIVE
 from service.records.storage import sqlite_url
 from tests.fakes.worlds.synthetic_payload import SC, START_US, S, SyntheticPayload
 
@@ -116,17 +116,8 @@ def fill(database: Path, rows: int) -> None:
         rng = np.random.default_rng(1)
         for first in range(0, rows, _BATCH_ROWS):
             count = min(_BATCH_ROWS, rows - first)
-            batch = MeasurementBatch(
-                SC,
-                "sa-1",
-                1,
-                received_at_us=START_US,
-                index=np.arange(count),
-                epochs_us=START_US + S * np.arange(first, first + count),
-                power_dbm=rng.normal(-45.0, 1.0, (count, CARRIERS)).astype(np.float32),
-                flags=(None,) * count,
-                is_stale=np.zeros(count, dtype=bool),
-            )
+            epochs_us = START_US + S * np.arange(first, first + count)
+            batch = plain_batch(SC, START_US, epochs_us, rng.normal(-45.0, 1.0, (count, CARRIERS)))
             assert storage.archive.append_measurements(batch).result(timeout=60).accepted == count
         head = storage.archive.head(SC)
         storage.results.save_outcomes(SC, LIVE, [], head.newest_number, head.newest_epoch_us)

@@ -18,7 +18,7 @@ import numpy as np
 
 from db.encoding.segments import DAY_US
 from db.storage import SqlStorage
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, CarrierResults, Pulse, Status, TorqueCommand

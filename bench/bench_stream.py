@@ -91,7 +91,7 @@ def measure(seconds: float, clients: int) -> StreamTimes:
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
         database = Path(name) / "stream.db"
         _prepare(database, payload)
-        with served("durable", database, key) as service:
+        with served("durable", sqlite_url(str(database)), key) as service:
             alone = asyncio.run(_delays(service.url, key, payload, seconds))
             cpu_s, began_s = service.cpu_s(), time.monotonic()
             with _crowd(service.url, key, clients) as crowd:

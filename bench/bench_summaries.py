@@ -24,7 +24,7 @@ from db.encoding.segments import DAY_US
 from db.storage import SqlStorage
 from service.composition.bootstrap import build_app, build_maintenance
 from service.composition.settings import Settings
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import (
     Alignment,
     CalibrationMethod,

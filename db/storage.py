@@ -1,4 +1,4 @@
-"""Storage: the repositories over one database; implements ``service.ports.Storage``."""
+"""Storage: the repositories over one database; implements ``service.ports.storage.Storage``."""
 
 from sqlalchemy import Connection, select
 
@@ -13,19 +13,8 @@ from db.operations.releases import SqlReleases
 from db.results.results import SqlResults
 from db.schema.layout import LAYOUT, create_tables, layout_of, refusal
 from db.schema.tables import head
-from service.ports import (
-    Alarms,
-    Archive,
-    Audit,
-    Catalogue,
-    Keys,
-    Leases,
-    Links,
-    Notes,
-    Releases,
-    Results,
-    Traces,
-)
+from service.ports.archive import Archive, Results
+from service.ports.storage import Alarms, Audit, Catalogue, Keys, Leases, Links, Notes, Releases, Traces
 from service.records.storage import StorageState
 
 

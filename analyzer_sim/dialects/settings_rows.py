@@ -8,12 +8,13 @@ import numpy as np
 from analyzer_sim.dialects.dialect import Call, Command, Reader, TraceStyle
 from analyzer_sim.instrument.channel_power import Band, ChannelSettings, band_power_mw, decibels
 from analyzer_sim.instrument.instrument_settings import Limits, Settings
-from analyzer_sim.instrument.levels import ENCODERS, UNITS, FloatArray, ascii_list, definite_block
+from analyzer_sim.instrument.levels import ENCODERS, UNITS, ascii_list, definite_block
 from analyzer_sim.instrument.quantities import QUANTITIES, load, shown_limits, store
 from analyzer_sim.instrument.spectrum import SweepGrid
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Boolean, Choice, Level, Numeric, Parameter
 from analyzer_sim.scpi.parser import short_form
+from analyzer_sim.streams import FloatArray
 
 
 def number_text(value: float) -> str:

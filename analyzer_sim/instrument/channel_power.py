@@ -13,13 +13,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analyzer_sim.instrument.instrument_settings import MAX_SWEEPS, Limits, Settings
 from analyzer_sim.instrument.quantities import store
 from analyzer_sim.instrument.spectrum import SweepGrid
-
-FloatArray = NDArray[np.float64]
+from analyzer_sim.streams import FloatArray
 
 #: span and averages of a measurement that sweeps on its own
 OWN_SPAN_HZ = Limits(100.0, 26.5e9, 3e6)

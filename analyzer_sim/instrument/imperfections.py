@@ -12,11 +12,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analyzer_sim.streams import stream
-
-FloatArray = NDArray[np.float64]
+from analyzer_sim.streams import FloatArray, stream
 
 _US_PER_HOUR = 3.6e9
 _US_PER_DAY = 24 * _US_PER_HOUR

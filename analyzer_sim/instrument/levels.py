@@ -5,9 +5,8 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from analyzer_sim.streams import FloatArray
 
 IMPEDANCE_OHM = 50.0
 _INT32_RANGE = -(2**31), 2**31 - 1

@@ -30,9 +30,8 @@ from analyzer_sim.instrument.spectrum import (
     milliwatts,
     too_fast_line_loss,
 )
-from analyzer_sim.streams import stream
+from analyzer_sim.streams import FloatArray, stream
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 #: below this part of the noise a line does not change the statistics of a point

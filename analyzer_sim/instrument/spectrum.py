@@ -17,11 +17,9 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analyzer_sim.emission import Emission, NoiseHump, Signal
-
-FloatArray = NDArray[np.float64]
+from analyzer_sim.streams import FloatArray
 
 #: noise bandwidth of the Gaussian filter over its 3 dB bandwidth
 ENBW_PER_RBW = math.sqrt(math.pi / (4.0 * math.log(2.0)))

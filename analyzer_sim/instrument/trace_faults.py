@@ -10,9 +10,8 @@ from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from analyzer_sim.streams import FloatArray
 
 #: every so many points a fault of values takes one, so that no carrier of a wide sweep is spared
 _EVERY = 10

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analyzer_sim.epochs import US_PER_H
-from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.noise import first_order
+from analyzer_sim.streams import FloatArray, first_order, stream
 from analyzer_sim.world.orbit import EpochArray
 from analyzer_sim.world.payload.carriers import CarrierPlan
 from analyzer_sim.world.payload.effects import SOURCES, Effects, FaultFlag, apply_fault, draw

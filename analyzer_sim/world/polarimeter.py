@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analyzer_sim.epochs import US_PER_DAY, US_PER_H, US_PER_S
-from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.noise import daily_wave, first_order
+from analyzer_sim.streams import FloatArray, daily_wave, first_order, stream
 from analyzer_sim.world.orbit import EpochArray, Orbit, body_from_orbital, orbital_from_earth, station_position_km, unit
 from analyzer_sim.world.payload.carriers import Station
 from analyzer_sim.world.scenario.story import PolarimeterFigures, Scenario

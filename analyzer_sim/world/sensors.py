@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.noise import first_order
+from analyzer_sim.streams import FloatArray, first_order, stream
 from analyzer_sim.world.orbit import EpochArray
 
 _US_PER_MIN = 60_000_000

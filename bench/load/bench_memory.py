@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bench.load.plain_batch import plain_batch
 from db.storage import SqlStorage
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
@@ -24,7 +25,6 @@ from service.records.calibration import CalibrationRequest, Window
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import Axes
-from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.work import JobState, Replay
 from service.records.storage import sqlite_url
 from service.runtime.clock import SystemClock
@@ -171,19 +171,8 @@ def replay_mb(url: str, rows: int) -> float:
 
 
 def _append(storage: SqlStorage, spacecraft_id: str, epochs_us: np.ndarray, power_dbm: np.ndarray) -> None:
-    count = len(epochs_us)
-    batch = MeasurementBatch(
-        spacecraft_id,
-        "sa-1",
-        1,
-        _RECEIVED_US,
-        np.arange(count),
-        epochs_us,
-        power_dbm.astype(np.float32),
-        (None,) * count,
-        np.zeros(count, dtype=bool),
-    )
-    assert storage.archive.append_measurements(batch).result(timeout=600).accepted == count
+    batch = plain_batch(spacecraft_id, _RECEIVED_US, epochs_us, power_dbm)
+    assert storage.archive.append_measurements(batch).result(timeout=600).accepted == len(epochs_us)
 
 
 def _refer(storage: SqlStorage, spacecraft_id: str, epochs_us: np.ndarray, angles_deg: np.ndarray) -> None:

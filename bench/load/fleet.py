@@ -7,23 +7,20 @@ the ratio says what is left for estimators, and the processor time of a row says
 """
 
 import argparse
-import json
 import os
 import statistics
-import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from bench.load.server_process import ServedProcess
+from bench.load.plain_batch import plain_batch
+from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
-from service.records.levels.measurement import MeasurementBatch
 from tests.fakes.drivers.postgresql_cluster import NoServerError, PostgresqlCluster
 from tests.fakes.worlds.synthetic_payload import HOUR, MINUTE, START_US, SyntheticPayload
 
@@ -82,7 +79,11 @@ def measured(cluster: PostgresqlCluster, estimators: int, spacecraft: int, rows:
     # the compiled functions are loaded, and every chain stands, before the time counts
     store(storage, payload, names, 0, 2)
     with ExitStack() as stack:
-        processes = [stack.enter_context(estimator(url)) for _ in range(estimators)]
+        command = [sys.executable, "-m", "service", "serve", "--no-http", "--clock", "data", "--database", url]
+        processes: list[ServedProcess] = [
+            stack.enter_context(running(command, "key-of-the-benchmark", announced="estimator"))
+            for _ in range(estimators)
+        ]
         await_share(storage, spacecraft, estimators)
         await_results(storage)
         cpu_s, began_s = sum(each.cpu_s() for each in processes), time.perf_counter()
@@ -109,14 +110,8 @@ def prepare(storage: SqlStorage, payload: SyntheticPayload, name: str) -> None:
 def store(storage: SqlStorage, payload: SyntheticPayload, names: list[str], first: int, rows: int) -> None:
     """Store rows of every spacecraft, a minute apart."""
     epochs_us = START_US + HOUR + MINUTE * np.arange(first + 1, first + rows + 1)
-    powers = payload.power_dbm(epochs_us, np.zeros((rows, 3)), noise_db=0.05, seed=first).astype(np.float32)
-    plain = ((None,) * rows, np.zeros(rows, dtype=bool))
-    waits = [
-        storage.archive.append_measurements(
-            MeasurementBatch(name, "sa-1", 1, START_US, np.arange(rows), epochs_us, powers, *plain)
-        )
-        for name in names
-    ]
+    powers = payload.power_dbm(epochs_us, np.zeros((rows, 3)), noise_db=0.05, seed=first)
+    waits = [storage.archive.append_measurements(plain_batch(name, START_US, epochs_us, powers)) for name in names]
     assert sum(each.result(timeout=600).accepted for each in waits) == rows * len(names)
 
 
@@ -133,19 +128,6 @@ def await_results(storage: SqlStorage) -> None:
     """Wait until every row has its results."""
     while any(head.consumed_number < head.newest_number for head in storage.archive.heads().values()):
         time.sleep(0.05)
-
-
-@contextmanager
-def estimator(url: str) -> Iterator[ServedProcess]:
-    """Run an estimator without an interface."""
-    command = [sys.executable, "-m", "service", "serve", "--no-http", "--clock", "data", "--database", url]
-    environment = {**os.environ, "SOO_BOOTSTRAP_KEY": "key-of-the-benchmark", "OPENBLAS_NUM_THREADS": "1"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as process:
-        try:
-            assert process.stdout is not None
-            yield ServedProcess(json.loads(process.stdout.readline())["estimator"], process.pid, 0.0)
-        finally:
-            process.terminate()
 
 
 if __name__ == "__main__":

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from service.records.storage import sqlite_url
-
 #: clock ticks of the processor times in /proc
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 _KB = 1024
@@ -37,24 +35,16 @@ class ServedProcess(NamedTuple):
 
 
 @contextmanager
-def served(archive: str, database: Path, key: str) -> Iterator[ServedProcess]:
+def served(archive: str, url: str, key: str) -> Iterator[ServedProcess]:
     """Start the server of the ingest benchmark over an archive, durable or none, and end it."""
-    command = [
-        sys.executable,
-        "-m",
-        "bench.load.ingest_server",
-        "--archive",
-        archive,
-        "--database",
-        sqlite_url(str(database)),
-    ]
+    command = [sys.executable, "-m", "bench.load.ingest_server", "--archive", archive, "--database", url]
     with running(command, key) as process:
         yield process
 
 
 @contextmanager
-def running(command: list[str], key: str, **environment: str) -> Iterator[ServedProcess]:
-    """Start a service that announces its address in JSON, and end it."""
+def running(command: list[str], key: str, announced: str = "url", **environment: str) -> Iterator[ServedProcess]:
+    """Start a service that announces its address, or its name as an estimator, in JSON, and end it."""
     whole = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "OPENBLAS_NUM_THREADS": "1", "SOO_ACCESS_LOG": "false"}
     began_s = time.perf_counter()
     with subprocess.Popen(
@@ -62,7 +52,7 @@ def running(command: list[str], key: str, **environment: str) -> Iterator[Served
     ) as process:
         try:
             assert process.stdout is not None
-            url = str(json.loads(process.stdout.readline())["url"])
+            url = str(json.loads(process.stdout.readline())[announced])
             yield ServedProcess(url, process.pid, time.perf_counter() - began_s)
         finally:
             process.terminate()

@@ -20,7 +20,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.connection.engines import end_stopped_writers, session_engine, translated_faults
 from db.schema.tables import LEASE_US, MEMBERS_LOCK, SERVER_NOW_US, lease, live_member, member
 from service.errors import StorageError
-from service.ports import ARCHIVE, Leases, Term
+from service.ports.storage import ARCHIVE, Leases, Term
 from service.records.epoch import US_PER_S
 
 if TYPE_CHECKING:

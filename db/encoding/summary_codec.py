@@ -21,8 +21,9 @@ from sqlalchemy import Column, Connection, Table, bindparam, func, select
 
 from db.connection.writer import PreparedStatement
 from db.schema.tables import attitude_summary, carrier_summary, power_summary
-from service.core.rows import NEVER_US, IntArray, Summaries, joined
-from service.ports import Intervals
+from service.core.arrays import IntArray
+from service.core.rows import NEVER_US, Summaries, joined
+from service.ports.archive import Intervals
 from service.records.epoch import US_PER_S
 
 HOUR_US, MINUTE_US = 3600 * US_PER_S, 60 * US_PER_S

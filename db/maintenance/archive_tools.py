@@ -6,7 +6,7 @@ from pathlib import Path
 from db.maintenance.backup import Report, Restored, create_backup, restore_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import Report as StepReport
-from service.ports import Clock
+from service.ports.storage import Clock
 from service.records.epoch import format_epoch
 from service.records.inputs import JournalHead
 from service.records.storage import Diagnosis, Manifest

@@ -20,9 +20,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from sqlalchemy import Connection, func, select, text
+from sqlalchemy import Connection, Integer, Table, func, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
+import db.schema.layout  # noqa: F401 - brings every table along
 from db.connection.engines import (
     COMPANIONS,
     Progress,
@@ -35,11 +36,62 @@ from db.connection.engines import (
     sqlite_path,
 )
 from db.maintenance.integrity_check import examine, examine_content
-from db.maintenance.table_copy import copy_tables
 from db.measurements.checksum_check import damage_of
 from db.schema.layout import LAYOUT, archive_layout, create_tables, layout_of, refusal
 from db.schema.tables import head, metadata, spacecraft
 from service.records.storage import BackupError, Diagnosis, Manifest, SpacecraftCount, sqlite_url, worst
+
+_ROWS = 2000
+#: rows with large blobs are held few at a time
+_ROWS_OF_BLOBS = 100
+_BLOB_TABLES = frozenset(
+    {
+        "attitude_summary",
+        "carrier_summary",
+        "checkpoint",
+        "measurement_segment",
+        "power_summary",
+        "replay_checkpoint",
+        "result_segment",
+        "state_summary",
+        "trace",
+    }
+)
+
+
+def copy_tables(source: Connection, target: Connection, progress: Progress) -> None:
+    """Copy every row of every table into empty tables."""
+    tables = metadata.sorted_tables
+    total = sum(source.scalar(select(func.count()).select_from(table)) or 0 for table in tables) or 1
+    done = 0
+    for table in tables:
+        for rows in _pages(source, table):
+            target.execute(table.insert(), rows)
+            done += len(rows)
+            progress(done / total)
+        if target.dialect.name == "postgresql":
+            _move_sequence(target, table)
+
+
+def _pages(source: Connection, table: Table) -> Iterator[list[dict[str, Any]]]:
+    """Yield the rows of a table, some at a time."""
+    at_once = _ROWS_OF_BLOBS if table.name in _BLOB_TABLES else _ROWS
+    options = {"stream_results": True, "max_row_buffer": at_once}
+    result = source.execute(select(table), execution_options=options)
+    for rows in result.partitions(at_once):
+        yield [dict(row._mapping) for row in rows]  # noqa: SLF001 - SQLAlchemy's public name
+
+
+def _move_sequence(target: Connection, table: Table) -> None:
+    """Let the numbers that PostgreSQL gives go on behind those that were copied."""
+    column = table.autoincrement_column
+    if column is None or not isinstance(column.type, Integer):
+        return
+    name = target.scalar(select(func.pg_get_serial_sequence(table.name, column.name)))
+    if name is not None:
+        newest = target.scalar(select(func.max(column)))
+        target.execute(select(func.setval(name, newest or 1, newest is not None)))
+
 
 ARCHIVE_FILE, MANIFEST_FILE = "archive.db", "manifest.json"
 #: 8 MiB a step, between which the progress is told

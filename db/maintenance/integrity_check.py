@@ -42,7 +42,7 @@ from db.schema.tables import (
     torque,
 )
 from service.errors import StorageError
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch

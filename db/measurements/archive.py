@@ -26,7 +26,7 @@ from db.measurements.row_insert import prepare
 from db.schema.columns import sound_rows
 from db.schema.tables import carrier_plan, head, journal, operation, source, source_key_run
 from service.errors import InvalidInputError, NotFoundError
-from service.ports import Intervals, MeasuredFigure, SampledPowers
+from service.ports.archive import Intervals, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.inputs import (

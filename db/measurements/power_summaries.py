@@ -13,7 +13,7 @@ from db.measurements.measurement_pages import FULL, Chosen, MeasurementPages
 from db.measurements.measurement_pages import POWERS as POWER_COLUMNS
 from db.schema.tables import power_summary
 from service.core.rows import Summaries
-from service.ports import Intervals, MeasuredFigure, SampledPowers
+from service.ports.archive import Intervals, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
 from service.records.levels.attitude import FloatArray
 from service.records.levels.measurement import DETAIL_NAMES

@@ -16,7 +16,7 @@ from db.schema.tables import alarm as alarm_table
 from db.schema.tables import alarm_change, alarm_limits, alarm_memory
 from db.schema.tables import note as note_table
 from service.errors import NotFoundError
-from service.ports import ARCHIVE
+from service.ports.storage import ARCHIVE
 from service.records.calibration import Window
 from service.records.operations.alarms import Alarm, AlarmChange, AlarmLimits, EngineMemory, Note
 

@@ -21,7 +21,7 @@ from db.newest_rows import RowPages, newest_rows
 from db.results.stored_rows import ResultSeries, newest_row, page_of_rows, stored_rows
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method
 from service.records.inputs import CalibrationActivation

@@ -26,7 +26,7 @@ from db.schema.tables import attitude, head, torque
 from db.schema.tables import attitude_summary as table
 from service.core.rows import Stretch, Summaries
 from service.errors import StorageError
-from service.ports import Intervals
+from service.ports.archive import Intervals
 from service.records.calibration import Window
 from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray, TorqueCommand
 

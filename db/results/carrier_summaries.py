@@ -18,7 +18,7 @@ from db.newest_rows import RowPages
 from db.results.stored_rows import ResultSeries, pages, stored_rows
 from db.schema.tables import attitude_summary, carrier_summary
 from service.core.rows import Summaries, joined
-from service.ports import Intervals, SampledCarriers
+from service.ports.archive import Intervals, SampledCarriers
 from service.records.calibration import Window
 from service.records.levels.attitude import STEP_DB, CarrierResults, FloatArray, IntArray
 

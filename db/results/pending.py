@@ -15,7 +15,7 @@ from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import kept_from_us
 from db.results.stored_rows import ResultSeries, newest_sealed_us, stored_numbers
 from db.schema.tables import alignment, attitude, complete_mark, head, measurement
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import IntArray

@@ -37,7 +37,7 @@ from db.results.stored_rows import (
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, head, torque
 from service.core.rows import History, Summaries
-from service.ports import LIVE, SMOOTHED, Intervals, Outcome, SampledCarriers
+from service.ports.archive import LIVE, SMOOTHED, Intervals, Outcome, SampledCarriers
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import AttitudeRow, CarrierResults, IntArray, TorqueCommand

@@ -16,7 +16,7 @@ from db.schema.columns import agrees, checksum_of, sound_rows
 from db.schema.tables import attitude, result_segment, spacecraft, torque
 from db.schema.tables import result_segment as segment_table
 from service.errors import StorageError
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch

@@ -17,7 +17,8 @@ from service.api.limits.rate_limits import RateLimitConfig
 from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.pipeline.config import CalibrationConfig, InterlockConfig
 from service.pipeline.ingest_screening import EpochBounds, data_bounds, system_bounds
-from service.ports import LIVE, SMOOTHED, Archive, Catalogue, Clock, Results, Storage
+from service.ports.archive import LIVE, SMOOTHED, Archive, Results
+from service.ports.storage import Catalogue, Clock, Storage
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes

@@ -4,9 +4,9 @@ import asyncio
 from collections.abc import Callable
 
 from service.client.async_transport import AsyncTransport
+from service.client.call import JobWatch
 from service.client.documents import JobReply
 from service.client.endpoints import Endpoints
-from service.client.jobs import JobWatch
 from service.client.service_client import ServiceClient
 
 

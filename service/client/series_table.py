@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.records.epoch import format_epoch, parse_epoch
-from service.records.units import unit_of
+from service.records.levels.attitude import FloatArray
+from service.records.setting import unit_of
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-FloatArray = NDArray[np.float64]
 #: in the order of the turns
 _AXES = ("yaw_deg", "pitch_deg", "roll_deg")
 

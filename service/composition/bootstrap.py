@@ -14,12 +14,13 @@ from db.storage import SqlStorage
 from service.api.access.auth import origins_of
 from service.api.app import create_app
 from service.api.context import ApiContext, Limits, MonitoringSettings
+from service.api.monitoring.metrics import raised_descriptor_limit
 from service.composition.setting_entries import entries_in_force
 from service.composition.settings import Settings
 from service.console.pages import with_console
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.checkpoints import fingerprint
-from service.ports import Clock, Storage, Term
+from service.ports.storage import Clock, Storage, Term
 from service.records.operations.access import DONE, AccessKey, AuditEvent, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarms import Severity
 from service.runtime.alarms.alarm_service import AlarmService
@@ -39,7 +40,6 @@ from service.runtime.live.leadership import Leading, always
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.step_failures import StepFailures
 from service.runtime.live.supervisor import Supervisor
-from service.runtime.process_metrics import raised_descriptor_limit
 
 if TYPE_CHECKING:
     from db.connection.engines import FileWatch

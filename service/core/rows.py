@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-IntArray = NDArray[np.int64]
+from service.core.arrays import FloatArray, IntArray
+
 #: a distance of more periods than this lacks a row
 GAP_PERIODS = 1.5
 #: rows whose median distance is the usual one
@@ -257,7 +258,6 @@ def _joined_within(runs: Sequence[StateRun], distance_us: int) -> list[StateRun]
     return sorted((*found, *newest.values()), key=lambda run: (run.start_us, run.state))
 
 
-FloatArray = NDArray[np.float64]
 #: behind every epoch
 NEVER_US = 1 << 62
 

@@ -8,15 +8,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from sgp4.io import compute_checksum
 
 from service.errors import InvalidInputError
 from service.formats.ccsds import calendar_us, is_useable
 from service.records.catalogue import Ephemeris, Track
+from service.records.levels.attitude import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 _DAY_US = 86_400_000_000
 _KM_PER_AU = 149_597_870.7
 

@@ -5,6 +5,7 @@ A power is kept as float32, so nine digits at most name it; printed as the float
 """
 
 import math
+import re
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,3 +65,20 @@ def text_of_float(value: float) -> str:
     ('0.1', '')
     """
     return "" if math.isnan(value) else repr(float(value))
+
+
+#: what separates fields or lines
+_SEPARATES = re.compile('[,"\r\n]').search
+
+
+def csv_field(text: str) -> str:
+    r"""Return a field, quoted when it holds what separates fields or lines.
+
+    Examples
+    --------
+    >>> csv_field('a "b", c')
+    '"a ""b"", c"'
+    """
+    if _SEPARATES(text):
+        return '"' + text.replace('"', '""') + '"'
+    return text

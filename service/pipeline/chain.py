@@ -35,7 +35,7 @@ from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.runner import RobustRunner
 from service.pipeline.estimation.row_inhibitions import Disagreement, compare
 from service.pipeline.inputs.knowledge import Knowledge, Lookup, update
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.calibration import Calibration
 from service.records.catalogue import CarrierPlan, Method, Release, Spacecraft
 from service.records.epoch import US_PER_S

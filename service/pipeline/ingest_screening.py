@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.records.epoch import DAY_US, EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S, format_epoch
-from service.records.levels.attitude import FloatArray, IntArray
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 from service.records.levels.measurement import (
     DETAIL_NAMES,
     CarrierDetails,
@@ -29,7 +28,6 @@ MAX_POWER_DBM = 50.0
 #: nothing measured of a simulated spacecraft lies so far past its newest row: one such epoch would end its clock
 HORIZON_US = 366 * DAY_US
 
-BoolArray = NDArray[np.bool_]
 Powers = Sequence[Sequence[float | None]]
 Flags = Sequence[Sequence[int] | None]
 #: by name, what each row states beside its powers

@@ -19,7 +19,7 @@ from db.storage import SqlStorage
 from service.api.export.export_files import FileFormat, FileOrder, archive_file
 from service.core.geometry.frames import attitude_of_quaternion
 from service.formats.ccsds import AemWriter, AttitudeMessage
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft, Station
 from service.records.levels.attitude import AttitudeRow, Axes, Status, row_without_attitude

@@ -17,7 +17,7 @@ from db.results.state_summaries import store_states
 from db.schema.tables import attitude_summary
 from db.storage import SqlStorage
 from service.core.rows import RowState, StateRun, Stretch
-from service.ports import ATTITUDE_FIGURES
+from service.ports.archive import ATTITUDE_FIGURES
 from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch
 from service.records.levels.measurement import MeasurementBatch

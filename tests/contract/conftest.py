@@ -12,7 +12,8 @@ import pytest
 import stored_records
 
 from db.storage import SqlStorage
-from service.ports import Outcome, Storage
+from service.ports.archive import Outcome
+from service.ports.storage import Storage
 from service.records.calibration import (
     Alignment,
     Calibration,

@@ -13,7 +13,7 @@ from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, re
 from db.schema.layout import LAYOUT
 from db.schema.tables import metadata
 from db.storage import SqlStorage
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.inputs import Operation
 from service.records.operations.access import BrowserSession

@@ -17,7 +17,7 @@ from db.maintenance.integrity_check import examine
 from db.results.state_summaries import store_states, stored_states
 from db.schema.tables import state_summary
 from service.cli.app import app
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.inputs import Correction
 from service.records.operations.alarms import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.storage import Checkpoint, SealedPart, worst

@@ -18,7 +18,7 @@ from db.measurements import retention
 from db.schema.tables import retention_mark
 from db.storage import SqlStorage
 from service.errors import ConflictError, StorageError
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Correction, Operation

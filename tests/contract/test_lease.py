@@ -16,7 +16,8 @@ from db.maintenance.doctor import diagnose
 from db.schema.tables import LEASE_US
 from db.storage import SqlStorage
 from service.errors import StorageError
-from service.ports import ARCHIVE, Outcome
+from service.ports.archive import Outcome
+from service.ports.storage import ARCHIVE
 from service.records.epoch import US_PER_S
 from service.records.operations.alarms import EngineMemory
 from service.records.operations.work import Job, JobState

@@ -17,7 +17,7 @@ from db.measurements.ingest import StoreBatch
 from db.measurements.row_insert import prepare
 from db.schema.tables import head, measurement, measurement_detail, sequence_interval, source
 from service.errors import NotFoundError
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference, Operation

@@ -18,7 +18,7 @@ from db.maintenance.doctor import diagnose
 from db.schema.columns import CHECKSUM_BYTES, checksum_of
 from db.schema.tables import attitude, measurement, metadata
 from service.errors import StorageError
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.inputs import (

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from service.core.rows import SampleBins
 from service.errors import ConflictError, NotFoundError
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import (
     Alignment,
     CalibrationMethod,

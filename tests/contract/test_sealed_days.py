@@ -15,7 +15,7 @@ from db.schema.tables import measurement, measurement_segment
 from db.storage import SqlStorage
 from service.core.rows import SampleBins
 from service.errors import StorageError
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.inputs import Correction

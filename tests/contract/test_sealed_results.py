@@ -13,7 +13,7 @@ from db.results import result_sealing
 from db.schema.tables import attitude, result_segment, torque
 from db.storage import SqlStorage
 from service.errors import StorageError
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import Axes, CarrierResults, Pulse

@@ -16,7 +16,7 @@ from db.results import attitude_summaries, state_summaries
 from db.results.results import SqlResults
 from db.schema.tables import attitude_summary, carrier_summary, power_summary, state_summary
 from service.core.rows import GapSearch, RowState, SampleBins
-from service.ports import ATTITUDE_FIGURES, LIVE, Outcome
+from service.ports.archive import ATTITUDE_FIGURES, LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.levels.attitude import NO_ANGLES, Axes, CarrierResults, Exclusion, Status

@@ -15,7 +15,7 @@ from page_blocks import CARRIERS, CRAFT, run_blocks
 from db.maintenance.doctor import CLOCK_TOLERANCE_US, FREE_BYTES_FAULT, FREE_BYTES_WARNING, WAL_BYTES_WARNING
 from db.storage import SqlStorage
 from service.client.service_client import ServiceClient
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import AttitudeRow, Axes, Status

@@ -9,7 +9,8 @@ import pytest
 from driven_world import flown_by_paper
 from kept_results import kept
 
-from analyzer_sim.world.scenario.scenario import downlink_rain, scenario_named
+from analyzer_sim.world.scenario.catalogue_plain import downlink_rain
+from analyzer_sim.world.scenario.scenario import scenario_named
 from service.pipeline.config import ChainConfig
 from service.records.catalogue import Method
 from service.records.inputs import WeatherReport

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.instrument.spectrum import ENBW_PER_RBW
-from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.noise import daily_wave, first_order
+from analyzer_sim.streams import FloatArray, daily_wave, first_order, stream
 from analyzer_sim.world.orbit import (
     EpochArray,
     Orbit,

@@ -7,30 +7,11 @@ from analyzer_sim.world.scenario.catalogue_plain import (
     CLOSED,
     PLAIN,
     SOURCES_OF_REALITY,
-    downlink_rain,
     plant_varied,
 )
 from analyzer_sim.world.scenario.story import (
-    DEFAULT_START_US,
-    KeepingErrors,
-    NoiseStatistics,
-    Phase,
-    RepeaterSettings,
     Scenario,
 )
-
-__all__ = [
-    "CLOSED_SCENARIOS",
-    "DEFAULT_START_US",
-    "SCENARIOS",
-    "KeepingErrors",
-    "NoiseStatistics",
-    "Phase",
-    "RepeaterSettings",
-    "Scenario",
-    "downlink_rain",
-    "scenario_named",
-]
 
 #: every scenario by name
 SCENARIOS: dict[str, Scenario] = {

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.noise import first_order
+from analyzer_sim.streams import FloatArray, first_order, stream
 from analyzer_sim.world.orbit import EARTH_RATE_RAD_S, EpochArray
 from analyzer_sim.world.scenario.events import chunk_edges, holds_of, planned_deg, unexecuted_deg
 from analyzer_sim.world.scenario.story import SLEW_MIN, TIMETABLE, TURNS_H, KeepingErrors, Scenario

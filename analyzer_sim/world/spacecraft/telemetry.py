@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analyzer_sim.epochs import US_PER_DAY, US_PER_H, US_PER_S
-from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.noise import first_order
+from analyzer_sim.streams import FloatArray, first_order, stream
 from analyzer_sim.world.orbit import EARTH_RATE_RAD_S, EpochArray
 from analyzer_sim.world.scenario.story import RateTelemetry, ResidualTorque, Scenario, WheelTelemetry
 from analyzer_sim.world.spacecraft.body import AXES, ROTOR_KG_M2, orbit_normal_in_body

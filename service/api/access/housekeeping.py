@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.access.auth import Principal
 from service.errors import StorageError
-from service.ports import Audit, Keys
+from service.ports.storage import Audit, Keys
 from service.records.epoch import US_PER_S
 from service.records.inputs import JournalHead
 from service.records.operations.access import (

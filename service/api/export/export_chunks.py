@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, TypeVar, cast
 import numpy as np
 
 from service.formats.tabular.series_tables import JoinedRow
-from service.ports import Storage
+from service.ports.storage import Storage
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow, IntArray, TorqueCommand

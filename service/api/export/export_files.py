@@ -38,7 +38,7 @@ from service.formats.tabular.series_tables import (
 )
 from service.formats.tabular.table_file import SeriesTable, TableFormat, table_bytes
 from service.formats.tdm import TdmWriter, TrackingMessage
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import KIND_OF, JournalEntry

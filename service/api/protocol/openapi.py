@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from service.api.problems.problems import PROBLEM_MEDIA_TYPE, ProblemSchema
-from service.records.units import unit_of
+from service.records.setting import unit_of
 
 MEANINGS: Mapping[str, str] = json.loads(Path(__file__).with_name("field_meanings.json").read_text(encoding="utf-8"))
 

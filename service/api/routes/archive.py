@@ -33,7 +33,7 @@ from service.api.schemas.base import PlanNumber, WindowAnswer
 from service.api.views.timeline import Timeline
 from service.core.rows import Gap, GapSearch, SampleBins, Summaries, whole_intervals
 from service.errors import FieldError
-from service.ports import ATTITUDE_FIGURES, LIVE, MeasuredFigure
+from service.ports.archive import ATTITUDE_FIGURES, LIVE, MeasuredFigure
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS, Method
 from service.records.epoch import format_epoch

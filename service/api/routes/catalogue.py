@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.access.auth import MAY_OPERATE, note_choice
 from service.api.context import Context, EpochLimits, PlanWidths, SpacecraftId
-from service.api.problems.problems import invalid_request
+from service.api.problems.problems import MAX_FAULTS, invalid_request
 from service.api.protocol.requests import (
     MergePatch,
     accepts,
@@ -38,10 +38,15 @@ from service.api.schemas.catalogue import (
     content_digest,
 )
 from service.api.schemas.measurements import SourceAnswer, SourceListAnswer
-from service.api.views.catalogue_findings import accepted_findings
 from service.errors import ConflictError, FieldError, InvalidInputError, NotFoundError
 from service.formats.carrier_plan_csv import read_carrier_plan, write_carrier_plan
-from service.pipeline.inputs.catalogue_checks import Position, check_carriers, check_positions, contradiction_of
+from service.pipeline.inputs.catalogue_checks import (
+    CatalogueFindings,
+    Position,
+    check_carriers,
+    check_positions,
+    contradiction_of,
+)
 from service.records.catalogue import ControlMode, Ephemeris, Method
 
 carriers_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carriers", tags=["catalogue"])
@@ -301,3 +306,10 @@ def _check_ground_control(document: SpacecraftDocument) -> None:
             "momentum alone turns the spacecraft 0.3 deg in ten minutes"
         )
         raise invalid_request([FieldError("/control/mode", "control.no_fast_loop", detail)])
+
+
+def accepted_findings(found: CatalogueFindings) -> list[CatalogueWarning]:
+    """Return the warnings of what was found; a 422 names the faults when there are any."""
+    if found.faults:
+        raise invalid_request(found.faults[:MAX_FAULTS])
+    return [CatalogueWarning.model_validate(warning) for warning in found.warnings]

@@ -47,7 +47,7 @@ from service.errors import FieldError, ForbiddenError, NotFoundError
 from service.pipeline.control.control_conditions import control_conditions
 from service.pipeline.control.release.control_verdict import ControlView
 from service.pipeline.control.release.events import OrderKind
-from service.ports import LIVE, SMOOTHED
+from service.ports.archive import LIVE, SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import AttitudeRow

@@ -22,7 +22,7 @@ from service.api.context import (
     SpacecraftIdText,
     checked_spacecraft_id,
 )
-from service.api.monitoring.request_metrics import RequestMetrics
+from service.api.monitoring.access_log import RequestMetrics
 from service.api.problems.next_steps import NEXT_STEPS
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs

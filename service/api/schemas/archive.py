@@ -7,8 +7,9 @@ import numpy as np
 from service.api.schemas.base import Answer, EpochAnswer, WindowAnswer, members_of
 from service.api.schemas.inputs import CorrectionAnswer, OperationAnswer
 from service.api.schemas.shift import AlarmAnswer, NoteAnswer
-from service.core.rows import IntArray, Summaries
-from service.ports import AttitudeFigure, MeasuredFigure
+from service.core.arrays import IntArray
+from service.core.rows import Summaries
+from service.ports.archive import AttitudeFigure, MeasuredFigure
 from service.records.calibration import Alignment
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch

@@ -30,6 +30,7 @@ from service.records.calibration import (
     CarrierReference,
     Harmonic,
     MotionVerdict,
+    NoiseComponent,
     Observability,
     PolarimeterCheck,
     Window,
@@ -37,7 +38,6 @@ from service.records.calibration import (
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes
-from service.records.noise import NoiseComponent
 from service.records.operations.work import Replay, ReplayVersion
 from service.records.record_fields import record_fields
 from service.runtime.jobs.alignment_service import AlignmentRequest

@@ -24,7 +24,8 @@ from service.api.schemas.measurements import MeasurementAnswer
 from service.api.schemas.shift import AlarmChangeAnswer, NoteAnswer, StatusAnswer
 from service.api.views.present import link_answers, status_of
 from service.errors import FieldError
-from service.ports import LIVE, SMOOTHED, Storage
+from service.ports.archive import LIVE, SMOOTHED
+from service.ports.storage import Storage
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import AttitudeRow, CarrierResults, TorqueCommand

@@ -25,7 +25,7 @@ from service.pipeline.control.command.compute_command import ended_command
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
 from service.pipeline.control.situation import RATE_WINDOW_S, SpacecraftSituation, recent_rate, situation_of
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import CalibrationState, Window
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S

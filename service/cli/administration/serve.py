@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from service.api.context import ApiContext
     from service.api.server_process import StreamingServer
     from service.composition.settings import Settings
-    from service.ports import Storage
+    from service.ports.storage import Storage
 
 _LOG = logging.getLogger("soo.serve")
 

@@ -55,9 +55,9 @@ def demo(
     # its front end measures by it, in a process of its own
     require("pyvisa")
     # the story costs half a second that a wrong option need not pay
-    from service.cli.demonstration.archive_offer import offer_archive
     from service.cli.demonstration.demo_run import FAILURES, Alone, external, own_station, play
     from service.cli.demonstration.demo_screen import Presenter, print_figures
+    from service.cli.demonstration.invitation import offer_archive
     from service.cli.demonstration.persons import write_key
 
     is_two_step = release == "two_step"

@@ -5,8 +5,10 @@ profile holds for its own service: its key is never sent to another one.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -128,6 +130,29 @@ def connected(service: str, key_env: str, **options: Any) -> Iterator["ServiceCl
             yield client
     except ClientError as error:
         end(_refusal(error, getattr(error, "code", ""), key_env), 1, error)
+
+
+def on_service(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command a client as its first argument, and the options that say of which service and by which key."""
+    _client, *own = signature(command).parameters.values()
+    as_json = [each for each in own if each.name == "as_json"]
+    kind = Parameter.POSITIONAL_OR_KEYWORD
+    parameters = [
+        *own[: len(own) - len(as_json)],
+        Parameter("service", kind, default=DEFAULT_SERVICE, annotation=ServiceUrl),
+        Parameter("key_env", kind, default=DEFAULT_KEY_ENVIRONMENT, annotation=KeyEnvironment),
+        *as_json,
+    ]
+
+    @wraps(command)
+    def command_on_service(service: str, key_env: str, **options: Any) -> None:
+        with connected(service, key_env) as client:
+            command(client, **options)
+
+    # Typer makes the options of a command from these two
+    vars(command_on_service)["__signature__"] = Signature(parameters)
+    command_on_service.__annotations__ = {each.name: each.annotation for each in parameters}
+    return command_on_service
 
 
 def _refusal(error: Exception, code: str, key_env: str) -> str:

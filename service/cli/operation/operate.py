@@ -17,6 +17,7 @@ from service.cli.operation.connection import (
     ServiceUrl,
     SpacecraftOption,
     connected,
+    on_service,
 )
 
 if TYPE_CHECKING:
@@ -26,7 +27,9 @@ Start = Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")]
 Stop = Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")]
 
 
+@on_service
 def calibrate(
+    client: "ServiceClient",
     spacecraft: SpacecraftOption,
     quiet: Annotated[tuple[str, str], typer.Option(help="Start and stop of the quiet window.")],
     turns: Annotated[tuple[str, str], typer.Option(help="Start and stop of the calibration turns.")],
@@ -34,8 +37,6 @@ def calibrate(
     source: Annotated[str, typer.Option(help="Sensor of the attitude references.")] = "star_tracker",
     activate: Annotated[bool, typer.Option("--activate", help="Make it the active one when it is done.")] = False,
     override_reason: Annotated[str | None, typer.Option(help="Why it is activated with inconsistent turns.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Fit daily changes and sensitivities from quiet days and calibration turns."""
@@ -45,12 +46,11 @@ def calibrate(
         "method": method,
         "source": source,
     }
-    with connected(service, key_env) as client:
-        started = client.start_calibration(spacecraft, body)
-        wait_for_job(client, started["job"], "calibration")
-        if activate:
-            client.activate_calibration(spacecraft, started["id"], override_reason)
-        calibration = client.calibration(spacecraft, started["id"])
+    started = client.start_calibration(spacecraft, body)
+    wait_for_job(client, started["job"], "calibration")
+    if activate:
+        client.activate_calibration(spacecraft, started["id"], override_reason)
+    calibration = client.calibration(spacecraft, started["id"])
     if as_json:
         typer.echo(json.dumps(calibration))
         return
@@ -60,22 +60,21 @@ def calibrate(
         typer.echo(f"warning: {warning}")
 
 
+@on_service
 def align(
+    client: "ServiceClient",
     spacecraft: SpacecraftOption,
     start: Start,
     stop: Stop,
     source: Annotated[str, typer.Option(help="Sensor of the attitude references.")] = "star_tracker",
     override_reason: Annotated[str | None, typer.Option(help="Why angles hold that the powers contradict.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Take angles and reference powers from a window; from then on no sensor is used."""
     body = {"start": start, "stop": stop, "source": source}
     if override_reason:
         body["override_reason"] = override_reason
-    with connected(service, key_env) as client:
-        alignment = client.align(spacecraft, body)
+    alignment = client.align(spacecraft, body)
     if as_json:
         typer.echo(json.dumps(alignment))
         return

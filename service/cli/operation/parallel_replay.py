@@ -22,7 +22,8 @@ from service.runtime.jobs.replay_run import ReplayRun, ReplaySpan, run_span_in_p
 from service.study.executors import ClusterError, SerialExecutor, WorkerChoice, do_work, executor_of
 
 if TYPE_CHECKING:
-    from service.ports import Outcome, Storage
+    from service.ports.archive import Outcome
+    from service.ports.storage import Storage
     from service.runtime.jobs.job_runner import Progress
 
 #: entries of the journal in a span: ten seconds of computing, beside which the start of a piece of work is little

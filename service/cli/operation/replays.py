@@ -1,33 +1,27 @@
 """Versions of results that replays wrote: list them, delete one."""
 
 import json
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-)
+from service.cli.operation.connection import JsonOption, SpacecraftOption, on_service
+
+if TYPE_CHECKING:
+    from service.client.service_client import ServiceClient
 
 
+@on_service
 def replays(
+    client: "ServiceClient",
     spacecraft: SpacecraftOption,
     delete: Annotated[int | None, typer.Option(help="Delete the replay of this number first.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """List the versions that replays wrote, or delete one."""
-    with connected(service, key_env) as client:
-        if delete is not None:
-            client.delete_replay(spacecraft, delete)
-        listed = list(client.replays(spacecraft))
+    if delete is not None:
+        client.delete_replay(spacecraft, delete)
+    listed = list(client.replays(spacecraft))
     for each in listed:
         typer.echo(json.dumps(each) if as_json else _line(each))
 

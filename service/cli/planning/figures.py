@@ -37,8 +37,7 @@ def draw_planning(planning: CarrierPlanning, path: Path) -> None:
                 _draw_station(axes, row, position, leverage.get(row["carrier"]), colour)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.12)
-        axes.set_xlabel("azimuth in the antenna frame, deg (East positive)")
-        axes.set_ylabel("elevation, deg (North positive)")
+        axes.set(xlabel="azimuth in the antenna frame, deg (East positive)", ylabel="elevation, deg (North positive)")
         axes.set_title(
             f"{planning.name}: arrows show where the level rises, {_ARROW_DEG:g} deg for 1 dB/deg; size: leverage"
         )
@@ -110,9 +109,7 @@ def _draw_allan(panel: Any, carriers: list[dict[str, Any]]) -> None:
         panel.loglog(spans_s, one, color=_USABLE if row["usable"] else _UNUSABLE, alpha=0.4, linewidth=0.9)
     known = np.isfinite(values).any(axis=0)
     panel.loglog(np.array(spans_s)[known], np.nanmedian(values[:, known], axis=0), "k-o", markersize=3, label="median")
-    panel.set_xlabel("averaging time, s")
-    panel.set_ylabel("Allan deviation, dB")
-    panel.set_title("carriers, grey: not usable")
+    panel.set(xlabel="averaging time, s", ylabel="Allan deviation, dB", title="carriers, grey: not usable")
     panel.legend()
 
 

@@ -5,15 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.command_group import end, new_app
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-)
+from service.cli.operation.connection import JsonOption, SpacecraftOption, on_service
 from service.cli.shift.tables import clean, meaning, reasons_table, show, utc, words
 from service.client.documents import Json
 
@@ -22,56 +14,46 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
 
+    from service.client.service_client import ServiceClient
+
 app = new_app(help="Control: arm, stop, reset.", no_args_is_help=True)
 Comment = Annotated[str, typer.Option(help="Comment for the shift log.")]
 
 
 @app.command()
+@on_service
 def arm(
-    spacecraft: SpacecraftOption,
-    comment: Comment = "",
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    client: "ServiceClient", spacecraft: SpacecraftOption, comment: Comment = "", as_json: JsonOption = False
 ) -> None:
     """Arm: commands may be prepared and confirmed."""
-    with connected(service, key_env) as client:
-        _show(Json(client.order_control(spacecraft, "arm", comment)), spacecraft, as_json=as_json)
+    _show(Json(client.order_control(spacecraft, "arm", comment)), spacecraft, as_json=as_json)
 
 
 @app.command()
+@on_service
 def stop(
-    spacecraft: SpacecraftOption,
-    comment: Comment = "",
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    client: "ServiceClient", spacecraft: SpacecraftOption, comment: Comment = "", as_json: JsonOption = False
 ) -> None:
     """Stop: no torque goes out until somebody resets."""
     # httpx costs more than the command line itself
     from service.client.problem import ClientError
 
-    with connected(service, key_env) as client:
-        try:
-            found = Json(client.order_control(spacecraft, "stop", comment))
-        except ClientError as error:
-            end(f"{words('app.stop.failed', spacecraft=spacecraft)}\n{clean(error)}", 1, error)
+    try:
+        found = Json(client.order_control(spacecraft, "stop", comment))
+    except ClientError as error:
+        end(f"{words('app.stop.failed', spacecraft=spacecraft)}\n{clean(error)}", 1, error)
     if found["state"] != "TRIPPED":
         end(f"{words('app.stop.failed', spacecraft=spacecraft)}\nthe service says {clean(found['state'])}", 1)
     _show(found, spacecraft, as_json=as_json)
 
 
 @app.command()
+@on_service
 def reset(
-    spacecraft: SpacecraftOption,
-    comment: Comment = "",
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
+    client: "ServiceClient", spacecraft: SpacecraftOption, comment: Comment = "", as_json: JsonOption = False
 ) -> None:
     """Reset a trip whose cause is over; ten good minutes and an arming follow."""
-    with connected(service, key_env) as client:
-        _show(Json(client.order_control(spacecraft, "reset", comment)), spacecraft, as_json=as_json)
+    _show(Json(client.order_control(spacecraft, "reset", comment)), spacecraft, as_json=as_json)
 
 
 def _show(control: Json, spacecraft: str, *, as_json: bool) -> None:

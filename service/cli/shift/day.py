@@ -63,8 +63,7 @@ def drawn(samples: Json) -> bytes:
             panel.plot(epochs, angle, linewidth=1.0)
             panel.set_ylabel(f"{axis}, deg")
             lowest.plot(epochs, _column(samples, f"{axis}_protection_deg", "max"), linewidth=1.0, label=axis)
-        lowest.set_ylabel("protection level, deg")
-        lowest.set_xlabel("UTC")
+        lowest.set(ylabel="protection level, deg", xlabel="UTC")
         # above its panel: inside, it covers a curve
         lowest.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
         picture = io.BytesIO()

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -18,29 +18,32 @@ from service.cli.operation.connection import (
     ServiceUrl,
     SpacecraftOption,
     connected,
+    on_service,
 )
 from service.cli.shift.pages import PageFormat, Section, handover_sections, page
 from service.cli.shift.tables import utc
 from service.client.documents import Json
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
 
+if TYPE_CHECKING:
+    from service.client.service_client import ServiceClient
+
 Format = Annotated[PageFormat, typer.Option("--format", help="md or html.")]
 Output = Annotated[Path | None, typer.Option(help="File to write; default: standard output.", dir_okay=False)]
 _HOURS = {"day": 24, "shift": 8}
 
 
+@on_service
 def handover(
+    client: "ServiceClient",
     spacecraft: SpacecraftOption,
     format_: Format = "md",
     output: Output = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Write what the next shift must know: alarms, control, operations, links, what ends, notes."""
-    with connected(service, key_env) as client:
-        found = client.request("GET", f"/spacecraft/{spacecraft}/handover")
-        row, control = Json(client.attitude(spacecraft)), Json(client.control(spacecraft))
+    found = client.request("GET", f"/spacecraft/{spacecraft}/handover")
+    row, control = Json(client.attitude(spacecraft)), Json(client.control(spacecraft))
     if as_json:
         _deliver(json.dumps(found) + "\n", output)
         return

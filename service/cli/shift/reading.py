@@ -6,15 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from service.cli.command_group import end
-from service.cli.operation.connection import (
-    DEFAULT_KEY_ENVIRONMENT,
-    DEFAULT_SERVICE,
-    JsonOption,
-    KeyEnvironment,
-    ServiceUrl,
-    SpacecraftOption,
-    connected,
-)
+from service.cli.operation.connection import JsonOption, SpacecraftOption, on_service
 from service.cli.shift.tables import (
     alarm_line,
     alarm_lines,
@@ -40,73 +32,60 @@ if TYPE_CHECKING:
 
     from rich.console import RenderableType
 
+    from service.client.service_client import ServiceClient
+
 
 Comment = Annotated[str, typer.Option(help="Comment for the shift log.")]
 AlarmId = Annotated[int, typer.Argument(help="Id of the alarm, as `soo alarms` lists it.", min=1)]
 
 
-def ack(
-    alarm: AlarmId,
-    comment: Comment = "",
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
-) -> None:
+@on_service
+def ack(client: "ServiceClient", alarm: AlarmId, comment: Comment = "", as_json: JsonOption = False) -> None:
     """Acknowledge an alarm; no further notice unless it becomes worse or comes back."""
-    with connected(service, key_env) as client:
-        found = client.request("POST", f"/alarms/{alarm}:acknowledge", {"comment": comment})
+    found = client.request("POST", f"/alarms/{alarm}:acknowledge", {"comment": comment})
     show(found, lambda: [alarm_line(found)], as_json=as_json)
 
 
+@on_service
 def shelve(
+    client: "ServiceClient",
     alarm: AlarmId,
     spacecraft: SpacecraftOption,
     hours: Annotated[float, typer.Option(help="For how long, h.", min=0.01, max=24.0)] = 1.0,
     comment: Comment = "",
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Keep an alarm quiet for some hours of the spacecraft's clock."""
-    with connected(service, key_env) as client:
-        now = client.status(spacecraft)["now"]
-        if now is None:
-            end(f"{spacecraft} has no present before its first row, so nothing can be shelved until an instant", 1)
-        until = format_epoch(parse_epoch(now) + round(hours * 3600 * US_PER_S))
-        found = client.request("POST", f"/alarms/{alarm}:shelve", {"until": until, "comment": comment})
+    now = client.status(spacecraft)["now"]
+    if now is None:
+        end(f"{spacecraft} has no present before its first row, so nothing can be shelved until an instant", 1)
+    until = format_epoch(parse_epoch(now) + round(hours * 3600 * US_PER_S))
+    found = client.request("POST", f"/alarms/{alarm}:shelve", {"until": until, "comment": comment})
     show(found, lambda: [f"shelved until {utc(until)} UTC", alarm_line(found)], as_json=as_json)
 
 
+@on_service
 def note(
+    client: "ServiceClient",
     text: Annotated[str, typer.Argument(help="Text of the note.")],
     spacecraft: SpacecraftOption,
     corrects: Annotated[int | None, typer.Option(help="Id of the note that this one corrects.", min=1)] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Write a note into the shift log."""
     body = {"text": text, "spacecraft_id": spacecraft, "corrects": corrects}
-    with connected(service, key_env) as client:
-        found = client.request("POST", "/notes", body)
+    found = client.request("POST", "/notes", body)
     show(found, lambda: [f"note {found['id']} of {utc(found['epoch'])} UTC: {clean(found['text'])}"], as_json=as_json)
 
 
 EXIT_ATTENTION, EXIT_TRIPPED = 3, 4
 
 
-def status(
-    spacecraft: SpacecraftOption,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
-) -> None:
+@on_service
+def status(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: JsonOption = False) -> None:
     """Say whether torques may go, why not, and what to do next."""
-    with connected(service, key_env) as client:
-        found = Json(client.status(spacecraft))
-        row, control = (
-            (Json(client.attitude(spacecraft)), Json(client.control(spacecraft))) if not as_json else ({}, {})
-        )
+    found = Json(client.status(spacecraft))
+    row, control = (Json(client.attitude(spacecraft)), Json(client.control(spacecraft))) if not as_json else ({}, {})
     verdict = found["control"]
 
     def parts() -> "Iterator[RenderableType]":
@@ -127,18 +106,13 @@ def status(
         raise typer.Exit(EXIT_TRIPPED if verdict["state"] == "TRIPPED" else EXIT_ATTENTION)
 
 
-def attitude(
-    spacecraft: SpacecraftOption,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
-) -> None:
+@on_service
+def attitude(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: JsonOption = False) -> None:
     """Say where the spacecraft points, how sure that is, and what both methods say."""
-    with connected(service, key_env) as client:
-        row = Json(client.attitude(spacecraft))
-        if not as_json:
-            other = Json(client.attitude(spacecraft, "paper" if row["method"] == "robust" else "robust"))
-            control = Json(client.control(spacecraft))
+    row = Json(client.attitude(spacecraft))
+    if not as_json:
+        other = Json(client.attitude(spacecraft, "paper" if row["method"] == "robust" else "robust"))
+        control = Json(client.control(spacecraft))
 
     def parts() -> "Iterator[RenderableType]":
         said = [meaning("statuses", row["status"]), meaning("statuses", row["status"], "next")]
@@ -156,15 +130,10 @@ def attitude(
         raise typer.Exit(EXIT_ATTENTION)
 
 
-def carriers(
-    spacecraft: SpacecraftOption,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
-) -> None:
+@on_service
+def carriers(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: JsonOption = False) -> None:
     """Say which carriers the newest attitude uses, which it leaves out, and why."""
-    with connected(service, key_env) as client:
-        plan, row = client.carriers(spacecraft), Json(client.attitude(spacecraft))
+    plan, row = client.carriers(spacecraft), Json(client.attitude(spacecraft))
     reasons = {each["carrier"]: each["reason"] for each in row["excluded"]}
 
     def parts() -> "Iterator[RenderableType]":
@@ -188,15 +157,10 @@ def carriers(
         raise typer.Exit(EXIT_ATTENTION)
 
 
-def alarms(
-    spacecraft: SpacecraftOption,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-    as_json: JsonOption = False,
-) -> None:
+@on_service
+def alarms(client: "ServiceClient", spacecraft: SpacecraftOption, as_json: JsonOption = False) -> None:
     """List open alarms with their ids and next steps."""
-    with connected(service, key_env) as client:
-        rows = worst_first(client.pages(f"/spacecraft/{spacecraft}/alarms"))
+    rows = worst_first(client.pages(f"/spacecraft/{spacecraft}/alarms"))
     show(
         {"rows": rows},
         lambda: chain(*map(alarm_lines, rows)) if rows else [f"{spacecraft}: {words('app.alarms.none')}"],

@@ -6,7 +6,7 @@ fails.
 
 import os
 import sys
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -19,9 +19,14 @@ from service.cli.operation.connection import (
     ServiceUrl,
     SpacecraftOption,
     connected,
+    on_service,
 )
 from service.cli.shift.tables import command_facts, screen, show
 from service.client.documents import Json
+
+if TYPE_CHECKING:
+    from service.client.service_client import ServiceClient
+
 
 app = new_app(help="Release of torques by two persons: prepare, confirm, report.", no_args_is_help=True)
 EXIT_CHECK_FAILED = 3
@@ -31,22 +36,21 @@ CommandId = Annotated[int, typer.Argument(help="Id of the command.", min=1)]
 
 
 @app.command()
+@on_service
 def prepare(
+    client: "ServiceClient",
     reason: Annotated[str, typer.Argument(help="Reason of the command, kept with it.")],
     spacecraft: SpacecraftOption,
     start: Annotated[str | None, typer.Option(help="RFC 3339 start; default: as soon as can be.")] = None,
     duration_s: Annotated[float | None, typer.Option(help="Length of the schedule, s.")] = None,
     max_torque_n_m: Annotated[float | None, typer.Option(help="Greatest torque of a pulse, N m.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the command and its checks, store nothing.")] = False,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Prepare a command that waits for another person."""
-    with connected(service, key_env) as client:
-        prepared = client.prepare_torques(
-            spacecraft, reason, start=start, duration_s=duration_s, max_torque_n_m=max_torque_n_m, dry_run=dry_run
-        )
+    prepared = client.prepare_torques(
+        spacecraft, reason, start=start, duration_s=duration_s, max_torque_n_m=max_torque_n_m, dry_run=dry_run
+    )
     show(prepared, lambda: command_facts(Json(prepared)), as_json=as_json)
     if not all(check["ok"] for check in prepared["checks"]):
         raise typer.Exit(EXIT_CHECK_FAILED)
@@ -91,19 +95,18 @@ def confirm(
 
 
 @app.command()
+@on_service
 def report(
+    client: "ServiceClient",
     command: CommandId,
     outcome: Annotated[Literal["sent", "executed", "failed"], typer.Argument(help="sent, executed or failed.")],
     spacecraft: SpacecraftOption,
     executed_from: Annotated[str | None, typer.Option(help="RFC 3339 start of the executed part.")] = None,
     executed_until: Annotated[str | None, typer.Option(help="RFC 3339 end of the executed part.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
     """Report what became of a released command; the same report again changes nothing."""
-    with connected(service, key_env) as client:
-        found = client.report_torques(
-            spacecraft, command, outcome, executed_from=executed_from, executed_until=executed_until
-        )
+    found = client.report_torques(
+        spacecraft, command, outcome, executed_from=executed_from, executed_until=executed_until
+    )
     show(found, lambda: [f"command {command}: {found['state']}"], as_json=as_json)

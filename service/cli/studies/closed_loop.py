@@ -82,10 +82,9 @@ def closed_loop(
     from concurrent.futures import BrokenExecutor
 
     from service.records.catalogue import Method
-    from service.study.closed_loop.campaign import LoopPlan, run_loops
+    from service.study.closed_loop.campaign import COLUMNS, LoopPlan, as_document, cells, markdown, run_loops
     from service.study.closed_loop.controllers import Sensing
     from service.study.closed_loop.plant_process import PlantFailedError
-    from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown
     from service.study.closed_loop.run import LoopUnit
     from service.study.executors import ClusterError, WorkerChoice
 

@@ -46,8 +46,7 @@ def estimation(
 
     from service.study.estimation.campaign import CampaignPlan, run_campaign
     from service.study.estimation.flight.world import ExportFailedError
-    from service.study.estimation.report import markdown, tables, verdict_lines
-    from service.study.estimation.report_document import as_document
+    from service.study.estimation.report import as_document, markdown, tables, verdict_lines
     from service.study.executors import ClusterError, WorkerChoice
 
     plan = CampaignPlan(_scenarios(scenario, group), seeds, WorkerChoice(workers, scheduler), operation_days)
@@ -68,7 +67,7 @@ def estimation(
 
 def _scenarios(named: list[str] | None, group: str | None) -> tuple[str, ...]:
     """Return the scenarios to run: those named, a group, or both; all where neither is given."""
-    from service.study.estimation.scenarios import GROUPS
+    from service.study.estimation.campaign import GROUPS
 
     if group is not None and group not in GROUPS:
         end(f"no group {group!r}; there are {', '.join(GROUPS)}")

@@ -11,13 +11,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.control.quaternion_law import Gains, tracking_request
 from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, Envelope, plan_slew
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 #: yaw beyond it settles with roll and pitch how long a command holds, deg
 _YAW_COUNTS_DEG = 0.3

@@ -3,13 +3,12 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from service.core.arrays import FloatArray
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, inertia_about_angles
 from service.core.dynamics.orbital_frame_model import Law, OrbitalFrameGains
 from service.core.dynamics.orbital_frame_step import wanted_torque
-
-FloatArray = NDArray[np.float64]
 
 
 def gyro_orbitant_torque(

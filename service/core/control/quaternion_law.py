@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import FloatArray
 
 #: rad/s, one turn in a sidereal day
 GEOSTATIONARY_RATE_RAD_S = 7.2921159e-5

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray
 from service.core.estimation.filtering.model.filter_model import CarrierModel, pattern_change
-
-FloatArray = NDArray[np.float64]
 
 #: log-likelihood ratio against each of the two others that decides
 DECISIVE = 9.0

@@ -5,10 +5,9 @@ from itertools import pairwise
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from service.core.arrays import BoolArray, FloatArray
 
 
 class PulseTrain(NamedTuple):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import FloatArray
 
 
 def allocate_to_wheels(axes: FloatArray, torque_n_m: FloatArray) -> FloatArray:

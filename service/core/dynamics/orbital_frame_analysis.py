@@ -7,13 +7,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray
 from service.core.dynamics.orbital_frame_kernel import NO_YAW_ESTIMATE, Fly, fly
 from service.core.dynamics.orbital_frame_model import OrbitalFrameSpacecraft, VerticalSensor, refusals
 from service.core.dynamics.orbital_frame_step import State
 
-FloatArray = NDArray[np.float64]
 #: longest flight, periods of the computer: a record of 350 MB
 MAX_PERIODS = 4_000_000
 

@@ -10,8 +10,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray
 from service.core.dynamics import orbital_frame_step
 from service.core.dynamics.orbital_frame_model import (
     AxisWheels,
@@ -33,8 +33,6 @@ from service.core.dynamics.orbital_frame_step import (
     tilt,
     wanted_torque,
 )
-
-FloatArray = NDArray[np.float64]
 
 FLOWN, NO_YAW_ESTIMATE = 0, 1
 

@@ -16,12 +16,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.filtering.model.filter_model import PolarimeterModel
-
-FloatArray = NDArray[np.float64]
 
 _ORBITAL_RATE_PER_H = 0.2625162
 _STEP_H, _SPAN_H, _JUDGED_H, _DAY_H = 1.0 / 12.0, 48.0, 24.0, 24.0

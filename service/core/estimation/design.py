@@ -13,13 +13,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.observability import crlb_deg, level_columns, leverages
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Weights of yaw, roll, pitch.
 AXIS_WEIGHTS = (0.05, 1.0, 1.0)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import FloatArray, IntArray
 
 #: fewest pairs of consecutive spans, and the share of a span's usual rows that a mean needs
 _MIN_PAIRS, _MIN_SHARE = 3, 0.5
@@ -57,8 +57,6 @@ def _deviation_db(level_db: FloatArray, epoch_s: FloatArray, span_s: float, step
     pairs = np.isfinite(squares).sum(axis=0)
     return np.where(pairs >= _MIN_PAIRS, np.sqrt(0.5 * np.nansum(squares, axis=0) / np.maximum(pairs, 1)), nothing)
 
-
-IntArray = NDArray[np.int64]
 
 #: s, the daily change and its second harmonic are fitted before; solar or nodal day, the same to a few minutes
 _DAY_S = 86_400.0

@@ -13,12 +13,9 @@ excludes it, it goes to nothing.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.noise import Spectra, fitted_variances, grouped_spectra, pooled_variances, regular_grid
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 #: s, correlation times.
 LADDER_S = (300.0, 1200.0, 7200.0, 36_000.0)

@@ -7,9 +7,8 @@ Coloured noise of variance s^2 and correlation time tau, averaged over T with x 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import FloatArray
 
 #: lags between which the decay of the autocovariance is read, rows; shorter ones hold the white part,
 #: longer ones are noise

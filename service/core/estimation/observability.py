@@ -18,13 +18,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2
 from service.core.estimation.snapshot.snapshot import FaultBounds, fault_bounds
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: Smallest ratio of the diagonal of R (columns scaled to unit length) that still counts as full rank.
 MIN_RANK_RATIO = 1e-10

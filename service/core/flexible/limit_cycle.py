@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray
 from service.core.flexible.motion import steps_of
-from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.propagation import BodyState, brent_root
 from service.core.flexible.return_kernels import Follow, OneSided, follow, one_return
 from service.core.flexible.spacecraft import SwitchingLaw, WheelDrive, accelerations, require_law

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.phi_functions import FloatArray
+from service.core.arrays import FloatArray
 from service.core.flexible.propagation import (
     BodyState,
     Line,

@@ -6,9 +6,8 @@ Within 4e-16 of fifty-digit arithmetic, relative (`tests/unit/service/core/flexi
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import FloatArray
 
 #: up to here a series, up to the first one a short one: beyond its last term nothing is left in double precision
 SHORT_SERIES_BELOW, SERIES_BELOW = 0.01, 0.5

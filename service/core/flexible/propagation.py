@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.phi_functions import FloatArray, phi1, phi2, phi2_scalar
+from service.core.arrays import FloatArray
+from service.core.flexible.phi_functions import phi1, phi2, phi2_scalar
 from service.core.flexible.spacecraft import HubMode
 
 

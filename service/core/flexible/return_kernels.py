@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.phi_functions import FloatArray, phi2_scalar
+from service.core.arrays import FloatArray
+from service.core.flexible.phi_functions import phi2_scalar
 
 _NEWTON_STEPS = 60
 _ROUNDING = 4e-16

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.flexible.phi_functions import FloatArray
+from service.core.arrays import FloatArray
 from service.core.flexible.spacecraft import (
     HubMode,
     require_finite,

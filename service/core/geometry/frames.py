@@ -4,9 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import FloatArray
 
 #: m, radius of the geostationary orbit: (GM T^2 / 4 pi^2)^(1/3) with GM of WGS 84 and T the sidereal day.
 GEOSTATIONARY_RADIUS_M = 42_164_172.0

@@ -6,17 +6,14 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.geometry.frames import (
     EARTH_EQUATORIAL_RADIUS_M,
     EARTH_FLATTENING,
     GEOSTATIONARY_RADIUS_M,
     antenna_direction,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 #: rad/s, rotation of the Earth (IERS conventions 2010).
 EARTH_RATE_RAD_S = 7.292115e-5

@@ -7,15 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import erf
 
-from service.core.radio.levels import (
-    DB_PER_NEPER,
-    FALSE_ALARM_SIGMA,
-    BoolArray,
-    FloatArray,
-    db_from_ratio,
-    dbm_from_mw,
-    presence_threshold_db,
-)
+from service.core.arrays import BoolArray, FloatArray
+from service.core.radio.levels import DB_PER_NEPER, FALSE_ALARM_SIGMA, db_from_ratio, dbm_from_mw, presence_threshold_db
 
 #: ENBW / RBW of a Gaussian filter, sqrt(pi / (4 ln 2))
 GAUSSIAN_ENBW_RATIO = math.sqrt(math.pi / (4.0 * math.log(2.0)))

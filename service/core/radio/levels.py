@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import BoolArray, FloatArray
 
 #: dB of one neper of power, 10 / ln 10; small relative deviations times this are deviations in dB
 DB_PER_NEPER = 10.0 / math.log(10.0)
@@ -57,8 +57,6 @@ def dbm_from_mw(power_mw: ArrayLike) -> FloatArray:
     """
     return db_from_ratio(power_mw)
 
-
-BoolArray = NDArray[np.bool_]
 
 #: normal quantile of a false alarm probability of 1e-6
 FALSE_ALARM_SIGMA = 4.75

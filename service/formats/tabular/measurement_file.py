@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.formats.csv_field import csv_field
+from service.formats.numbers import csv_field
 from service.formats.tabular.parquet_stream import GROUP_ROWS, ParquetStream
 from service.records.csv_guard import guarded
 from service.records.levels.attitude import IntArray

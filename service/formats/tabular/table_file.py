@@ -9,8 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
-from service.formats.csv_field import csv_field
-from service.formats.numbers import text_of_float, text_of_level
+from service.formats.numbers import csv_field, text_of_float, text_of_level
 from service.formats.tabular.parquet_stream import ParquetStream
 from service.records.csv_guard import guarded
 from service.records.epoch import format_epoch

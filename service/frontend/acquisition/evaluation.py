@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.radio.carrier_power import (
     BandWeights,
     CarrierBands,
@@ -18,7 +19,7 @@ from service.core.radio.carrier_power import (
     measure_carriers,
     weigh_bands,
 )
-from service.core.radio.levels import BoolArray, FloatArray, initial_presence, mw_from_dbm, step_presence
+from service.core.radio.levels import initial_presence, mw_from_dbm, step_presence
 from service.frontend.drivers.dialects import SweepRefusedError
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.measurement_task import CarrierPart, InputPart, MeasurementTask, SweepPart

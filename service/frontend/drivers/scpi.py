@@ -15,9 +15,8 @@ import re
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from service.records.levels.attitude import FloatArray
 
 #: SCPI's not-a-number and infinities start here
 SCPI_NO_NUMBER = 9.0e37

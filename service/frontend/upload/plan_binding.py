@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
-from service.core.radio.levels import FloatArray
+from service.core.arrays import FloatArray
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.spool.file import UploadLane
 from service.records.epoch import format_epoch

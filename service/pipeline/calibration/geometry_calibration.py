@@ -43,14 +43,16 @@ from service.records.calibration import (
     CalibrationResult,
     CarrierCalibration,
     GatheredTorque,
+    GeometryFit,
     MotionVerdict,
+    NoiseComponent,
     PolarimeterCheck,
+    Row,
+    Table,
 )
 from service.records.catalogue import Carrier, Spacecraft
-from service.records.geometry import GeometryFit, Row, Table
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import BoolArray, FloatArray, named_axes
-from service.records.noise import NoiseComponent
 
 #: sigmas from which what gathered is not the torque that the catalogue states
 _SIGMAS = 3.0

@@ -29,11 +29,11 @@ from service.records.calibration import (
     CalibrationResult,
     CarrierCalibration,
     Harmonic,
+    NoiseComponent,
     Observability,
 )
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes, BoolArray, FloatArray, named_axes
-from service.records.noise import NoiseComponent
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
 _DAY_S = 86_400.0

@@ -24,12 +24,10 @@ from service.core.geometry.line_of_sight import (
     track_position_deg,
 )
 from service.pipeline.config import RobustConfig
-from service.records.calibration import CarrierCalibration
+from service.records.calibration import CarrierCalibration, GeometryFit, NoiseComponent
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S
-from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
-from service.records.noise import NoiseComponent
 
 #: places of yy, yr, yp, rr, rp, pp behind the three slopes among the coefficients of a response
 _FILTER_ORDER = np.array([0, 1, 2, 3, 6, 7, 4, 8, 5])

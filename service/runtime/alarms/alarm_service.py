@@ -19,7 +19,7 @@ from service.pipeline.alarms.alarm_engine import AlarmEngine, Key, Readings
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.alarms.states import AlarmCondition
 from service.pipeline.estimation.method import RowEvidence
-from service.ports import ARCHIVE, Alarms, Clock, Storage, Term
+from service.ports.storage import ARCHIVE, Alarms, Clock, Storage, Term
 from service.records.epoch import US_PER_S
 from service.records.operations.alarms import Alarm, AlarmChange, AlarmLimits, EngineMemory, Handling
 from service.runtime.alarms.clock_checks import ClockChecks

@@ -13,7 +13,7 @@ from service.pipeline.alarms.alarm_engine import Explanation, Readings
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.control.release.command_states import UNREPORTED, State
 from service.pipeline.control.release.events import state_of
-from service.ports import Clock, Storage
+from service.ports.storage import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
 from service.records.levels.measurement import SourceState

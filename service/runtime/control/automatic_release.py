@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from threading import Lock
 
 from service.errors import ForbiddenError
-from service.ports import Catalogue
+from service.ports.storage import Catalogue
 from service.records.catalogue import Release
 from service.records.epoch import US_PER_S
 

@@ -44,7 +44,7 @@ from service.pipeline.control.release.interlock_conditions import (
 )
 from service.pipeline.control.release.sign_checks import is_running
 from service.pipeline.inputs.knowledge import has_body_rate
-from service.ports import Audit, Releases, Storage
+from service.ports.storage import Audit, Releases, Storage
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method, Release, Spacecraft
 from service.records.epoch import US_PER_S

@@ -18,7 +18,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import InputsChanged, StoredRow, Tick
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
-from service.ports import Clock, Storage, Term
+from service.ports.storage import Clock, Storage, Term
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.runtime.control.release_context import (

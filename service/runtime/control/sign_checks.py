@@ -46,7 +46,7 @@ from service.pipeline.control.release.release_checks import (
     schedule_of,
 )
 from service.pipeline.control.release.sign_checks import RUNNING, is_leg_due, is_running, profile_of
-from service.ports import Releases
+from service.ports.storage import Releases
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.epoch import US_PER_S

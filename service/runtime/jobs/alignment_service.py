@@ -6,7 +6,7 @@ from service.errors import ConflictError, InvalidInputError
 from service.pipeline.alignment.alignment import AlignedPowers, align_methods
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.inputs.sensor_angles import StatedAngles, smooth_angles
-from service.ports import Clock, Storage
+from service.ports.storage import Clock, Storage
 from service.records.calibration import (
     Alignment,
     Calibration,

@@ -23,7 +23,8 @@ from service.pipeline.planning.candidates import (
     motion_gain,
 )
 from service.pipeline.planning.planning import Recommendation, Rule, recommend
-from service.ports import ARCHIVE, LIVE, Clock, Storage, Term
+from service.ports.archive import LIVE
+from service.ports.storage import ARCHIVE, Clock, Storage, Term
 from service.records.calibration import (
     Calibration,
     CalibrationMethod,

@@ -10,7 +10,7 @@ from service.pipeline.calibration.geometry_rows import CalibrationError, Calibra
 from service.pipeline.calibration.minute_rows import mean_edges_us, minute_rows
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.config import CalibrationConfig
-from service.ports import Clock, Storage
+from service.ports.storage import Clock, Storage
 from service.records.calibration import (
     Calibration,
     CalibrationMethod,

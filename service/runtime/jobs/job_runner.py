@@ -11,7 +11,8 @@ from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 
 from service.errors import SooError
-from service.ports import Clock, Results
+from service.ports.archive import Results
+from service.ports.storage import Clock
 from service.records.operations.work import Job, JobState
 
 _LOG = logging.getLogger("soo.jobs")

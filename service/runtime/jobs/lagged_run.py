@@ -12,7 +12,8 @@ from service.pipeline.chain import Chain
 from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.smoothed import GRID_US, LaggedRows, grid_us
-from service.ports import SMOOTHED, Outcome, Storage, Term
+from service.ports.archive import SMOOTHED, Outcome
+from service.ports.storage import Storage, Term
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import AttitudeRow

@@ -10,7 +10,7 @@ from dataclasses import replace
 from threading import Lock
 
 from service.errors import BusyError, ConflictError, InvalidInputError
-from service.ports import Clock, Storage
+from service.ports.storage import Clock, Storage
 from service.records.calibration import Alignment, Window
 from service.records.operations.work import Job, JobState, Replay
 from service.runtime.jobs.job_runner import JobRunner, Progress

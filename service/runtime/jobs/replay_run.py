@@ -16,7 +16,8 @@ from service.pipeline.checkpoints import ChainState, fingerprint
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.smoothed import SmoothedRows
 from service.pipeline.first_rows import compile_filter
-from service.ports import Outcome, Storage
+from service.ports.archive import Outcome
+from service.ports.storage import Storage
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, JournalEntry

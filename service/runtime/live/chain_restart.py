@@ -16,7 +16,7 @@ from typing import NamedTuple
 from service.pipeline.chain import Chain
 from service.pipeline.checkpoints import ChainState, fingerprint, pack_state, unpack_state
 from service.pipeline.config import ChainConfig
-from service.ports import Storage
+from service.ports.storage import Storage
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet
 from service.records.storage import Checkpoint

@@ -10,7 +10,8 @@ from service.pipeline.control.command.control_design import withheld_command
 from service.pipeline.control.release.events import StoredRow
 from service.pipeline.inputs.knowledge import KEPT_US
 from service.pipeline.inputs.polarization import KEPT_US as POLARIZATION_US
-from service.ports import Archive, Catalogue, Outcome, Results
+from service.ports.archive import Archive, Outcome, Results
+from service.ports.storage import Catalogue
 from service.records.calibration import Alignment, Calibration, Window
 from service.records.catalogue import CarrierPlan, Ephemeris
 from service.records.epoch import US_PER_S

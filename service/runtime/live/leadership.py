@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from service.errors import StorageError
-from service.ports import ARCHIVE, Leases, Term
+from service.ports.storage import ARCHIVE, Leases, Term
 
 _LOG = logging.getLogger("soo.leading")
 #: between two polls of the leases, s

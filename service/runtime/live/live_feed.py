@@ -13,7 +13,7 @@ import numpy as np
 
 from service.pipeline.control.release.events import StoredRow
 from service.pipeline.estimation.method import RowEvidence
-from service.ports import Storage
+from service.ports.storage import Storage
 from service.records.inputs import AttitudeReference, JournalEntry
 from service.records.levels.attitude import AttitudeRow, CarrierResults, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, HeadState, Measurement, MeasurementBatch

@@ -17,7 +17,8 @@ from service.errors import NotFoundError, StorageError
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.release.events import StoredRow
-from service.ports import LIVE, Outcome, Storage, Term
+from service.ports.archive import LIVE, Outcome
+from service.ports.storage import Storage, Term
 from service.records.inputs import AlignmentSet, JournalEntry
 from service.records.levels.attitude import AppliedCommand, CarrierState
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch

@@ -1,17 +1,71 @@
-"""The campaign: closed loops of every scenario, seed and sensing over processes, and their figures."""
+"""The campaign: closed loops of every scenario, seed and sensing over processes, their figures and report."""
 
+import json
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from service.records.catalogue import Method
 from service.study.closed_loop.controllers import Sensing
-from service.study.closed_loop.flight_store import keep, kept
-from service.study.closed_loop.merit import GroupMerit, group_merit
-from service.study.closed_loop.run import LoopResult, LoopUnit, fly_unit
+from service.study.closed_loop.merit import PERCENTILES, GroupMerit, group_merit
+from service.study.closed_loop.run import FlownRun, LoopResult, LoopUnit, fly_unit
 from service.study.executors import WorkerChoice, do_work, executor_of
+
+_ARRAYS = ("hours", "truth_deg", "estimate_deg", "is_inhibited", "is_faded")
+
+
+def keep(folder: Path, result: LoopResult) -> None:
+    """Write a result; what is half written is not there."""
+    flight = result.flight
+    head = {
+        "unit": result.unit._asdict(),
+        "seconds": result.seconds,
+        "refusal": result.refusal,
+        "flight": None
+        if flight is None
+        else {name: value for name, value in asdict(flight).items() if name not in _ARRAYS},
+    }
+    arrays = {} if flight is None else {name: getattr(flight, name) for name in _ARRAYS}
+    folder.mkdir(parents=True, exist_ok=True)
+    path = _path(folder, result.unit)
+    half = path.with_suffix(".half")
+    with half.open("wb") as file:
+        np.savez_compressed(file, head=np.array(json.dumps(head)), **arrays)
+    half.replace(path)
+
+
+def kept(folder: Path, unit: LoopUnit) -> LoopResult | None:
+    """Return the result of a unit that was kept; None where there is none, or one of another length or setting."""
+    path = _path(folder, unit)
+    if not path.exists():
+        return None
+    with np.load(path) as stored:
+        head = json.loads(str(stored["head"]))
+        if _unit(head["unit"]) != unit:
+            return None
+        flight = None
+        if head["flight"] is not None:
+            rest = {name: tuple(value) if isinstance(value, list) else value for name, value in head["flight"].items()}
+            flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **rest)  # type: ignore[arg-type]
+    return LoopResult(unit, head["seconds"], head["refusal"], flight)
+
+
+def _unit(announced: dict[str, object]) -> LoopUnit:
+    """Return the unit of a file."""
+    named = {name: tuple(value) if isinstance(value, list) else value for name, value in announced.items()}
+    enums = {"sensing": Sensing(str(named["sensing"])), "method": Method(str(named["method"]))}
+    return LoopUnit(**{**named, **enums})  # type: ignore[arg-type]
+
+
+def _path(folder: Path, unit: LoopUnit) -> Path:
+    return folder / f"{unit.scenario}-{unit.method.value}-{unit.sensing.value}-{unit.seed}.npz"
+
 
 #: called after each run with how many are done and how many there are
 Show = Callable[[int, int], None]
@@ -84,3 +138,84 @@ def run_loops(plan: LoopPlan, show: Show, folder: Path | None = None) -> LoopCam
     groups = tuple(group_merit([flown[unit] for unit in units[key]]) for key in keys)
     results = tuple(flown[unit] for some in units.values() for unit in some)
     return LoopCampaign(plan, time.monotonic() - began_s, results, groups)
+
+
+COLUMNS = (
+    "scenario",
+    "sensing",
+    "runs",
+    "within .4/.2/.2",
+    "within .5/.3/.3",
+    "roll, pitch within .2",
+    "largest yaw/roll/pitch, deg (50 %)",
+    "(all)",
+    "impulse yaw/roll/pitch, N m s (50 %)",
+    "inhibited, h (50 %, all; longest)",
+    "limits of its own kept",
+    "back after h",
+    "verdict",
+)
+
+
+def cells(group: GroupMerit) -> tuple[str, ...]:
+    """Return a line of the table."""
+    return (
+        group.scenario,
+        group.sensing.value,
+        f"{group.runs}" if not group.refused else f"{group.runs} ({group.refused} refused)",
+        f"{group.narrow_share:.0%}",
+        f"{group.wide_share:.0%}",
+        f"{group.level_share:.0%}",
+        _triple(group.largest_deg[0], 3),
+        _triple(group.largest_deg[-1], 3),
+        _triple(group.impulse_n_m_s[0], 3),
+        f"{group.inhibited_h[0]:.1f}, {group.inhibited_h[-1]:.1f}; {group.longest_inhibited_h:.2f}",
+        "-" if group.survived_share is None else f"{group.survived_share:.0%}",
+        "-" if group.settled_h is None else f"{group.settled_h:.1f}",
+        verdict(group),
+    )
+
+
+def verdict(group: GroupMerit) -> str:
+    """Return whether a group does what it shall: control reaches the figures, no control fails."""
+    if group.sensing is Sensing.OFF:
+        return "does not fail" if group.is_met else "fails as it must"
+    return "met" if group.is_met else "missed"
+
+
+def markdown(campaign: LoopCampaign) -> str:
+    """Return the table as a section of a page."""
+    lines = [f"| {' | '.join(COLUMNS)} |", f"|{'---|' * len(COLUMNS)}"]
+    return "\n".join([*lines, *(f"| {' | '.join(cells(group))} |" for group in campaign.groups)]) + "\n"
+
+
+def as_document(campaign: LoopCampaign, command: str) -> dict[str, Any]:
+    """Return figures and runs as JSON has them; what is not finite is null."""
+    runs = [
+        {
+            "scenario": result.unit.scenario,
+            "seed": result.unit.seed,
+            "sensing": result.unit.sensing.value,
+            "refusal": result.refusal,
+            "sent": None if result.flight is None else result.flight.sent,
+            "reported": None if result.flight is None else result.flight.reported,
+            "seconds": round(result.seconds, 1),
+        }
+        for result in campaign.results
+    ]
+    groups = [{**asdict(group), "verdict": verdict(group)} for group in campaign.groups]
+    document = {"command": command, "percentiles": PERCENTILES, "groups": groups, "runs": runs}
+    plain: dict[str, Any] = _finite(document)
+    return plain
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _triple(values: tuple[float, float, float], positions: int) -> str:
+    return "/".join(f"{value:.{positions}f}" for value in values)

@@ -34,7 +34,7 @@ from service.pipeline.control.release.interlock_conditions import (
     ReleaseSettings,
     microseconds,
 )
-from service.ports import Storage
+from service.ports.storage import Storage
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Release
 from service.records.epoch import US_PER_S

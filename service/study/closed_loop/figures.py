@@ -45,8 +45,7 @@ def _drawing(path: Path, title: str) -> Iterator[Sequence[Axes]]:
         for name, limit, plot in zip(_AXES, NARROW_DEG, plots, strict=True):
             for side in (-1.0, 1.0):
                 plot.axhline(side * limit, color="#111111", linewidth=0.8, linestyle="--")
-            plot.set_ylabel(f"{name}, deg")
-            plot.set_ylim(-_REACH_DEG, _REACH_DEG)
+            plot.set(ylabel=f"{name}, deg", ylim=(-_REACH_DEG, _REACH_DEG))
         yield plots
         figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
         plots[-1].set_xlabel("hours of operation")

@@ -1,19 +1,19 @@
 """Control centres of the demonstration, and the line of the simulator that takes their schedules."""
 
 import json
-import socket
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 from service.client.documents import Control, Json
 from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import US_PER_S, parse_epoch
 from service.study.demonstration.merit import AXES
+from service.study.demonstration.processes import SimulatorLine
 
 _AXES = ("yaw", "roll", "pitch")
 
@@ -36,20 +36,11 @@ class SpacecraftReport(NamedTuple):
     impulse_n_m_s: dict[str, float]
 
 
-class SpacecraftLine:
-    """Client of the uplink port.
-
-    Parameters
-    ----------
-    host, port : str, int
-        Address of the port.
-    timeout_s : float
-        Longest wait for a line.
-    """
+class SpacecraftLine(SimulatorLine):
+    """Client of the uplink port."""
 
     def __init__(self, host: str, port: int, timeout_s: float = 120.0) -> None:
-        self._socket = socket.create_connection((host, port), timeout=timeout_s)
-        self._lines = self._socket.makefile("rb")
+        super().__init__(host, port, timeout_s)
         self._reports: list[SpacecraftReport] = []
         self._flown = ""
         try:
@@ -58,17 +49,6 @@ class SpacecraftLine:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the line."""
-        self._lines.close()
-        self._socket.close()
 
     def send(self, schedule: Sequence[Mapping[str, Any]], counter: int) -> None:
         """Hand a schedule to the channel.

@@ -45,8 +45,7 @@ def _draw(path: Path, draw_axis: Callable[[Axes, int], None]) -> None:
         plots = figure.subplots(3, 1, sharex=True)
         for k, (name, plot) in enumerate(zip(AXES, plots, strict=True)):
             draw_axis(plot, k)
-            plot.set_ylabel(f"{name}, deg")
-            plot.set_ylim(-_REACH_DEG, _REACH_DEG)
+            plot.set(ylabel=f"{name}, deg", ylim=(-_REACH_DEG, _REACH_DEG))
         # above the plots: an excursion may reach any corner of them
         figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False)
         plots[-1].set_xlabel("hours of operation")

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Self
 
 
-class GroundLink:
-    """Client of the ground port.
+class SimulatorLine:
+    """Line of JSON messages to a port of the simulator.
 
     Parameters
     ----------
@@ -30,8 +30,16 @@ class GroundLink:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the line."""
         self._lines.close()
         self._socket.close()
+
+
+class GroundLink(SimulatorLine):
+    """Client of the ground port."""
 
     def messages(self) -> Iterator[dict[str, Any]]:
         """Yield the messages until the story ends or the simulator leaves."""

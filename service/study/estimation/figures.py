@@ -78,8 +78,7 @@ def _draw_errors(course: Course, title: str, path: Path) -> None:
             if method == "robust":
                 held = np.where(drawn.is_control_allowed, np.nan, -_REACH_DEG[k])
                 plot.plot(course.hours, held, color="#d62728", linewidth=4.0, label="no control (robust)")
-        plot.set_ylim(-_REACH_DEG[k], _REACH_DEG[k])
-        plot.set_ylabel(f"{axis} error, deg")
+        plot.set(ylim=(-_REACH_DEG[k], _REACH_DEG[k]), ylabel=f"{axis} error, deg")
     plots[-1].set_xlabel("hours of operation")
     figure.suptitle(title)
     figure.legend(*plots[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
@@ -141,8 +140,7 @@ def _draw_storm(course: Course, rain: Rain, title: str, path: Path) -> None:
     angles.axhline(ALERT_DEG, color="#555555", linewidth=0.8, linestyle="--")
     held = np.where(robust.is_control_allowed[shown], np.nan, -0.1)
     angles.plot(hours, held, color="#d62728", linewidth=4.0, label="no control")
-    angles.set_ylim(-0.12, _STANFORD_DEG)
-    angles.set_ylabel("deg")
+    angles.set(ylim=(-0.12, _STANFORD_DEG), ylabel="deg")
     angles.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, frameon=False)
     names = ("not asked", *HYPOTHESES)
     colors = ListedColormap(["#ffffff", "#e8e8e8", "#1f77b4", "#ff7f0e", "#bcbd22"])
@@ -151,8 +149,7 @@ def _draw_storm(course: Course, rain: Rain, title: str, path: Path) -> None:
     lost = rained.pcolormesh(hours, carriers, rain.loss_db[shown].T, cmap="Blues", vmin=0.0, vmax=2.0)
     figure.colorbar(lost, ax=rained, label="loss, dB")
     believed.set_ylabel("carrier: believed")
-    rained.set_ylabel("carrier: true rain")
-    rained.set_xlabel("hours of operation")
+    rained.set(ylabel="carrier: true rain", xlabel="hours of operation")
     figure.suptitle(f"{title}: {is_wet.sum(axis=1).max()} of {len(carriers)} stations wet at once")
     figure.savefig(path, dpi=110)
 
@@ -203,8 +200,7 @@ def _draw_overview(campaign: Campaign, scenarios: Sequence[str], path: Path) -> 
             marker = _MARKERS.get(answer, "o")
             label = "zero (size of the truth)" if answer == "zero" else answer
             plot.plot(reported, positions, marker, color=_COLORS[answer], markersize=5, linestyle="none", label=label)
-        plot.set_xscale("log")
-        plot.set_xlabel(f"{axis} rms, deg")
+        plot.set(xscale="log", xlabel=f"{axis} rms, deg")
     plots[0].set_yticks(positions, scenarios)
     plots[0].set_ylim(len(scenarios) - 0.5, -0.5)
     seeds = campaign.plan.seeds

@@ -6,11 +6,11 @@ table.
 
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import groupby
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from service.study.estimation.bounds import AXES, Judged, Mark, Statistics
+from service.study.estimation.bounds import AXES, Judged, Limit, Mark, Statistics
 from service.study.estimation.campaign import METHODS, Campaign, versions
 from service.study.estimation.flight.baselines import BASELINES
 from service.study.estimation.flight.oracle.filter import ORACLE
@@ -20,6 +20,10 @@ MARKER_END = "<!-- soo study estimation: end -->"
 _DASH = "-"
 #: columns of a page
 _PAGE_WIDTH = 120
+#: scenario, answer and its figures
+Answer = tuple[str, str, Statistics]
+#: what a column tells of an answer's figures
+Cell = Callable[[Statistics], str]
 
 
 class ReportTable(NamedTuple):
@@ -99,92 +103,76 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _answers(campaign: Campaign, answers: Sequence[str] = METHODS) -> Iterator[tuple[str, str, Statistics]]:
+def _answers(campaign: Campaign, answers: Sequence[str] = METHODS) -> Iterator[Answer]:
     """Yield scenario, method and figures of everything driven."""
     for (scenario, answer), statistics in campaign.statistics.items():
         if answer in answers and "answered" in statistics:
             yield scenario, answer, statistics
 
 
+def _table(title: str, answer: str, answers: Iterable[Answer], *columns: tuple[str, Cell]) -> ReportTable:
+    """Return a table with a row for each answer; a column is its head and what it tells of an answer's figures."""
+    rows = tuple((scenario, name, *(cell(statistics) for _, cell in columns)) for scenario, name, statistics in answers)
+    return ReportTable(title, ("scenario", answer, *(head for head, _ in columns)), rows)
+
+
 def _accuracy(campaign: Campaign) -> ReportTable:
     """Return the errors of both methods."""
-    rows = tuple(
-        (
-            scenario,
-            method,
-            _angles(statistics, "rms_deg", 3),
-            _angles(statistics, "p95_deg", 2),
-            _angles(statistics, "skill", 2),
-            _angles(statistics, "slope", 2),
-            _angles(statistics, "rms_over_sigma", 2),
-            _to_oracle(statistics),
-        )
-        for scenario, method, statistics in _answers(campaign, (*METHODS, ORACLE))
+    return _table(
+        "Errors",
+        "method",
+        _answers(campaign, (*METHODS, ORACLE)),
+        ("rms", _angles("rms_deg", 3)),
+        ("p95", _angles("p95_deg", 2)),
+        ("skill", _angles("skill", 2)),
+        ("slope", _angles("slope", 2)),
+        ("rms/sigma", _angles("rms_over_sigma", 2)),
+        ("rms/oracle", _to_oracle),
     )
-    columns = ("scenario", "method", "rms", "p95", "skill", "slope", "rms/sigma", "rms/oracle")
-    return ReportTable("Errors", columns, rows)
 
 
 def _covariance_bounds(campaign: Campaign) -> ReportTable:
     """Return the errors beside the covariance of a filter that knows the true statistics."""
-    rows = tuple(
-        (
-            scenario,
-            method,
-            _angles(statistics, "bound_deg", 4),
-            _angles(statistics, "rms_deg", 4),
-            _angles(statistics, "sigma_deg", 4),
-            _angles(statistics, "rms_over_bound", 2),
-        )
-        for scenario, method, statistics in _answers(campaign, (*METHODS, ORACLE))
-        if "bound_deg.yaw" in statistics
+    return _table(
+        "Covariance bounds",
+        "method",
+        (each for each in _answers(campaign, (*METHODS, ORACLE)) if "bound_deg.yaw" in each[2]),
+        ("bound (Riccati)", _angles("bound_deg", 4)),
+        ("rms", _angles("rms_deg", 4)),
+        ("stated sigma", _angles("sigma_deg", 4)),
+        ("pooled rms/bound", _angles("rms_over_bound", 2)),
     )
-    columns = ("scenario", "method", "bound (Riccati)", "rms", "stated sigma", "pooled rms/bound")
-    return ReportTable("Covariance bounds", columns, rows)
 
 
 def _smoothed(campaign: Campaign) -> ReportTable:
     """Return what the smoothed answers gain over the filter on the same rows."""
-    rows = tuple(
-        (
-            scenario,
-            answer,
-            _angles(statistics, f"{name}.rms_deg", 4),
-            _angles(statistics, f"{name}.over_filter", 2),
-            _angles(statistics, f"{name}.over_sigma", 2),
-            _angles(statistics, f"{name}.large_near_events", 4),
-            _angles(statistics, f"{name}.filter_large_near_events", 4),
-            *(
-                _angles(statistics, f"{name}.{kind}", 3) if f"{name}.{kind}.yaw" in statistics else _DASH
-                for kind in ("dark_deg", "filter_dark_deg")
-            ),
-        )
+    answers = (
+        (scenario, answer, {key.removeprefix(name): value for key, value in statistics.items() if key.startswith(name)})
         for scenario, _, statistics in _answers(campaign, ("robust",))
-        for name, answer in (("smoothed", "whole span"), ("smoothed_2h", "2 h of lag"))
-        if f"{name}.rms_deg.yaw" in statistics
+        for name, answer in (("smoothed.", "whole span"), ("smoothed_2h.", "2 h of lag"))
     )
-    columns = (
-        "scenario",
+    return _table(
+        "Smoothed angles",
         "smoothed by",
-        "rms",
-        "over the filter",
-        "rms/sigma",
-        "beyond 3 sigma near events",
-        "the same, filter",
-        "largest without carriers",
-        "the same, filter",
+        (each for each in answers if "rms_deg.yaw" in each[2]),
+        ("rms", _angles("rms_deg", 4)),
+        ("over the filter", _angles("over_filter", 2)),
+        ("rms/sigma", _angles("over_sigma", 2)),
+        ("beyond 3 sigma near events", _angles("large_near_events", 4)),
+        ("the same, filter", _angles("filter_large_near_events", 4)),
+        ("largest without carriers", _angles("dark_deg", 3, is_optional=True)),
+        ("the same, filter", _angles("filter_dark_deg", 3, is_optional=True)),
     )
-    return ReportTable("Smoothed angles", columns, rows)
 
 
 def _baselines(campaign: Campaign) -> ReportTable:
     """Return the errors of the answers that need no powers; that of zero is the truth's own size."""
     rows = []
+    rms = _angles("rms_deg", 3)
     for (scenario, answer), statistics in campaign.statistics.items():
         if answer == "zero":
             others = [campaign.statistics.get((scenario, name), {}) for name in (*BASELINES[1:], "robust")]
-            rms = [_angles(answer, "rms_deg", 3) for answer in (statistics, *others)]
-            rows.append((scenario, *rms, _to_oracle(others[-1])))
+            rows.append((scenario, *map(rms, (statistics, *others)), _to_oracle(others[-1])))
     columns = (
         "scenario",
         "zero = truth",
@@ -199,115 +187,70 @@ def _baselines(campaign: Campaign) -> ReportTable:
 
 def _control(campaign: Campaign) -> ReportTable:
     """Return what control would have done."""
-    rows = tuple(
-        (
-            scenario,
-            method,
-            _number(statistics.get("wrong_min.roll_pitch"), 0),
-            _number(statistics.get("wrong_min.yaw"), 0),
-            _number(statistics.get("available_dry"), 4),
-            _number(statistics.get("yaw_available_dry"), 3),
-            _number(statistics.get("alarms_per_day"), 2),
-            _number(statistics.get("alarm_delay_min"), 0),
-        )
-        for scenario, method, statistics in _answers(campaign)
-    )
-    columns = (
-        "scenario",
+    return _table(
+        "Control",
         "method",
-        "wrong r/p, min",
-        "wrong yaw, min",
-        "control in the dry",
-        "yaw",
-        "alarms a day",
-        "alarm after, min",
+        _answers(campaign),
+        ("wrong r/p, min", _figure("wrong_min.roll_pitch", 0)),
+        ("wrong yaw, min", _figure("wrong_min.yaw", 0)),
+        ("control in the dry", _figure("available_dry", 4)),
+        ("yaw", _figure("yaw_available_dry", 3)),
+        ("alarms a day", _figure("alarms_per_day", 2)),
+        ("alarm after, min", _figure("alarm_delay_min", 0)),
     )
-    return ReportTable("Control", columns, rows)
+
+
+def _judged_by(campaign: Campaign, figure: str) -> Iterator[Answer]:
+    """Yield scenario, answer and figures of everything that has a figure of the yardstick."""
+    for (scenario, answer), statistics in campaign.statistics.items():
+        if figure in statistics:
+            yield scenario, answer, statistics
 
 
 def _yardstick(campaign: Campaign) -> ReportTable:
     """Return how often an answer is confident and wrong, and what it pays for never being so."""
-    rows = tuple(
-        (
-            scenario,
-            answer,
-            _with_worst(statistics, "wrong_min", 0),
-            _angles(statistics, "yardstick.rms_deg", 3),
-            "/".join(_number(statistics.get(f"yardstick.rms_deg.{axis}.worst"), 3) for axis in AXES),
-            _to_oracle(statistics),
-            *(_with_worst(statistics, f"rms_over_sigma.{axis}", 2) for axis in AXES[1:]),
-            _with_worst(statistics, "allowed_dry", 3),
-        )
-        for (scenario, answer), statistics in campaign.statistics.items()
-        if "yardstick.wrong_min" in statistics
-    )
-    columns = (
-        "scenario",
+    return _table(
+        "Confident and wrong: mean; worst (seed)",
         "answer",
-        "wrong torque, min",
-        "rms",
-        "worst of each axis",
-        "rms/oracle",
-        "rms/sigma roll",
-        "pitch",
-        "control in the dry",
+        _judged_by(campaign, "yardstick.wrong_min"),
+        ("wrong torque, min", _with_worst("wrong_min", 0)),
+        ("rms", _angles("yardstick.rms_deg", 3)),
+        ("worst of each axis", _angles("yardstick.rms_deg", 3, end=".worst")),
+        ("rms/oracle", _to_oracle),
+        ("rms/sigma roll", _with_worst("rms_over_sigma.roll", 2)),
+        ("pitch", _with_worst("rms_over_sigma.pitch", 2)),
+        ("control in the dry", _with_worst("allowed_dry", 3)),
     )
-    return ReportTable("Confident and wrong: mean; worst (seed)", columns, rows)
 
 
 def _protection(campaign: Campaign) -> ReportTable:
     """Return what protection levels are worth; an answer that states none has no row."""
-    rows = tuple(
-        (
-            scenario,
-            answer,
-            _with_worst(statistics, "misleading_share", 4),
-            _number(statistics["yardstick.episodes"], 0),
-            _with_worst(statistics, "without_share", 3),
-            "/".join(_number(statistics.get(f"yardstick.level_deg.{axis}"), 2) for axis in AXES[1:]),
-        )
-        for (scenario, answer), statistics in campaign.statistics.items()
-        if "yardstick.episodes" in statistics
+    return _table(
+        "Protection levels: mean; worst (seed)",
+        "answer",
+        _judged_by(campaign, "yardstick.episodes"),
+        ("misleading rows", _with_worst("misleading_share", 4)),
+        ("episodes", _figure("yardstick.episodes", 0)),
+        ("without level", _with_worst("without_share", 3)),
+        ("median roll/pitch in the dry", _angles("yardstick.level_deg", 2, axes=AXES[1:])),
     )
-    columns = ("scenario", "answer", "misleading rows", "episodes", "without level", "median roll/pitch in the dry")
-    return ReportTable("Protection levels: mean; worst (seed)", columns, rows)
-
-
-def _with_worst(statistics: Statistics, name: str, digits: int) -> str:
-    """Return a figure of the yardstick: mean, worst and the worst seed."""
-    mean, worst, seed = (statistics.get(f"yardstick.{name}{end}") for end in ("", ".worst", ".worst_seed"))
-    return _DASH if mean is None else f"{_number(mean, digits)}; {_number(worst, digits)} ({_number(seed, 0)})"
 
 
 def _events(campaign: Campaign) -> ReportTable:
     """Return how rain and faults were noticed; a scenario that has neither has no row."""
-    rows = tuple(
-        (
-            scenario,
-            method,
-            _joined([_number(statistics.get(name), 0) for name in ("rain_delay_median_min", "rain_delay_min")]),
-            _number(statistics.get("rain_coverage"), 3),
-            _number(statistics.get("rain_false_share"), 4),
-            _number(statistics.get("faults"), 0),
-            _number(statistics.get("faults_found_share"), 3),
-            _number(statistics.get("fault_delay_median_min"), 0),
-            _number(statistics.get("false_exclusion_share"), 4),
-        )
-        for scenario, method, statistics in _answers(campaign)
-        if "rain_delay_min" in statistics or "faults" in statistics
-    )
-    columns = (
-        "scenario",
+    delays = [_figure(name, 0) for name in ("rain_delay_median_min", "rain_delay_min")]
+    return _table(
+        "Rain and faults",
         "method",
-        "rain after, min",
-        "covered",
-        "false",
-        "faults",
-        "found",
-        "after, min",
-        "false exclusion",
+        (each for each in _answers(campaign) if "rain_delay_min" in each[2] or "faults" in each[2]),
+        ("rain after, min", lambda statistics: _joined([delay(statistics) for delay in delays])),
+        ("covered", _figure("rain_coverage", 3)),
+        ("false", _figure("rain_false_share", 4)),
+        ("faults", _figure("faults", 0)),
+        ("found", _figure("faults_found_share", 3)),
+        ("after, min", _figure("fault_delay_median_min", 0)),
+        ("false exclusion", _figure("false_exclusion_share", 4)),
     )
-    return ReportTable("Rain and faults", columns, rows)
 
 
 def _bounds(campaign: Campaign) -> ReportTable:
@@ -357,14 +300,35 @@ def _joined(parts: Sequence[str]) -> str:
     return "/".join(parts)
 
 
-def _angles(statistics: Statistics, name: str, digits: int) -> str:
-    """Return a figure of the three axes."""
-    return "/".join(_number(statistics.get(f"{name}.{axis}"), digits) for axis in AXES)
+def _figure(name: str, digits: int) -> Cell:
+    """Return the cell of one figure."""
+    return lambda statistics: _number(statistics.get(name), digits)
 
 
-def _to_oracle(statistics: Statistics) -> str:
-    """Return the ratio of an answer's errors to the oracle's, where there is one."""
-    return _angles(statistics, "rms_over_oracle", 2) if "rms_over_oracle.yaw" in statistics else _DASH
+def _angles(name: str, digits: int, axes: Sequence[str] = AXES, end: str = "", *, is_optional: bool = False) -> Cell:
+    """Return the cell of a figure of several axes; an optional one is one dash where it is not there."""
+    names = [f"{name}.{axis}{end}" for axis in axes]
+
+    def cell(statistics: Statistics) -> str:
+        if is_optional and names[0] not in statistics:
+            return _DASH
+        return "/".join(_number(statistics.get(each), digits) for each in names)
+
+    return cell
+
+
+def _with_worst(name: str, digits: int) -> Cell:
+    """Return the cell of a figure of the yardstick: mean, worst and the worst seed."""
+
+    def cell(statistics: Statistics) -> str:
+        mean, worst, seed = (statistics.get(f"yardstick.{name}{end}") for end in ("", ".worst", ".worst_seed"))
+        return _DASH if mean is None else f"{_number(mean, digits)}; {_number(worst, digits)} ({_number(seed, 0)})"
+
+    return cell
+
+
+#: ratio of an answer's errors to the oracle's, where there is one
+_to_oracle = _angles("rms_over_oracle", 2, is_optional=True)
 
 
 def _number(value: float | None, digits: int | None = None) -> str:
@@ -379,3 +343,53 @@ def _number(value: float | None, digits: int | None = None) -> str:
     text = text.rstrip("0").rstrip(".") if digits is None and "." in text else text
     # what rounds to nothing has no sign
     return text.lstrip("-") if float(text) == 0.0 else text
+
+
+def as_document(campaign: Campaign, command: str) -> dict[str, Any]:
+    """Return everything a program may want, fit for JSON."""
+    plan = campaign.plan
+    statistics: dict[str, dict[str, dict[str, float | None]]] = {}
+    for (scenario, answer), reported in campaign.statistics.items():
+        statistics.setdefault(scenario, {})[answer] = {name: _finite(value) for name, value in reported.items()}
+    return {
+        "command": command,
+        "versions": versions(),
+        "seeds": list(range(1, plan.seeds + 1)),
+        "operation_days": plan.operation_days,
+        "seconds": round(campaign.seconds, 1),
+        "figures": statistics,
+        "bounds": [_bound_document(judged) for judged in campaign.judged],
+        "missed": len(campaign.missed),
+        "refusals": [
+            {"scenario": run.unit.scenario, "seed": run.unit.seed, "detail": run.refusal} for run in campaign.refusals
+        ],
+        "baselines_that_keep_all_bounds": [
+            {"scenario": scenario, "baseline": baseline} for scenario, baseline in campaign.idle
+        ],
+    }
+
+
+def _bound_document(judged: Judged) -> dict[str, Any]:
+    """Return one bound with its mark."""
+    bound = judged.bound
+    return {
+        "scenario": bound.scenario,
+        "method": bound.method,
+        "figure": bound.figure,
+        "value": None if judged.value is None else _finite(judged.value),
+        "must": _interval(bound.must),
+        "goal": _interval(bound.goal),
+        "goal_asked": bound.is_goal_asked,
+        "source": bound.source,
+        "mark": judged.mark.value,
+    }
+
+
+def _interval(limit: Limit | None) -> list[float | None] | None:
+    """Return a limit as its two ends, None for an open one."""
+    return None if limit is None else [_finite(limit.low), _finite(limit.high)]
+
+
+def _finite(value: float) -> float | None:
+    """Return a number that JSON can hold."""
+    return value if math.isfinite(value) else None

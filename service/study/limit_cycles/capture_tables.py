@@ -18,8 +18,7 @@ from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState
 from service.core.flexible.spacecraft import HubMode, SwitchingLaw, WheelDrive
 from service.study.limit_cycles import reference
-from service.study.limit_cycles.comparison import Compared, ComparedTable, holds
-from service.study.limit_cycles.reference import CaptureCase, PerpetualCase
+from service.study.limit_cycles.reference import CaptureCase, Compared, ComparedTable, PerpetualCase, holds
 
 #: in place of a damping of zero, which the motion refuses; it changes no digit
 _HARDLY_DAMPED = 1e-12

@@ -19,7 +19,7 @@ from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState
 from service.core.flexible.return_kernels import Follow, OneSided, compiled_follow, follow
 from service.study.limit_cycles import reference
-from service.study.limit_cycles.comparison import Compared, ComparedTable, holds
+from service.study.limit_cycles.reference import Compared, ComparedTable, holds
 
 #: relative tolerance of speeds and angles, of periods; absolute one of multipliers
 _RELATIVE, _PERIOD, _MULTIPLIER = 1e-6, 1e-8, 1e-4

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from service.core.arrays import FloatArray
 from service.core.flexible.capture import least_capturing_amplitude_rad, rigid_frequency_rad_s, stable_band
 from service.core.flexible.limit_cycle import cycle_period_s, koenigs_lamerey, succession
 from service.core.flexible.motion import FlexibleMotion, follow_motion
-from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.propagation import BodyState
 from service.core.flexible.spacecraft import HubMode, SwitchingLaw, WheelDrive
 from service.study.limit_cycles import reference
@@ -67,10 +67,8 @@ def _draw_bi_plane(path: Path) -> None:
         sheets[2].axhline(_MRAD * angle, color="#555555", linewidth=0.8, linestyle="--")
         sheets[2].annotate(name, (0.0, _MRAD * angle), va="bottom")
     for sheet, sub in zip(sheets[:2], ("T", "U"), strict=True):
-        sheet.set_xlabel(f"theta_{sub}, mrad")
-        sheet.set_ylabel(f"theta_{sub}' / w, mrad")
-    sheets[2].set_xlabel("time, s")
-    sheets[2].set_ylabel("theta, mrad")
+        sheet.set(xlabel=f"theta_{sub}, mrad", ylabel=f"theta_{sub}' / w, mrad")
+    sheets[2].set(xlabel="time, s", ylabel="theta, mrad")
     figure.suptitle("Relay on the phase bi-plane: body as a rigid one, flexible mode, what the sensor sees")
     figure.legend(loc="outside lower center", ncols=2, frameon=False)
     _save(figure, path)
@@ -96,12 +94,12 @@ def _draw_cycles(path: Path) -> None:
         label = f"{name}: {cycle.period_s:.0f} s, multiplier {cycle.multiplier:.3f}"
         rigid.plot(_MRAD * closed[:, 0], _MRAD * closed[:, 1], color=color, label=label)
         flexible.plot(_MRAD * swung[:, 2], _MRAD * swung[:, 3] / _MODE.omega_rad_s, color=color, linewidth=0.5)
-    rigid.set_xlabel("theta_T, mrad")
-    rigid.set_ylabel("theta_T', mrad/s")
-    rigid.set_title("rigid body")
-    flexible.set_xlabel("theta_U, mrad")
-    flexible.set_ylabel("theta_U' / w, mrad")
-    flexible.set_title(f"w {_MODE.omega_rad_s:g} rad/s, xi {_MODE.damping_ratio:g}, kn {_MODE.coupling:g}")
+    rigid.set(xlabel="theta_T, mrad", ylabel="theta_T', mrad/s", title="rigid body")
+    flexible.set(
+        xlabel="theta_U, mrad",
+        ylabel="theta_U' / w, mrad",
+        title=f"w {_MODE.omega_rad_s:g} rad/s, xi {_MODE.damping_ratio:g}, kn {_MODE.coupling:g}",
+    )
     figure.suptitle("Limit cycles on both sheets")
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     _save(figure, path)
@@ -130,8 +128,7 @@ def _draw_ladders(path: Path) -> None:
         plot.plot(_MRAD * speeds, _MRAD * speeds, color="#555555", linewidth=0.8)
         ladder = koenigs_lamerey(start, returns, motion)
         plot.plot(*(_MRAD * ladder.T), color=_COLORS[1], linewidth=0.6, label="ladder")
-        plot.set_title(f"{name}, multiplier {cycle_of(name).multiplier:.4f}")
-        plot.set_xlabel("w_k, mrad/s")
+        plot.set(title=f"{name}, multiplier {cycle_of(name).multiplier:.4f}", xlabel="w_k, mrad/s")
     plots[0].set_ylabel("w_k+1, mrad/s")
     figure.legend(*plots[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     _save(figure, path)
@@ -147,11 +144,13 @@ def _draw_stability(path: Path) -> None:
         band.fill_betweenx(swings, found[:, 0], found[:, 1], color=color, alpha=0.15)
         band.plot(np.concatenate([found[:, 0], found[::-1, 1]]), np.concatenate([swings, swings[::-1]]), color=color)
         band.plot([], [], color=color, label=f"kn {coupling:g}")
-    band.set_xscale("log")
-    band.set_yscale("log")
-    band.set_xlabel("w, rad/s")
-    band.set_ylabel("C, swing from peak to peak over alpha")
-    band.set_title("free of capture inside")
+    band.set(
+        xscale="log",
+        yscale="log",
+        xlabel="w, rad/s",
+        ylabel="C, swing from peak to peak over alpha",
+        title="free of capture inside",
+    )
     band.legend()
     omegas = np.linspace(0.3, 12.0, 400)
     for color, swing in zip(_COLORS, (0.0, 1e-3, 5e-3, 2e-2, 8e-2), strict=True):
@@ -159,8 +158,6 @@ def _draw_stability(path: Path) -> None:
         surface.plot(omegas, bound, color=color, label=f"C {swing:g}")
     own = 2.0 * math.pi / cycle_period_s(reference.BASE, 1.0, 1)
     surface.axhline(own, color="#555555", linestyle="--", linewidth=0.9, label="cycle A0")
-    surface.set_xlabel("w, rad/s")
-    surface.set_ylabel("w_T, rad/s")
-    surface.set_title("surface (26), kn 0.5: a cycle below it is free")
+    surface.set(xlabel="w, rad/s", ylabel="w_T, rad/s", title="surface (26), kn 0.5: a cycle below it is free")
     surface.legend()
     _save(figure, path)

@@ -41,8 +41,7 @@ def _draw_curve(path: Path) -> Path:
     power.set_ylabel("dBW")
     power.legend(loc="lower right", fontsize=8)
     latitude.plot(curve.hours, _LATITUDE_DEG * np.sin(2.0 * np.pi * curve.hours / PERIOD_H), color="#d62728")
-    latitude.set_ylabel("latitude, deg")
-    latitude.set_xlabel("hours since the ascending node")
+    latitude.set(ylabel="latitude, deg", xlabel="hours since the ascending node")
     figure.savefig(path, dpi=110)
     return path
 

@@ -28,7 +28,7 @@ from service.pipeline.config import (
     TorqueConfig,
 )
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import (
     Alignment,
     Calibration,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from served_stream import Reader, Served, serving
 
-from service.ports import LIVE, SMOOTHED, Outcome
+from service.ports.archive import LIVE, SMOOTHED, Outcome
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import NO_ANGLES, Axes, CarrierResults, Exclusion, Status

@@ -6,7 +6,7 @@ import threading
 import pytest
 from role_keys import RoleKeys
 
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
 from service.records.operations.access import Role

@@ -17,7 +17,7 @@ from stored_records import ALARM
 
 from service.api.export.export_files import OFFERED
 from service.formats.tdm import read_tdm
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference, Correction, Operation, PolarizationRecord, TelemetryRecord
 from service.records.levels.attitude import NO_ANGLES, Axes

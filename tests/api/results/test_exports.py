@@ -19,7 +19,7 @@ from service.api.export import export_chunks as archive_chunks
 from service.api.export import export_chunks as joined_rows
 from service.api.export import export_files as archive_files
 from service.api.export.export_responses import bounded_answer
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch

@@ -10,7 +10,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from service.api.monitoring.metrics import FAMILIES
 from service.errors import StorageError
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.inputs import Correction, TelemetryRecord
 from service.records.levels.attitude import Axes, CarrierState
 from service.records.operations.work import LinkReport

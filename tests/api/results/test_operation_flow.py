@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import ControlMode, ControlSettings, Method, Release
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference

@@ -15,7 +15,7 @@ import pytest
 
 from service.client.async_service_client import AsyncServiceClient
 from service.client.documents import Attitude
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes, Exclusion, Pulse, ScheduleVerdict
 from service.records.record_fields import FieldKind, RecordField, record_fields

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.core.rows import STRETCH_ROWS
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch, parse_epoch
 from service.records.levels.attitude import NO_ANGLES, Axes, CarrierResults

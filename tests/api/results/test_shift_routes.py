@@ -12,7 +12,7 @@ from service.api.context import CarrierNameCache
 from service.api.stream.events import ArchiveReader, EventTexts
 from service.api.views import timeline
 from service.pipeline.estimation.method import RowEvidence
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.epoch import format_epoch
 from service.records.inputs import Correction, Operation

@@ -14,7 +14,7 @@ from fastapi.responses import PlainTextResponse, StreamingResponse
 from served_stream import Event, Reader, Served, Source, serving, wait_until
 from stored_records import ALARM
 
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import CarrierResults

@@ -11,7 +11,7 @@ from skyfield.api import load
 from skyfield.framelib import itrs
 
 from db.storage import SqlStorage
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import Axes, Status, row_without_attitude

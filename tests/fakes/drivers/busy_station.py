@@ -13,7 +13,7 @@ from db.encoding.measurement_runs import pack_carriers
 from db.results import jobs
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, ChainConfig
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method, Release
 from service.records.inputs import AttitudeReference, Correction, Operation

@@ -14,7 +14,7 @@ from service.pipeline.control.command.compute_command import NO_CARRY, compute_c
 from service.pipeline.control.release.control_verdict import ControlVerdict, ControlView, control_verdict
 from service.pipeline.control.release.events import OrderKind, SignJudged, StoredRow
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import AttitudeRow, Axes, BalanceBasis, Disturbance, Status, TorqueCommand

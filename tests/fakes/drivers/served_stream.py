@@ -14,7 +14,7 @@ import uvicorn
 from waiting import wait_until
 
 from service.api.server_process import StreamingServer
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.runtime.live.live_feed import Cursor, FeedEvent
 
 STREAM = "/api/v1/spacecraft/yamal-202/stream"

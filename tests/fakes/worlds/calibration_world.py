@@ -13,8 +13,7 @@ from kept_results import kept
 from simulated_gain import attitude_gain_db
 
 from analyzer_sim.export import export_arrays
-from analyzer_sim.streams import stream
-from analyzer_sim.world.noise import daily_wave
+from analyzer_sim.streams import daily_wave, stream
 from analyzer_sim.world.payload.level_terms import dishes_loss_db, nominal_gain_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World

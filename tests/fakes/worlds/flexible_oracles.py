@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.phi_functions import FloatArray
+from service.core.arrays import FloatArray
 from service.core.flexible.propagation import MotionLeg, brent_root, states_at
 from service.core.flexible.return_kernels import OneSided
 from service.core.flexible.spacecraft import HubMode

@@ -39,7 +39,9 @@ from service.records.calibration import (
     CalibrationState,
     CarrierCalibration,
     CarrierReference,
+    GeometryFit,
     Harmonic,
+    NoiseComponent,
     Observability,
     Window,
 )
@@ -56,10 +58,8 @@ from service.records.catalogue import (
     Station,
     Track,
 )
-from service.records.geometry import GeometryFit
 from service.records.levels.attitude import Axes, FloatArray, IntArray
 from service.records.levels.measurement import Measurement, MeasurementSeries
-from service.records.noise import NoiseComponent
 
 
 def _table(values: FloatArray) -> tuple[tuple[float, ...], ...]:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from driven_world import HOUR_US, DrivenWorld, shared_world
 
-from analyzer_sim.world.scenario.scenario import NoiseStatistics, scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.scenario.story import NoiseStatistics
 from analyzer_sim.world.sensors import Sensor
 from service.pipeline.carrier_model.expected_level import ExpectedLevel, geometry_model
 from service.records.calibration import Window

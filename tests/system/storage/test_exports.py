@@ -24,7 +24,7 @@ from db.storage import SqlStorage
 from service.api.export.export_files import OFFERED
 from service.api.protocol.paging import EVERYTHING
 from service.cli.importing.put_command import put
-from service.ports import LIVE, Outcome
+from service.ports.archive import LIVE, Outcome
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
 from service.records.levels.attitude import Axes, CarrierResults, TorqueCommand, row_without_attitude
 from service.records.levels.measurement import Measurement, MeasurementBatch

@@ -11,7 +11,7 @@ from db.maintenance.doctor import diagnose
 from db.storage import SqlStorage
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.smoothed import GRID_US, grid_us
-from service.ports import SMOOTHED
+from service.ports.archive import SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch

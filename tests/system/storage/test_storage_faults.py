@@ -24,7 +24,7 @@ from db.maintenance.backup import create_backup, restore_backup
 from db.schema.tables import attitude, metadata, result_segment
 from db.storage import SqlStorage
 from service.errors import StorageError
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
 from service.records.operations.work import Job, JobState, Replay

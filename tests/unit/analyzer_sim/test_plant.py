@@ -22,8 +22,8 @@ from analyzer_sim.plant.plant import (
     telemetry_of,
 )
 from analyzer_sim.world.scenario.events import Gap, SwitchOff
-from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
-from analyzer_sim.world.scenario.story import KeepingErrors, RepeaterSettings
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.scenario.story import KeepingErrors, RepeaterSettings, Scenario
 from analyzer_sim.world.spacecraft.body import INERTIA_KG_M2, TorqueElement
 from analyzer_sim.world.world import World
 

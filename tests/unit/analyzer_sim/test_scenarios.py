@@ -29,7 +29,8 @@ from analyzer_sim.world.payload.level_terms import (
     world_white_db,
 )
 from analyzer_sim.world.scenario.events import SwitchOff
-from analyzer_sim.world.scenario.scenario import SCENARIOS, Scenario, scenario_named
+from analyzer_sim.world.scenario.scenario import SCENARIOS, scenario_named
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.scenario_table import markdown_page, reported
 from analyzer_sim.world.spacecraft.spacecraft import attitude_history
 from analyzer_sim.world.structure import crlb_deg

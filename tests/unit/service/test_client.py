@@ -221,7 +221,7 @@ def test_a_job_that_fails_or_lasts_too_long(state: str, match: str) -> None:
 
 def test_a_job_is_waited_for_as_long_as_it_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s, progress = count(0.0, 9.0), count(0.01, 0.01)
-    monkeypatch.setattr("service.client.jobs.time", SimpleNamespace(monotonic=lambda: next(now_s)))
+    monkeypatch.setattr("service.client.call.time", SimpleNamespace(monotonic=lambda: next(now_s)))
 
     def answer(_request: httpx.Request) -> httpx.Response:
         share = next(progress)

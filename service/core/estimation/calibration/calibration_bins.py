@@ -12,11 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from service.core.arrays import BoolArray, FloatArray, IntArray
 
 #: deg, yaw, roll, pitch: a stretch ends beyond this; yaw moves a station eight times less.
 STILL_LIMIT_DEG = (0.12, 0.06, 0.06)

@@ -10,13 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.joint_tukey import TUKEY_SIGMAS, trimmed_fit
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 MIN_SAMPLES_PER_COEFFICIENT = 4
 #: Samples from which the trimmed start is taken, evenly spread; it only has to find the right half.

@@ -11,15 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import (
-    ATTITUDE,
-    RATE,
-    BoolArray,
-    FilterSettings,
-    FloatArray,
-    Gaussian,
-    IntArray,
-)
+from service.core.arrays import BoolArray, FloatArray, IntArray
+from service.core.estimation.filtering.model.filter_model import ATTITUDE, RATE, FilterSettings, Gaussian
 from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
 from service.core.estimation.filtering.model.wheel_momentum import (
     learned_positions,

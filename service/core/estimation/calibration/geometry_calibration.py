@@ -17,8 +17,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.calibration_bins import Means, Stretches, still_stretches, stretch_means
 from service.core.estimation.calibration.checks.sensor_axes import (
     FreeResponse,
@@ -44,11 +44,6 @@ from service.core.estimation.calibration.geometry_columns import (
 from service.core.estimation.calibration.joint_tukey import JointProblem, SeparableFit, fit_jointly
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, coloured_noise, whitened_fit
 from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-
 
 #: s, longest stretch that is averaged.
 STRETCH_S = 600.0

@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import FloatArray, IntArray
 
 #: Pairs of axes of the six monomials of second degree.
 _FIRST, _SECOND = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
@@ -199,8 +198,6 @@ def symmetric_matrix(coefficients: FloatArray) -> FloatArray:
     """
     return np.asarray(coefficients[..., np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])])
 
-
-IntArray = NDArray[np.int64]
 
 #: Own coefficients of the beam, last in the columns: g_az, g_el, H_az_az, H_az_el, H_el_el.
 BEAM_SIZE = 5

@@ -4,15 +4,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     DOWNLINK_PRIOR_DB_PER_DEG,
     SOLAR_SIZE,
 )
-
-FloatArray = NDArray[np.float64]
 
 
 class SeparableFit(NamedTuple):
@@ -104,9 +102,6 @@ def _triangle(equations: FloatArray) -> FloatArray:
     """Return R of the QR decomposition of equations (..., rows, unknowns + 1)."""
     return np.asarray(np.linalg.qr(equations, mode="r"))
 
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Share of the samples that the fit trusts.
 TRUSTED_SHARE = 0.53

@@ -9,11 +9,9 @@ carriers counts as several of each carrier's own, and no walk is believed to be 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray
 from service.core.estimation.noise_identification import IdentifiedNoise
-
-FloatArray = NDArray[np.float64]
 
 #: Figures that the walk of all carriers is worth in that of one.
 _POOL_WEIGHT = 4.0

@@ -12,10 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from service.core.arrays import FloatArray, IntArray
 
 #: deg, noise that the averages of a calibration take care of by themselves.
 QUIET_SIGMA_DEG = 0.02

@@ -4,13 +4,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, DOWNLINK_PRIOR_DB_PER_DEG
 from service.core.estimation.calibration.joint_tukey import JointProblem, SeparableFit, fit_separable
 from service.core.estimation.noise_identification import IdentifiedNoise
-
-FloatArray = NDArray[np.float64]
 
 #: Weights below this are no weight at all.
 MIN_WEIGHT = 1e-6

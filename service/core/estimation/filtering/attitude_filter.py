@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.filtering.anchor.anchor_watch import (
     ERROR_SIGMA_DEG,
     ask_anchor,
@@ -62,12 +63,9 @@ from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     CHAIN,
     RAIN,
-    BoolArray,
     CarrierModel,
     FilterSettings,
-    FloatArray,
     Gaussian,
-    IntArray,
     KnownMotion,
     hidden_count,
 )

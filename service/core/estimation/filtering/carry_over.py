@@ -7,6 +7,7 @@ know begins as wide as it is.
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.filtering.anchor.anchor_watch import calm_anchor
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.causes.common_change import Cusum
@@ -14,11 +15,8 @@ from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.filter_model import (
     FIRST_COMMON,
     FREE_REFERENCE_DB2,
-    BoolArray,
     CarrierModel,
-    FloatArray,
     Gaussian,
-    IntArray,
     carrier_states,
     common_states,
     core_size,

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.kernels import state_kernels
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import (
@@ -13,9 +14,7 @@ from service.core.estimation.filtering.model.filter_model import (
     RATE,
     CarrierModel,
     FilterSettings,
-    FloatArray,
     Gaussian,
-    IntArray,
     KnownMotion,
     core_size,
     hidden_count,

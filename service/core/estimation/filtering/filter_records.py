@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.anchor.anchor_watch import AnchorWatch, calm_anchor
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch, healthy
 from service.core.estimation.filtering.causes.common_cause import Cause, RainWatch, dry_watch
 from service.core.estimation.filtering.filter_update import EffectiveUpdate
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, Gaussian, IntArray
+from service.core.estimation.filtering.model.filter_model import CarrierModel, Gaussian
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, executed_commands
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch, usual_drift
 from service.core.estimation.filtering.watches.integrity import Integrity, good_figures

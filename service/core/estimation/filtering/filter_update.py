@@ -14,15 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.kernels import state_kernels
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     CHAIN,
     RAIN,
     CarrierModel,
-    FloatArray,
     Gaussian,
-    IntArray,
     common_states,
     hidden_count,
     pattern_change,

@@ -5,9 +5,8 @@ from math import erfc, exp, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from service.core.arrays import FloatArray, IntArray
 
 #: mean square of the residuals, in sigmas, above which levels have moved on their own
 _MOVED_SCATTER = 4.0
@@ -240,9 +239,6 @@ def step_fade_watch(
     dry_s = dry_before_s + elapsed_s if test.median_db > -depth_db else 0.0
     is_stopped = dry_s < return_after_s if state.is_stopped else wet_s >= stop_after_s
     return FadeWatch(is_stopped, wet_s, dry_s)
-
-
-IntArray = NDArray[np.int64]
 
 
 class TrailingMean(NamedTuple):

@@ -4,10 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from service.core.arrays import BoolArray, FloatArray, IntArray
 
 #: dB, residuals below this are rounding of the arithmetic and pass every gate.
 ROUNDING_DB = 1e-9
@@ -163,8 +162,6 @@ def _final_fit(
         is_converged=is_converged & is_sound,
     )
 
-
-IntArray = NDArray[np.int64]
 
 #: Fewer samples than this are no fit.
 MIN_SAMPLES = 8

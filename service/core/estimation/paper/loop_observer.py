@@ -13,15 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.calibration.geometry_columns import displacement_matrix
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     RATE,
     RATE_FLOOR_DEG_H,
-    BoolArray,
     CarrierModel,
     FilterSettings,
-    FloatArray,
     KnownMotion,
 )
 from service.core.estimation.filtering.model.step_inputs import step_inputs

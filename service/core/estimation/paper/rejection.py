@@ -23,14 +23,10 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.paper.harmonic import ROUNDING_DB
 from service.core.estimation.paper.octants import OctantFix, predict_deviation_db, solve_octants, solve_octants_rows
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 class RejectionReason(IntEnum):

@@ -5,8 +5,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.observability import condition_number
 from service.core.estimation.paper.sensitivity import (
     TurnLevels,
@@ -14,10 +14,6 @@ from service.core.estimation.paper.sensitivity import (
     reduce_to_levels,
     symmetric_sensitivity,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Columns of the sensitivity in the order in which the axes choose.
 TURN_ORDER = (1, 2, 0)

@@ -4,14 +4,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.observability import normal_inverse
 from service.core.estimation.paper.harmonic import fit_clipped
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: deg, a side of an axis counts as turned beyond this.
 MIN_EXCURSION_DEG = 0.1

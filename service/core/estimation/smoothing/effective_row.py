@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep
 from service.core.estimation.filtering.filter_update import EffectiveUpdate
 from service.core.estimation.filtering.model.filter_model import (
@@ -34,9 +35,7 @@ from service.core.estimation.filtering.model.filter_model import (
     RATE,
     CarrierModel,
     FilterSettings,
-    FloatArray,
     Gaussian,
-    IntArray,
     carrier_states,
     core_size,
     hidden_count,

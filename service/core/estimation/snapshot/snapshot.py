@@ -5,8 +5,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, response_errors
 from service.core.estimation.snapshot.snapshot_steps import (
     PRIOR_WEIGHT,
@@ -20,8 +20,6 @@ from service.core.estimation.snapshot.snapshot_steps import (
     trimmed_start,
     tukey_cost,
 )
-
-FloatArray = NDArray[np.float64]
 
 #: Sigmas beyond which a carrier has less than five per cent of Tukey's weight.
 GATE_SIGMAS = 4.685 * math.sqrt(1.0 - math.sqrt(0.05))
@@ -70,8 +68,6 @@ def fault_bounds(design: FloatArray, gain: FloatArray, sigma_db: FloatArray) -> 
     size = np.where(moves == 0.0, 0.0, detectable[..., np.newaxis])
     return FaultBounds(detectable, size * moves)
 
-
-IntArray = NDArray[np.int64]
 
 #: Cost that a group's own level must save; chance saves this much once in 2000 rows.
 GROUP_PENALTY = 6.0
@@ -165,8 +161,6 @@ def _middle(residual_db: FloatArray, is_member: FloatArray) -> FloatArray:
     middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., np.newaxis] // 2, axis=-1)[..., 0]
     return np.where(count > 0, middle, 0.0)
 
-
-BoolArray = NDArray[np.bool_]
 
 #: One carrier more than unknowns.
 MIN_CARRIERS = 5

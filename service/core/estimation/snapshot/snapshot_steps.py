@@ -4,11 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_jacobian
-
-FloatArray = NDArray[np.float64]
 
 #: Sigmas at which Tukey's weight becomes zero; 95 % efficient on normal noise.
 TUKEY_SIGMAS = 4.685
@@ -182,9 +180,6 @@ def robust_fit(
             break
     return theta
 
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: Carriers in a subset. Four of sixteen are all sound in 11.5 % of the subsets when six are wrong, five in 5.8 %: of
 #: 3000 rows with six wrong carriers 60 subsets of four lost none, 60 of five lost three.

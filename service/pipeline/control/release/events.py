@@ -15,7 +15,7 @@ from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.interlock import Instant, Interlock
 from service.pipeline.control.release.interlock_conditions import InterlockInputs, InterlockRow
 from service.pipeline.estimation.method import CommandEvidence
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.levels.attitude import ReleasedCommand, ReportedCommand
 from service.records.operations.release import Command, InterlockHold, SignCheck, SignRatios, UplinkProduct
 

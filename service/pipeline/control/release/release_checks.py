@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from service.core.arrays import FloatArray
 from service.core.control.quaternion_law import inertia_about_angles
 from service.core.control.slew_schedule import (
     AxisPulse,
     Effect,
     Envelope,
-    FloatArray,
     Triple,
     envelope_excesses,
     predicted_angles,

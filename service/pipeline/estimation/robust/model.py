@@ -31,9 +31,8 @@ from service.pipeline.inputs.known_motion import (
     residual_torque_n_m,
 )
 from service.pipeline.inputs.polarization import polarimeter_models, used_polarimeters
-from service.records.calibration import Alignment, Calibration, CalibrationResult
+from service.records.calibration import Alignment, Calibration, CalibrationResult, GeometryFit
 from service.records.catalogue import Ephemeris, Method, Polarimeter, Spacecraft
-from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 
 #: correlation time that stands for a wave of one day, s

@@ -35,8 +35,8 @@ from service.core.estimation.observability import crlb_deg
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots, solve_snapshots
 from service.core.estimation.snapshot.snapshot_steps import subset_orders
 from service.pipeline.carrier_model.expected_level import GeometryModel, expected_levels, geometry_model
+from service.records.calibration import GeometryFit
 from service.records.catalogue import CarrierPlan, Ephemeris
-from service.records.geometry import GeometryFit
 from service.records.levels.attitude import BoolArray, FloatArray
 from service.study.estimation.bounds import AXES, Statistics
 from service.study.estimation.flight.drive import UndrivenError, calibrate

@@ -14,8 +14,8 @@ from analyzer_sim.plant.plant import fed_forward_line
 from analyzer_sim.world.ground.ground_bodies import spacecraft_body
 from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.payload.level_terms import sensitivity_db_per_deg
-from analyzer_sim.world.scenario.scenario import KeepingErrors, scenario_named
-from analyzer_sim.world.scenario.story import RateTelemetry, Scenario
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.scenario.story import KeepingErrors, RateTelemetry, Scenario
 from analyzer_sim.world.spacecraft.body import (
     INERTIA_KG_M2,
     MOMENTUM_LIMIT_N_M_S,

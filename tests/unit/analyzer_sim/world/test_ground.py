@@ -20,8 +20,8 @@ from analyzer_sim.world.payload.carriers import PLANS
 from analyzer_sim.world.payload.effects import FaultFlag, Operation
 from analyzer_sim.world.payload.level_terms import dishes_loss_db
 from analyzer_sim.world.scenario.events import ChainStep, Eclipse, GroupStep, Relevel, Storm, SunOutage, SwitchOff
-from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
-from analyzer_sim.world.scenario.story import TIMETABLE
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.scenario.story import TIMETABLE, Scenario
 from analyzer_sim.world.world import World
 
 

@@ -8,8 +8,7 @@ import pytest
 from simulated_gain import attitude_gain_db
 
 from analyzer_sim.epochs import US_PER_DAY
-from analyzer_sim.streams import stream
-from analyzer_sim.world.noise import daily_wave, first_order
+from analyzer_sim.streams import daily_wave, first_order, stream
 from analyzer_sim.world.orbit import (
     EARTH_RATE_RAD_S,
     GEO_RADIUS_KM,
@@ -35,7 +34,8 @@ from analyzer_sim.world.payload.level_terms import (
 )
 from analyzer_sim.world.polarimeter import body_turn_deg
 from analyzer_sim.world.scenario.events import DownlinkRain, Step, SwitchOff, UplinkRain
-from analyzer_sim.world.scenario.scenario import RepeaterSettings, Scenario, scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.scenario.story import RepeaterSettings, Scenario
 from analyzer_sim.world.structure import crlb_deg, report, structure_of
 from analyzer_sim.world.world import World
 

@@ -9,8 +9,8 @@ import pytest
 
 from analyzer_sim.world.motion_statistics import motion_statistics
 from analyzer_sim.world.scenario.events import Hold, chunk_edges, holds_of, planned_deg
-from analyzer_sim.world.scenario.scenario import KeepingErrors, Scenario, scenario_named
-from analyzer_sim.world.scenario.story import TIMETABLE, TURNS_H, WheelTelemetry
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.scenario.story import TIMETABLE, TURNS_H, KeepingErrors, Scenario, WheelTelemetry
 from analyzer_sim.world.spacecraft.body import INERTIA_KG_M2, MOMENTUM_LIMIT_N_M_S, TorqueElement
 from analyzer_sim.world.spacecraft.spacecraft import (
     ORBITAL_RATE_PER_H,

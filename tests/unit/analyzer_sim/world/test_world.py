@@ -15,6 +15,7 @@ from analyzer_sim.export import export_arrays
 from analyzer_sim.world.ground.ground import events
 from analyzer_sim.world.payload.effects import FaultFlag, apply_fault
 from analyzer_sim.world.payload.level_terms import sweep_sigma_db, world_white_db
+from analyzer_sim.world.scenario.catalogue_plain import downlink_rain
 from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,
@@ -26,7 +27,8 @@ from analyzer_sim.world.scenario.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.scenario.scenario import SCENARIOS, Scenario, downlink_rain, scenario_named
+from analyzer_sim.world.scenario.scenario import SCENARIOS, scenario_named
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.world import World, flag_names
 
 SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=6.0)

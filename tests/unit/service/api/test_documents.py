@@ -9,7 +9,7 @@ import pytest
 from service.api.app import render_openapi
 from service.api.protocol.openapi import MEANINGS, describe_properties, render_page, states_unit
 from service.api.views import shipped
-from service.records.units import unit_of
+from service.records.setting import unit_of
 
 SCHEMAS = json.loads(render_openapi())["components"]["schemas"]
 PROPERTIES = [

@@ -22,8 +22,8 @@ import typer
 from typer.testing import CliRunner
 
 from db.storage import SqlStorage
-from service.cli.administration import keys
 from service.cli.app import app
+from service.cli.operation import connection
 from service.cli.operation.profile import read_profile
 from service.cli.station.acquire import JsonLines, acquire
 from service.cli.station.state_folder import state_folder
@@ -315,7 +315,7 @@ def asked(monkeypatch):
             requests.append((method, path, body, params))
             return {"POST": MADE, "GET": {"rows": [ROW]}, "DELETE": None}[method]
 
-    monkeypatch.setattr(keys, "connected", lambda _service, _key_env: nullcontext(Client()))
+    monkeypatch.setattr(connection, "connected", lambda _service, _key_env: nullcontext(Client()))
     return requests
 
 

@@ -18,10 +18,9 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from service.cli.app import app
-from service.cli.demonstration import archive_offer
-from service.cli.demonstration.archive_offer import offer_archive
+from service.cli.demonstration import invitation
 from service.cli.demonstration.demo_screen import Presenter, operation_screen
-from service.cli.demonstration.invitation import commands_to_try, program
+from service.cli.demonstration.invitation import commands_to_try, offer_archive, program
 from service.cli.demonstration.persons import Person, two_persons, write_key
 from service.cli.demonstration.running import RunningDemonstration, published, running_demonstration
 from service.records.epoch import parse_epoch
@@ -53,8 +52,8 @@ def answered(monkeypatch):
                 raise typer.Abort
             return str(answer)
 
-        monkeypatch.setattr(archive_offer.typer, "prompt", prompt)
-        monkeypatch.setattr(archive_offer.sys.stdin, "isatty", lambda: True, raising=False)
+        monkeypatch.setattr(invitation.typer, "prompt", prompt)
+        monkeypatch.setattr(invitation.sys.stdin, "isatty", lambda: True, raising=False)
 
     yield play
     signal.signal(signal.SIGINT, former)

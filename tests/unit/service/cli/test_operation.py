@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from service.cli.app import app
+from service.cli.operation import connection
 from service.cli.operation import operate as operate_module
-from service.cli.operation import replays as replays_module
 from service.cli.operation.comparison import compare as compare_module
 from service.cli.operation.connection import connected
 from service.cli.operation.profile import ProfileError, UserProfile, profile_path, read_profile, write_profile
@@ -303,7 +303,8 @@ class Service:
 def service(monkeypatch: pytest.MonkeyPatch) -> Service:
     made = Service()
 
-    monkeypatch.setattr(operate_module, "connected", lambda _service, _key_env: nullcontext(made))
+    for module in (connection, operate_module):
+        monkeypatch.setattr(module, "connected", lambda _service, _key_env: nullcontext(made))
     return made
 
 
@@ -489,7 +490,7 @@ def deleted(monkeypatch):
     numbers = []
     held = [DONE, DONE | {"version": "replay-2", "state": "running", "progress": 0.25}]
     client = SimpleNamespace(replays=lambda _: held, delete_replay=lambda _, number: numbers.append(number))
-    monkeypatch.setattr(replays_module, "connected", lambda *_: nullcontext(client))
+    monkeypatch.setattr(connection, "connected", lambda *_: nullcontext(client))
     return numbers
 
 

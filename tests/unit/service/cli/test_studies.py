@@ -7,13 +7,12 @@ from typer.testing import CliRunner
 
 from service.cli.app import app
 from service.study.estimation import campaign as campaign_module
-from service.study.estimation.campaign import CampaignPlan, assess
+from service.study.estimation.campaign import GROUPS, CampaignPlan, assess
 from service.study.estimation.flight.world import ExportFailedError
-from service.study.estimation.scenarios import GROUPS
 from service.study.executors import WorkerChoice
 from service.study.limit_cycles import figures as figures_module
 from service.study.limit_cycles import report as report_module
-from service.study.limit_cycles.comparison import Compared, ComparedTable
+from service.study.limit_cycles.reference import Compared, ComparedTable
 from service.study.limit_cycles.report import Reproduction
 
 GOOD = Compared("A0", "T, s", 190.0, 190.0, 1e-8)

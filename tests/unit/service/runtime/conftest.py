@@ -18,7 +18,7 @@ from busy_station import Station, live_morning_of_states, morning, wait_for
 
 from db.storage import SqlStorage
 from service.pipeline.config import CalibrationConfig
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.operations.work import JobState

@@ -9,7 +9,7 @@ from busy_station import MINUTE, SC, at, text
 from service.errors import StorageError, UnavailableError
 from service.pipeline.config import ChainConfig, RobustConfig
 from service.pipeline.estimation.smoothed import GRID_US, grid_us
-from service.ports import SMOOTHED
+from service.ports.archive import SMOOTHED
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.runtime.jobs import lagged_run

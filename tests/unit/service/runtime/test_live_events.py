@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from stored_records import zeros
 
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, JournalEntry, SpacecraftChange
 from service.records.levels.attitude import AttitudeRow, row_without_attitude

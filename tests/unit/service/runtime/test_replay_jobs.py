@@ -16,7 +16,7 @@ from busy_station import BOTH, SC, at, everything, text
 from db.results import jobs
 from service.errors import ConflictError, InvalidInputError, NotFoundError, UnavailableError
 from service.pipeline.config import ChainConfig
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method
 from service.records.operations.work import JobState, Replay

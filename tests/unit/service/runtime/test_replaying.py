@@ -14,7 +14,7 @@ from db.maintenance.backup import create_backup, restore_backup, verify_backup
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.errors import InvalidInputError
 from service.pipeline.config import ChainConfig
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import BodyRateSensor, ControlLaw, GyroOrbitantGains, Method, Polarimeter, WheelMomentum
 from service.records.inputs import JournalEntry, PlanChange, PolarizationRecord, TelemetryRecord

@@ -12,7 +12,7 @@ from db.results.jobs import LATEST
 from db.schema.tables import checkpoint as table
 from service.pipeline.checkpoints import fingerprint
 from service.pipeline.config import ChainConfig, RobustConfig
-from service.ports import LIVE
+from service.ports.archive import LIVE
 from service.records.storage import Checkpoint
 from service.runtime.jobs import replay_run
 from service.runtime.live import chain_restart, supervisor

@@ -10,8 +10,8 @@ import pytest
 from service.records.levels.measurement import ReferenceSeries
 from service.study.limit_cycles import figures
 from service.study.limit_cycles.capture_tables import band_table, capture_table
-from service.study.limit_cycles.comparison import Compared, ComparedTable, holds
 from service.study.limit_cycles.cycle_tables import limit_cycle_table
+from service.study.limit_cycles.reference import Compared, ComparedTable, holds
 from service.study.limit_cycles.report import (
     Reproduction,
     as_document,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.filtering.model.filter_model import (
     RATE,
     FilterSettings,
@@ -20,8 +21,6 @@ from service.core.estimation.filtering.model.polarimeter import (
     polarimeter_covariance,
 )
 from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock, PolarimeterWatch, push_block
-
-FloatArray = NDArray[np.float64]
 
 #: records are averaged over so much, h
 _BLOCK_H = 1.0 / 12.0
@@ -151,8 +150,6 @@ def _wandered(gaussian: Gaussian, hours: float, polarimeter: PolarimeterModel) -
     covariance[_FIRST + WANDER, _FIRST + WANDER] += (1.0 - kept**2) * polarimeter.wander_deg**2
     return Gaussian(keep * gaussian.mean, covariance)
 
-
-BoolArray = NDArray[np.bool_]
 
 _ORBITAL_RATE_RAD_S = 7.292115e-5
 #: turns change a record by this share of the greatest momentum and angle at most; what changes it more is a jump

@@ -4,8 +4,8 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     DOWNLINK_PRIOR_DB_PER_DEG,
@@ -15,8 +15,6 @@ from service.core.estimation.calibration.geometry_columns import (
 )
 from service.core.estimation.calibration.joint_tukey import JointProblem, SeparableFit, fit_jointly, fit_separable
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2, whitened_rows
-
-FloatArray = NDArray[np.float64]
 
 #: one sigma of slopes (dB/deg) and curvatures (dB/deg^2) before the data, as wide as those of the beams
 _PRIOR = (10.0, 10.0, 10.0, 15.0, 15.0, 15.0, 15.0, 15.0, 15.0)
@@ -72,9 +70,6 @@ def fit_free_response(
     slopes = slice(-size, 3 - size)
     return FreeResponse(found[:, :3], symmetric_matrix(found[:, 3:]), fit.own_covariance[:, slopes, slopes])
 
-
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 #: chi-square of five sigma
 DECISIVE = 25.0

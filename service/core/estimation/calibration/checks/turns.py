@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, CarrierGeometry, response_monomials
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2, whitened_rows
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 #: from epochs (K,), s, to yaw, roll, pitch (K, 3), deg, by the sensor; NaN = not known
 Attitude = Callable[[FloatArray], FloatArray]
 

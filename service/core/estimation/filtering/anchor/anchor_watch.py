@@ -18,18 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES, Branches, Mixture, solve_mixture
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, AnchorKernels
-from service.core.estimation.filtering.model.filter_model import (
-    ATTITUDE,
-    BoolArray,
-    CarrierModel,
-    FloatArray,
-    Gaussian,
-    IntArray,
-    pattern_change,
-)
+from service.core.estimation.filtering.model.filter_model import ATTITUDE, CarrierModel, Gaussian, pattern_change
 
 #: probability with which the error of a row may pass the level
 RISK = 1e-4

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, AnchorKernels
-from service.core.estimation.filtering.model.filter_model import FloatArray
 
 #: combinations kept, the rest among them
 KEPT = 32

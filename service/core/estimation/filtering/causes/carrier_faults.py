@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.filtering.causes.common_change import (
     THRESHOLD,
     Cusum,
@@ -26,11 +27,8 @@ from service.core.estimation.filtering.causes.common_change import (
 )
 from service.core.estimation.filtering.model.filter_model import (
     FREE_REFERENCE_DB2,
-    BoolArray,
     CarrierModel,
-    FloatArray,
     Gaussian,
-    IntArray,
     hidden_count,
     reference_states,
     reset_carriers,

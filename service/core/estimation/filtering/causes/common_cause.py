@@ -27,6 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.causes.common_change import (
     THRESHOLD,
@@ -41,7 +42,6 @@ from service.core.estimation.filtering.model.filter_model import (
     CHAIN,
     RAIN,
     CarrierModel,
-    FloatArray,
     Gaussian,
     freed,
     hidden_count,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import BoolArray, FloatArray
+from service.core.arrays import BoolArray, FloatArray
 
 SLACK = 0.6
 THRESHOLD = 9.0

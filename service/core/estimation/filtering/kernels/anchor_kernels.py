@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FloatArray, IntArray
+from service.core.arrays import FloatArray, IntArray
 
 #: levels end here, deg, and are found to 1/2^20 of it
 _GREATEST_DEG = 3.0

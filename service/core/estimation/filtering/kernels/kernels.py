@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.kernels import anchor_kernels
-from service.core.estimation.filtering.model.filter_model import FloatArray, IntArray
 
 
 class AnchorKernels(NamedTuple):

@@ -7,6 +7,7 @@ source where nothing is compiled. What a number means is the callers' business. 
 
 import numpy as np
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     CHAIN,
@@ -14,8 +15,6 @@ from service.core.estimation.filtering.model.filter_model import (
     RAIN,
     RATE,
     RATE_FLOOR_DEG_H,
-    FloatArray,
-    IntArray,
     model_error_component,
 )
 

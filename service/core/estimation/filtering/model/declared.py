@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import BoolArray, FloatArray
+from service.core.arrays import BoolArray, FloatArray
 
 
 class Declared(NamedTuple):

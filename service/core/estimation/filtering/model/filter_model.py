@@ -20,11 +20,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from service.core.arrays import FloatArray, IntArray
 
 #: the correlation time whose coloured part also carries the error of the calibration, s
 MODEL_ERROR_TAU_S = 3600.0

@@ -18,12 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.filtering.model.filter_model import (
     RATE,
-    BoolArray,
     CarrierModel,
     FilterSettings,
-    FloatArray,
     Gaussian,
     KnownMotion,
     common_states,

@@ -10,12 +10,12 @@ by the orbit, whatever mode is flown; order yaw, roll, pitch.
 
 import numpy as np
 
+from service.core.arrays import FloatArray
 from service.core.estimation.filtering.model.filter_model import (
     DRIFT,
     RATE,
     RATE_FLOOR_DEG_H,
     FilterSettings,
-    FloatArray,
     Gaussian,
     RateSensorModel,
 )

@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     DRIFT,
     RATE,
     FilterSettings,
-    FloatArray,
     Gaussian,
     PolarimeterModel,
 )

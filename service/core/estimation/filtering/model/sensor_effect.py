@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FloatArray, IntArray
+from service.core.arrays import FloatArray, IntArray
 
 
 class SensorUpdate(NamedTuple):

@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     DRIFT,
     RATE,
     CarrierModel,
     FilterSettings,
-    FloatArray,
     KnownMotion,
     core_size,
     no_motion,

@@ -14,7 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FedForward, FilterSettings, FloatArray
+from service.core.arrays import FloatArray
+from service.core.estimation.filtering.model.filter_model import FedForward, FilterSettings
 
 #: states of the torque: a constant, a cosine and a sine an axis
 TORQUES = 9

@@ -14,14 +14,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     DRIFT,
     RATE,
     FilterSettings,
-    FloatArray,
     Gaussian,
-    IntArray,
     MomentumModel,
 )
 from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensor_states

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.filtering.anchor.anchor_watch import (
     AnchorWatch,
     is_question_due,
@@ -36,14 +37,7 @@ from service.core.estimation.filtering.causes.common_cause import (
 from service.core.estimation.filtering.filter_predict import move_state
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_update import EffectiveUpdate, Innovation, innovate, site_db, update
-from service.core.estimation.filtering.model.filter_model import (
-    CHAIN,
-    BoolArray,
-    CarrierModel,
-    FloatArray,
-    Gaussian,
-    IntArray,
-)
+from service.core.estimation.filtering.model.filter_model import CHAIN, CarrierModel, Gaussian
 from service.core.estimation.filtering.model.step_inputs import StepInputs
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, is_share_likelier, push_row
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch, push_drift

@@ -16,15 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.filtering.filter_update import Innovation
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     RAIN,
     RATE,
-    BoolArray,
     CarrierModel,
     FilterSettings,
-    FloatArray,
     Gaussian,
     KnownMotion,
     common_states,

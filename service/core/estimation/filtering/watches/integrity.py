@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FloatArray, IntArray
+from service.core.arrays import FloatArray, IntArray
 
 #: unknowns of a row beside the carriers' own: three angles and the common level
 _UNKNOWNS = 4

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FloatArray
+from service.core.arrays import FloatArray
 
 #: a minute may be short by this much, microseconds: rows come with some jitter
 _MINUTE_US = 59_000_000

@@ -10,13 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import (
-    ATTITUDE,
-    FilterSettings,
-    FloatArray,
-    Gaussian,
-    MomentumModel,
-)
+from service.core.arrays import FloatArray
+from service.core.estimation.filtering.model.filter_model import ATTITUDE, FilterSettings, Gaussian, MomentumModel
 from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.model.wheel_momentum import compared, updated_by, with_free_momentum
 

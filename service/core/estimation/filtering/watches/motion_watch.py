@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.estimation.filtering.causes.common_change import (
     THRESHOLD,
     Cusum,
@@ -20,7 +21,6 @@ from service.core.estimation.filtering.causes.common_change import (
     quiet_cusum,
     reset_cusum,
 )
-from service.core.estimation.filtering.model.filter_model import BoolArray, FloatArray
 from service.core.estimation.filtering.watches.minute_sums import MinuteSums, empty_minute, push_minute
 
 #: minutes for which an axis is followed after an alarm

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FloatArray
+from service.core.arrays import FloatArray
 
 #: minutes in which the factors follow
 WHITE_MINUTES = 240.0

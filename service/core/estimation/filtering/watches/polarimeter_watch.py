@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import ATTITUDE, FloatArray, Gaussian, PolarimeterModel
+from service.core.arrays import FloatArray
+from service.core.estimation.filtering.model.filter_model import ATTITUDE, Gaussian, PolarimeterModel
 from service.core.estimation.filtering.model.polarimeter import (
     WANDER,
     compared_angle,

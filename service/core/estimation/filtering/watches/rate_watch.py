@@ -12,13 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_model import (
     ATTITUDE,
     RATE,
     FilterSettings,
-    FloatArray,
     Gaussian,
-    IntArray,
     RateSensorModel,
 )
 from service.core.estimation.filtering.model.measured_motion import (

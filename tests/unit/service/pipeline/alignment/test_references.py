@@ -7,17 +7,15 @@ import pytest
 import synthetic_payload as synthetic
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload, S
 
-from service.pipeline.alignment.alignment import align_methods, columns_of, robust_references
-from service.pipeline.alignment.paper_references import reference_powers
+from service.pipeline.alignment.alignment import align_methods, columns_of, reference_powers, robust_references
 from service.pipeline.config import AlignmentConfig, EstimationConfig
 from service.pipeline.estimation.paper.harmonic_removal import expected_power, remove_harmonic
 from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
 from service.pipeline.inputs.sensor_angles import StatedAngles
-from service.records.calibration import CalibrationMethod, Window
+from service.records.calibration import CalibrationMethod, NoiseComponent, Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import MeasurementSeries
-from service.records.noise import NoiseComponent
 
 ALIGNED_US = START_US + HOUR
 WINDOW = Window(ALIGNED_US - 30 * MINUTE, ALIGNED_US + 1)

@@ -27,8 +27,8 @@ from service.pipeline.carrier_model.level_control import (
     without_group_means,
 )
 from service.pipeline.config import RobustConfig
+from service.records.calibration import NoiseComponent
 from service.records.catalogue import CarrierPlan
-from service.records.noise import NoiseComponent
 
 DAY_US = 86_400_000_000
 GROUP = np.array([-1, 0, 0, 0, 1, 1, 1, 1])

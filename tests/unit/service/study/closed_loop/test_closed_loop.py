@@ -12,7 +12,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
 from service.pipeline.inputs.knowledge import Knowledge
-from service.ports import Outcome
+from service.ports.archive import Outcome
 from service.records.catalogue import (
     AxisTorques,
     ControlMode,
@@ -35,15 +35,23 @@ from service.records.levels.attitude import (
     row_without_attitude,
 )
 from service.records.levels.measurement import Measurement
-from service.study.closed_loop.campaign import LoopCampaign, LoopPlan
+from service.study.closed_loop.campaign import (
+    COLUMNS,
+    LoopCampaign,
+    LoopPlan,
+    as_document,
+    cells,
+    keep,
+    kept,
+    markdown,
+    verdict,
+)
 from service.study.closed_loop.centre import Centre
 from service.study.closed_loop.controllers import LEAD_S, ByTruth, Idle, Sensing, postponed
 from service.study.closed_loop.figures import draw_campaign
-from service.study.closed_loop.flight_store import keep, kept
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR, ground_of
 from service.study.closed_loop.merit import MEASURED_SCENARIO, UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
 from service.study.closed_loop.plant_process import CommandReport, PlantProcess, SpacecraftTruth
-from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown, verdict
 from service.study.closed_loop.run import (
     COMMAND_PERIOD_S,
     LOOP_PERIOD_S,

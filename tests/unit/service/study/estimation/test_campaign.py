@@ -27,8 +27,15 @@ from service.study.estimation.figures import draw_campaign
 from service.study.estimation.flight.baselines import BASELINES, UNINFORMED
 from service.study.estimation.flight.drive import UndrivenError
 from service.study.estimation.measures import measure_method
-from service.study.estimation.report import MARKER_BEGIN, MARKER_END, _number, markdown, tables, verdict_lines
-from service.study.estimation.report_document import as_document
+from service.study.estimation.report import (
+    MARKER_BEGIN,
+    MARKER_END,
+    _number,
+    as_document,
+    markdown,
+    tables,
+    verdict_lines,
+)
 from service.study.executors import ClusterError
 
 PLAN = CampaignPlan(("octants",), 2)

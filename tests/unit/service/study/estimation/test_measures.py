@@ -23,11 +23,10 @@ from service.study.estimation.bounds import (
     measure_accuracy,
     within,
 )
-from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics
+from service.study.estimation.campaign import GROUPS, SNAPSHOT, CampaignPlan, assess, collect_metrics
 from service.study.estimation.flight.past import PastSeries
 from service.study.estimation.measures import gain_statistics, measure_gain, measure_method, statistics_of
 from service.study.estimation.report import tables
-from service.study.estimation.scenarios import GROUPS, SNAPSHOT
 from service.study.estimation.trials.snapshot_trials import SnapshotTrials, trial_statistics
 from service.study.estimation.yardstick import dry_rows, measure_yardstick, measure_yardsticks, yardstick_statistics
 

@@ -16,14 +16,13 @@ from service.pipeline.estimation.paper.harmonic_removal import (
     remove_harmonic,
 )
 from service.pipeline.estimation.paper.loop_state import initial_loop
-from service.pipeline.estimation.paper.method import initial_state, paper_model, step_paper
+from service.pipeline.estimation.paper.runner import initial_state, paper_model, step_paper
 from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
 from service.pipeline.inputs.knowledge import Knowledge, update
-from service.records.calibration import CarrierReference
+from service.records.calibration import CarrierReference, NoiseComponent
 from service.records.catalogue import Method
 from service.records.inputs import Operation
 from service.records.levels.attitude import Axes, Exclusion, Status
-from service.records.noise import NoiseComponent
 
 CONFIG = ChainConfig()
 TRUTH = (0.1, -0.15, 0.2)
