@@ -119,12 +119,10 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc] # untyped
 
     def construct_guess(self, node: yaml.Node) -> Guess:
         """Return a guess with its line."""
-        line = node.start_mark.line + 1
-        if isinstance(node, yaml.MappingNode):
-            return Guess(self.construct_mapping(node, deep=True), "", line)
-        if isinstance(node, yaml.SequenceNode):
-            return Guess(self.construct_sequence(node, deep=True), "", line)
-        return Guess(self.construct_scalar(node), "", line)
+        makers = {yaml.MappingNode: self.construct_mapping, yaml.SequenceNode: self.construct_sequence}
+        maker = makers.get(type(node))
+        value = self.construct_scalar(node) if maker is None else maker(node, deep=True)
+        return Guess(value, "", node.start_mark.line + 1)
 
 
 _Loader.add_constructor(_TAG, _Loader.construct_guess)
@@ -241,10 +239,9 @@ class _Dumper(yaml.SafeDumper):  # type: ignore[misc] # untyped
 _Dumper.add_representer(Guess, _Dumper.represent_guess)
 
 
-def write_manifest(folder: Path, sections: Mapping[str, Any]) -> Path:
-    """Write a manifest and return its file; the reason of a guess stands above it."""
-    path = folder / NAME
-    text = _HEAD
+def manifest_text(sections: Mapping[str, Any]) -> str:
+    """Return sections as a manifest has them; the reason of a guess stands above it."""
+    text = ""
     for name, value in sections.items():
         # an entry of its own each, so that its comments stand above it
         entries = [[each] for each in value] if isinstance(value, list) else [{name: value}]
@@ -252,5 +249,11 @@ def write_manifest(folder: Path, sections: Mapping[str, Any]) -> Path:
         for entry in entries:
             text += "".join(f"# {where.strip()}: {guess.reason}\n" for where, guess in guesses_in(entry))
             text += yaml.dump(entry, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
-    path.write_text(text, encoding="utf-8")
+    return text
+
+
+def write_manifest(folder: Path, sections: Mapping[str, Any]) -> Path:
+    """Write a manifest and return its file."""
+    path = folder / NAME
+    path.write_text(_HEAD + manifest_text(sections), encoding="utf-8")
     return path

@@ -11,17 +11,17 @@ import io
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from service.client.backoff import Backoff
 from service.client.problem import ClientError, ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.formats.foreign.columns import AXES, FloatArray, TableRows, grouped
+from service.formats.foreign.columns import AXES, FloatArray, ReadingsStatement, TableRows, grouped
 from service.formats.foreign.table import ForeignTableError
 from service.frontend.upload.plan_binding import BatchAction, BatchReply, judge, read_receipt
 from service.records.csv_guard import guarded
@@ -155,13 +155,6 @@ class SendState:
         others.replace(self.path)
 
 
-class SendProgress(NamedTuple):
-    """Rows that are settled, of all."""
-
-    rows: int
-    total: int
-
-
 @dataclass(slots=True)
 class _Sender:
     """Sends the rows of one file."""
@@ -175,8 +168,8 @@ class _Sender:
     #: line and reason of the rows of this run that the service refused
     refusals: list[tuple[int, str]] = field(default_factory=list)
 
-    def send(self, on_progress: Callable[[SendProgress], None]) -> None:
-        """Send what is left."""
+    def send(self, on_progress: Callable[[int], None]) -> None:
+        """Send what is left, and say how many rows are settled."""
         state, total = self.state, len(self.rows.lines)
         if state.counters.rows == 0 and self.rows.faults:
             absent = [""] * (1 + len(self.rows.names))
@@ -186,7 +179,7 @@ class _Sender:
             self._settle(start, min(start + self.order.batch_rows, total))
             state.is_complete = state.counters.rows == total
             state.save()
-            on_progress(SendProgress(state.counters.rows, total))
+            on_progress(state.counters.rows)
         state.is_complete = True
         state.save()
 
@@ -259,10 +252,13 @@ def send_powers(
     order: SendOrder,
     rows: TableRows,
     state: SendState,
-    on_progress: Callable[[SendProgress], None] = lambda _: None,
     backoff: Backoff | None = None,
+    *,
+    is_quiet: bool = True,
 ) -> dict[str, Any]:
     """Send the powers of a file, or the rest of them, and return what became of its rows over all runs.
+
+    On a terminal a bar shows the progress.
 
     Raises
     ------
@@ -275,9 +271,13 @@ def send_powers(
     resumed_at = state.counters.rows
     sender = _Sender(client, order, state, rows, backoff or Backoff(), order.batch_rows)
     if not state.is_complete:
+        if state.plan_id is None:
+            state.plan_id = int(client.carriers(order.spacecraft_id)["plan_id"])
         state.begin()
         state.save()
-        sender.send(on_progress)
+        with _progress(is_quiet=is_quiet) as bar:
+            task = bar.add_task(order.path.name, total=len(rows.lines), completed=resumed_at)
+            sender.send(lambda settled: bar.update(task, completed=settled))
     kept_back = state.counters.refused + len(rows.faults)
     return {
         "file": str(order.path),
@@ -293,32 +293,25 @@ def send_powers(
     }
 
 
-def send_with_progress(
-    client: ServiceClient, order: SendOrder, rows: TableRows, state: SendState, *, is_quiet: bool
-) -> dict[str, Any]:
-    """Send powers behind a progress bar; away from a terminal it would be noise."""
+def _progress(*, is_quiet: bool) -> Any:
+    """Return a progress bar; away from a terminal it would be noise."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=is_quiet or not console.is_terminal) as bar:
-        task = bar.add_task(order.path.name, total=len(rows.lines), completed=state.counters.rows)
-        return send_powers(client, order, rows, state, lambda now: bar.update(task, completed=now.rows))
+    return Progress(console=console, disable=is_quiet or not console.is_terminal)
 
 
-def send_readings(
-    client: ServiceClient, spacecraft: str, source: str, rows: TableRows, sigma_deg: dict[str, float]
-) -> dict[str, int]:
+def send_readings(client: ServiceClient, spacecraft: str, stated: ReadingsStatement, rows: TableRows) -> dict[str, Any]:
     """Send all readings and return what became of them; repeating them is safe."""
     counts = {"accepted": 0, "duplicates": 0, "refused": 0}
-    documents = _reading_documents(rows, sigma_deg)
+    documents = _reading_documents(rows, {str(axis): value for axis, value in stated.sigma_deg.items()})
     for start in range(0, len(documents), _READINGS_OF_A_BATCH):
-        reply = client.post_references(spacecraft, source, documents[start : start + _READINGS_OF_A_BATCH])
+        reply = client.post_references(spacecraft, stated.source, documents[start : start + _READINGS_OF_A_BATCH])
         counts["accepted"] += reply["accepted"]
         counts["duplicates"] += reply["duplicates"]
         counts["refused"] += len(reply["refused"])
-    return counts
+    return {**counts, "unreadable": len(rows.faults), "faults": grouped(rows.faults)}
 
 
 def _with_absent(values: FloatArray) -> list[list[float | None]]:
@@ -349,37 +342,25 @@ _POLL_S = 0.5
 
 def wait_for_angles(client: ServiceClient, spacecraft_id: str, patience_s: float, *, is_quiet: bool) -> dict[str, Any]:
     """Return the state of the estimates when no row is pending, or when none was estimated for ``patience_s``."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=is_quiet or not console.is_terminal) as progress:
-        task = progress.add_task("angles", total=None)
-        for status in _states(client, spacecraft_id, patience_s):
-            progress.update(task, description=f"angles: {status['pending']} rows pending")
-    return {name: status[name] for name in ("aligned", "pending", "newest_attitude", "calibration_id", "alignment_id")}
-
-
-def _states(client: ServiceClient, spacecraft_id: str, patience_s: float) -> Iterator[Any]:
-    """Yield the state of the estimates until no row is pending or none was estimated for too long."""
-    least: int | None = None
-    deadline_s = time.monotonic() + patience_s
-    while True:
-        try:
-            status = client.status(spacecraft_id)
-        except ServiceUnavailableError:
-            # the first row of an installation may wait for the compiler, and the answer with it
-            if time.monotonic() > deadline_s:
-                raise
+    with _progress(is_quiet=is_quiet) as bar:
+        task = bar.add_task("angles", total=None)
+        least, deadline_s = None, time.monotonic() + patience_s
+        while True:
+            try:
+                status: dict[str, Any] = dict(client.status(spacecraft_id))
+            except ServiceUnavailableError:
+                # the first row of an installation may wait for the compiler, and the answer with it
+                if time.monotonic() > deadline_s:
+                    raise
+            else:
+                pending = status["pending"]
+                bar.update(task, description=f"angles: {pending} rows pending")
+                if least is None or pending < least:
+                    least, deadline_s = pending, time.monotonic() + patience_s
+                if not pending or time.monotonic() > deadline_s:
+                    names = ("aligned", "pending", "newest_attitude", "calibration_id", "alignment_id")
+                    return {name: status[name] for name in names}
             time.sleep(_POLL_S)
-            continue
-        pending = status["pending"]
-        if least is None or pending < least:
-            least, deadline_s = pending, time.monotonic() + patience_s
-        yield status
-        if not pending or time.monotonic() > deadline_s:
-            return
-        time.sleep(_POLL_S)
 
 
 def angles_line(angles: dict[str, Any], spacecraft_id: str) -> str:

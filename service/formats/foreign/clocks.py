@@ -201,8 +201,7 @@ def _some(texts: Any) -> Any:
     import pyarrow.compute as pc
 
     held = texts.filter(pc.invert(pc.is_in(pc.utf8_lower(texts), pa.array(list(CODES)))))
-    step = max(1, len(held) // _SAMPLE)
-    return held.take(pa.array(range(0, len(held), step)))
+    return held[:: max(1, len(held) // _SAMPLE)]
 
 
 def _candidates(table: Table) -> list[tuple[str, ...]]:

@@ -17,10 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, time, timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 #: bytes of a file, unpacked
 MOST_BYTES = 2 << 30
@@ -90,14 +91,15 @@ class Question(NamedTuple):
     default: Any = None
 
 
-@dataclass(frozen=True, slots=True)
-class Container:
+class Container(BaseModel):
     """Statement of a person about the container; None = not stated."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     sheet: str | None = None
     encoding: str | None = None
     separator: str | None = None
-    skip_lines: int = 0
+    skip_lines: Annotated[int, Field(ge=0)] = 0
 
 
 @dataclass(slots=True)
@@ -115,6 +117,8 @@ class Table:
     notes: list[str] = field(default_factory=list)
     #: unit that the row below the header states, by column
     units: dict[str, str] = field(default_factory=dict)
+    #: a standard states columns, units and what an absent value is
+    is_standard: bool = False
 
     def column(self, name: str) -> Any:
         """Return a column by its name; ForeignTableError when there is none."""

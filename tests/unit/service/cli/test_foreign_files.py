@@ -80,9 +80,9 @@ def read(folder: Path, content: str | bytes, name: str = "file.csv", **stated: o
     is_readings = b"Yaw" in path.read_bytes() or "Крен" in str(content) or "columns" in stated
     if is_readings:
         readings_of = ReadingsStatement.model_validate({"file": name, **stated})
-        return interpret_readings(read_table(path, readings_of.container), readings_of, NOW_US)
+        return interpret_readings(read_table(path, readings_of), readings_of, NOW_US)
     powers = PowersStatement.model_validate({"file": name, **stated})
-    return interpret_powers(read_table(path, powers.container), powers, CARRIERS, NOW_US)
+    return interpret_powers(read_table(path, powers), powers, CARRIERS, NOW_US)
 
 
 def asked(found: Interpretation) -> set[str]:
