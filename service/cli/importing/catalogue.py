@@ -6,6 +6,7 @@ A file at fault raises `ForeignTableError` with every reason and the next step.
 import csv
 import io
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from service.formats.foreign.messages import OrbitFile, read_orbit_file
-from service.formats.foreign.table import ForeignTableError, decoded_text, is_workbook, unpacked, workbook_rows
+from service.formats.foreign.table import ForeignTableError, decoded_text, is_workbook, unpacked, workbook_text
 from service.records.catalogue import Ephemeris
 from service.records.epoch import format_epoch
 
@@ -40,10 +41,7 @@ def file_text(path: Path) -> str:
     except OSError as error:
         raise ForeignTableError(f"cannot be read: {error.strerror or error}") from None
     if is_workbook(content):
-        rows = workbook_rows(content, None)
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(row for row in rows if any(row))
-        return text.getvalue()
+        return re.sub(r"(?m)^,*\n", "", workbook_text(content, None))
     return decoded_text(content, None)[0]
 
 
