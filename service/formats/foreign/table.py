@@ -209,7 +209,7 @@ def decoded_text(content: bytes, encoding: str | None) -> tuple[str, list[str]]:
         raise ForeignTableError("the file holds zero bytes: a binary file, or one that was not written to its end")
     text = re.sub("\r*\n", "\n", text) if "\r" in text else text
     # ends of lines, and blanks and signs of typography, which no number has
-    for sign, plain in _PLAIN_SIGNS.items() if not text.isascii() or re.search("[\r\v\f]", text) else ():
+    for sign, plain in _PLAIN_SIGNS.items():
         text = text.replace(sign, plain)
     return text, [] if found in ("utf-8", "utf-8-sig") else [f"encoding {found}"]
 
@@ -489,7 +489,7 @@ def _finished(
     kept: dict[str, Any] = {}
     for position, (name, column) in enumerate(zip(header, columns, strict=True), start=1):
         texts = pc.utf8_trim_whitespace(pc.fill_null(column.cast(pa.string()), ""))
-        if pc.max(pc.match_substring(texts, "'")).as_py():
+        if pc.any(pc.starts_with(texts, "'")).as_py():
             texts = pc.replace_substring_regex(texts, pattern=r"^'([=+\-@])", replacement=r"\1")
         if not name and pc.max(pc.utf8_length(texts)).as_py() in (0, None):
             continue
