@@ -176,24 +176,15 @@ def plan_rows(plan: "CarrierPlanDocument", longitude_deg: float) -> list[dict[st
     rows = []
     for carrier in plan.carriers:
         station = carrier.station
-        position = ("", "", "")
+        row = {"id": carrier.id, "transponder": carrier.transponder, "band": carrier.band}
+        row |= dict.fromkeys(("station", "latitude_deg", "longitude_deg", "elevation_deg"), "")
         if station is not None:
             elevation_deg = satellite_elevation_deg(station.longitude_deg, station.latitude_deg, 0.0, longitude_deg)
-            position = (f"{station.latitude_deg:g}", f"{station.longitude_deg:g}", f"{float(elevation_deg):.1f}")
-        rows.append(
-            {
-                "id": carrier.id,
-                "transponder": carrier.transponder,
-                "band": carrier.band,
-                "station": "" if station is None else station.name,
-                "latitude_deg": position[0],
-                "longitude_deg": position[1],
-                "elevation_deg": position[2],
-                "uplink_ghz": "" if carrier.uplink_hz is None else f"{carrier.uplink_hz / 1e9:.6f}",
-                "downlink_ghz": f"{carrier.downlink_hz / 1e9:.6f}",
-                "bandwidth_khz": f"{carrier.bandwidth_hz / 1e3:g}",
-            }
-        )
+            row |= {"station": station.name, "elevation_deg": f"{float(elevation_deg):.1f}"}
+            row |= {"latitude_deg": f"{station.latitude_deg:g}", "longitude_deg": f"{station.longitude_deg:g}"}
+        row["uplink_ghz"] = "" if carrier.uplink_hz is None else f"{carrier.uplink_hz / 1e9:.6f}"
+        row["downlink_ghz"] = f"{carrier.downlink_hz / 1e9:.6f}"
+        rows.append(row | {"bandwidth_khz": f"{carrier.bandwidth_hz / 1e3:g}"})
     return rows
 
 
@@ -236,28 +227,34 @@ def understood_orbit(orbit: OrbitFile, ephemeris: Ephemeris, now: str | None) ->
     return found
 
 
-def check_orbit(
-    orbit: OrbitFile, ephemeris: Ephemeris, known: Mapping[str, Any], *, is_relocating: bool, is_inclined: bool
-) -> None:
-    """Refuse the orbit of another satellite, and one whose inclination must be stated."""
+def foreign_orbit(
+    orbit: OrbitFile, ephemeris: Ephemeris, known: Mapping[str, Any], *, is_relocating: bool = False
+) -> str | None:
+    """Return why an orbit is that of another satellite than a known one; None: it is not."""
     from service.pipeline.inputs.catalogue_checks import contradiction_of
 
     own = known.get("cospar_id")
     if own and orbit.cospar_id and orbit.cospar_id[:8] + orbit.cospar_id[8:].strip() != own:
-        name = orbit.name or "an object"
-        raise ForeignTableError(
-            f"is of {name} {orbit.cospar_id}; spacecraft {known['id']} is {own}: choose its own file"
-        )
+        return f"it is of {orbit.name or 'an object'} {orbit.cospar_id}; spacecraft {known['id']} is {own}"
     contradiction = contradiction_of(ephemeris, known["longitude_deg"])
-    if contradiction is not None and not is_relocating:
-        raise ForeignTableError(
-            f"is the orbit of another satellite: {contradiction}; or state relocating when it moves on purpose"
-        )
+    return (
+        None
+        if contradiction is None or is_relocating
+        else f"{contradiction}; state relocating when it moves on purpose"
+    )
+
+
+def check_orbit(
+    orbit: OrbitFile, ephemeris: Ephemeris, known: Mapping[str, Any], *, is_relocating: bool, is_inclined: bool
+) -> None:
+    """Refuse the orbit of another satellite, and one whose inclination must be stated."""
+    foreign = foreign_orbit(orbit, ephemeris, known, is_relocating=is_relocating)
+    if foreign is not None:
+        raise ForeignTableError(f"the orbit of another satellite: {foreign}")
     greatest_deg = inclination_deg(ephemeris)
     if greatest_deg > INCLINED_DEG and not is_inclined:
-        raise ForeignTableError(
-            f"the orbit is inclined by {greatest_deg:.2f} deg, above {INCLINED_DEG:g} deg: state inclined if that is so"
-        )
+        limit = f"above {INCLINED_DEG:g} deg: state inclined if that is so"
+        raise ForeignTableError(f"the orbit is inclined by {greatest_deg:.2f} deg, {limit}")
 
 
 def inclination_deg(ephemeris: Ephemeris) -> float:
@@ -347,17 +344,13 @@ def spacecraft_differences(document: "SpacecraftDocument", known: Mapping[str, A
 
 def _plan_differences(here: list[dict[str, Any]], there: list[dict[str, Any]]) -> Differences:
     """Return the fields of carriers that differ, with both values; their order counts too."""
-    own, known = ({each["id"]: flat(each) for each in plan} for plan in (here, there))
-    found: Differences = {
-        f"carriers.{name}.{field}": (value, known[name].get(field))
-        for name, fields in own.items()
-        if name in known
-        for field, value in fields.items()
-        if known[name].get(field) != value
-    }
-    if list(own) != list(known):
-        found["carriers"] = (", ".join(own), ", ".join(known))
-    return found
+    own, known = ({each["id"]: each for each in plan} for plan in (here, there))
+    stated, stored = (
+        flat({name: each for name, each in own.items() if name in known}, "carriers."),
+        flat(known, "carriers."),
+    )
+    found = {name: (value, stored.get(name)) for name, value in stated.items() if stored.get(name) != value}
+    return found if list(own) == list(known) else found | {"carriers": (", ".join(own), ", ".join(known))}
 
 
 def _orbit_differences(ephemeris: Ephemeris, there: Mapping[str, Any]) -> Differences:

@@ -19,6 +19,7 @@ from service.cli.importing.catalogue import (
     check_plan,
     decoded,
     file_text,
+    foreign_orbit,
     inclination_deg,
     read_orbit,
     read_plan,
@@ -39,7 +40,6 @@ from service.formats.foreign.columns import (
 )
 from service.formats.foreign.messages import (
     VERSIONS,
-    OrbitFile,
     attitude_table,
     message_table,
     message_text,
@@ -49,9 +49,7 @@ from service.formats.foreign.readings import SIGMA_COLUMNS, holds_angles, interp
 from service.formats.foreign.table import NUMBER, Container, ForeignTableError, Table, is_workbook, read_table
 from service.formats.foreign.units import without_unit
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.catalogue_checks import contradiction_of
 from service.pipeline.planning.flown_turns import flown_windows
-from service.records.catalogue import Ephemeris
 from service.records.epoch import format_epoch
 
 _ELEMENTS = re.compile(r"^1 [ 0-9A-Z]\d{4}.*\n2 [ 0-9A-Z]\d{4}", re.MULTILINE)
@@ -159,8 +157,12 @@ def propose(files: ImportFiles) -> FolderProposal:
     plan_name = _chosen(list(plans), stated.carriers)
     plan = plans.get(plain_value(plan_name))
     orbits = documents(FileRole.EPHEMERIS, read_orbit)
-    for name in [name for name, orbit in orbits.items() if spacecraft and _is_foreign(files, name, orbit, spacecraft)]:
-        del orbits[name]
+    known = {} if spacecraft is None else spacecraft.model_dump(mode="json")
+    for name, (orbit, ephemeris) in list(orbits.items()) if known else ():
+        foreign = foreign_orbit(orbit, ephemeris, known)
+        if foreign is not None:
+            files.left_out[name] = f"orbit of another satellite: {foreign}"
+            del orbits[name]
     orbit_name = _chosen(list(orbits), stated.ephemeris)
     own: dict[str, Any] = {"file": spacecraft_name} if spacecraft_name else {"id": stated.spacecraft.id}
     odd: list[str] = []
@@ -250,16 +252,6 @@ def _chosen(names: list[str], stated: str | None) -> Any:
     if stated in names or not names:
         return stated if stated in names else None
     return names[0] if len(names) == 1 else Guess(names[0], f"one of {', '.join(names)}")
-
-
-def _is_foreign(files: ImportFiles, name: str, orbit: tuple[OrbitFile, Ephemeris], spacecraft: Any) -> bool:
-    """Return whether an orbit is that of another satellite; its file is then left out."""
-    foreign = contradiction_of(orbit[1], spacecraft.longitude_deg)
-    if spacecraft.cospar_id and orbit[0].cospar_id not in (None, spacecraft.cospar_id):
-        foreign = f"it is of {orbit[0].cospar_id}"
-    if foreign is not None:
-        files.left_out[name] = f"orbit of another satellite: {foreign}"
-    return foreign is not None
 
 
 def table_of(path: Path, stated: Container) -> Table:

@@ -12,7 +12,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,8 @@ from service.records.csv_guard import guarded
 from service.records.epoch import format_epoch
 
 _FORMAT = 2
+#: rows of a file that are settled, with any outcome, and what became of them, over all runs
+_COUNTERS = ("rows", "accepted", "duplicates", "late", "refused")
 _READINGS_OF_A_BATCH = 5000
 #: rows whose cells mean nothing
 _UNREADABLE = "row.unreadable"
@@ -35,19 +37,6 @@ _UNREADABLE = "row.unreadable"
 
 class SendInterruptedError(ClientError):
     """The service did not take the rest; the same command continues where it stopped."""
-
-
-@dataclass(slots=True)
-class SendCounters:
-    """Counters of the rows of a file, over all runs."""
-
-    #: rows of the file that are settled, with any outcome
-    rows: int = 0
-    accepted: int = 0
-    duplicates: int = 0
-    late: int = 0
-    #: refused by the service by name
-    refused: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +80,7 @@ class SendState:
         position = order.folder or order.path.parent
         self.path = position / f"{order.path.name}.{key}.send.json"
         self.refused_path = position / f"{order.path.name}.refused.csv"
-        self.counters = SendCounters()
+        self.counters = dict.fromkeys(_COUNTERS, 0)
         self.is_complete = False
         #: under which the rows go; None before the first
         self.plan_id: int | None = None
@@ -108,8 +97,7 @@ class SendState:
             raise ForeignTableError(f"{self.path} cannot be read: {error}; remove it to begin again") from error
         if said.get("format") != _FORMAT or said.get("destination") != self._destination:
             raise ForeignTableError(f"{self.path} belongs to another upload; remove it to begin again")
-        names = {each.name for each in fields(SendCounters)}
-        self.counters = SendCounters(**{name: value for name, value in said["counters"].items() if name in names})
+        self.counters |= said["counters"]
         self.is_complete, self.plan_id = bool(said["is_complete"]), said.get("plan_id")
         self._refused_bytes = int(said["refused_bytes"])
 
@@ -142,7 +130,7 @@ class SendState:
         document = {
             "format": _FORMAT,
             "destination": self._destination,
-            "counters": asdict(self.counters),
+            "counters": self.counters,
             "refused_bytes": self._refused_bytes,
             "is_complete": self.is_complete,
             "plan_id": self.plan_id,
@@ -171,15 +159,15 @@ class _Sender:
     def send(self, on_progress: Callable[[int], None]) -> None:
         """Send what is left, and say how many rows are settled."""
         state, total = self.state, len(self.rows.lines)
-        if state.counters.rows == 0 and self.rows.faults:
+        if state.counters["rows"] == 0 and self.rows.faults:
             absent = [""] * (1 + len(self.rows.names))
             state.refuse(self.rows.names, [(line, _UNREADABLE, why, *absent) for line, why in self.rows.faults])
-        while state.counters.rows < total:
-            start = state.counters.rows
+        while state.counters["rows"] < total:
+            start = state.counters["rows"]
             self._settle(start, min(start + self.order.batch_rows, total))
-            state.is_complete = state.counters.rows == total
+            state.is_complete = state.counters["rows"] == total
             state.save()
-            on_progress(state.counters.rows)
+            on_progress(state.counters["rows"])
         state.is_complete = True
         state.save()
 
@@ -190,17 +178,16 @@ class _Sender:
         while position < stop:
             part = self._documents(position, min(position + self.batch_rows, stop))
             sent, receipt = self._deliver(part)
-            counters.accepted += receipt.accepted
-            counters.duplicates += receipt.duplicates
-            counters.late += receipt.late
-            counters.refused += len(receipt.refused)
+            for name in ("accepted", "duplicates", "late"):
+                counters[name] += getattr(receipt, name)
+            counters["refused"] += len(receipt.refused)
             for k, (code, detail) in sorted(receipt.refused.items()):
                 line = int(self.rows.lines[position + k])
                 self.refusals.append((line, f"{code}: {detail}"))
                 refused.append((line, code, detail, part[k]["epoch"], *part[k]["power_dbm"]))
             position += sent
         self.state.refuse(self.rows.names, refused)
-        counters.rows = stop
+        counters["rows"] = stop
 
     def _documents(self, start: int, stop: int) -> list[dict[str, Any]]:
         """Return rows as the contract has them."""
@@ -268,7 +255,7 @@ def send_powers(
         The service refuses the whole request, for example the key or the spacecraft.
     """
     begun_s = time.monotonic()
-    resumed_at = state.counters.rows
+    resumed_at = state.counters["rows"]
     sender = _Sender(client, order, state, rows, backoff or Backoff(), order.batch_rows)
     if not state.is_complete:
         if state.plan_id is None:
@@ -278,11 +265,11 @@ def send_powers(
         with _progress(is_quiet=is_quiet) as bar:
             task = bar.add_task(order.path.name, total=len(rows.lines), completed=resumed_at)
             sender.send(lambda settled: bar.update(task, completed=settled))
-    kept_back = state.counters.refused + len(rows.faults)
+    kept_back = state.counters["refused"] + len(rows.faults)
     return {
         "file": str(order.path),
         "sha256": state.sha256,
-        **asdict(state.counters),
+        **state.counters,
         "unreadable": len(rows.faults),
         "other_sources": rows.other_sources,
         "resumed_at": resumed_at,
@@ -308,9 +295,8 @@ def send_readings(client: ServiceClient, spacecraft: str, stated: ReadingsStatem
     documents = _reading_documents(rows, {str(axis): value for axis, value in stated.sigma_deg.items()})
     for start in range(0, len(documents), _READINGS_OF_A_BATCH):
         reply = client.post_references(spacecraft, stated.source, documents[start : start + _READINGS_OF_A_BATCH])
-        counts["accepted"] += reply["accepted"]
-        counts["duplicates"] += reply["duplicates"]
-        counts["refused"] += len(reply["refused"])
+        for name, count in counts.items():
+            counts[name] = count + (len(reply[name]) if name == "refused" else reply[name])
     return {**counts, "unreadable": len(rows.faults), "faults": grouped(rows.faults)}
 
 

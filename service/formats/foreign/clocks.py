@@ -211,10 +211,9 @@ def _candidates(table: Table) -> list[tuple[str, ...]]:
     days = [name for name, some in samples.items() if _fits(some, _day_formats(name))]
     clocks = [name for name, some in samples.items() if _fits(some, _clock_formats(name)) and name not in days]
     pairs = [(day, clock) for day in days for clock in clocks]
-    parts = _part_columns(table.header)
     weeks = _week_columns(table.header)
     groups: list[list[tuple[str, ...]]] = [
-        [*full, *pairs, *([parts] if parts else [])],
+        [*full, *pairs],
         [weeks] if weeks else [],
         [(name,) for name in table.header if _count_formats(name, table.column(name))],
         [(name,) for name in clocks],
@@ -271,13 +270,6 @@ def _is_moving(table: Table, columns: Sequence[str]) -> bool:
     return len(texts) < 3 or pc.count_distinct(texts).as_py() > 1
 
 
-def _part_columns(header: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns year, month, day, hour, minute and second, where there are such."""
-    low = {name.casefold().strip(): name for name in header}
-    names = [low.get(part) for part in ("year", "month", "day", "hour", "minute", "second")]
-    return tuple(name for name in names if name is not None) if all(names) else ()
-
-
 def _week_columns(header: Sequence[str]) -> tuple[str, ...]:
     """Return the columns of GPS week and seconds of the week, where each is named once."""
     weeks = [name for name in header if words_of(name) & {"week", "wk", "wn"}]
@@ -316,8 +308,6 @@ def _formats_of(texts: Any, table: Table, columns: Sequence[str]) -> list[str]:
     """Return the formats that read the most texts; several when day and month may be exchanged."""
     if tuple(columns) == _week_columns(table.header):
         return [WEEK]
-    if tuple(columns) == _part_columns(table.header) and columns:
-        return ["%Y %m %d %H %M %S"]
     some = _some(texts).to_pylist()
     tried: list[str] = [each for each in _FULL_FORMATS if _matching(some, each)]
     if len(columns) == 2:

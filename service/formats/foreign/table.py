@@ -143,12 +143,12 @@ def read_table(path: Path, stated: Container) -> Table:
     name, content = unpacked(path.name, path.read_bytes())
     if content[:4] == b"PAR1":
         return _of_parquet(content)
+    commas = stated.model_copy(update={"separator": ","})
     if is_workbook(content):
-        text = workbook_text(content, stated.sheet)
-        return _of_text(text, stated.model_copy(update={"separator": ","}), ["a sheet of a workbook"])
+        return _of_text(workbook_text(content, stated.sheet), commas, ["a sheet of a workbook"])
     text, notes = decoded_text(content, stated.encoding)
     if name.lower().endswith((".ndjson", ".jsonl")) or text.lstrip()[:1] in ("{", "["):
-        return _of_objects(text)
+        return _of_text(_text_of_objects(text), commas, ["JSON objects"])
     return _of_text(text, stated, notes)
 
 
@@ -571,32 +571,15 @@ def _of_parquet(content: bytes) -> Table:
     return _finished(header, columns, np.arange(1, found.num_rows + 1), [], ["Parquet"], {})
 
 
-def _of_objects(text: str) -> Table:
-    """Return the table of JSON: one object a line, or an array of flat objects."""
-    import pyarrow as pa
-
+def _text_of_objects(text: str) -> str:
+    """Return JSON, one object a line or an array of flat objects, as lines with commas."""
+    is_array = text.lstrip().startswith("[")
+    out = io.StringIO()
     try:
-        if text.lstrip().startswith("["):
-            objects = list(enumerate(json.loads(text), start=1))
-        else:
-            lines_of = enumerate(text.split("\n"), start=1)
-            objects = [(number, json.loads(line)) for number, line in lines_of if line.strip()]
-    except (ValueError, RecursionError) as error:
-        raise ForeignTableError(f"a line is no JSON: {error}") from None
-    header = list(objects[0][1]) if objects and isinstance(objects[0][1], dict) else []
-    if not header:
-        raise ForeignTableError("no lines of JSON objects")
-    rows = [_object_cells(number, each, header) for number, each in objects]
-    columns = [pa.array(cells) for cells in zip(*rows, strict=True)]
-    lines = np.array([number for number, _ in objects], dtype=np.int64)
-    return _finished([str(name) for name in header], columns, lines, [], ["JSON objects"], {})
-
-
-def _object_cells(number: int, found: Any, header: Sequence[str]) -> list[str]:
-    """Return the cells of an object, which must have the names of the first and plain values."""
-    if not isinstance(found, dict) or set(found) != set(header):
-        odd = ", ".join(sorted(set(header) ^ set(found))[:5]) if isinstance(found, dict) else "no object"
-        raise ForeignTableError(f"line {number} has other names than the first: {odd}")
-    if any(isinstance(value, dict | list) for value in found.values()):
-        raise ForeignTableError(f"line {number} holds a list or an object in place of a value")
-    return ["" if found[name] is None else str(found[name]) for name in header]
+        objects = json.loads(text) if is_array else [json.loads(line) for line in text.split("\n") if line.strip()]
+        writer = csv.DictWriter(out, list(objects[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(objects)
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError) as error:
+        raise ForeignTableError(f"no JSON objects of the same names: {error}") from None
+    return out.getvalue()
