@@ -4,12 +4,11 @@ One odd file stops nothing: it is left out with its reason. One that another nee
 created.
 """
 
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -75,6 +74,12 @@ _MEMBERS = {
     "ascending_nodes": FileRole.EPHEMERIS,
     "MEAN_MOTION": FileRole.EPHEMERIS,
 }
+#: columns that only a file of one role has
+_COLUMNS = {
+    frozenset({"field", "value"}): FileRole.SPACECRAFT,
+    frozenset({"id", "downlink_hz"}): FileRole.CARRIERS,
+    frozenset({"MEAN_MOTION"}): FileRole.EPHEMERIS,
+}
 _MESSAGES = {"oem": FileRole.EPHEMERIS, "omm": FileRole.EPHEMERIS, "aem": FileRole.REFERENCES, "tdm": FileRole.POWERS}
 #: roles of tables; None: the columns show which
 _TABLES = (None, FileRole.POWERS, FileRole.REFERENCES)
@@ -94,6 +99,10 @@ class ImportFiles:
     #: of the left out, those that were recognized and are at fault, by role
     faulty: dict[str, FileRole] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    #: windows that were not found
+    shortcomings: tuple[str, ...] = ()
+    #: how each table is read, by its name
+    notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def guarded(self, path: Path, role: FileRole | None, call: Callable[[Path], T]) -> T | None:
         """Return what a call gives for a file, or leave the file out with the reason, whatever was raised."""
@@ -115,16 +124,6 @@ class ImportFiles:
         return {"file": path.name, **former, **self.statements.get(path.name, {})}
 
 
-class FolderProposal(NamedTuple):
-    """Sections of a manifest, and what they leave open."""
-
-    sections: dict[str, Any]
-    #: windows that were not found
-    shortcomings: tuple[str, ...]
-    #: how each table is read, by its name
-    notes: dict[str, tuple[str, ...]]
-
-
 def files_of(folder: Path) -> tuple[list[Path], dict[str, str]]:
     """Return the files of a folder that may have a role, and why others are left out."""
     files, left_out = [], {}
@@ -138,8 +137,8 @@ def files_of(folder: Path) -> tuple[list[Path], dict[str, str]]:
     return files, left_out
 
 
-def propose(files: ImportFiles) -> FolderProposal:
-    """Return the manifest of files; what was stated before is kept."""
+def propose(files: ImportFiles) -> dict[str, Any]:
+    """Return the sections of the manifest of files; what was stated before is kept."""
     roles = {path: files.guarded(path, None, _role_of) for path in files.paths}
     unknown = set(files.statements) - {path.name for path in files.paths} - {""}
     if unknown:
@@ -180,7 +179,7 @@ def propose(files: ImportFiles) -> FolderProposal:
     entries = list(filter(None, made))
     readings = [each for each in entries if each[0] is FileRole.REFERENCES]
     rows = [read.rows for _, _, read in readings if read.rows is not None]
-    windows, shortcomings = _windows(rows, [entry for _, entry, _ in readings], stated)
+    windows, files.shortcomings = _windows(rows, [entry for _, entry, _ in readings], stated)
     sections = {
         "spacecraft": own if any(own.values()) else {"id": Guess(None, "no file of a spacecraft")},
         "carriers": plan_name,
@@ -192,8 +191,8 @@ def propose(files: ImportFiles) -> FolderProposal:
         "windows": windows,
         "left_out": files.left_out,
     }
-    notes = {entry["file"]: read.notes for _, entry, read in entries}
-    return FolderProposal({name: value for name, value in sections.items() if value}, shortcomings, notes)
+    files.notes = {entry["file"]: read.notes for _, entry, read in entries}
+    return {name: value for name, value in sections.items() if value}
 
 
 def _role_of(path: Path) -> FileRole | None:
@@ -202,49 +201,26 @@ def _role_of(path: Path) -> FileRole | None:
         head = opened.read(_HEAD)
     if not head:
         raise ForeignTableError("the file is empty")
-    if is_workbook(head):
-        return _of_first_line(file_text(path))
     if head[:4] == b"PAR1" or path.suffix.lower() in {".ndjson", ".jsonl", ".gz", ".zip"}:
         return None
-    text = head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace").lstrip()
-    start = re.sub(r"\A(COMMENT.*\n\s*)*", "", text)
+    text = file_text(path) if is_workbook(head) else head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+    start = re.sub(r"\A(COMMENT.*\n\s*)*", "", text.lstrip())
+    if start.startswith("<"):
+        kinds: list[str] = re.findall(r"<(?:[\w.-]+:)?(oem|omm|aem|tdm)\b", start)
+        if not kinds:
+            raise ForeignTableError("XML, and no OEM, OMM, AEM or TDM")
+        return _MESSAGES[kinds[0]]
     kind = next((kind for kind, version in VERSIONS.items() if start.startswith(version)), None)
-    if kind is not None or start.startswith("<"):
-        return _MESSAGES[kind or _kind_of_xml(start)]
+    if kind is not None:
+        return _MESSAGES[kind]
     if start.startswith(("{", "[")):
-        return _of_json(path)
-    return FileRole.EPHEMERIS if _ELEMENTS.search(text.replace("\r", "\n")) else _of_first_line(text)
-
-
-def _kind_of_xml(text: str) -> str:
-    """Return the message that XML holds."""
-    kinds: list[str] = re.findall(r"<(?:[\w.-]+:)?(oem|omm|aem|tdm)\b", text)
-    if not kinds:
-        raise ForeignTableError("XML, and no OEM, OMM, AEM or TDM")
-    return kinds[0]
-
-
-def _of_first_line(text: str) -> FileRole | None:
-    """Return the role that the columns of a catalogue's file state, None for other tables."""
-    names = {name.strip().strip('"') for name in re.split("[,;\t]", text.lstrip().partition("\n")[0])}
-    if names == {"field", "value"}:
-        return FileRole.SPACECRAFT
-    if {"id", "downlink_hz"} <= names:
-        return FileRole.CARRIERS
-    return FileRole.EPHEMERIS if "MEAN_MOTION" in names else None
-
-
-def _of_json(path: Path) -> FileRole:
-    """Return the role of a JSON document."""
-    try:
-        document = json.loads(file_text(path))
-    except (ValueError, RecursionError) as error:
-        raise ForeignTableError(f"no JSON: {error}") from None
-    members: Any = document[0] if isinstance(document, list) and document else document
-    role = next((role for name, role in _MEMBERS.items() if isinstance(members, dict) and name in members), None)
-    if role is None:
-        raise ForeignTableError("JSON of another kind")
-    return role
+        role = next((role for name, role in _MEMBERS.items() if f'"{name}"' in start), None)
+        if role is None:
+            raise ForeignTableError("JSON of another kind")
+        return role
+    names = {name.strip().strip('"') for name in re.split("[,;\t]", start.partition("\n")[0])}
+    roles = (role for columns, role in _COLUMNS.items() if names >= columns)
+    return FileRole.EPHEMERIS if _ELEMENTS.search(text.replace("\r", "\n")) else next(roles, None)
 
 
 def _chosen(names: list[str], stated: str | None) -> Any:
