@@ -319,18 +319,18 @@ def compared(client: "ServiceClient", own: OwnCatalogue) -> CatalogueComparison:
         differences |= {f"spacecraft.{name}": pair for name, pair in pairs.items()}
     if own.plan is not None:
         carriers = own.plan.model_dump(mode="json", exclude_unset=True)["carriers"]
-        there = None if known is None else known_document(client, f"{path}/carriers", "plan.unknown")
-        if there is None:
-            creations["carriers"] = lambda: client.put_carriers(own.spacecraft_id, carriers)
-        else:
+        there = known and known_document(client, f"{path}/carriers", "plan.unknown")
+        if there:
             differences |= _plan_differences(own.plan.model_dump(mode="json")["carriers"], there["carriers"])
+        else:
+            creations["carriers"] = lambda: client.put_carriers(own.spacecraft_id, carriers)
     if own.orbit is not None:
         orbit, ephemeris = own.orbit
-        there = None if known is None else known_document(client, f"{path}/ephemeris", "ephemeris.none")
-        if there is None:
-            creations["ephemeris"] = lambda: client.put_ephemeris(own.spacecraft_id, orbit.body)
-        else:
+        there = known and known_document(client, f"{path}/ephemeris", "ephemeris.none")
+        if there:
             differences |= _orbit_differences(ephemeris, there)
+        else:
+            creations["ephemeris"] = lambda: client.put_ephemeris(own.spacecraft_id, orbit.body)
     return CatalogueComparison(known or stated, creations, differences)
 
 

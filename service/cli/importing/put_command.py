@@ -328,8 +328,6 @@ def _put_powers(client: "ServiceClient", order: _PutOrder) -> None:
         raise ForeignTableError(f"{spacecraft} has no carrier plan yet")
     state.plan_id = int(plan["plan_id"])
     _, rows, document = _rows_of(client, order, PowersStatement, fields, carrier_names(plan["carriers"]))
-    if rows.other_sources and not len(rows.lines):
-        end(f"no row of {options['source']}; the file's are of {', '.join(rows.other_sources)}: see --from-source")
     if options["dry_run"]:
         return order.report_rows(document)
     is_quiet = options["as_json"]
@@ -341,31 +339,16 @@ def _put_powers(client: "ServiceClient", order: _PutOrder) -> None:
 def _rows_of(
     client: "ServiceClient", order: _PutOrder, kind: Any, fields: dict[str, Any], carriers: dict[str, str]
 ) -> "tuple[Any, TableRows, dict[str, Any]]":
-    """Return statement and rows of a table, shown, and the document of them."""
+    """Return statement and rows of a table, shown, and the document of them.
+
+    What it leaves open is asked on a terminal, or ends the command.
+    """
+    from service.cli.importing.folder import interpretation_of
+    from service.cli.importing.manifest import validated
     from service.cli.importing.sending import span_lines
     from service.formats.foreign.columns import grouped
     from service.formats.foreign.table import ForeignTableError
     from service.records.epoch import format_epoch
-
-    statement, interpretation, rows = _answered(client, order, kind, fields, carriers)
-    odd = [note for note in interpretation.notes if note.startswith("no carrier of the plan")]
-    if odd and order.options["refuse_unknown"]:
-        raise ForeignTableError(odd[0])
-    understood = _understood(interpretation)
-    spans = span_lines(rows, "dBm" if carriers else "deg")
-    order.show([*understood, *spans, *(() if carriers else _NOT_CHECKED)])
-    epochs = [format_epoch(int(each)) for each in rows.epochs_us[[0, -1]]] if len(rows.lines) else ["", ""]
-    document = {"rows": len(rows.lines), "start": epochs[0], "stop": epochs[1], "unreadable": len(rows.faults)}
-    document |= {"faults": grouped(rows.faults), "other_sources": rows.other_sources, **dict(understood)}
-    return statement, rows, document
-
-
-def _answered(
-    client: "ServiceClient", order: _PutOrder, kind: Any, fields: dict[str, Any], carriers: dict[str, str]
-) -> "tuple[Any, Interpretation, TableRows]":
-    """Return the reading of a table; what it leaves open is asked on a terminal, or ends the command."""
-    from service.cli.importing.folder import interpretation_of
-    from service.cli.importing.manifest import validated
     from service.runtime.clock import system_now_us
 
     is_simulated = bool(client.spacecraft(order.spacecraft).get("simulated", False))
@@ -373,12 +356,21 @@ def _answered(
         statement = validated(order.file, kind, {"file": order.file.name, **fields})
         read = interpretation_of(order.file, statement, carriers, system_now_us(), is_simulated=is_simulated)
         if not read.questions and read.rows is not None:
-            return statement, read, read.rows
+            break
         if order.options["as_json"] or not is_terminal():
             end(printable(_open_questions(order, read)))
         order.show(_understood(read))
         for question in read.questions:
             fields[question.field] = answer(_question(question), question.default)
+    odd = [note for note in read.notes if note.startswith("no carrier of the plan")]
+    if odd and order.options["refuse_unknown"]:
+        raise ForeignTableError(odd[0])
+    rows, understood = read.rows, _understood(read)
+    order.show([*understood, *(span_lines(rows, "dBm") if carriers else (*span_lines(rows, "deg"), *_NOT_CHECKED))])
+    epochs = [format_epoch(int(each)) for each in rows.epochs_us[[0, -1]]]
+    document = {"rows": len(rows.lines), "start": epochs[0], "stop": epochs[1], "unreadable": len(rows.faults)}
+    document |= {"faults": grouped(rows.faults), "other_sources": rows.other_sources, **dict(understood)}
+    return statement, rows, document
 
 
 _PUTTERS = {

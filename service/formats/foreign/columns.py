@@ -110,7 +110,8 @@ class TableRows:
         """Refuse a table of which too many rows cannot be read: ForeignTableError with the reasons."""
         total = len(self.lines) + len(self.faults)
         if not len(self.lines):
-            raise ForeignTableError(f"no row can be read: {'; '.join(grouped(self.faults)[:3]) or 'there is none'}")
+            others = [f"rows of {', '.join(self.other_sources)}: see --from-source"] if self.other_sources else []
+            raise ForeignTableError(f"no row can be read: {'; '.join([*others, *grouped(self.faults)][:3])}")
         if len(self.faults) > max(MOST_ROWS, MOST_SHARE * total) and not is_partial:
             raise ForeignTableError(
                 f"{len(self.faults)} of {total} rows cannot be read, so nothing is stored:"

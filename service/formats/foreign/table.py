@@ -15,7 +15,7 @@ import zlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import date, datetime, time, timedelta
+from datetime import date, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -534,12 +534,8 @@ def _cell_text(cell: Any, *, is_midnight: bool) -> str:
         if cell.year < 1901:
             return "00:00:00"
         return f"{cell.isoformat()} 00:00:00" if is_midnight else cell.isoformat()
-    if isinstance(cell, time):
-        return cell.isoformat()
     if isinstance(cell, timedelta):
-        milliseconds = round(cell / timedelta(milliseconds=1))
-        seconds, rest = divmod(milliseconds, 1000)
-        return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}.{rest:03d}"
+        return str(timedelta(milliseconds=round(cell / timedelta(milliseconds=1))))
     if isinstance(cell, float) and cell.is_integer() and abs(cell) < 1e15:
         return str(int(cell))
     return str(cell)
