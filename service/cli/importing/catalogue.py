@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from service.api.schemas.catalogue import CarrierPlanDocument, SpacecraftDocument
     from service.client.service_client import ServiceClient
-    from service.errors import FieldError
+    from service.pipeline.inputs.catalogue_checks import CatalogueFindings
 
 M = TypeVar("M", bound="BaseModel")
 #: no document of the catalogue is larger, bytes
@@ -60,10 +60,13 @@ def decoded(adapter: "TypeAdapter[M]", raw: bytes) -> M:
         raise _refusal(faults, [error.code]) from None
 
 
-def refuse_findings(faults: Sequence["FieldError"]) -> None:
-    """Refuse what contradicts physics or the catalogue, if anything does."""
-    if faults:
-        raise _refusal([f"{fault.pointer}: {fault.detail}" for fault in faults], [fault.code for fault in faults])
+def _judge(findings: "CatalogueFindings", warn: Callable[[str], None]) -> None:
+    """Refuse what contradicts physics or the catalogue, and warn of what is unusual."""
+    if findings.faults:
+        faults = [f"{fault.pointer}: {fault.detail}" for fault in findings.faults]
+        raise _refusal(faults, [fault.code for fault in findings.faults])
+    for warning in findings.warnings:
+        warn(f"{warning.pointer}: {warning.detail}")
 
 
 def _refusal(faults: Sequence[str], codes: Sequence[str]) -> ForeignTableError:
@@ -84,10 +87,7 @@ def read_spacecraft(path: Path, warn: Callable[[str], None]) -> "SpacecraftDocum
     document = decoded(SPACECRAFT_ADAPTER, raw.encode())
     site = document.receiving_site
     position = Position("/receiving_site", site.latitude_deg, site.longitude_deg, site.height_m)
-    findings = check_positions([position], document.longitude_deg)
-    refuse_findings(findings.faults)
-    for warning in findings.warnings:
-        warn(f"{warning.pointer}: {warning.detail}")
+    _judge(check_positions([position], document.longitude_deg), warn)
     return document
 
 
@@ -149,14 +149,21 @@ def unlikely(
     return found + ([] if plan is None else unlikely_carriers(plan.to_records(), longitude_deg))
 
 
+def check_likely(
+    spacecraft: "SpacecraftDocument | None", plan: "CarrierPlanDocument | None", longitude_deg: float
+) -> None:
+    """Refuse `unlikely` figures, which were not confirmed."""
+    odd = unlikely(spacecraft, plan, longitude_deg)
+    if odd:
+        text = "this must be confirmed (soo put: --confirmed; soo import: --state confirmed=true):"
+        raise ForeignTableError("\n  ".join((text, *odd)))
+
+
 def check_plan(plan: "CarrierPlanDocument", longitude_deg: float, warn: Callable[[str], None]) -> None:
     """Refuse carriers whose stations cannot see the satellite, and frequencies outside of their band."""
     from service.pipeline.inputs.catalogue_checks import check_carriers
 
-    findings = check_carriers(plan.to_records(), longitude_deg)
-    refuse_findings(findings.faults)
-    for warning in findings.warnings:
-        warn(f"{warning.pointer}: {warning.detail}")
+    _judge(check_carriers(plan.to_records(), longitude_deg), warn)
 
 
 def carrier_names(plan: Sequence[Mapping[str, Any]]) -> dict[str, str]:

@@ -6,6 +6,7 @@ created.
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -203,24 +204,25 @@ def _role_of(path: Path) -> FileRole | None:
         raise ForeignTableError("the file is empty")
     if head[:4] == b"PAR1" or path.suffix.lower() in {".ndjson", ".jsonl", ".gz", ".zip"}:
         return None
-    text = file_text(path) if is_workbook(head) else head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+    text = head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+    if is_workbook(head):
+        text = ""
+        # of several sheets a person states the one of the table
+        with suppress(ForeignTableError):
+            text = file_text(path)
     start = re.sub(r"\A(COMMENT.*\n\s*)*", "", text.lstrip())
     if start.startswith("<"):
-        kinds: list[str] = re.findall(r"<(?:[\w.-]+:)?(oem|omm|aem|tdm)\b", start)
-        if not kinds:
-            raise ForeignTableError("XML, and no OEM, OMM, AEM or TDM")
-        return _MESSAGES[kinds[0]]
-    kind = next((kind for kind, version in VERSIONS.items() if start.startswith(version)), None)
-    if kind is not None:
-        return _MESSAGES[kind]
-    if start.startswith(("{", "[")):
-        role = next((role for name, role in _MEMBERS.items() if f'"{name}"' in start), None)
-        if role is None:
-            raise ForeignTableError("JSON of another kind")
-        return role
-    names = {name.strip().strip('"') for name in re.split("[,;\t]", start.partition("\n")[0])}
-    roles = (role for columns, role in _COLUMNS.items() if names >= columns)
-    return FileRole.EPHEMERIS if _ELEMENTS.search(text.replace("\r", "\n")) else next(roles, None)
+        roles = [_MESSAGES[kind] for kind in re.findall(r"<(?:[\w.-]+:)?(oem|omm|aem|tdm)\b", start)]
+    elif start.startswith(("{", "[")):
+        roles = [role for name, role in _MEMBERS.items() if f'"{name}"' in start]
+    else:
+        names = {name.strip().strip('"') for name in re.split("[,;\t]", start.partition("\n")[0])}
+        roles = [_MESSAGES[kind] for kind, version in VERSIONS.items() if start.startswith(version)]
+        roles += [FileRole.EPHEMERIS] if _ELEMENTS.search(text.replace("\r", "\n")) else []
+        roles += [role for columns, role in _COLUMNS.items() if names >= columns]
+    if not roles and start[:1] in ("<", "{", "["):
+        raise ForeignTableError("a document of another kind: neither orbit, attitude, tracking nor catalogue")
+    return roles[0] if roles else None
 
 
 def _chosen(names: list[str], stated: str | None) -> Any:

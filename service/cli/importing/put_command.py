@@ -189,16 +189,6 @@ class _PutOrder:
         """Print a warning."""
         typer.echo(printable(f"warning: {text}"), err=True)
 
-    def confirm(self, unlikely: list[str]) -> None:
-        """End unless unlikely figures are confirmed."""
-        if unlikely and not self.options["confirmed"]:
-            lines = (
-                f"{self.file}: this must be confirmed:",
-                *unlikely,
-                "if it is so, run the command with --confirmed",
-            )
-            end(printable("\n  ".join(lines)))
-
 
 def _pairs(given: list[str], option: str) -> dict[str, str]:
     """Return values by name from ``NAME=VALUE``, or end; a name may hold equals signs."""
@@ -215,10 +205,17 @@ def _pairs(given: list[str], option: str) -> dict[str, str]:
 
 def _put_spacecraft(client: "ServiceClient", order: _PutOrder) -> None:
     """Store a spacecraft."""
-    from service.cli.importing.catalogue import flat, known_document, read_spacecraft, spacecraft_differences, unlikely
+    from service.cli.importing.catalogue import (
+        check_likely,
+        flat,
+        known_document,
+        read_spacecraft,
+        spacecraft_differences,
+    )
 
     document = read_spacecraft(order.file, order.warn)
-    order.confirm(unlikely(document, None, document.longitude_deg))
+    if not order.options["confirmed"]:
+        check_likely(document, None, document.longitude_deg)
     stated = document.model_dump(mode="json", exclude_unset=True)
     order.show(flat(stated).items())
     known = known_document(client, f"/spacecraft/{document.id}", "spacecraft.unknown")
@@ -244,7 +241,7 @@ def _put_spacecraft(client: "ServiceClient", order: _PutOrder) -> None:
 
 def _put_carriers(client: "ServiceClient", order: _PutOrder) -> None:
     """Store a carrier plan."""
-    from service.cli.importing.catalogue import check_plan, plan_rows, read_plan, unlikely
+    from service.cli.importing.catalogue import check_likely, check_plan, plan_rows, read_plan
 
     plan = read_plan(order.file)
     longitude_deg = float(client.spacecraft(order.spacecraft)["longitude_deg"])
@@ -254,7 +251,8 @@ def _put_carriers(client: "ServiceClient", order: _PutOrder) -> None:
     check_plan(plan, longitude_deg, warnings.append)
     for text in warnings:
         order.warn(text)
-    order.confirm(unlikely(None, plan, longitude_deg))
+    if not order.options["confirmed"]:
+        check_likely(None, plan, longitude_deg)
     if order.options["dry_run"]:
         order.report({"carriers": rows, "warnings": warnings}, f"{len(rows)} carriers; nothing was stored")
         return

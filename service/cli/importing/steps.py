@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 from service.cli.importing.catalogue import (
     OwnCatalogue,
     carrier_names,
+    check_likely,
     check_orbit,
     check_plan,
     read_orbit,
     read_plan,
     read_spacecraft,
-    unlikely,
 )
 from service.cli.importing.folder import interpretation_of
 from service.cli.importing.manifest import FolderManifest
@@ -57,9 +57,8 @@ def read_catalogue(folder: Path, manifest: FolderManifest) -> OwnCatalogue:
         plan = None if manifest.carriers is None else read_plan(folder / manifest.carriers)
         if plan is not None and spacecraft is not None:
             check_plan(plan, spacecraft.longitude_deg, warnings.append)
-    odd = [] if spacecraft is None or manifest.confirmed else unlikely(spacecraft, plan, spacecraft.longitude_deg)
-    if odd:
-        raise ForeignTableError("\n  ".join(("this must be confirmed (confirmed: true in the manifest):", *odd)))
+    if spacecraft is not None and not manifest.confirmed:
+        check_likely(spacecraft, plan, spacecraft.longitude_deg)
     return OwnCatalogue(spacecraft_id, spacecraft, plan, orbit)
 
 

@@ -59,7 +59,9 @@ def number_column(texts: Any, decimal: str, missing: Sequence[str]) -> tuple[Flo
 
     if decimal == "point" and not missing:
         with suppress(pa.ArrowInvalid):
-            values = pc.if_else(pc.equal(texts, ""), "nan", texts).cast(pa.float64()).to_numpy().copy()
+            is_empty = pc.equal(texts, "")
+            plain = pc.if_else(is_empty, "nan", texts) if pc.any(is_empty).as_py() else texts
+            values = plain.cast(pa.float64()).to_numpy().copy()
             values[~(np.abs(values) < _NO_NUMBER)] = np.nan
             return values, np.zeros(len(values), dtype=np.bool_), None
     unit = None
