@@ -170,7 +170,7 @@ def read(path: Path, writing: Writing) -> Interpretation | None:
     for _ in range(8):
         statement = PowersStatement.model_validate(stated)
         try:
-            found = interpret_powers(read_table(path, statement.container), statement, PLAN, now_us)
+            found = interpret_powers(read_table(path, statement), statement, PLAN, now_us)
         except ForeignTableError:
             return None
         if not found.questions:

@@ -6,6 +6,7 @@ A file at fault raises `ForeignTableError` with every reason and the next step.
 import csv
 import io
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from service.formats.foreign.messages import OrbitFile, read_orbit_file
-from service.formats.foreign.table import ForeignTableError, decoded_text, is_workbook, unpacked, workbook_rows
+from service.formats.foreign.table import ForeignTableError, decoded_text, is_workbook, unpacked, workbook_text
 from service.records.catalogue import Ephemeris
 from service.records.epoch import format_epoch
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     from service.api.schemas.catalogue import CarrierPlanDocument, SpacecraftDocument
     from service.client.service_client import ServiceClient
-    from service.errors import FieldError
+    from service.pipeline.inputs.catalogue_checks import CatalogueFindings
 
 M = TypeVar("M", bound="BaseModel")
 #: no document of the catalogue is larger, bytes
@@ -40,10 +41,7 @@ def file_text(path: Path) -> str:
     except OSError as error:
         raise ForeignTableError(f"cannot be read: {error.strerror or error}") from None
     if is_workbook(content):
-        rows = workbook_rows(content, None)
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(row for row in rows if any(row))
-        return text.getvalue()
+        return re.sub(r"(?m)^,*\n", "", workbook_text(content, None))
     return decoded_text(content, None)[0]
 
 
@@ -62,10 +60,13 @@ def decoded(adapter: "TypeAdapter[M]", raw: bytes) -> M:
         raise _refusal(faults, [error.code]) from None
 
 
-def refuse_findings(faults: Sequence["FieldError"]) -> None:
-    """Refuse what contradicts physics or the catalogue, if anything does."""
-    if faults:
-        raise _refusal([f"{fault.pointer}: {fault.detail}" for fault in faults], [fault.code for fault in faults])
+def _judge(findings: "CatalogueFindings", warn: Callable[[str], None]) -> None:
+    """Refuse what contradicts physics or the catalogue, and warn of what is unusual."""
+    if findings.faults:
+        faults = [f"{fault.pointer}: {fault.detail}" for fault in findings.faults]
+        raise _refusal(faults, [fault.code for fault in findings.faults])
+    for warning in findings.warnings:
+        warn(f"{warning.pointer}: {warning.detail}")
 
 
 def _refusal(faults: Sequence[str], codes: Sequence[str]) -> ForeignTableError:
@@ -86,10 +87,7 @@ def read_spacecraft(path: Path, warn: Callable[[str], None]) -> "SpacecraftDocum
     document = decoded(SPACECRAFT_ADAPTER, raw.encode())
     site = document.receiving_site
     position = Position("/receiving_site", site.latitude_deg, site.longitude_deg, site.height_m)
-    findings = check_positions([position], document.longitude_deg)
-    refuse_findings(findings.faults)
-    for warning in findings.warnings:
-        warn(f"{warning.pointer}: {warning.detail}")
+    _judge(check_positions([position], document.longitude_deg), warn)
     return document
 
 
@@ -151,14 +149,21 @@ def unlikely(
     return found + ([] if plan is None else unlikely_carriers(plan.to_records(), longitude_deg))
 
 
+def check_likely(
+    spacecraft: "SpacecraftDocument | None", plan: "CarrierPlanDocument | None", longitude_deg: float
+) -> None:
+    """Refuse `unlikely` figures, which were not confirmed."""
+    odd = unlikely(spacecraft, plan, longitude_deg)
+    if odd:
+        text = "this must be confirmed (soo put: --confirmed; soo import: --state confirmed=true):"
+        raise ForeignTableError("\n  ".join((text, *odd)))
+
+
 def check_plan(plan: "CarrierPlanDocument", longitude_deg: float, warn: Callable[[str], None]) -> None:
     """Refuse carriers whose stations cannot see the satellite, and frequencies outside of their band."""
     from service.pipeline.inputs.catalogue_checks import check_carriers
 
-    findings = check_carriers(plan.to_records(), longitude_deg)
-    refuse_findings(findings.faults)
-    for warning in findings.warnings:
-        warn(f"{warning.pointer}: {warning.detail}")
+    _judge(check_carriers(plan.to_records(), longitude_deg), warn)
 
 
 def carrier_names(plan: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -178,24 +183,15 @@ def plan_rows(plan: "CarrierPlanDocument", longitude_deg: float) -> list[dict[st
     rows = []
     for carrier in plan.carriers:
         station = carrier.station
-        position = ("", "", "")
+        row = {"id": carrier.id, "transponder": carrier.transponder, "band": carrier.band}
+        row |= dict.fromkeys(("station", "latitude_deg", "longitude_deg", "elevation_deg"), "")
         if station is not None:
             elevation_deg = satellite_elevation_deg(station.longitude_deg, station.latitude_deg, 0.0, longitude_deg)
-            position = (f"{station.latitude_deg:g}", f"{station.longitude_deg:g}", f"{float(elevation_deg):.1f}")
-        rows.append(
-            {
-                "id": carrier.id,
-                "transponder": carrier.transponder,
-                "band": carrier.band,
-                "station": "" if station is None else station.name,
-                "latitude_deg": position[0],
-                "longitude_deg": position[1],
-                "elevation_deg": position[2],
-                "uplink_ghz": "" if carrier.uplink_hz is None else f"{carrier.uplink_hz / 1e9:.6f}",
-                "downlink_ghz": f"{carrier.downlink_hz / 1e9:.6f}",
-                "bandwidth_khz": f"{carrier.bandwidth_hz / 1e3:g}",
-            }
-        )
+            row |= {"station": station.name, "elevation_deg": f"{float(elevation_deg):.1f}"}
+            row |= {"latitude_deg": f"{station.latitude_deg:g}", "longitude_deg": f"{station.longitude_deg:g}"}
+        row["uplink_ghz"] = "" if carrier.uplink_hz is None else f"{carrier.uplink_hz / 1e9:.6f}"
+        row["downlink_ghz"] = f"{carrier.downlink_hz / 1e9:.6f}"
+        rows.append(row | {"bandwidth_khz": f"{carrier.bandwidth_hz / 1e3:g}"})
     return rows
 
 
@@ -238,28 +234,34 @@ def understood_orbit(orbit: OrbitFile, ephemeris: Ephemeris, now: str | None) ->
     return found
 
 
-def check_orbit(
-    orbit: OrbitFile, ephemeris: Ephemeris, known: Mapping[str, Any], *, is_relocating: bool, is_inclined: bool
-) -> None:
-    """Refuse the orbit of another satellite, and one whose inclination must be stated."""
+def foreign_orbit(
+    orbit: OrbitFile, ephemeris: Ephemeris, known: Mapping[str, Any], *, is_relocating: bool = False
+) -> str | None:
+    """Return why an orbit is that of another satellite than a known one; None: it is not."""
     from service.pipeline.inputs.catalogue_checks import contradiction_of
 
     own = known.get("cospar_id")
     if own and orbit.cospar_id and orbit.cospar_id[:8] + orbit.cospar_id[8:].strip() != own:
-        name = orbit.name or "an object"
-        raise ForeignTableError(
-            f"is of {name} {orbit.cospar_id}; spacecraft {known['id']} is {own}: choose its own file"
-        )
+        return f"it is of {orbit.name or 'an object'} {orbit.cospar_id}; spacecraft {known['id']} is {own}"
     contradiction = contradiction_of(ephemeris, known["longitude_deg"])
-    if contradiction is not None and not is_relocating:
-        raise ForeignTableError(
-            f"is the orbit of another satellite: {contradiction}; or state relocating when it moves on purpose"
-        )
+    return (
+        None
+        if contradiction is None or is_relocating
+        else f"{contradiction}; state relocating when it moves on purpose"
+    )
+
+
+def check_orbit(
+    orbit: OrbitFile, ephemeris: Ephemeris, known: Mapping[str, Any], *, is_relocating: bool, is_inclined: bool
+) -> None:
+    """Refuse the orbit of another satellite, and one whose inclination must be stated."""
+    foreign = foreign_orbit(orbit, ephemeris, known, is_relocating=is_relocating)
+    if foreign is not None:
+        raise ForeignTableError(f"the orbit of another satellite: {foreign}")
     greatest_deg = inclination_deg(ephemeris)
     if greatest_deg > INCLINED_DEG and not is_inclined:
-        raise ForeignTableError(
-            f"the orbit is inclined by {greatest_deg:.2f} deg, above {INCLINED_DEG:g} deg: state inclined if that is so"
-        )
+        limit = f"above {INCLINED_DEG:g} deg: state inclined if that is so"
+        raise ForeignTableError(f"the orbit is inclined by {greatest_deg:.2f} deg, {limit}")
 
 
 def inclination_deg(ephemeris: Ephemeris) -> float:
@@ -324,18 +326,18 @@ def compared(client: "ServiceClient", own: OwnCatalogue) -> CatalogueComparison:
         differences |= {f"spacecraft.{name}": pair for name, pair in pairs.items()}
     if own.plan is not None:
         carriers = own.plan.model_dump(mode="json", exclude_unset=True)["carriers"]
-        there = None if known is None else known_document(client, f"{path}/carriers", "plan.unknown")
-        if there is None:
-            creations["carriers"] = lambda: client.put_carriers(own.spacecraft_id, carriers)
-        else:
+        there = known and known_document(client, f"{path}/carriers", "plan.unknown")
+        if there:
             differences |= _plan_differences(own.plan.model_dump(mode="json")["carriers"], there["carriers"])
+        else:
+            creations["carriers"] = lambda: client.put_carriers(own.spacecraft_id, carriers)
     if own.orbit is not None:
         orbit, ephemeris = own.orbit
-        there = None if known is None else known_document(client, f"{path}/ephemeris", "ephemeris.none")
-        if there is None:
-            creations["ephemeris"] = lambda: client.put_ephemeris(own.spacecraft_id, orbit.body)
-        else:
+        there = known and known_document(client, f"{path}/ephemeris", "ephemeris.none")
+        if there:
             differences |= _orbit_differences(ephemeris, there)
+        else:
+            creations["ephemeris"] = lambda: client.put_ephemeris(own.spacecraft_id, orbit.body)
     return CatalogueComparison(known or stated, creations, differences)
 
 
@@ -349,17 +351,13 @@ def spacecraft_differences(document: "SpacecraftDocument", known: Mapping[str, A
 
 def _plan_differences(here: list[dict[str, Any]], there: list[dict[str, Any]]) -> Differences:
     """Return the fields of carriers that differ, with both values; their order counts too."""
-    own, known = ({each["id"]: flat(each) for each in plan} for plan in (here, there))
-    found: Differences = {
-        f"carriers.{name}.{field}": (value, known[name].get(field))
-        for name, fields in own.items()
-        if name in known
-        for field, value in fields.items()
-        if known[name].get(field) != value
-    }
-    if list(own) != list(known):
-        found["carriers"] = (", ".join(own), ", ".join(known))
-    return found
+    own, known = ({each["id"]: each for each in plan} for plan in (here, there))
+    stated, stored = (
+        flat({name: each for name, each in own.items() if name in known}, "carriers."),
+        flat(known, "carriers."),
+    )
+    found = {name: (value, stored.get(name)) for name, value in stated.items() if stored.get(name) != value}
+    return found if list(own) == list(known) else found | {"carriers": (", ".join(own), ", ".join(known))}
 
 
 def _orbit_differences(ephemeris: Ephemeris, there: Mapping[str, Any]) -> Differences:

@@ -2,7 +2,9 @@
 
 import sys
 from enum import StrEnum
-from typing import NoReturn
+from typing import Any, NoReturn
+
+import typer
 
 #: the service holds something else, which was not changed, or rows were refused
 EXIT_DIFFERENT = 3
@@ -28,6 +30,21 @@ def printable(text: str) -> str:
     """Return a text that the terminal's encoding can hold."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     return text.encode(encoding, "backslashreplace").decode(encoding)
+
+
+def shown(value: Any) -> str:
+    """Return a value for people, in words that a statement takes."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name}: {each}" for name, each in value.items()) + "}"
+    return " + ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def answer(question: str, default: Any) -> Any:
+    """Return what a person states on a terminal, as a manifest would."""
+    from service.cli.importing.manifest import read_statement
+
+    likely = None if default is None else shown(default)
+    return read_statement(str(typer.prompt(printable(question), default=likely, err=True)).strip())
 
 
 def stop(*_: object) -> NoReturn:

@@ -4,12 +4,12 @@ One odd file stops nothing: it is left out with its reason. One that another nee
 created.
 """
 
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from service.cli.importing.catalogue import (
     check_plan,
     decoded,
     file_text,
+    foreign_orbit,
     inclination_deg,
     read_orbit,
     read_plan,
@@ -28,19 +29,26 @@ from service.cli.importing.catalogue import (
 from service.cli.importing.dialogue import FileRole
 from service.cli.importing.manifest import NAME, FolderManifest, Guess, plain_value, validated
 from service.formats.foreign.columns import (
+    AXES,
     Interpretation,
     PowersStatement,
     ReadingsStatement,
     TableRows,
     TableStatement,
     interpret_powers,
+    texts_of,
 )
-from service.formats.foreign.messages import VERSIONS, message_text, read_attitude_message, tracking_table
-from service.formats.foreign.readings import holds_angles, interpret_readings, judged_readings
-from service.formats.foreign.table import Container, ForeignTableError, Question, Table, is_workbook, read_table
+from service.formats.foreign.messages import (
+    VERSIONS,
+    attitude_table,
+    message_table,
+    message_text,
+    tracking_table,
+)
+from service.formats.foreign.readings import SIGMA_COLUMNS, holds_angles, interpret_readings
+from service.formats.foreign.table import NUMBER, Container, ForeignTableError, Table, is_workbook, read_table
 from service.formats.foreign.units import without_unit
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.inputs.catalogue_checks import contradiction_of
 from service.pipeline.planning.flown_turns import flown_windows
 from service.records.epoch import format_epoch
 
@@ -67,10 +75,16 @@ _MEMBERS = {
     "ascending_nodes": FileRole.EPHEMERIS,
     "MEAN_MOTION": FileRole.EPHEMERIS,
 }
+#: columns that only a file of one role has
+_COLUMNS = {
+    frozenset({"field", "value"}): FileRole.SPACECRAFT,
+    frozenset({"id", "downlink_hz"}): FileRole.CARRIERS,
+    frozenset({"MEAN_MOTION"}): FileRole.EPHEMERIS,
+}
 _MESSAGES = {"oem": FileRole.EPHEMERIS, "omm": FileRole.EPHEMERIS, "aem": FileRole.REFERENCES, "tdm": FileRole.POWERS}
-Statements = Mapping[str, Mapping[str, Any]]
+#: roles of tables; None: the columns show which
+_TABLES = (None, FileRole.POWERS, FileRole.REFERENCES)
 T = TypeVar("T")
-W = TypeVar("W", bound=TableStatement)
 
 
 @dataclass(slots=True)
@@ -80,17 +94,21 @@ class ImportFiles:
     folder: Path
     paths: list[Path]
     stated: FolderManifest
-    statements: Statements
+    statements: Mapping[str, Mapping[str, Any]]
     now_us: int
     left_out: dict[str, str] = field(default_factory=dict)
     #: of the left out, those that were recognized and are at fault, by role
     faulty: dict[str, FileRole] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    #: windows that were not found
+    shortcomings: tuple[str, ...] = ()
+    #: how each table is read, by its name
+    notes: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def guarded(self, path: Path, role: FileRole | None, call: Callable[[], T]) -> T | None:
-        """Return what a call gives, or leave its file out with the reason, whatever was raised."""
+    def guarded(self, path: Path, role: FileRole | None, call: Callable[[Path], T]) -> T | None:
+        """Return what a call gives for a file, or leave the file out with the reason, whatever was raised."""
         try:
-            return call()
+            return call(path)
         except ForeignTableError as error:
             reason = str(error)
         except Exception as error:  # noqa: BLE001 a library's fault on one file must not stop the others
@@ -100,15 +118,11 @@ class ImportFiles:
             self.faulty[path.name] = role
         return None
 
-
-class FolderProposal(NamedTuple):
-    """Sections of a manifest, and what they leave open."""
-
-    sections: dict[str, Any]
-    #: windows that were not found
-    shortcomings: tuple[str, ...]
-    #: how each table is read, by its name
-    notes: dict[str, tuple[str, ...]]
+    def fields_of(self, path: Path) -> dict[str, Any]:
+        """Return what manifest and command line state of a table."""
+        tables = (*self.stated.powers, *self.stated.references)
+        former = next((each.model_dump(exclude_unset=True) for each in tables if each.file == path.name), {})
+        return {"file": path.name, **former, **self.statements.get(path.name, {})}
 
 
 def files_of(folder: Path) -> tuple[list[Path], dict[str, str]]:
@@ -124,52 +138,62 @@ def files_of(folder: Path) -> tuple[list[Path], dict[str, str]]:
     return files, left_out
 
 
-def propose(files: ImportFiles) -> FolderProposal:
-    """Return the manifest of files; what was stated before is kept."""
-    roles = {path: files.guarded(path, None, lambda path=path: _role_of(path)) for path in files.paths}  # type: ignore[misc]
-    spacecraft_name, spacecraft = _first(
-        files, _named(roles, FileRole.SPACECRAFT), files.stated.spacecraft.file, FileRole.SPACECRAFT
-    )
-    plan_name, plan = _first(files, _named(roles, FileRole.CARRIERS), files.stated.carriers, FileRole.CARRIERS)
-    longitude_deg = None if spacecraft is None else float(spacecraft.longitude_deg)
-    if plan is not None and longitude_deg is not None:
-        path = files.folder / plain_value(plan_name)
-        files.guarded(path, FileRole.CARRIERS, lambda: check_plan(plan, longitude_deg, files.warnings.append))
-    carriers = {} if plan is None else carrier_names([each.model_dump() for each in plan.carriers])
-    is_simulated = bool(spacecraft is not None and spacecraft.simulated)
-    tables = [path for path, role in roles.items() if role is None and path.name not in files.left_out]
-    entries: dict[FileRole, list[dict[str, Any]]] = {FileRole.POWERS: [], FileRole.REFERENCES: []}
-    notes: dict[str, tuple[str, ...]] = {}
-    readings: list[TableRows] = []
-    tables += [path for path, role in roles.items() if role in entries]
-    for path in sorted(tables):
-        made = _table_entry(files, path, roles[path], carriers, is_simulated=is_simulated)
-        if made is not None:
-            role, entry, interpretation = made
-            entries[role].append(entry)
-            notes[path.name] = interpretation.notes
-            readings += [interpretation.rows] if role is FileRole.REFERENCES and interpretation.rows is not None else []
+def propose(files: ImportFiles) -> dict[str, Any]:
+    """Return the sections of the manifest of files; what was stated before is kept."""
+    roles = {path: files.guarded(path, None, _role_of) for path in files.paths}
     unknown = set(files.statements) - {path.name for path in files.paths} - {""}
     if unknown:
         raise ForeignTableError(f"--state: no file {', '.join(sorted(unknown))} is imported")
-    orbits = _orbits(files, _named(roles, FileRole.EPHEMERIS), spacecraft)
-    orbit_name = _chosen(list(orbits), files.stated.ephemeris)
-    own: dict[str, Any] = {"file": spacecraft_name} if spacecraft_name else {"id": files.stated.spacecraft.id}
-    own = own if any(own.values()) else {"id": Guess(None, "no file of a spacecraft")}
-    windows, shortcomings = _windows(readings, entries[FileRole.REFERENCES], files.stated)
-    odd = [] if longitude_deg is None else unlikely(spacecraft, plan, longitude_deg)
+    stated, warn = files.stated, files.warnings.append
+
+    def documents(role: FileRole, read: Callable[[Path], Any]) -> dict[str, Any]:
+        made = {path.name: files.guarded(path, role, read) for path, found in roles.items() if found is role}
+        return {name: document for name, document in made.items() if document is not None}
+
+    bodies = documents(FileRole.SPACECRAFT, lambda path: read_spacecraft(path, warn))
+    spacecraft_name = _chosen(list(bodies), stated.spacecraft.file)
+    spacecraft = bodies.get(plain_value(spacecraft_name))
+    plans = documents(FileRole.CARRIERS, read_plan)
+    plan_name = _chosen(list(plans), stated.carriers)
+    plan = plans.get(plain_value(plan_name))
+    orbits = documents(FileRole.EPHEMERIS, read_orbit)
+    known = {} if spacecraft is None else spacecraft.model_dump(mode="json")
+    for name, (orbit, ephemeris) in list(orbits.items()) if known else ():
+        foreign = foreign_orbit(orbit, ephemeris, known)
+        if foreign is not None:
+            files.left_out[name] = f"orbit of another satellite: {foreign}"
+            del orbits[name]
+    orbit_name = _chosen(list(orbits), stated.ephemeris)
+    own: dict[str, Any] = {"file": spacecraft_name} if spacecraft_name else {"id": stated.spacecraft.id}
+    odd: list[str] = []
+    if spacecraft is not None:
+        if plan is not None:
+            path = files.folder / plain_value(plan_name)
+            files.guarded(path, FileRole.CARRIERS, lambda _: check_plan(plan, spacecraft.longitude_deg, warn))
+        odd = unlikely(spacecraft, plan, spacecraft.longitude_deg)
+    greatest_deg = inclination_deg(orbits[plain_value(orbit_name)][1]) if orbit_name else 0.0
+    steep = Guess("true", f"the orbit is inclined by {greatest_deg:.2f} deg") if greatest_deg > INCLINED_DEG else None
+    carriers = {} if plan is None else carrier_names([each.model_dump() for each in plan.carriers])
+    is_simulated = bool(spacecraft is not None and spacecraft.simulated)
+    tables = {path: role for path, role in roles.items() if path.name not in files.left_out and role in _TABLES}
+    made = [_table_entry(files, *each, carriers, is_simulated=is_simulated) for each in sorted(tables.items())]
+    entries = list(filter(None, made))
+    readings = [each for each in entries if each[0] is FileRole.REFERENCES]
+    rows = [read.rows for _, _, read in readings if read.rows is not None]
+    windows, files.shortcomings = _windows(rows, [entry for _, entry, _ in readings], stated)
     sections = {
-        "spacecraft": own,
+        "spacecraft": own if any(own.values()) else {"id": Guess(None, "no file of a spacecraft")},
         "carriers": plan_name,
         "ephemeris": orbit_name,
-        "inclined": _inclined(files, orbits, orbit_name),
-        "confirmed": "true" if files.stated.confirmed else (Guess(None, "; ".join(odd)) if odd else None),
-        "powers": entries[FileRole.POWERS],
-        "references": entries[FileRole.REFERENCES],
+        "inclined": "true" if stated.inclined else steep,
+        "confirmed": "true" if stated.confirmed else (Guess(None, "; ".join(odd)) if odd else None),
+        "powers": [entry for role, entry, _ in entries if role is FileRole.POWERS],
+        "references": [entry for _, entry, _ in readings],
         "windows": windows,
         "left_out": files.left_out,
     }
-    return FolderProposal({name: value for name, value in sections.items() if value}, shortcomings, notes)
+    files.notes = {entry["file"]: read.notes for _, entry, read in entries}
+    return {name: value for name, value in sections.items() if value}
 
 
 def _role_of(path: Path) -> FileRole | None:
@@ -178,54 +202,27 @@ def _role_of(path: Path) -> FileRole | None:
         head = opened.read(_HEAD)
     if not head:
         raise ForeignTableError("the file is empty")
-    if is_workbook(head):
-        return _of_first_line(file_text(path))
     if head[:4] == b"PAR1" or path.suffix.lower() in {".ndjson", ".jsonl", ".gz", ".zip"}:
         return None
-    text = head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace").lstrip()
-    start = re.sub(r"\A(COMMENT.*\n\s*)*", "", text)
-    kind = next((kind for kind, version in VERSIONS.items() if start.startswith(version)), None)
-    if kind is not None or start.startswith("<"):
-        return _MESSAGES[kind or _kind_of_xml(start)]
-    if start.startswith(("{", "[")):
-        return _of_json(path)
-    return FileRole.EPHEMERIS if _ELEMENTS.search(text.replace("\r", "\n")) else _of_first_line(text)
-
-
-def _kind_of_xml(text: str) -> str:
-    """Return the message that XML holds."""
-    kinds: list[str] = re.findall(r"<(?:[\w.-]+:)?(oem|omm|aem|tdm)\b", text)
-    if not kinds:
-        raise ForeignTableError("XML, and no OEM, OMM, AEM or TDM")
-    return kinds[0]
-
-
-def _of_first_line(text: str) -> FileRole | None:
-    """Return the role that the columns of a catalogue's file state, None for other tables."""
-    names = {name.strip().strip('"') for name in re.split("[,;\t]", text.lstrip().partition("\n")[0])}
-    if names == {"field", "value"}:
-        return FileRole.SPACECRAFT
-    if {"id", "downlink_hz"} <= names:
-        return FileRole.CARRIERS
-    return FileRole.EPHEMERIS if "MEAN_MOTION" in names else None
-
-
-def _of_json(path: Path) -> FileRole:
-    """Return the role of a JSON document."""
-    try:
-        document = json.loads(file_text(path))
-    except (ValueError, RecursionError) as error:
-        raise ForeignTableError(f"no JSON: {error}") from None
-    members: Any = document[0] if isinstance(document, list) and document else document
-    role = next((role for name, role in _MEMBERS.items() if isinstance(members, dict) and name in members), None)
-    if role is None:
-        raise ForeignTableError("JSON of another kind")
-    return role
-
-
-def _named(roles: Mapping[Path, FileRole | None], role: FileRole) -> list[Path]:
-    """Return the files of a role."""
-    return [path for path, found in roles.items() if found is role]
+    text = head.removeprefix(b"\xef\xbb\xbf").decode("utf-8", "replace")
+    if is_workbook(head):
+        text = ""
+        # of several sheets a person states the one of the table
+        with suppress(ForeignTableError):
+            text = file_text(path)
+    start = re.sub(r"\A(COMMENT.*\n\s*)*", "", text.lstrip())
+    if start.startswith("<"):
+        roles = [_MESSAGES[kind] for kind in re.findall(r"<(?:[\w.-]+:)?(oem|omm|aem|tdm)\b", start)]
+    elif start.startswith(("{", "[")):
+        roles = [role for name, role in _MEMBERS.items() if f'"{name}"' in start]
+    else:
+        names = {name.strip().strip('"') for name in re.split("[,;\t]", start.partition("\n")[0])}
+        roles = [_MESSAGES[kind] for kind, version in VERSIONS.items() if start.startswith(version)]
+        roles += [FileRole.EPHEMERIS] if _ELEMENTS.search(text.replace("\r", "\n")) else []
+        roles += [role for columns, role in _COLUMNS.items() if names >= columns]
+    if not roles and start[:1] in ("<", "{", "["):
+        raise ForeignTableError("a document of another kind: neither orbit, attitude, tracking nor catalogue")
+    return roles[0] if roles else None
 
 
 def _chosen(names: list[str], stated: str | None) -> Any:
@@ -235,173 +232,111 @@ def _chosen(names: list[str], stated: str | None) -> Any:
     return names[0] if len(names) == 1 else Guess(names[0], f"one of {', '.join(names)}")
 
 
-def _first(files: ImportFiles, paths: list[Path], stated: str | None, role: FileRole) -> tuple[Any, Any]:
-    """Return the file of a role and its document; those at fault are left out."""
-    read: Callable[[Path], Any] = (
-        read_plan if role is FileRole.CARRIERS else lambda path: read_spacecraft(path, files.warnings.append)
-    )
-    documents = {path.name: files.guarded(path, role, lambda path=path: read(path)) for path in paths}  # type: ignore[misc]
-    names = [name for name, document in documents.items() if document is not None]
-    chosen = _chosen(names, stated)
-    return chosen, documents.get(plain_value(chosen)) if chosen else None
-
-
-def _orbits(files: ImportFiles, paths: list[Path], spacecraft: Any) -> dict[str, Any]:
-    """Return the orbits of this spacecraft by file; those of others are left out."""
-    own = {}
-    for path in paths:
-        found = files.guarded(path, FileRole.EPHEMERIS, lambda path=path: read_orbit(path))  # type: ignore[misc]
-        if found is None:
-            continue
-        orbit, ephemeris = found
-        foreign = None if spacecraft is None else contradiction_of(ephemeris, spacecraft.longitude_deg)
-        if spacecraft is not None and spacecraft.cospar_id and orbit.cospar_id not in (None, spacecraft.cospar_id):
-            foreign = f"it is of {orbit.cospar_id}"
-        if foreign is None:
-            own[path.name] = ephemeris
-        else:
-            files.left_out[path.name] = f"orbit of another satellite: {foreign}"
-    return own
-
-
-def _inclined(files: ImportFiles, orbits: Mapping[str, Any], chosen: Any) -> Any:
-    """Return whether the orbit is stated to be inclined; a guess where it must be."""
-    if files.stated.inclined or not chosen:
-        return "true" if files.stated.inclined else None
-    greatest_deg = inclination_deg(orbits[plain_value(chosen)])
-    return Guess("true", f"the orbit is inclined by {greatest_deg:.2f} deg") if greatest_deg > INCLINED_DEG else None
-
-
 def table_of(path: Path, stated: Container) -> Table:
-    """Return the table of a file; that of a tracking message has one power a line."""
+    """Return the table of a file; messages and documents of the interface become one."""
     with path.open("rb") as opened:
-        head = opened.read(_HEAD)
-    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if text.startswith((VERSIONS["tdm"].encode(), b"<", b"COMMENT")):
-        return tracking_table(file_text(path))
+        head = opened.read(_HEAD).removeprefix(b"\xef\xbb\xbf").lstrip()
+    if head.startswith((VERSIONS["tdm"].encode(), VERSIONS["aem"].encode(), b"<", b"COMMENT")):
+        text = message_text(file_text(path))
+        return attitude_table(text) if text.startswith(VERSIONS["aem"]) else tracking_table(text)
+    if head.startswith(b"{") and b'"references"' in head:
+        return _table_of_document(path)
     return read_table(path, stated)
 
 
-def read_readings(path: Path, stated: ReadingsStatement, now_us: int, *, is_simulated: bool) -> Interpretation:
-    """Return how a file of readings is read: a table, an AEM, or a document of the interface."""
-    with path.open("rb") as opened:
-        head = opened.read(_HEAD).removeprefix(b"\xef\xbb\xbf").lstrip()
-    if head.startswith((VERSIONS["aem"].encode(), b"<", b"COMMENT")):
-        rows = read_attitude_message(message_text(file_text(path)))
-        return judged_readings(*rows, stated, now_us, is_simulated=is_simulated)
-    if head.startswith(b"{"):
-        epochs_us, angles, sigma_deg = _readings_of_json(path, stated.source)
-        return judged_readings(epochs_us, angles, stated, now_us, is_simulated=is_simulated, sigma_deg=sigma_deg)
-    return interpret_readings(table_of(path, stated.container), stated, now_us, is_simulated=is_simulated)
-
-
-def _readings_of_json(path: Path, source: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return epochs, angles and deviations of a document of the interface."""
+def _table_of_document(path: Path) -> Table:
+    """Return the readings of a document of the interface as a table."""
     from pydantic import TypeAdapter
 
     from service.api.schemas.inputs import ReferenceBatchDocument
 
     document = decoded(TypeAdapter(ReferenceBatchDocument), file_text(path).encode())
-    if source and document.source != source:
-        raise ForeignTableError(f"the file holds readings of {document.source}; state source {document.source}")
-    angles = [[each.yaw_deg, each.roll_deg, each.pitch_deg] for each in document.references]
-    epochs_us = np.array([each.epoch for each in document.references], dtype=np.int64)
-    sigma_deg = [
-        [None] * 3 if each.sigma_deg is None else [each.sigma_deg.yaw, each.sigma_deg.roll, each.sigma_deg.pitch]
-        for each in document.references
-    ]
-    found, deviations = (np.array(each, dtype=np.float64).reshape(-1, 3) for each in (angles, sigma_deg))
-    return epochs_us, found, deviations
+    epochs_us, rows = [], []
+    for each in document.references:
+        epochs_us.append(each.epoch)
+        sigma = each.sigma_deg
+        deviations = (None, None, None) if sigma is None else (sigma.yaw, sigma.roll, sigma.pitch)
+        rows.append((document.source, each.yaw_deg, each.roll_deg, each.pitch_deg, *deviations))
+    names = ("source", *(f"{axis}_deg" for axis in AXES), *SIGMA_COLUMNS)
+    return message_table(names, epochs_us, zip(*rows, strict=True), "document of the interface")
+
+
+def interpretation_of(
+    path: Path, stated: TableStatement, carriers: Mapping[str, str], now_us: int, *, is_simulated: bool
+) -> Interpretation:
+    """Return how a file of powers or readings is read under its statement."""
+    table = table_of(path, stated)
+    if isinstance(stated, PowersStatement):
+        return interpret_powers(table, stated, carriers, now_us, is_simulated=is_simulated)
+    if table.is_standard and "source" in table.header and stated.source:
+        (source,) = table.column("source").unique().to_pylist()
+        if source != stated.source:
+            raise ForeignTableError(f"the file holds readings of {source}; state source {source}")
+    statement = ReadingsStatement.model_validate(stated.model_dump(exclude_unset=True))
+    return interpret_readings(table, statement, now_us, is_simulated=is_simulated)
 
 
 def _table_entry(
-    files: ImportFiles, path: Path, role: FileRole | None, carriers: Mapping[str, str], *, is_simulated: bool
+    files: ImportFiles, path: Path, known_role: FileRole | None, carriers: Mapping[str, str], *, is_simulated: bool
 ) -> tuple[FileRole, dict[str, Any], Interpretation] | None:
     """Return role, entry and reading of a table or message; None: it is left out."""
-    own = files.stated.powers, files.stated.references
 
-    def stated(kind: type[W], known: Sequence[W]) -> W:
-        given = next((each for each in known if each.file == path.name), None)
-        former = {"file": path.name} if given is None else given.model_dump(exclude_unset=True)
-        return validated(Path(path.name), kind, former | dict(files.statements.get(path.name, {})))
+    def read(path: Path) -> tuple[FileRole, TableStatement, Interpretation]:
+        fields, where = files.fields_of(path), Path(path.name)
+        container = {name: value for name, value in fields.items() if name in Container.model_fields}
+        role = known_role or _table_role(
+            table_of(path, validated(where, Container, container)), carriers, files.stated, path.name
+        )
+        kind = PowersStatement if role is FileRole.POWERS else ReadingsStatement
+        statement: TableStatement = validated(where, kind, fields)
+        return role, statement, interpretation_of(path, statement, carriers, files.now_us, is_simulated=is_simulated)
 
-    def read() -> tuple[FileRole, TableStatement, Interpretation]:
-        container = _container_of(files, path)
-        kind = role or _table_role(table_of(path, container), carriers, files.stated, path.name)
-        if kind is FileRole.REFERENCES:
-            readings = stated(ReadingsStatement, own[1])
-            return kind, readings, read_readings(path, readings, files.now_us, is_simulated=is_simulated)
-        powers = stated(PowersStatement, own[0])
-        table = table_of(path, container)
-        return kind, powers, interpret_powers(table, powers, carriers, files.now_us, is_simulated=is_simulated)
-
-    found = files.guarded(path, role, read)
-    if found is None:
-        is_stated = path.name in files.statements or path.name in {each.file for section in own for each in section}
-        if is_stated and not files.faulty:
+    made = files.guarded(path, known_role, read)
+    if made is None:
+        if len(files.fields_of(path)) > 1 and not files.faulty:
             # left out, what a person stated would be lost with it
             raise ForeignTableError(f"{path.name}: {files.left_out[path.name]}")
         return None
-    kind, statement, interpretation = found
-    entry: dict[str, Any] = {"file": path.name, "source": statement.source or _source_guess(path, kind, interpretation)}
+    role, statement, interpretation = made
+    entry: dict[str, Any] = {"file": path.name, "source": statement.source or _source_guess(path, role)}
     if isinstance(statement, ReadingsStatement) and statement.sigma_deg:
         entry["sigma_deg"] = {axis: str(value) for axis, value in statement.sigma_deg.items()}
-    return kind, entry | marked_fields(interpretation), interpretation
-
-
-def _container_of(files: ImportFiles, path: Path) -> Container:
-    """Return what is stated of the container of a file, whatever its role is."""
-    names = ("sheet", "encoding", "separator", "skip_lines")
-    known = next((each for each in (*files.stated.powers, *files.stated.references) if each.file == path.name), None)
-    former = {} if known is None else known.model_dump(include=set(names), exclude_none=True)
-    said = files.statements.get(path.name, {})
-    fields = former | {name: said[name] for name in names if name in said}
-    return validated(Path(path.name), TableStatement, {"file": path.name, **fields}).container
+    return role, entry | _marked_fields(interpretation), interpretation
 
 
 def _table_role(table: Table, carriers: Mapping[str, str], stated: FolderManifest, name: str) -> FileRole:
     """Return whether a table holds powers or readings."""
+    import pyarrow.compute as pc
+
     if any(each.file == name for each in stated.powers):
         return FileRole.POWERS
     if any(each.file == name for each in stated.references) or holds_angles(table):
         return FileRole.REFERENCES
     known = {each.casefold() for each in carriers}
-    if any(without_unit(each).casefold() in known for each in table.header):
+    names = {without_unit(each).casefold() for each in table.header}
+    if names & known or any(texts_of(column) & known for column in table.columns):
         return FileRole.POWERS
-    for column in table.columns:
-        if {str(each).casefold() for each in column.unique().to_pylist()[:2000]} & known:
-            return FileRole.POWERS
-    numbers = sum(table_is_numeric(table, each) for each in table.header)
+    is_number = [pc.match_substring_regex(column, pattern=f"^{NUMBER}$") for column in table.columns]
+    numbers = sum(2 * (pc.sum(each).as_py() or 0) > len(each) for each in is_number)
     if carriers and 0 <= numbers - len(set(carriers.values())) <= 1:
         return FileRole.POWERS
     raise ForeignTableError("no column is a carrier or an angle")
 
 
-def table_is_numeric(table: Table, name: str) -> bool:
-    """Return whether most cells of a column are numbers."""
-    import pyarrow.compute as pc
-
-    column = table.column(name)
-    numbers = pc.sum(pc.match_substring_regex(column, pattern=r"^[+-]?\d+([.,]\d+)?([eE][+-]?\d+)?$")).as_py() or 0
-    return bool(2 * numbers > len(column))
-
-
-def _source_guess(path: Path, role: FileRole, interpretation: Interpretation) -> Any:
-    """Return the source of a file: that of its own rows, of its name, or a guess."""
+def _source_guess(path: Path, role: FileRole) -> Any:
+    """Return the source of a file: that of its name, or a guess."""
     if role is FileRole.POWERS:
-        return interpretation.found.get("from_source") or "sa-1"
+        return "sa-1"
     hinted = next((sensor for word, sensor in _SENSORS.items() if word in path.name.lower()), None)
     return hinted or Guess("star_tracker", f"its name names no sensor: {', '.join(SENSOR_NAMES)}")
 
 
-def marked_fields(interpretation: Interpretation) -> dict[str, Any]:
+def _marked_fields(interpretation: Interpretation) -> dict[str, Any]:
     """Return the fields of an entry, a guess for each question."""
-    asked: dict[str, Question] = {each.field: each for each in interpretation.questions}
-    fields = {name: value for name, value in interpretation.found.items() if name not in asked}
-    for name, question in asked.items():
-        default = question.default if question.default is not None else interpretation.found.get(name)
-        default = default.split(" + ") if name == "time_columns" and isinstance(default, str) else default
-        fields[name] = Guess(default, question.text)
+    fields = dict(interpretation.found)
+    for name, text, _, default in interpretation.questions:
+        guess = fields.get(name) if default is None else default
+        fields[name] = Guess(guess.split(" + ") if name == "time_columns" and guess else guess, text)
     return {name: (str(value).lower() if isinstance(value, bool | int) else value) for name, value in fields.items()}
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.cli.command_group import end, new_app
-from service.cli.importing.dialogue import EXIT_DIFFERENT, EXIT_STOPPED, is_terminal, printable, stop
+from service.cli.importing.dialogue import EXIT_DIFFERENT, EXIT_STOPPED, answer, is_terminal, printable, shown, stop
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -26,7 +26,7 @@ from service.cli.operation.connection import (
 )
 
 if TYPE_CHECKING:
-    from service.cli.importing.folder import FolderProposal
+    from service.cli.importing.folder import ImportFiles
     from service.cli.importing.manifest import FolderManifest, Guess
     from service.client.service_client import ServiceClient
 
@@ -74,8 +74,7 @@ def import_files(
         with connected(service, key_env, retries=0, timeout_s=60.0) as client:
             done = _import(client, folder, manifest, patience, is_dry=dry_run, is_quiet=as_json)
             if not dry_run:
-                done |= _operate(client, done, manifest, (calibrate, align, accept))
-                done |= _angles(client, done["spacecraft"], patience, is_quiet=as_json) if "alignment" in done else {}
+                done |= _operate(client, done, manifest, (calibrate, align, accept, patience), is_quiet=as_json)
     except ForeignTableError as error:
         end(str(error), cause=error)
     except KeyboardInterrupt as error:
@@ -128,115 +127,69 @@ def _propose(
         paths, left_out = files_of(folder) if named is None else (sorted(named), {})
         stated = with_top_fields(read_stated(folder), statements.get("", {}))
         importing = ImportFiles(folder, paths, stated, statements, system_now_us(), left_out)
-        proposal = propose(importing)
-        guesses = [(name, guess) for name, guess in guesses_in(proposal.sections) if not name.startswith("windows")]
-        if not guesses or is_only or as_json or not is_terminal():
+        sections = propose(importing)
+        guesses = list(guesses_in(sections))
+        asked = [(*_place_of(name), guess) for name, guess in guesses if not name.startswith("windows")]
+        if not asked or is_only or as_json or not is_terminal():
             break
-        for name, guess in guesses:
-            file, field = _place_of(name)
-            statements.setdefault(file, {})[field] = _answer(name, guess)
-    path = write_manifest(folder, proposal.sections)
-    step = f"soo import {shlex.join(map(str, files))}"
-    options = " ".join(f"--state {shlex.quote(f'{_where(name)}={_value(guess)}')}" for name, guess in guesses)
+        for file, field, guess in asked:
+            name = f"{file}.{field}".lstrip(".")
+            statements.setdefault(file, {})[field] = answer(f"{name}: {guess.reason}", guess.value)
+    path = write_manifest(folder, sections)
+    options = [(f"{file}.{field}".lstrip("."), guess, _value(guess)) for file, field, guess in asked]
+    words = [word for name, _, value in options for word in ("--state", f"{name}={value}")]
     document = {
         "manifest": str(path),
-        "guesses": {name: guess.reason for name, guess in guesses_in(proposal.sections)},
-        "shortcomings": list(proposal.shortcomings),
-        "left_out": proposal.sections.get("left_out", {}),
-        "notes": {name: list(notes) for name, notes in proposal.notes.items()},
-        "next": step + (f" {options}" if options else ""),
+        "guesses": {name: guess.reason for name, guess in guesses},
+        "shortcomings": list(importing.shortcomings),
+        "left_out": importing.left_out,
+        "notes": {name: list(notes) for name, notes in importing.notes.items()},
+        "next": shlex.join(["soo", "import", *map(str, files), *words]),
     }
     if not as_json:
-        _show_proposal(path, proposal, importing.warnings)
-    broken = [name for name, role in importing.faulty.items() if role in _needed(proposal)]
+        _show_proposal(path, sections, importing)
+    absent = {role for role in ("carriers", "ephemeris") if role not in sections}
+    absent |= set() if sections["spacecraft"].get("file") else {"spacecraft"}
+    broken = [name for name, role in importing.faulty.items() if role in absent]
     if is_only:
-        next_step = "correct what is marked !guess, or state it: " if guesses else ""
+        next_step = "correct what is marked !guess, or state it: " if asked else ""
         typer.echo(json.dumps(document) if as_json else f"{path} is written; next: {next_step}{document['next']}")
-    elif guesses:
+    elif asked:
         lines = [f"{path} is written, nothing was sent; this must be stated, it is not guessed:"]
-        lines += [f"  {name} = {_value(guess)}: {guess.reason}" for name, guess in guesses]
-        end("\n".join((*lines, f"State it: {document['next']}")))
+        lines += [f"  {name} = {value}: {guess.reason}" for name, guess, value in options]
+        end(printable("\n".join((*lines, f"State it: {document['next']}"))))
     elif broken:
         reasons = [f"  {name}: {importing.left_out[name]}" for name in broken]
-        end("\n".join(("nothing was sent: a file that the others need is left out", *reasons)))
-
-
-def _needed(proposal: "FolderProposal") -> set[str]:
-    """Return the roles without which the others mean nothing, where no other file has them."""
-    return {role for role in ("spacecraft", "carriers", "ephemeris") if not proposal.sections.get(role)} | {
-        "spacecraft" if proposal.sections.get("spacecraft", {}).get("file") is None else ""
-    }
+        end(printable("\n".join(("nothing was sent: a file that the others need is left out", *reasons))))
 
 
 def _place_of(name: str) -> tuple[str, str]:
     """Return file and field of a guess; no file for one of the whole manifest."""
     entry, _, where = name.partition(" ")
-    return (where.rpartition(".")[0], where.rpartition(".")[2]) if where else ("", entry.partition(".")[0])
-
-
-def _where(name: str) -> str:
-    """Return a guess as --state names it."""
-    file, field = _place_of(name)
-    return f"{file}.{field}" if file else field
+    file, _, field = where.rpartition(".")
+    return (file, field) if where else ("", entry.partition(".")[0])
 
 
 def _value(guess: "Guess") -> str:
     """Return the value of a guess as --state writes it."""
-    if isinstance(guess.value, list):
-        return " + ".join(map(str, guess.value))
-    if isinstance(guess.value, dict):
-        return "{" + ", ".join(f"{name}: {value}" for name, value in guess.value.items()) + "}"
-    return "VALUE" if guess.value is None else str(guess.value)
+    return "VALUE" if guess.value is None else shown(guess.value)
 
 
-def _answer(name: str, guess: "Guess") -> Any:
-    """Return what a person states in place of a guess."""
-    from service.cli.importing.manifest import read_statement
+def _show_proposal(path: Path, sections: dict[str, Any], importing: "ImportFiles") -> None:
+    """Print the manifest and how each file is read, in lines that any terminal can hold."""
+    from service.cli.importing.manifest import manifest_text
 
-    default = None if guess.value is None else _value(guess)
-    return read_statement(str(typer.prompt(f"{name}: {guess.reason}", default=default, err=True)).strip())
-
-
-def _show_proposal(path: Path, proposal: "FolderProposal", warnings: list[str]) -> None:
-    """Print role and reading of each file, in lines that any terminal can hold."""
-    lines = [f"{path}:"]
+    roles = {name: section for name, section in sections.items() if name != "left_out"}
+    lines = [f"{path}:", *manifest_text(roles).splitlines()]
+    lines += [f"{name}: {note}" for name, notes in importing.notes.items() for note in notes]
     reasons: dict[str, list[str]] = {}
-    for role, section in proposal.sections.items():
-        if role == "left_out":
-            for name, reason in section.items():
-                reasons.setdefault(reason, []).append(name)
-            continue
-        for entry in section if isinstance(section, list) else [section]:
-            lines += _entry_lines(role, entry, proposal)
-    lines += [f"  left out: {', '.join(names)}: {reason}" for reason, names in reasons.items()]
-    lines += [f"warning: {text}" for text in dict.fromkeys(warnings)]
-    lines += [f"windows: {text}" for text in proposal.shortcomings]
+    for name, reason in importing.left_out.items():
+        reasons.setdefault(reason, []).append(name)
+    lines += [f"left out: {', '.join(names)}: {reason}" for reason, names in reasons.items()]
+    lines += [f"warning: {text}" for text in dict.fromkeys(importing.warnings)]
+    lines += [f"windows: {text}" for text in importing.shortcomings]
     for line in lines:
         typer.echo(printable(line))
-
-
-def _entry_lines(role: str, entry: Any, proposal: "FolderProposal") -> list[str]:
-    """Return an entry of a manifest as lines."""
-    from service.cli.importing.manifest import plain_value
-
-    members = plain_value(entry)
-    if not isinstance(members, dict) or role == "spacecraft":
-        return [f"  {role}: {_brief(entry)}"]
-    fields = [f"    {name}: {_brief(value)}" for name, value in members.items() if name != "file"]
-    notes = [f"    ({note})" for note in proposal.notes.get(str(members.get("file")), ())]
-    return [f"  {role}: {members.get('file', '')}", *fields, *notes]
-
-
-def _brief(value: Any) -> str:
-    """Return a field for people; a guess ends with a question mark."""
-    from service.cli.importing.manifest import Guess, plain_value
-
-    plain = plain_value(value)
-    if isinstance(plain, dict):
-        plain = ", ".join(f"{name} = {plain_value(each)}" for name, each in plain.items())
-    elif isinstance(plain, list):
-        plain = " + ".join(map(str, plain))
-    return f"{plain} ?" if isinstance(value, Guess) else str(plain)
 
 
 def _import(
@@ -250,15 +203,14 @@ def _import(
 ) -> dict[str, Any]:
     """Read everything, then create what is missing and send the files; end where the service has something else."""
     from service.cli.importing.catalogue import compared
-    from service.cli.importing.steps import import_powers, import_readings, read_catalogue, read_tables
+    from service.cli.importing.sending import SendOrder, SendState, send_powers, send_readings
+    from service.cli.importing.steps import read_catalogue, read_tables
 
     own = read_catalogue(folder, manifest)
     comparison = compared(client, own)
     if comparison.differences:
-        lines = [
-            f"  {name}: the folder has {here}, the service {there}"
-            for name, (here, there) in comparison.differences.items()
-        ]
+        pairs = comparison.differences.items()
+        lines = [f"  {name}: the folder has {here}, the service {there}" for name, (here, there) in pairs]
         lines.append("nothing was sent; correct the file, change the service (soo put ...), or leave the file out")
         end("\n".join((f"the service has {own.spacecraft_id} otherwise:", *lines)), EXIT_DIFFERENT)
     tables = read_tables(client, folder, manifest, own, is_simulated=bool(comparison.members.get("simulated")))
@@ -269,10 +221,13 @@ def _import(
         create()
     files = {}
     for readings in manifest.references:
-        files[readings.file] = import_readings(client, own.spacecraft_id, readings, tables[readings.file])
+        files[readings.file] = send_readings(client, own.spacecraft_id, readings, tables[readings.file])
     for powers in manifest.powers:
-        order = (folder / powers.file, own.spacecraft_id, patience_s)
-        files[powers.file] = import_powers(client, order, powers, tables[powers.file], is_quiet=is_quiet)
+        statement = powers.model_dump_json(exclude_defaults=True)
+        path = folder / powers.file
+        order = SendOrder(path, own.spacecraft_id, powers.source, statement, patience_s=patience_s)
+        state = SendState(order, client.service_url)
+        files[powers.file] = send_powers(client, order, tables[powers.file], state, is_quiet=is_quiet)
     return done | {"files": files}
 
 
@@ -280,32 +235,29 @@ def _operate(
     client: "ServiceClient",
     done: dict[str, Any],
     manifest: "FolderManifest",
-    wanted: tuple[bool, bool, str | None],
+    options: tuple[bool, bool, str | None, float],
+    *,
+    is_quiet: bool,
 ) -> dict[str, Any]:
     """Calibrate and align as far as that was asked for; nothing is aligned with a calibration that stays a draft."""
+    from service.cli.importing.sending import wait_for_angles
     from service.cli.importing.steps import align, calibrate
 
-    is_calibrated, is_aligned, reason = wanted
-    found: dict[str, Any] = {}
+    is_calibrated, is_aligned, reason, patience_s = options
+    spacecraft_id, found = done["spacecraft"], dict[str, Any]()
     if is_calibrated:
-        made = calibrate(client, done["spacecraft"], manifest, reason)
+        made = calibrate(client, spacecraft_id, manifest, reason)
         warnings = made["quality"].get("warnings", [])
         found["calibration"] = {"id": made["id"], "state": made["state"], "warnings": warnings}
         is_aligned = is_aligned and made["state"] == "active"
     if is_aligned:
-        aligned = align(client, done["spacecraft"], manifest)
-        found["alignment"] = {"id": aligned["id"], "epoch": aligned["epoch"]}
+        aligned = align(client, spacecraft_id, manifest)
+        angles = wait_for_angles(client, spacecraft_id, patience_s, is_quiet=is_quiet)
+        newest: dict[str, Any] = dict(client.attitude(spacecraft_id)) if angles["newest_attitude"] else {}
+        attitude = {name: newest.get(name) for name in ("epoch", "yaw_deg", "roll_deg", "pitch_deg")}
+        found |= {"alignment": {name: aligned[name] for name in ("id", "epoch")}}
+        found |= {"angles": angles, "attitude": attitude}
     return found
-
-
-def _angles(client: "ServiceClient", spacecraft_id: str, patience_s: float, *, is_quiet: bool) -> dict[str, Any]:
-    """Wait for the angles of the rows and return the newest."""
-    from service.cli.importing.sending import wait_for_angles
-
-    angles = wait_for_angles(client, spacecraft_id, patience_s, is_quiet=is_quiet)
-    names = ("epoch", "yaw_deg", "roll_deg", "pitch_deg")
-    newest: dict[str, Any] = dict(client.attitude(spacecraft_id)) if angles["newest_attitude"] else {}
-    return {"angles": angles, "attitude": {name: newest.get(name) for name in names}}
 
 
 def _show(done: dict[str, Any]) -> None:
@@ -313,26 +265,22 @@ def _show(done: dict[str, Any]) -> None:
     if "missing" in done:
         typer.echo(f"missing in the service: {', '.join(done['missing']) or 'nothing'}; nothing was sent")
         return
-    typer.echo(f"{done['spacecraft']}: created {', '.join(done['created']) or 'nothing, all was there'}")
+    lines = [f"{done['spacecraft']}: created {', '.join(done['created']) or 'nothing, all was there'}"]
     for name, counts in done["files"].items():
-        shown = ("accepted", "duplicates", "refused", "unreadable")
-        typer.echo(printable(f"{name}: " + ", ".join(f"{counts[each]} {each}" for each in shown)))
-        for fault in counts.get("faults", ()):
-            typer.echo(printable(f"  {fault}"))
+        outcomes = ("accepted", "duplicates", "refused", "unreadable")
+        lines.append(f"{name}: " + ", ".join(f"{counts[each]} {each}" for each in outcomes))
+        lines += [f"  {fault}" for fault in counts["faults"]]
     if "calibration" in done:
-        next_step = _DRAFT_NEXT if done["calibration"]["state"] == "draft" else ""
-        for warning in done["calibration"]["warnings"]:
-            typer.echo(f"warning: {warning}")
-        typer.echo(f"calibration {done['calibration']['id']} is {done['calibration']['state']}{next_step}")
+        number, state, warnings = done["calibration"].values()
+        lines += [f"warning: {warning}" for warning in warnings]
+        lines.append(f"calibration {number} is {state}{_DRAFT_NEXT if state == 'draft' else ''}")
     if "alignment" in done:
-        typer.echo(f"alignment {done['alignment']['id']} at {done['alignment']['epoch']}")
-    if "angles" in done:
-        typer.echo(_newest_angles(done["attitude"]))
-
-
-def _newest_angles(attitude: dict[str, Any]) -> str:
-    """Return the newest angles as a sentence."""
-    if attitude["yaw_deg"] is None:
-        return "no angles yet: no row lies after the alignment; they begin with the next row"
-    angles = ", ".join(f"{axis} {attitude[f'{axis}_deg']:+.3f}" for axis in ("yaw", "roll", "pitch"))
-    return f"angles at {attitude['epoch']}: {angles} deg"
+        epoch, *angles_deg = done["attitude"].values()
+        lines.append(f"alignment {done['alignment']['id']} at {done['alignment']['epoch']}")
+        if angles_deg[0] is None:
+            lines.append("no angles yet: no row lies after the alignment; they begin with the next row")
+        else:
+            yaw_deg, roll_deg, pitch_deg = angles_deg
+            lines.append(f"angles at {epoch}: yaw {yaw_deg:+.3f}, roll {roll_deg:+.3f}, pitch {pitch_deg:+.3f} deg")
+    for line in lines:
+        typer.echo(printable(line))

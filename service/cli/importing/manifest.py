@@ -4,7 +4,7 @@ Every scalar is read as text: YAML would make a number of the offset ``+10:00`` 
 epoch. A value tagged ``!guess`` is one that the content does not prove.
 """
 
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
@@ -119,12 +119,10 @@ class _Loader(yaml.SafeLoader):  # type: ignore[misc] # untyped
 
     def construct_guess(self, node: yaml.Node) -> Guess:
         """Return a guess with its line."""
-        line = node.start_mark.line + 1
-        if isinstance(node, yaml.MappingNode):
-            return Guess(self.construct_mapping(node, deep=True), "", line)
-        if isinstance(node, yaml.SequenceNode):
-            return Guess(self.construct_sequence(node, deep=True), "", line)
-        return Guess(self.construct_scalar(node), "", line)
+        makers = {yaml.MappingNode: self.construct_mapping, yaml.SequenceNode: self.construct_sequence}
+        maker = makers.get(type(node))
+        value = self.construct_scalar(node) if maker is None else maker(node, deep=True)
+        return Guess(value, "", node.start_mark.line + 1)
 
 
 _Loader.add_constructor(_TAG, _Loader.construct_guess)
@@ -145,7 +143,11 @@ def read_manifest(folder: Path) -> FolderManifest:
 def read_stated(folder: Path) -> FolderManifest:
     """Return what a manifest states, guesses left out; an empty one where there is no file."""
     path = folder / NAME
-    return validated(path, FolderManifest, _without_guesses(_document(path))) if path.exists() else FolderManifest()
+    return (
+        validated(path, FolderManifest, _without(_document(path), lambda each: isinstance(each, Guess)))
+        if path.exists()
+        else FolderManifest()
+    )
 
 
 #: fields of the whole manifest that the command line states
@@ -186,7 +188,7 @@ def _document(path: Path) -> dict[str, Any]:
 def validated(path: Path, kind: type[S], document: Any) -> S:
     """Return a manifest or a section of one, or raise ForeignTableError with every field at fault."""
     try:
-        return kind.model_validate(_without_empty(document))
+        return kind.model_validate(_without(document, lambda each: each in ("", None)))
     except ValidationError as error:
         # the web framework is loaded only where its words for faults are needed
         from service.api.problems.problems import faults_of
@@ -208,20 +210,13 @@ def guesses_in(value: Any, name: str = "") -> Iterable[tuple[str, Guess]]:
             yield from guesses_in(member, f"{name} {label}")
 
 
-def _without_guesses(value: Any) -> Any:
-    """Return a document without its guesses."""
+def _without(value: Any, is_left_out: Callable[[Any], bool]) -> Any:
+    """Return a document without some of its values."""
     if isinstance(value, dict):
-        return {key: _without_guesses(each) for key, each in value.items() if not isinstance(each, Guess)}
-    if isinstance(value, list):
-        return [_without_guesses(each) for each in value if not isinstance(each, Guess)]
-    return value
-
-
-def _without_empty(value: Any) -> Any:
-    """Return a document without members that have no value."""
-    if isinstance(value, dict):
-        return {key: _without_empty(each) for key, each in value.items() if each not in ("", None)}
-    return [_without_empty(each) for each in value] if isinstance(value, list) else value
+        return {key: _without(each, is_left_out) for key, each in value.items() if not is_left_out(each)}
+    return (
+        [_without(each, is_left_out) for each in value if not is_left_out(each)] if isinstance(value, list) else value
+    )
 
 
 class _Dumper(yaml.SafeDumper):  # type: ignore[misc] # untyped
@@ -241,10 +236,9 @@ class _Dumper(yaml.SafeDumper):  # type: ignore[misc] # untyped
 _Dumper.add_representer(Guess, _Dumper.represent_guess)
 
 
-def write_manifest(folder: Path, sections: Mapping[str, Any]) -> Path:
-    """Write a manifest and return its file; the reason of a guess stands above it."""
-    path = folder / NAME
-    text = _HEAD
+def manifest_text(sections: Mapping[str, Any]) -> str:
+    """Return sections as a manifest has them; the reason of a guess stands above it."""
+    text = ""
     for name, value in sections.items():
         # an entry of its own each, so that its comments stand above it
         entries = [[each] for each in value] if isinstance(value, list) else [{name: value}]
@@ -252,5 +246,11 @@ def write_manifest(folder: Path, sections: Mapping[str, Any]) -> Path:
         for entry in entries:
             text += "".join(f"# {where.strip()}: {guess.reason}\n" for where, guess in guesses_in(entry))
             text += yaml.dump(entry, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120)
-    path.write_text(text, encoding="utf-8")
+    return text
+
+
+def write_manifest(folder: Path, sections: Mapping[str, Any]) -> Path:
+    """Write a manifest and return its file."""
+    path = folder / NAME
+    path.write_text(_HEAD + manifest_text(sections), encoding="utf-8")
     return path

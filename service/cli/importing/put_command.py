@@ -10,13 +10,24 @@ import json
 import shlex
 import signal
 import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from service.cli.command_group import end
-from service.cli.importing.dialogue import EXIT_DIFFERENT, EXIT_STOPPED, FileRole, is_terminal, printable, stop
+from service.cli.importing.dialogue import (
+    EXIT_DIFFERENT,
+    EXIT_STOPPED,
+    FileRole,
+    answer,
+    is_terminal,
+    printable,
+    shown,
+    stop,
+)
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -29,7 +40,8 @@ from service.cli.operation.connection import (
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
-    from service.formats.foreign.columns import Interpretation, TableRows, TableStatement
+    from service.formats.foreign.columns import Interpretation, TableRows
+    from service.formats.foreign.table import Question
 
 
 def _spacecraft_of(ctx: typer.Context, given: str) -> str:
@@ -37,10 +49,30 @@ def _spacecraft_of(ctx: typer.Context, given: str) -> str:
     return "" if ctx.params.get("kind") is FileRole.SPACECRAFT else chosen_spacecraft(ctx, given)
 
 
-#: fields of a statement that an option states as a list, by the option's name
-_PAIRS = {"map": "NAME=CARRIER or NAME=AXIS", "sigma_deg": "AXIS=DEG"}
+#: parameters of options that state a mapping, with their form
+_PAIRS = {"map_": "NAME=CARRIER or NAME=AXIS", "sigma_deg": "AXIS=DEG"}
+#: options whose field has another name
+_OPTIONS = {"carriers": "--map", "columns": "--map", "map_": "--map", "time_columns": "--time-column"}
 _CATALOGUE = (FileRole.SPACECRAFT, FileRole.CARRIERS, FileRole.EPHEMERIS)
-_TABLE_HELP = "Tables only: "
+#: parameters that are no field of a table
+_OTHERS = [
+    "kind",
+    "file",
+    "spacecraft",
+    "source",
+    "change",
+    "relocating",
+    "inclined",
+    "confirmed",
+    "refuse_unknown",
+    "batch_rows",
+    "patience",
+    "state",
+    "dry_run",
+    "service",
+    "key_env",
+    "as_json",
+]
 
 
 def put(
@@ -99,187 +131,152 @@ def put(
     as_json: JsonOption = False,
 ) -> None:
     """Store one file: a spacecraft, a carrier plan, an orbit, readings of a sensor, or powers of carriers."""
+    options = dict(locals())
     # validation and numpy cost more than the command line itself
     from service.formats.foreign.table import ForeignTableError
 
-    stated: dict[str, Any] = {
-        "time_columns": tuple(time_columns or ()), "time_format": time_format, "tz": tz, "date": date,
-        "last_day": last_day, "unit": unit, "decimal": decimal, "missing": tuple(missing or ()),
-        "map": _pairs(map_ or [], "map"), "carrier_column": carrier_column, "level_column": level_column,
-        "scalar": scalar, "sigma_deg": _pairs(sigma_deg or [], "sigma_deg"), "sheet": sheet, "separator": separator,
-        "encoding": encoding, "skip_lines": skip_lines, "partial": partial, "from_source": from_source,
-    }  # fmt: skip
-    stated = {name: value for name, value in stated.items() if value}
+    stated = {name: value for name, value in options.items() if value and name not in _OTHERS}
+    stated |= {name: _pairs(stated[name], name) for name in _PAIRS if name in stated}
     if kind in _CATALOGUE and stated:
-        end(f"--{next(iter(stated)).replace('_', '-')} is stated for tables only")
+        end(f"{_option_of(next(iter(stated)))} is stated for tables only")
     signal.signal(signal.SIGTERM, stop)
-    flags = {"relocating": relocating, "inclined": inclined, "confirmed": confirmed, "change": change}
-    sending = {"batch_rows": batch_rows, "patience": patience, "state": state, "refuse_unknown": refuse_unknown}
-    options = _Options(file, spacecraft, source, stated, flags, sending, is_dry=dry_run, as_json=as_json)
+    order = _PutOrder(kind, file, spacecraft, stated, options)
     with connected(service, key_env, retries=0 if kind is FileRole.POWERS else 3, timeout_s=60.0) as client:
         try:
-            _PUTTERS[kind](client, options)
+            _PUTTERS[kind](client, order)
         except ForeignTableError as error:
             end(printable(f"{file}: {error}"), cause=error)
         except KeyboardInterrupt as error:
             end("stopped; the same command continues where this one stopped", EXIT_STOPPED, error)
 
 
-class _Options:
-    """Statements of a person."""
+@dataclass(frozen=True, slots=True)
+class _PutOrder:
+    """File to be stored, and what a person states of it."""
 
-    def __init__(
-        self,
-        file: Path,
-        spacecraft: str,
-        source: str | None,
-        stated: dict[str, Any],
-        flags: dict[str, bool],
-        sending: dict[str, Any],
-        *,
-        is_dry: bool,
-        as_json: bool,
-    ) -> None:
-        self.file, self.spacecraft, self.source, self.stated = file, spacecraft, source, stated
-        self.flags, self.sending, self.is_dry, self.as_json = flags, sending, is_dry, as_json
+    kind: FileRole
+    file: Path
+    spacecraft: str
+    #: fields of a table
+    stated: dict[str, Any]
+    #: all options
+    options: dict[str, Any]
 
     def report(self, document: dict[str, Any], sentence: str) -> None:
         """Print the outcome: JSON for programs, a sentence for people."""
-        typer.echo(json.dumps(document) if self.as_json else printable(sentence))
+        typer.echo(json.dumps(document) if self.options["as_json"] else printable(sentence))
 
-    def show(self, rows: "list[tuple[str, str]]") -> None:
+    def show(self, rows: Iterable[tuple[str, Any]]) -> None:
         """Print what is understood, for people."""
-        for name, value in rows if not self.as_json else ():
-            typer.echo(printable(f"  {name:24} {value}"))
+        for name, value in rows if not self.options["as_json"] else ():
+            typer.echo(printable(f"  {name:24} {shown(value)}"))
+
+    def report_rows(self, document: dict[str, Any], more: str = "") -> None:
+        """Print what became of the rows of a table; end with 3 where some were not stored."""
+        names = ("accepted", "duplicates", "late", "refused", "unreadable")
+        counts = ", ".join(f"{document[name]} {name}" for name in names if name in document)
+        is_dry = self.options["dry_run"]
+        lines = (f"{document['rows']} rows; nothing was sent",) if is_dry else (counts, *document["faults"], more)
+        self.report(document, "\n".join(filter(None, lines)))
+        if document["unreadable"] or document.get("refused"):
+            raise typer.Exit(EXIT_DIFFERENT)
+
+    def fields(self, mapping: str, source: str) -> dict[str, Any]:
+        """Return the fields of a statement; the mapping of its columns has the stated name."""
+        return {mapping if name == "map_" else name: value for name, value in self.stated.items()} | {"source": source}
 
     def warn(self, text: str) -> None:
         """Print a warning."""
         typer.echo(printable(f"warning: {text}"), err=True)
 
-    def confirm(self, unlikely: list[str]) -> None:
-        """End unless unlikely figures are confirmed."""
-        if unlikely and not self.flags["confirmed"]:
-            lines = (
-                f"{self.file}: this must be confirmed:",
-                *unlikely,
-                "if it is so, run the command with --confirmed",
-            )
-            end(printable("\n  ".join(lines)))
-
 
 def _pairs(given: list[str], option: str) -> dict[str, str]:
     """Return values by name from ``NAME=VALUE``, or end; a name may hold equals signs."""
-    shown = f"--{option.replace('_', '-')}"
-    split = {pair: pair.rpartition("=") for pair in given}
-    wrong = [pair for pair, (name, _, value) in split.items() if not name.strip() or not value.strip()]
-    if wrong:
-        end(f"{shown} {wrong[0]!r}: write {_PAIRS[option]}")
-    names = [name.strip() for name, _, _ in split.values()]
-    if len(set(names)) < len(names):
-        end(f"{shown} names one thing twice; state each once")
-    return {name.strip(): value.strip() for name, _, value in split.values()}
+    found: dict[str, str] = {}
+    for pair in given:
+        name, _, value = (part.strip() for part in pair.rpartition("="))
+        if not name or not value:
+            end(f"{_option_of(option)} {pair!r}: write {_PAIRS[option]}")
+        if name in found:
+            end(f"{_option_of(option)} names one thing twice; state each once")
+        found[name] = value
+    return found
 
 
-def _put_spacecraft(client: "ServiceClient", options: _Options) -> None:
+def _put_spacecraft(client: "ServiceClient", order: _PutOrder) -> None:
     """Store a spacecraft."""
-    from service.cli.importing.catalogue import flat, known_document, read_spacecraft, spacecraft_differences, unlikely
+    from service.cli.importing.catalogue import (
+        check_likely,
+        flat,
+        known_document,
+        read_spacecraft,
+        spacecraft_differences,
+    )
 
-    document = read_spacecraft(options.file, options.warn)
-    options.confirm(unlikely(document, None, document.longitude_deg))
+    document = read_spacecraft(order.file, order.warn)
+    if not order.options["confirmed"]:
+        check_likely(document, None, document.longitude_deg)
     stated = document.model_dump(mode="json", exclude_unset=True)
-    options.show([(name, str(value)) for name, value in flat(stated).items()])
+    order.show(flat(stated).items())
     known = known_document(client, f"/spacecraft/{document.id}", "spacecraft.unknown")
     differences = {} if known is None else spacecraft_differences(document, known)
     for name, (here, there) in differences.items():
         typer.echo(f"{name}: the file has {here!r}, the service {there!r}", err=True)
-    understood = {"understood": stated, "is_known": known is not None, "differences": list(differences)}
+    is_change = order.options["change"]
     verdict = "the service has this spacecraft as it is" if known else "the service has no spacecraft of this id"
     verdict = f"{len(differences)} fields differ; --change changes them" if differences else verdict
-    if options.is_dry:
-        options.report(understood, f"{verdict}; nothing was stored")
+    if order.options["dry_run"]:
+        verdict += "; nothing was stored"
     elif known is None:
         client.create_spacecraft(stated)
-        options.report(understood, f"spacecraft {document.id} is stored")
-    elif differences and options.flags["change"]:
+        verdict = f"spacecraft {document.id} is stored"
+    elif differences and is_change:
         changed = {name: stated[name] for name in {each.split(".")[0] for each in differences}}
         client.request("PATCH", f"/spacecraft/{document.id}", changed)
-        options.report(understood, f"spacecraft {document.id} is changed")
-    else:
-        options.report(understood, verdict)
-    if differences and not options.flags["change"]:
+        verdict = f"spacecraft {document.id} is changed"
+    order.report({"understood": stated, "is_known": known is not None, "differences": list(differences)}, verdict)
+    if differences and not is_change:
         raise typer.Exit(EXIT_DIFFERENT)
 
 
-def _put_carriers(client: "ServiceClient", options: _Options) -> None:
+def _put_carriers(client: "ServiceClient", order: _PutOrder) -> None:
     """Store a carrier plan."""
-    from service.cli.importing.catalogue import check_plan, plan_rows, read_plan, unlikely
+    from service.cli.importing.catalogue import check_likely, check_plan, plan_rows, read_plan
 
-    plan = read_plan(options.file)
-    longitude_deg = float(client.spacecraft(options.spacecraft)["longitude_deg"])
+    plan = read_plan(order.file)
+    longitude_deg = float(client.spacecraft(order.spacecraft)["longitude_deg"])
     rows = plan_rows(plan, longitude_deg)
-    options.show(
-        [(row["id"], "  ".join(f"{name} {value}" for name, value in row.items() if name != "id")) for row in rows]
-    )
+    order.show((row["id"], "  ".join(f"{name} {value}" for name, value in row.items() if name != "id")) for row in rows)
     warnings: list[str] = []
     check_plan(plan, longitude_deg, warnings.append)
     for text in warnings:
-        options.warn(text)
-    options.confirm(unlikely(None, plan, longitude_deg))
-    if options.is_dry:
-        options.report({"carriers": rows, "warnings": warnings}, f"{len(rows)} carriers; nothing was stored")
+        order.warn(text)
+    if not order.options["confirmed"]:
+        check_likely(None, plan, longitude_deg)
+    if order.options["dry_run"]:
+        order.report({"carriers": rows, "warnings": warnings}, f"{len(rows)} carriers; nothing was stored")
         return
-    stored = client.put_carriers(options.spacecraft, plan.model_dump(mode="json", exclude_unset=True)["carriers"])
-    options.report(
-        {"carriers": rows, "stored": stored}, f"plan {stored['plan_id']} holds {stored['carriers']} carriers"
-    )
+    stored = client.put_carriers(order.spacecraft, plan.model_dump(mode="json", exclude_unset=True)["carriers"])
+    sentence = f"plan {stored['plan_id']} holds {stored['carriers']} carriers"
+    order.report({"carriers": rows, "stored": stored}, sentence)
 
 
-def _put_ephemeris(client: "ServiceClient", options: _Options) -> None:
+def _put_orbit(client: "ServiceClient", order: _PutOrder) -> None:
     """Store an orbit."""
     from service.cli.importing.catalogue import check_orbit, read_orbit, understood_orbit
 
-    orbit, ephemeris = read_orbit(options.file)
-    known = client.spacecraft(options.spacecraft)
-    understood = understood_orbit(orbit, ephemeris, client.status(options.spacecraft)["now"])
-    options.show([(name, str(value)) for name, value in understood.items() if value is not None])
-    flags = options.flags
-    check_orbit(orbit, ephemeris, known, is_relocating=flags["relocating"], is_inclined=flags["inclined"])
-    if options.is_dry:
-        options.report({"understood": understood}, "nothing was stored")
+    orbit, ephemeris = read_orbit(order.file)
+    known, options = client.spacecraft(order.spacecraft), order.options
+    understood = understood_orbit(orbit, ephemeris, client.status(order.spacecraft)["now"])
+    order.show((name, value) for name, value in understood.items() if value is not None)
+    is_relocating = options["relocating"]
+    check_orbit(orbit, ephemeris, known, is_relocating=is_relocating, is_inclined=options["inclined"])
+    if options["dry_run"]:
+        order.report({"understood": understood}, "nothing was stored")
         return
-    stored = client.put_ephemeris(
-        options.spacecraft, orbit.body | ({"relocating": True} if flags["relocating"] else {})
-    )
+    stored = client.put_ephemeris(order.spacecraft, orbit.body | ({"relocating": True} if is_relocating else {}))
     sentence = f"ephemeris {stored['ephemeris_id']} is in force until {understood['valid_stop']}"
-    options.report({"understood": understood, "stored": stored}, sentence)
-
-
-def _put_references(client: "ServiceClient", options: _Options) -> None:
-    """Store readings of a sensor."""
-    from service.cli.importing.folder import SENSOR_NAMES, read_readings
-    from service.cli.importing.sending import send_readings, span_lines
-    from service.formats.foreign.columns import ReadingsStatement, grouped
-    from service.runtime.clock import system_now_us
-
-    source = options.source or "star_tracker"
-    if source not in SENSOR_NAMES:
-        end(f"--source {source[:40]!r} is no sensor; write {', '.join(SENSOR_NAMES)}")
-    is_simulated = bool(client.spacecraft(options.spacecraft).get("simulated", False))
-    options.stated |= {"columns": options.stated.pop("map", {}), "source": source}
-
-    def read(statement: "TableStatement") -> "Interpretation":
-        assert isinstance(statement, ReadingsStatement)  # noqa: S101 of the class below
-        return read_readings(options.file, statement, system_now_us(), is_simulated=is_simulated)
-
-    statement, interpretation, rows = _answered(options, ReadingsStatement, read)
-    options.show([*_understood(interpretation), *span_lines(rows, "deg"), *_NOT_CHECKED])
-    sigma_deg = {str(axis): value for axis, value in getattr(statement, "sigma_deg", {}).items()}
-    counts = {} if options.is_dry else send_readings(client, options.spacecraft, source, rows, sigma_deg)
-    faults = {"unreadable": len(rows.faults), "faults": grouped(rows.faults)}
-    document = {"rows": len(rows.lines), **dict(_understood(interpretation)), **counts, **faults}
-    options.report(document, ", ".join(f"{count} {name}" for name, count in counts.items()) or "nothing was stored")
-    if rows.faults or counts.get("refused"):
-        raise typer.Exit(EXIT_DIFFERENT)
+    order.report({"understood": understood, "stored": stored}, sentence)
 
 
 _NOT_CHECKED = [
@@ -292,143 +289,129 @@ _NOT_CHECKED = [
 ]
 
 
-def _put_powers(client: "ServiceClient", options: _Options) -> None:
+def _put_references(client: "ServiceClient", order: _PutOrder) -> None:
+    """Store readings of a sensor."""
+    from service.cli.importing.folder import SENSOR_NAMES
+    from service.cli.importing.sending import send_readings
+    from service.formats.foreign.columns import ReadingsStatement
+
+    source = order.options["source"] or "star_tracker"
+    if source not in SENSOR_NAMES:
+        end(f"--source {source[:40]!r} is no sensor; write {', '.join(SENSOR_NAMES)}")
+    statement, rows, document = _rows_of(client, order, ReadingsStatement, order.fields("columns", source), {})
+    if not order.options["dry_run"]:
+        document |= send_readings(client, order.spacecraft, statement, rows)
+    order.report_rows(document)
+
+
+def _put_powers(client: "ServiceClient", order: _PutOrder) -> None:
     """Store powers of carriers; continues where it was interrupted."""
     from service.cli.importing.catalogue import carrier_names
-    from service.cli.importing.folder import table_of
-    from service.cli.importing.sending import (
-        SendOrder,
-        SendState,
-        angles_line,
-        send_with_progress,
-        span_lines,
-        wait_for_angles,
-    )
-    from service.formats.foreign.columns import PowersStatement, interpret_powers
+    from service.cli.importing.sending import SendOrder, SendState, angles_line, send_powers, wait_for_angles
+    from service.formats.foreign.columns import PowersStatement
     from service.formats.foreign.table import ForeignTableError
+
+    options, spacecraft = order.options, order.spacecraft
+    if options["source"] is None:
+        end("state --source, under which the powers are stored")
+    fields, patience_s = order.fields("carriers", options["source"]), options["patience"]
+    said = json.dumps(fields, sort_keys=True, default=str)
+    sending = SendOrder(
+        order.file, spacecraft, options["source"], said, options["batch_rows"], patience_s, options["state"]
+    )
+    state = SendState(sending, client.service_url)
+    # rows that were sent before go again under the plan that they were sent under
+    plan = client.carriers(spacecraft, state.plan_id)
+    if not isinstance(plan.get("plan_id"), int):
+        raise ForeignTableError(f"{spacecraft} has no carrier plan yet")
+    state.plan_id = int(plan["plan_id"])
+    _, rows, document = _rows_of(client, order, PowersStatement, fields, carrier_names(plan["carriers"]))
+    if options["dry_run"]:
+        return order.report_rows(document)
+    is_quiet = options["as_json"]
+    report = send_powers(client, sending, rows, state, is_quiet=is_quiet)
+    angles = wait_for_angles(client, spacecraft, patience_s, is_quiet=is_quiet)
+    return order.report_rows(report | {"angles": angles}, angles_line(angles, spacecraft))
+
+
+def _rows_of(
+    client: "ServiceClient", order: _PutOrder, kind: Any, fields: dict[str, Any], carriers: dict[str, str]
+) -> "tuple[Any, TableRows, dict[str, Any]]":
+    """Return statement and rows of a table, shown, and the document of them.
+
+    What it leaves open is asked on a terminal, or ends the command.
+    """
+    from service.cli.importing.folder import interpretation_of
+    from service.cli.importing.manifest import validated
+    from service.cli.importing.sending import span_lines
+    from service.formats.foreign.columns import grouped
+    from service.formats.foreign.table import ForeignTableError
+    from service.records.epoch import format_epoch
     from service.runtime.clock import system_now_us
 
-    if options.source is None:
-        end("state --source, under which the powers are stored")
-    options.stated |= {"carriers": options.stated.pop("map", {}), "source": options.source}
-    is_simulated = bool(client.spacecraft(options.spacecraft).get("simulated", False))
-    statement = json.dumps(options.stated, sort_keys=True, default=str)
-    sending = options.sending
-    order = SendOrder(
-        options.file,
-        options.spacecraft,
-        options.source,
-        statement,
-        sending["batch_rows"],
-        sending["patience"],
-        sending["state"],
-    )
-    state = SendState(order, client.service_url)
-    # rows that were sent before go again under the plan that they were sent under
-    plan = client.carriers(options.spacecraft, state.plan_id)
-    if not isinstance(plan.get("plan_id"), int):
-        raise ForeignTableError(f"{options.spacecraft} has no carrier plan yet")
-    state.plan_id = int(plan["plan_id"])
-    carriers = carrier_names(plan["carriers"])
-
-    def read(statement: "TableStatement") -> "Interpretation":
-        assert isinstance(statement, PowersStatement)  # noqa: S101 of the class below
-        table = table_of(options.file, statement.container)
-        return interpret_powers(table, statement, carriers, system_now_us(), is_simulated=is_simulated)
-
-    _, interpretation, rows = _answered(options, PowersStatement, read)
-    odd = [note for note in interpretation.notes if note.startswith("no carrier of the plan")]
-    if odd and sending["refuse_unknown"]:
+    is_simulated = bool(client.spacecraft(order.spacecraft).get("simulated", False))
+    while True:
+        statement = validated(order.file, kind, {"file": order.file.name, **fields})
+        read = interpretation_of(order.file, statement, carriers, system_now_us(), is_simulated=is_simulated)
+        if not read.questions and read.rows is not None:
+            break
+        if order.options["as_json"] or not is_terminal():
+            end(printable(_open_questions(order, read)))
+        order.show(_understood(read))
+        for question in read.questions:
+            fields[question.field] = answer(_question(question), question.default)
+    odd = [note for note in read.notes if note.startswith("no carrier of the plan")]
+    if odd and order.options["refuse_unknown"]:
         raise ForeignTableError(odd[0])
-    options.show([*_understood(interpretation), *span_lines(rows, "dBm")])
-    if rows.other_sources and not len(rows.lines):
-        end(f"no row of {options.source}; the file's are of {', '.join(rows.other_sources)}: see --from-source")
-    if options.is_dry:
-        _report_powers(options, interpretation, rows)
-    else:
-        report = send_with_progress(client, order, rows, state, is_quiet=options.as_json)
-        angles = wait_for_angles(client, options.spacecraft, sending["patience"], is_quiet=options.as_json)
-        names = ("accepted", "duplicates", "late", "refused", "unreadable")
-        counts = ", ".join(f"{report[name]} {name}" for name in names)
-        sentence = "\n".join((counts, *report["faults"], angles_line(angles, options.spacecraft)))
-        options.report(report | {"angles": angles}, sentence)
-    if rows.faults or state.counters.refused:
-        raise typer.Exit(EXIT_DIFFERENT)
-
-
-def _report_powers(options: _Options, interpretation: "Interpretation", rows: "TableRows") -> None:
-    """Print what would be sent."""
-    from service.formats.foreign.columns import grouped
-    from service.records.epoch import format_epoch
-
-    start, stop = (format_epoch(int(rows.epochs_us[k])) for k in (0, -1))
-    faults = {"unreadable": len(rows.faults), "faults": grouped(rows.faults), "other_sources": rows.other_sources}
-    document = {"rows": len(rows.lines), "start": start, "stop": stop, **faults}
-    options.report({**document, **dict(_understood(interpretation))}, f"{len(rows.lines)} rows; nothing was sent")
+    rows, understood = read.rows, _understood(read)
+    order.show([*understood, *(span_lines(rows, "dBm") if carriers else (*span_lines(rows, "deg"), *_NOT_CHECKED))])
+    epochs = [format_epoch(int(each)) for each in rows.epochs_us[[0, -1]]]
+    document = {"rows": len(rows.lines), "start": epochs[0], "stop": epochs[1], "unreadable": len(rows.faults)}
+    document |= {"faults": grouped(rows.faults), "other_sources": rows.other_sources, **dict(understood)}
+    return statement, rows, document
 
 
 _PUTTERS = {
     FileRole.SPACECRAFT: _put_spacecraft,
     FileRole.CARRIERS: _put_carriers,
-    FileRole.EPHEMERIS: _put_ephemeris,
+    FileRole.EPHEMERIS: _put_orbit,
     FileRole.REFERENCES: _put_references,
     FileRole.POWERS: _put_powers,
 }
 
 
-def _answered(options: _Options, kind: Any, read: Any) -> "tuple[TableStatement, Interpretation, TableRows]":
-    """Return the reading of a table; what it leaves open is asked on a terminal, or ends the command."""
-    from service.cli.importing.manifest import read_statement, validated
-
-    while True:
-        statement = validated(options.file, kind, {"file": options.file.name, **options.stated})
-        interpretation = read(statement)
-        if not interpretation.questions and interpretation.rows is not None:
-            return statement, interpretation, interpretation.rows
-        if options.as_json or not is_terminal():
-            end(printable(_statement(options, interpretation)))
-        options.show(_understood(interpretation))
-        for question in interpretation.questions:
-            shown = f" [{', '.join(question.choices[:20])}]" if question.choices else ""
-            default = None if question.default is None else _shown(question.default)
-            text = f"--{question.field.replace('_', '-')}: {question.text}{shown}"
-            options.stated[question.field] = read_statement(str(typer.prompt(text, default=default, err=True)).strip())
-
-
 def _understood(interpretation: "Interpretation") -> list[tuple[str, str]]:
     """Return how a table is read, for people."""
     asked = {each.field for each in interpretation.questions}
-    fields = [(name, _shown(value)) for name, value in interpretation.found.items() if name not in asked]
+    fields = [(name, shown(value)) for name, value in interpretation.found.items() if name not in asked]
     return [*fields, *(("note", note) for note in interpretation.notes)]
 
 
-def _shown(value: Any) -> str:
-    """Return a value for people, as an option takes it."""
-    if isinstance(value, dict):
-        return ", ".join(f"{name}={each}" for name, each in value.items())
-    return " + ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+def _option_of(field: str) -> str:
+    """Return the option that states a field."""
+    return _OPTIONS.get(field, f"--{field.replace('_', '-')}")
 
 
-def _statement(options: _Options, interpretation: "Interpretation") -> str:
+def _question(question: "Question") -> str:
+    """Return a question with its option and choices."""
+    choices = f" [{', '.join(question.choices[:20])}]" if question.choices else ""
+    return f"{_option_of(question.field)}: {question.text}{choices}"
+
+
+def _open_questions(order: _PutOrder, interpretation: "Interpretation") -> str:
     """Return what must be stated, and the command that states it."""
-    lines = [f"{options.file}: this must be stated, it is not guessed:"]
+    lines = [f"{order.file}: this must be stated, it is not guessed:"]
     words = [word for word in sys.argv[1:] if word != "--json"] if sys.argv[1:2] == ["put"] else ["put", "..."]
-    command = shlex.join(["soo", *words])
-    for field, text, choices, default in interpretation.questions:
-        option = {"carriers": "--map", "columns": "--map", "time_columns": "--time-column"}.get(field, f"--{field}")
-        option = option.replace("_", "-")
-        likely = "" if default is None else f"; likely {_shown(default)}"
-        lines.append(f"  {option}: {text}" + (f" [{', '.join(choices[:20])}]" if choices else "") + likely)
-        command += _option_words(option, default)
+    command = ["soo", *words]
+    for question in interpretation.questions:
+        option, default = _option_of(question.field), question.default
+        lines.append(f"  {_question(question)}" + ("" if default is None else f"; likely {shown(default)}"))
+        if isinstance(default, dict):
+            values = [f"{name}={value}" for name, value in default.items()]
+        elif option == "--map" or default is None:
+            values = ["NAME=..." if option == "--map" else option.removeprefix("--").upper()]
+        else:
+            values = list(map(str, default)) if isinstance(default, list | tuple) else str(default).split(" + ")
+        command += [word for value in values for word in (option, value)]
     notes = (f"  ({note})" for note in interpretation.notes)
-    return "\n".join((*lines, *notes, "State it:", f"  {command}"))
-
-
-def _option_words(option: str, default: Any) -> str:
-    """Return the words of a command line that state a likely answer, or its place."""
-    if isinstance(default, dict):
-        return "".join(f" {option} {shlex.quote(f'{name}={value}')}" for name, value in default.items())
-    if option == "--map" or default is None:
-        return f" {option} {'NAME=...' if option == '--map' else option.removeprefix('--').upper()}"
-    values = default if isinstance(default, list | tuple) else str(default).split(" + ")
-    return "".join(f" {option} {shlex.quote(str(value))}" for value in values)
+    return "\n".join((*lines, *notes, "State it:", f"  {shlex.join(command)}"))

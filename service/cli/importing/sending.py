@@ -11,23 +11,25 @@ import io
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from service.client.backoff import Backoff
 from service.client.problem import ClientError, ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.formats.foreign.columns import AXES, FloatArray, TableRows, grouped
+from service.formats.foreign.columns import AXES, FloatArray, ReadingsStatement, TableRows, grouped
 from service.formats.foreign.table import ForeignTableError
 from service.frontend.upload.plan_binding import BatchAction, BatchReply, judge, read_receipt
 from service.records.csv_guard import guarded
 from service.records.epoch import format_epoch
 
 _FORMAT = 2
+#: rows of a file that are settled, with any outcome, and what became of them, over all runs
+_COUNTERS = ("rows", "accepted", "duplicates", "late", "refused")
 _READINGS_OF_A_BATCH = 5000
 #: rows whose cells mean nothing
 _UNREADABLE = "row.unreadable"
@@ -35,19 +37,6 @@ _UNREADABLE = "row.unreadable"
 
 class SendInterruptedError(ClientError):
     """The service did not take the rest; the same command continues where it stopped."""
-
-
-@dataclass(slots=True)
-class SendCounters:
-    """Counters of the rows of a file, over all runs."""
-
-    #: rows of the file that are settled, with any outcome
-    rows: int = 0
-    accepted: int = 0
-    duplicates: int = 0
-    late: int = 0
-    #: refused by the service by name
-    refused: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +80,7 @@ class SendState:
         position = order.folder or order.path.parent
         self.path = position / f"{order.path.name}.{key}.send.json"
         self.refused_path = position / f"{order.path.name}.refused.csv"
-        self.counters = SendCounters()
+        self.counters = dict.fromkeys(_COUNTERS, 0)
         self.is_complete = False
         #: under which the rows go; None before the first
         self.plan_id: int | None = None
@@ -108,8 +97,7 @@ class SendState:
             raise ForeignTableError(f"{self.path} cannot be read: {error}; remove it to begin again") from error
         if said.get("format") != _FORMAT or said.get("destination") != self._destination:
             raise ForeignTableError(f"{self.path} belongs to another upload; remove it to begin again")
-        names = {each.name for each in fields(SendCounters)}
-        self.counters = SendCounters(**{name: value for name, value in said["counters"].items() if name in names})
+        self.counters |= said["counters"]
         self.is_complete, self.plan_id = bool(said["is_complete"]), said.get("plan_id")
         self._refused_bytes = int(said["refused_bytes"])
 
@@ -142,7 +130,7 @@ class SendState:
         document = {
             "format": _FORMAT,
             "destination": self._destination,
-            "counters": asdict(self.counters),
+            "counters": self.counters,
             "refused_bytes": self._refused_bytes,
             "is_complete": self.is_complete,
             "plan_id": self.plan_id,
@@ -153,13 +141,6 @@ class SendState:
             file.flush()
             os.fsync(file.fileno())
         others.replace(self.path)
-
-
-class SendProgress(NamedTuple):
-    """Rows that are settled, of all."""
-
-    rows: int
-    total: int
 
 
 @dataclass(slots=True)
@@ -175,18 +156,18 @@ class _Sender:
     #: line and reason of the rows of this run that the service refused
     refusals: list[tuple[int, str]] = field(default_factory=list)
 
-    def send(self, on_progress: Callable[[SendProgress], None]) -> None:
-        """Send what is left."""
+    def send(self, on_progress: Callable[[int], None]) -> None:
+        """Send what is left, and say how many rows are settled."""
         state, total = self.state, len(self.rows.lines)
-        if state.counters.rows == 0 and self.rows.faults:
+        if state.counters["rows"] == 0 and self.rows.faults:
             absent = [""] * (1 + len(self.rows.names))
             state.refuse(self.rows.names, [(line, _UNREADABLE, why, *absent) for line, why in self.rows.faults])
-        while state.counters.rows < total:
-            start = state.counters.rows
+        while state.counters["rows"] < total:
+            start = state.counters["rows"]
             self._settle(start, min(start + self.order.batch_rows, total))
-            state.is_complete = state.counters.rows == total
+            state.is_complete = state.counters["rows"] == total
             state.save()
-            on_progress(SendProgress(state.counters.rows, total))
+            on_progress(state.counters["rows"])
         state.is_complete = True
         state.save()
 
@@ -197,17 +178,16 @@ class _Sender:
         while position < stop:
             part = self._documents(position, min(position + self.batch_rows, stop))
             sent, receipt = self._deliver(part)
-            counters.accepted += receipt.accepted
-            counters.duplicates += receipt.duplicates
-            counters.late += receipt.late
-            counters.refused += len(receipt.refused)
+            for name in ("accepted", "duplicates", "late"):
+                counters[name] += getattr(receipt, name)
+            counters["refused"] += len(receipt.refused)
             for k, (code, detail) in sorted(receipt.refused.items()):
                 line = int(self.rows.lines[position + k])
                 self.refusals.append((line, f"{code}: {detail}"))
                 refused.append((line, code, detail, part[k]["epoch"], *part[k]["power_dbm"]))
             position += sent
         self.state.refuse(self.rows.names, refused)
-        counters.rows = stop
+        counters["rows"] = stop
 
     def _documents(self, start: int, stop: int) -> list[dict[str, Any]]:
         """Return rows as the contract has them."""
@@ -259,10 +239,13 @@ def send_powers(
     order: SendOrder,
     rows: TableRows,
     state: SendState,
-    on_progress: Callable[[SendProgress], None] = lambda _: None,
     backoff: Backoff | None = None,
+    *,
+    is_quiet: bool = True,
 ) -> dict[str, Any]:
     """Send the powers of a file, or the rest of them, and return what became of its rows over all runs.
+
+    On a terminal a bar shows the progress.
 
     Raises
     ------
@@ -272,17 +255,21 @@ def send_powers(
         The service refuses the whole request, for example the key or the spacecraft.
     """
     begun_s = time.monotonic()
-    resumed_at = state.counters.rows
+    resumed_at = state.counters["rows"]
     sender = _Sender(client, order, state, rows, backoff or Backoff(), order.batch_rows)
     if not state.is_complete:
+        if state.plan_id is None:
+            state.plan_id = int(client.carriers(order.spacecraft_id)["plan_id"])
         state.begin()
         state.save()
-        sender.send(on_progress)
-    kept_back = state.counters.refused + len(rows.faults)
+        with _progress(is_quiet=is_quiet) as bar:
+            task = bar.add_task(order.path.name, total=len(rows.lines), completed=resumed_at)
+            sender.send(lambda settled: bar.update(task, completed=settled))
+    kept_back = state.counters["refused"] + len(rows.faults)
     return {
         "file": str(order.path),
         "sha256": state.sha256,
-        **asdict(state.counters),
+        **state.counters,
         "unreadable": len(rows.faults),
         "other_sources": rows.other_sources,
         "resumed_at": resumed_at,
@@ -293,32 +280,24 @@ def send_powers(
     }
 
 
-def send_with_progress(
-    client: ServiceClient, order: SendOrder, rows: TableRows, state: SendState, *, is_quiet: bool
-) -> dict[str, Any]:
-    """Send powers behind a progress bar; away from a terminal it would be noise."""
+def _progress(*, is_quiet: bool) -> Any:
+    """Return a progress bar; away from a terminal it would be noise."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=is_quiet or not console.is_terminal) as bar:
-        task = bar.add_task(order.path.name, total=len(rows.lines), completed=state.counters.rows)
-        return send_powers(client, order, rows, state, lambda now: bar.update(task, completed=now.rows))
+    return Progress(console=console, disable=is_quiet or not console.is_terminal)
 
 
-def send_readings(
-    client: ServiceClient, spacecraft: str, source: str, rows: TableRows, sigma_deg: dict[str, float]
-) -> dict[str, int]:
+def send_readings(client: ServiceClient, spacecraft: str, stated: ReadingsStatement, rows: TableRows) -> dict[str, Any]:
     """Send all readings and return what became of them; repeating them is safe."""
     counts = {"accepted": 0, "duplicates": 0, "refused": 0}
-    documents = _reading_documents(rows, sigma_deg)
+    documents = _reading_documents(rows, {str(axis): value for axis, value in stated.sigma_deg.items()})
     for start in range(0, len(documents), _READINGS_OF_A_BATCH):
-        reply = client.post_references(spacecraft, source, documents[start : start + _READINGS_OF_A_BATCH])
-        counts["accepted"] += reply["accepted"]
-        counts["duplicates"] += reply["duplicates"]
-        counts["refused"] += len(reply["refused"])
-    return counts
+        reply = client.post_references(spacecraft, stated.source, documents[start : start + _READINGS_OF_A_BATCH])
+        for name, count in counts.items():
+            counts[name] = count + (len(reply[name]) if name == "refused" else reply[name])
+    return {**counts, "unreadable": len(rows.faults), "faults": grouped(rows.faults)}
 
 
 def _with_absent(values: FloatArray) -> list[list[float | None]]:
@@ -349,37 +328,25 @@ _POLL_S = 0.5
 
 def wait_for_angles(client: ServiceClient, spacecraft_id: str, patience_s: float, *, is_quiet: bool) -> dict[str, Any]:
     """Return the state of the estimates when no row is pending, or when none was estimated for ``patience_s``."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=is_quiet or not console.is_terminal) as progress:
-        task = progress.add_task("angles", total=None)
-        for status in _states(client, spacecraft_id, patience_s):
-            progress.update(task, description=f"angles: {status['pending']} rows pending")
-    return {name: status[name] for name in ("aligned", "pending", "newest_attitude", "calibration_id", "alignment_id")}
-
-
-def _states(client: ServiceClient, spacecraft_id: str, patience_s: float) -> Iterator[Any]:
-    """Yield the state of the estimates until no row is pending or none was estimated for too long."""
-    least: int | None = None
-    deadline_s = time.monotonic() + patience_s
-    while True:
-        try:
-            status = client.status(spacecraft_id)
-        except ServiceUnavailableError:
-            # the first row of an installation may wait for the compiler, and the answer with it
-            if time.monotonic() > deadline_s:
-                raise
+    with _progress(is_quiet=is_quiet) as bar:
+        task = bar.add_task("angles", total=None)
+        least, deadline_s = None, time.monotonic() + patience_s
+        while True:
+            try:
+                status: dict[str, Any] = dict(client.status(spacecraft_id))
+            except ServiceUnavailableError:
+                # the first row of an installation may wait for the compiler, and the answer with it
+                if time.monotonic() > deadline_s:
+                    raise
+            else:
+                pending = status["pending"]
+                bar.update(task, description=f"angles: {pending} rows pending")
+                if least is None or pending < least:
+                    least, deadline_s = pending, time.monotonic() + patience_s
+                if not pending or time.monotonic() > deadline_s:
+                    names = ("aligned", "pending", "newest_attitude", "calibration_id", "alignment_id")
+                    return {name: status[name] for name in names}
             time.sleep(_POLL_S)
-            continue
-        pending = status["pending"]
-        if least is None or pending < least:
-            least, deadline_s = pending, time.monotonic() + patience_s
-        yield status
-        if not pending or time.monotonic() > deadline_s:
-            return
-        time.sleep(_POLL_S)
 
 
 def angles_line(angles: dict[str, Any], spacecraft_id: str) -> str:

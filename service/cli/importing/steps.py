@@ -1,6 +1,6 @@
 """Steps of an import by its manifest: everything is read first, then created and sent; each may be repeated."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,32 +8,21 @@ from typing import TYPE_CHECKING, Any
 from service.cli.importing.catalogue import (
     OwnCatalogue,
     carrier_names,
+    check_likely,
     check_orbit,
     check_plan,
     read_orbit,
     read_plan,
     read_spacecraft,
-    unlikely,
 )
-from service.cli.importing.folder import read_readings, table_of
-from service.cli.importing.manifest import FolderManifest, WindowSection
-from service.cli.importing.sending import SendOrder, SendState, send_readings, send_with_progress
-from service.formats.foreign.columns import (
-    Interpretation,
-    PowersStatement,
-    ReadingsStatement,
-    TableRows,
-    grouped,
-    interpret_powers,
-)
+from service.cli.importing.folder import interpretation_of
+from service.cli.importing.manifest import FolderManifest
+from service.formats.foreign.columns import TableRows
 from service.formats.foreign.table import ForeignTableError
-from service.records.epoch import format_epoch
 from service.runtime.clock import system_now_us
 
 if TYPE_CHECKING:
     from service.client.service_client import ServiceClient
-
-_NO_WINDOWS = "the manifest states no window {names}: soo import FOLDER --propose finds them, or write start and stop"
 
 
 def require_files(manifest: FolderManifest, folder: Path) -> None:
@@ -68,9 +57,8 @@ def read_catalogue(folder: Path, manifest: FolderManifest) -> OwnCatalogue:
         plan = None if manifest.carriers is None else read_plan(folder / manifest.carriers)
         if plan is not None and spacecraft is not None:
             check_plan(plan, spacecraft.longitude_deg, warnings.append)
-    odd = [] if spacecraft is None or manifest.confirmed else unlikely(spacecraft, plan, spacecraft.longitude_deg)
-    if odd:
-        raise ForeignTableError("\n  ".join(("this must be confirmed (confirmed: true in the manifest):", *odd)))
+    if spacecraft is not None and not manifest.confirmed:
+        check_likely(spacecraft, plan, spacecraft.longitude_deg)
     return OwnCatalogue(spacecraft_id, spacecraft, plan, orbit)
 
 
@@ -87,58 +75,19 @@ def read_tables(
     client: "ServiceClient", folder: Path, manifest: FolderManifest, own: OwnCatalogue, *, is_simulated: bool
 ) -> dict[str, TableRows]:
     """Return the rows of all tables of a manifest by file, each read to its end."""
-    now_us = system_now_us()
-    plan = own.plan
-    if plan is None and manifest.powers:
-        carriers = carrier_names(client.carriers(own.spacecraft_id)["carriers"])
-    else:
-        carriers = {} if plan is None else carrier_names([each.model_dump() for each in plan.carriers])
-    found = {}
-    for readings in manifest.references:
-        with _of_file(folder, readings.file):
-            read = read_readings(folder / readings.file, readings, now_us, is_simulated=is_simulated)
-            found[readings.file] = rows_of(read)
-    for powers in manifest.powers:
-        with _of_file(folder, powers.file):
-            found[powers.file] = powers_of(folder / powers.file, powers, carriers, now_us, is_simulated=is_simulated)
+    plan = [] if own.plan is None else [each.model_dump() for each in own.plan.carriers]
+    if own.plan is None and manifest.powers:
+        plan = client.carriers(own.spacecraft_id)["carriers"]
+    found, carriers, now_us = {}, carrier_names(plan), system_now_us()
+    for stated in (*manifest.references, *manifest.powers):
+        with _of_file(folder, stated.file):
+            path = folder / stated.file
+            interpretation = interpretation_of(path, stated, carriers, now_us, is_simulated=is_simulated)
+            if interpretation.questions or interpretation.rows is None:
+                asked = "; ".join(f"{each.field}: {each.text}" for each in interpretation.questions)
+                raise ForeignTableError(f"the manifest must state {asked}")
+            found[stated.file] = interpretation.rows
     return found
-
-
-def powers_of(
-    path: Path, stated: PowersStatement, carriers: Mapping[str, str], now_us: int, *, is_simulated: bool
-) -> TableRows:
-    """Return the powers of a file under its statement; ForeignTableError where that leaves something open."""
-    table = table_of(path, stated.container)
-    return rows_of(interpret_powers(table, stated, carriers, now_us, is_simulated=is_simulated))
-
-
-def rows_of(read: Interpretation) -> TableRows:
-    """Return the rows of a reading that leaves nothing open."""
-    if read.questions or read.rows is None:
-        asked = "; ".join(f"{each.field}: {each.text}" for each in read.questions)
-        raise ForeignTableError(f"the manifest must state {asked}")
-    return read.rows
-
-
-def import_readings(
-    client: "ServiceClient", spacecraft_id: str, stated: ReadingsStatement, rows: TableRows
-) -> dict[str, Any]:
-    """Send the readings of a file and return what became of them."""
-    sigma_deg = {str(axis): value for axis, value in stated.sigma_deg.items()}
-    counts = send_readings(client, spacecraft_id, stated.source, rows, sigma_deg)
-    return {**counts, "unreadable": len(rows.faults), "faults": grouped(rows.faults)}
-
-
-def import_powers(
-    client: "ServiceClient", order: tuple[Path, str, float], stated: PowersStatement, rows: TableRows, *, is_quiet: bool
-) -> dict[str, Any]:
-    """Send the powers of a file, or the rest of them, and return what became of the rows."""
-    path, spacecraft_id, patience_s = order
-    statement = stated.model_dump_json(exclude_defaults=True)
-    sending = SendOrder(path, spacecraft_id, stated.source, statement, patience_s=patience_s)
-    state = SendState(sending, client.service_url)
-    state.plan_id = int(client.carriers(spacecraft_id)["plan_id"]) if state.plan_id is None else state.plan_id
-    return send_with_progress(client, sending, rows, state, is_quiet=is_quiet)
 
 
 def calibrate(
@@ -151,10 +100,7 @@ def calibrate(
     """
     from service.cli.operation.operate import wait_for_job
 
-    quiet, turns = manifest.windows.quiet, manifest.windows.turns
-    if quiet is None or turns is None:
-        raise ForeignTableError(_NO_WINDOWS.format(names="quiet or turns"))
-    body = {"quiet": _document(quiet), "turns": _document(turns), "method": "geometry"}
+    body = {**_windows(manifest, "quiet", "turns"), "method": "geometry"}
     asked = body | {"sources": dict.fromkeys(("yaw", "roll", "pitch"), _sensor(manifest))}
     former = [one for one in _calibrations(client, spacecraft_id) if asked.items() <= one.items()]
     drafts = [one for one in former if one["state"] == "draft" and one["observability"] is not None]
@@ -183,20 +129,21 @@ def _calibrations(client: "ServiceClient", spacecraft_id: str) -> list[dict[str,
 
 def align(client: "ServiceClient", spacecraft_id: str, manifest: FolderManifest) -> dict[str, Any]:
     """Align in the window of the manifest, unless that is done, and return the alignment."""
-    window = manifest.windows.align
-    if window is None:
-        raise ForeignTableError(_NO_WINDOWS.format(names="align"))
-    document = _document(window)
+    window = _windows(manifest, "align")["align"]
     active = [each["id"] for each in _calibrations(client, spacecraft_id) if each["state"] == "active"]
     for each in client.request("GET", f"/spacecraft/{spacecraft_id}/alignments")["rows"]:
-        if each["window"] == document and each["calibration_id"] in active:
+        if each["window"] == window and each["calibration_id"] in active:
             return dict(each)
-    return client.align(spacecraft_id, document | {"source": _sensor(manifest)})
+    return client.align(spacecraft_id, window | {"source": _sensor(manifest)})
 
 
-def _document(window: WindowSection) -> dict[str, str]:
-    """Return a window as the interface has it."""
-    return {"start": format_epoch(window.start), "stop": format_epoch(window.stop)}
+def _windows(manifest: FolderManifest, *names: str) -> dict[str, Any]:
+    """Return windows as the interface has them; ForeignTableError where the manifest does not state them."""
+    stated = manifest.windows.model_dump(mode="json", include=set(names), exclude_none=True)
+    if len(stated) < len(names):
+        where = "soo import FOLDER --propose finds them, or write start and stop"
+        raise ForeignTableError(f"the manifest states no window {' or '.join(names)}: {where}")
+    return stated
 
 
 def _sensor(manifest: FolderManifest) -> str:

@@ -96,7 +96,7 @@ def _files_of(folder: Path) -> tuple[Path | None, Path | None, tuple[Path | None
     try:
         paths, left_out = files_of(folder)
         stated = read_stated(folder)
-        sections = propose(ImportFiles(folder, paths, stated, {}, system_now_us(), left_out)).sections
+        sections = propose(ImportFiles(folder, paths, stated, {}, system_now_us(), left_out))
     except (ForeignTableError, OSError) as error:
         raise _refused(str(error)) from None
     names = [sections.get("spacecraft", {}).get("file"), sections.get("carriers"), sections.get("ephemeris")]

@@ -70,7 +70,7 @@ def read_powers(path: Path, plan: "CarrierPlan") -> QuietPowers:
     carriers = carrier_names([{"id": each.id, "name": each.name} for each in plan.carriers])
     try:
         stated, quiet = _stated(path)
-        table = table_of(path, stated.container)
+        table = table_of(path, stated)
         read = interpret_powers(table, stated, carriers, system_now_us(), is_simulated=True)
     except (ForeignTableError, OSError) as error:
         raise InvalidInputError("plan.quiet", f"{path}: {error}") from None

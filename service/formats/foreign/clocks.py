@@ -43,6 +43,7 @@ _CLOCK_FORMATS = ("%H:%M:%S", "%I:%M:%S %p", "%H:%M", "%I:%M %p", "%H.%M.%S", "%
 _PLAIN_NUMBER = re.compile(r"[+-]?\d*[.,]?\d+")
 _COMPACT_FORMATS = ("%Y%m%d", "%Y%j", "%H%M%S")
 _NAMED_DAYS = frozenset({"%Y%m%d", "%Y%j"})
+_SIGNED_DAYS = tuple(each for each in _DAY_FORMATS if each not in _NAMED_DAYS)
 _FULL_FORMATS = (
     ISO,
     *(f"{day} {clock}" for day in _DAY_FORMATS if day != "%Y-%m-%d" for clock in _CLOCK_FORMATS[:-1]),
@@ -200,41 +201,35 @@ def _some(texts: Any) -> Any:
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    held = texts.filter(pc.invert(pc.is_in(pc.utf8_lower(texts), pa.array(list(CODES)))))
-    step = max(1, len(held) // _SAMPLE)
-    return held.take(pa.array(range(0, len(held), step)))
+    some = texts[:: max(1, len(texts) // (10 * _SAMPLE))]
+    held = some.filter(pc.invert(pc.is_in(pc.utf8_lower(some), pa.array(list(CODES)))))
+    return held[:: max(1, len(held) // _SAMPLE)]
 
 
 def _candidates(table: Table) -> list[tuple[str, ...]]:
     """Return the columns that hold epochs: calendar epochs, a date and a time of day, else a number."""
+    import pyarrow.compute as pc
+
     samples = {name: _some(column) for name, column in zip(table.header, table.columns, strict=True)}
+    # a bare number is a date or a time of day by its name only
+    is_named = {name: bool(words_of(name) & _CLOCK_WORDS) for name in samples}
     full = [(name,) for name, some in samples.items() if _fits(some, _FULL_FORMATS)]
-    days = [name for name, some in samples.items() if _fits(some, _day_formats(name))]
-    clocks = [name for name, some in samples.items() if _fits(some, _clock_formats(name)) and name not in days]
-    pairs = [(day, clock) for day in days for clock in clocks]
-    parts = _part_columns(table.header)
+    days = [name for name, some in samples.items() if _fits(some, _DAY_FORMATS if is_named[name] else _SIGNED_DAYS)]
+    others = {name: some for name, some in samples.items() if name not in days}
+    clocks = [name for name, some in others.items() if _fits(some, _CLOCK_FORMATS[: None if is_named[name] else 4])]
     weeks = _week_columns(table.header)
     groups: list[list[tuple[str, ...]]] = [
-        [*full, *pairs, *([parts] if parts else [])],
+        [*full, *((day, clock) for day in days for clock in clocks)],
         [weeks] if weeks else [],
         [(name,) for name in table.header if _count_formats(name, table.column(name))],
         [(name,) for name in clocks],
     ]
-    for group in groups:
-        moving = [columns for columns in group if _is_moving(table, columns)] or group
-        if moving:
-            return moving
+    for group in filter(None, groups):
+        texts = [_joined(table, columns) for columns in group]
+        # epochs change from row to row
+        is_moving = [len(each) < 3 or pc.count_distinct(each).as_py() > 1 for each in texts]
+        return [columns for columns, moves in zip(group, is_moving, strict=True) if moves] or group
     return []
-
-
-def _day_formats(name: str) -> tuple[str, ...]:
-    """Return the formats of dates that a column of a name may have; a bare number is a date by its name only."""
-    return _DAY_FORMATS if words_of(name) & _CLOCK_WORDS else tuple(set(_DAY_FORMATS) - _NAMED_DAYS)
-
-
-def _clock_formats(name: str) -> tuple[str, ...]:
-    """Return the formats of times of day that a column of a name may have."""
-    return _CLOCK_FORMATS if words_of(name) & _CLOCK_WORDS else _CLOCK_FORMATS[:4]
 
 
 def words_of(name: str) -> set[str]:
@@ -262,21 +257,6 @@ def _matching(texts: Sequence[str], time_format: str) -> int:
 def _pattern(time_format: str) -> re.Pattern[str]:
     """Return the expression of a format for a few texts, which RE2 would be slow to compile for."""
     return re.compile(regex_of(time_format).replace(r"\pL", r"[^\W\d_]"))
-
-
-def _is_moving(table: Table, columns: Sequence[str]) -> bool:
-    """Return whether the epochs of some columns change from row to row."""
-    import pyarrow.compute as pc
-
-    texts = _joined(table, columns)
-    return len(texts) < 3 or pc.count_distinct(texts).as_py() > 1
-
-
-def _part_columns(header: Sequence[str]) -> tuple[str, ...]:
-    """Return the columns year, month, day, hour, minute and second, where there are such."""
-    low = {name.casefold().strip(): name for name in header}
-    names = [low.get(part) for part in ("year", "month", "day", "hour", "minute", "second")]
-    return tuple(name for name in names if name is not None) if all(names) else ()
 
 
 def _week_columns(header: Sequence[str]) -> tuple[str, ...]:
@@ -317,8 +297,6 @@ def _formats_of(texts: Any, table: Table, columns: Sequence[str]) -> list[str]:
     """Return the formats that read the most texts; several when day and month may be exchanged."""
     if tuple(columns) == _week_columns(table.header):
         return [WEEK]
-    if tuple(columns) == _part_columns(table.header) and columns:
-        return ["%Y %m %d %H %M %S"]
     some = _some(texts).to_pylist()
     tried: list[str] = [each for each in _FULL_FORMATS if _matching(some, each)]
     if len(columns) == 2:

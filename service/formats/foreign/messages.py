@@ -8,7 +8,8 @@ import csv
 import io
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from service.core.geometry.frames import attitude_of_quaternion, matrix_of_quate
 from service.errors import InvalidInputError
 from service.formats.ccsds import Segment, epoch_of, is_useable, read_segments, require, require_one_object
 from service.formats.ephemeris import read_mean_elements, read_oem, read_tle, utc_us
-from service.formats.foreign.table import ForeignTableError, Table
+from service.formats.foreign.table import ForeignTableError, Table, word_set
 from service.formats.tdm import read_tdm
 from service.records.catalogue import Ephemeris
 from service.records.epoch import format_epoch
@@ -30,39 +31,20 @@ _DESIGNATOR = re.compile(r"(\d{2})(\d{3})([A-Z]{1,3})")
 #: of years in two-line elements
 _CENTURY_TURNS = 57
 #: units that the readers take, lower case; others of the same keywords are refused
-_UNITS = frozenset(
-    [
-        "km",
-        "km/s",
-        "km/s**2",
-        "km**2",
-        "km**2/s",
-        "km**2/s**2",
-        "km**3/s**2",
-        "deg",
-        "deg/s",
-        "rev/day",
-        "rev/day**2",
-        "rev/day**3",
-        "1/er",
-        "dbw",
-        "dbhz",
-        "s",
-        "d",
-        "m**2",
-        "kg",
-        "m**2/kg",
-        "hz",
-        "%",
-        "n/a",
-    ]
+_UNITS = word_set(
+    "km km/s km/s**2 km**2 km**2/s km**2/s**2 km**3/s**2 deg deg/s rev/day rev/day**2 rev/day**3 1/er dbw dbhz s d",
+    "m**2 kg m**2/kg hz % n/a",
 )
-_STATE = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")
-_ROTATIONS = (
-    ("Q1", "Q2", "Q3", "QC"),
-    ("ANGLE_1", "ANGLE_2", "ANGLE_3"),
-    ("rotation1", "rotation2", "rotation3"),
-)
+#: elements of a record of XML in the order of keyword = value, by message
+_RECORDS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "oem": (("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT"),),
+    "aem": (
+        ("Q1", "Q2", "Q3", "QC"),
+        ("ANGLE_1", "ANGLE_2", "ANGLE_3"),
+        ("rotation1", "rotation2", "rotation3"),
+    ),
+    "tdm": (),
+}
 
 
 class OrbitFile(NamedTuple):
@@ -272,25 +254,20 @@ def _segment_lines(kind: str, segment: Any) -> Iterator[str]:
         named = dict(_leaves(record))
         if "EPOCH" not in named or "covariance" in _local(record).lower():
             continue
+        epoch = named.pop("EPOCH")
+        form = next((names for names in _RECORDS[kind] if set(names) <= set(named)), None)
         if kind == "tdm":
-            yield from (f"{name} = {named['EPOCH']} {text}" for name, text in named.items() if name != "EPOCH")
+            yield from (f"{name} = {epoch} {text}" for name, text in named.items())
+        elif form is None:
+            raise ForeignTableError(f"a record of the XML message holds {', '.join(named)}, which is not read")
         else:
-            yield " ".join((named["EPOCH"], *_numbers(named, (_STATE,) if kind == "oem" else _ROTATIONS)))
+            yield " ".join((epoch, *(named[name] for name in form)))
     yield from () if kind == "oem" else ("DATA_STOP",)
-
-
-def _numbers(named: Mapping[str, str], forms: Iterable[tuple[str, ...]]) -> list[str]:
-    """Return the numbers of a record in the order of keyword = value."""
-    for names in forms:
-        if set(names) <= set(named):
-            return [named[name] for name in names]
-    raise ForeignTableError(f"a record of the XML message holds {', '.join(named)}, which is not read")
 
 
 #: nadir frames: z to the Earth, y against the orbit's momentum; turning or not, the attitude of an instant is the same
 _NADIR = ("LVLH_ROTATING", "LVLH_INERTIAL", "LVLH")
 _BODY = ("SC_BODY_1", "SC_BODY")
-_AXIS_OF = {"1": 0, "X": 0, "2": 1, "Y": 1, "3": 2, "Z": 2}
 _UNIT_LENGTH = 1e-3
 #: of the scalar of a satellite that points to the Earth within 50 deg
 _NEAR_ONE = 0.9
@@ -311,14 +288,31 @@ def read_attitude_message(text: str) -> tuple[np.ndarray, FloatArray]:
         require_one_object(segments)
         for segment in segments:
             epochs_us, matrices = _attitude_states(segment)
-            inside = _useable(segment, epochs_us)
+            inside = is_useable(segment.meta, epochs_us)
             epochs.append(utc_us(epochs_us[inside], segment.meta.get("TIME_SYSTEM", "").upper()))
             # a matrix of the other direction is the transposed one
             turned = np.swapaxes(matrices, -1, -2) if _is_reversed(segment) else matrices
             angles.append(attitude_of_quaternion(quaternion_of_matrix(turned[inside])))
     except InvalidInputError as error:
         raise ForeignTableError(error.detail) from None
+    except ValueError as error:
+        raise ForeignTableError(str(error)) from None
     return np.concatenate(epochs), np.concatenate(angles)
+
+
+def message_table(names: Sequence[str], epochs_us: Sequence[int], columns: Iterable[Sequence[Any]], note: str) -> Table:
+    """Return a message as a table of texts, so that the rules of tables judge it; NaN and None are empty cells."""
+    import pyarrow as pa
+
+    texts = [["" if each is None or each != each else str(each) for each in column] for column in columns]
+    cells = [pa.array(each, pa.string()) for each in ([format_epoch(each) for each in epochs_us], *texts)]
+    return Table(["epoch", *names], cells, np.arange(1, len(epochs_us) + 1), notes=[note], is_standard=True)
+
+
+def attitude_table(text: str) -> Table:
+    """Return the angles of an AEM as a table."""
+    epochs_us, angles_deg = read_attitude_message(text)
+    return message_table(("yaw_deg", "roll_deg", "pitch_deg"), epochs_us.tolist(), angles_deg.T.tolist(), "AEM")
 
 
 def _attitude_states(segment: Segment) -> tuple[np.ndarray, FloatArray]:
@@ -326,22 +320,16 @@ def _attitude_states(segment: Segment) -> tuple[np.ndarray, FloatArray]:
     require(segment, {"ATTITUDE_TYPE": ("QUATERNION", "EULER_ANGLE")})
     is_euler = segment.meta["ATTITUDE_TYPE"].upper() == "EULER_ANGLE"
     count = 3 if is_euler else 4
-    epochs_us, rows = [], []
-    for number, content in segment.data:
+    epochs_us, values = np.zeros(len(segment.data), dtype=np.int64), np.full((len(segment.data), count), np.nan)
+    for k, (number, content) in enumerate(segment.data):
         cells = content.split()
-        epoch, values = " ".join(cells[:-count]), cells[-count:]
-        try:
-            rows.append([float(value) for value in values])
-        except ValueError:
-            rows.append([])
-        if len(rows[-1]) != count or not np.isfinite(rows[-1]).all() or not epoch:
+        with suppress(ValueError):
+            values[k] = [float(value) for value in cells[-count:]]
+        if len(cells) <= count or not np.isfinite(values[k]).all():
             parts = "three angles" if is_euler else "the four parts of a quaternion"
             raise ForeignTableError(f"line {number}: a row is an epoch and {parts}")
-        epochs_us.append(epoch_of(number, epoch))
-    values_of = np.array(rows, dtype=np.float64).reshape(-1, count)
-    return np.array(epochs_us, dtype=np.int64), _euler(segment, values_of) if is_euler else _quaternions(
-        segment, values_of
-    )
+        epochs_us[k] = epoch_of(number, " ".join(cells[:-count]))
+    return epochs_us, _euler(segment, values) if is_euler else _quaternions(segment, values)
 
 
 def _quaternions(segment: Segment, quaternions: FloatArray) -> FloatArray:
@@ -376,27 +364,16 @@ def scalar_of(quaternions: FloatArray) -> Literal["first", "last"] | None:
 
 def _euler(segment: Segment, angles_deg: FloatArray) -> FloatArray:
     """Return matrices of three turns one after the other about the axes that EULER_ROT_SEQ names."""
-    sequence = segment.meta.get("EULER_ROT_SEQ", "").upper()
-    axes = [_AXIS_OF.get(letter, -1) for letter in sequence]
-    if len(axes) != 3 or -1 in axes or axes[0] == axes[1] or axes[1] == axes[2]:
-        raise ForeignTableError(f"EULER_ROT_SEQ = {sequence or 'nothing'}; understood: three axes such as 321 or ZYX")
-    found = np.broadcast_to(np.eye(3), (len(angles_deg), 3, 3))
-    for axis, angle_deg in zip(axes, angles_deg.T, strict=True):
-        one, two = (axis + 1) % 3, (axis + 2) % 3
-        cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-        turn = np.zeros((len(angle_deg), 3, 3))
-        turn[:, axis, axis] = 1.0
-        turn[:, one, one] = turn[:, two, two] = cosine
-        turn[:, one, two], turn[:, two, one] = sine, -sine
-        found = turn @ found
-    return np.asarray(found)
+    from scipy.spatial.transform import Rotation
 
-
-def _useable(segment: Segment, epochs_us: np.ndarray) -> np.ndarray:
-    try:
-        return is_useable(segment.meta, epochs_us)
-    except ValueError as error:
-        raise ForeignTableError(f"useable span: {error}") from None
+    stated = segment.meta.get("EULER_ROT_SEQ", "").upper()
+    sequence = stated.translate(str.maketrans("123", "XYZ"))
+    if re.fullmatch(r"([XYZ])(?!\1)([XYZ])(?!\2)[XYZ]", sequence) is None:
+        raise ForeignTableError(f"EULER_ROT_SEQ = {stated or 'nothing'}; understood: three axes such as 321 or ZYX")
+    if not len(angles_deg):
+        return np.empty((0, 3, 3))
+    # turns of the frame are the transposed ones of vectors
+    return np.swapaxes(Rotation.from_euler(sequence, angles_deg, degrees=True).as_matrix(), -1, -2)
 
 
 def _is_reversed(segment: Segment) -> bool:
@@ -423,20 +400,16 @@ def tracking_table(text: str) -> Table:
     ``TRACK_ID`` is ``source/carrier`` as this service writes it, or the name of a carrier; a segment without one is
     called by its number.
     """
-    import pyarrow as pa
-
     try:
         tracks = read_tdm(message_text(text))
     except InvalidInputError as error:
         raise ForeignTableError(error.detail) from None
-    epochs, sources, carriers, levels = [], [], [], []
+    rows = []
     for number, track in enumerate(tracks, start=1):
         source, _, carrier = track.track_id.rpartition("/")
-        epochs += [format_epoch(each) for each in track.epochs_us.tolist()]
-        sources += [source] * len(track.epochs_us)
-        carriers += [carrier or f"segment {number}"] * len(track.epochs_us)
-        levels += [repr(each) for each in track.power_dbm.tolist()]
-    if not epochs:
+        pairs = zip(track.epochs_us.tolist(), track.power_dbm.tolist(), strict=True)
+        rows += [(epoch_us, source, carrier or f"segment {number}", level) for epoch_us, level in pairs]
+    if not rows:
         raise ForeignTableError("the message holds no CARRIER_POWER")
-    columns = [pa.array(each) for each in (epochs, sources, carriers, levels)]
-    return Table(["epoch", "source", "carrier", "level_dbm"], columns, np.arange(1, len(epochs) + 1), notes=["TDM"])
+    epochs_us, *columns = zip(*rows, strict=True)
+    return message_table(("source", "carrier", "level_dbm"), epochs_us, columns, "TDM")

@@ -15,12 +15,13 @@ import zlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import date, datetime, time, timedelta
+from datetime import date, datetime, timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 #: bytes of a file, unpacked
 MOST_BYTES = 2 << 30
@@ -28,8 +29,9 @@ SEPARATORS = (",", ";", "\t", "|")
 _BY_NAME = {"tab": "\t", "space": " ", "comma": ",", "semicolon": ";", "bar": "|"}
 #: lines and rows from which separator and header are found
 _SAMPLE = 600
-#: physical lines that one quoted cell may span
-_MOST_SPANNED = 50
+#: lines below a table that are no rows, and not its faults
+_MOST_FOOTER = 10
+_TAB, _BLANK = "\t", " \t,;|"
 _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe\0\0": "utf-32", b"\0\0\xfe\xff": "utf-32"}
 _MARKS |= {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _NO_TABLE = {
@@ -44,6 +46,8 @@ _NO_TABLE = {
     b"Rar!": "a RAR archive",
     b"CDF": "a NetCDF file",
 }
+_PLAIN_SIGNS = dict.fromkeys("\r\x85\u2028\u2029\v\f", "\n") | {"\u2212": "-"}
+_PLAIN_SIGNS |= dict.fromkeys("\xa0\u2007\u2009\u202f", " ")
 #: single-byte encodings that are told apart; names only depend on them, numbers are ASCII in each
 _ENCODINGS = ["cp1251", "koi8_r", "cp866", "cp1252"]
 _COMMENT = re.compile(r"\s*(#|%|//|!)\s*")
@@ -90,14 +94,15 @@ class Question(NamedTuple):
     default: Any = None
 
 
-@dataclass(frozen=True, slots=True)
-class Container:
+class Container(BaseModel):
     """Statement of a person about the container; None = not stated."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     sheet: str | None = None
     encoding: str | None = None
     separator: str | None = None
-    skip_lines: int = 0
+    skip_lines: Annotated[int, Field(ge=0)] = 0
 
 
 @dataclass(slots=True)
@@ -115,6 +120,8 @@ class Table:
     notes: list[str] = field(default_factory=list)
     #: unit that the row below the header states, by column
     units: dict[str, str] = field(default_factory=dict)
+    #: a standard states columns, units and what an absent value is
+    is_standard: bool = False
 
     def column(self, name: str) -> Any:
         """Return a column by its name; ForeignTableError when there is none."""
@@ -136,11 +143,12 @@ def read_table(path: Path, stated: Container) -> Table:
     name, content = unpacked(path.name, path.read_bytes())
     if content[:4] == b"PAR1":
         return _of_parquet(content)
+    commas = stated.model_copy(update={"separator": ","})
     if is_workbook(content):
-        return _of_workbook(content, stated)
+        return _of_text(workbook_text(content, stated.sheet), commas, ["a sheet of a workbook"])
     text, notes = decoded_text(content, stated.encoding)
     if name.lower().endswith((".ndjson", ".jsonl")) or text.lstrip()[:1] in ("{", "["):
-        return _of_objects(text)
+        return _of_text(_text_of_objects(text), commas, ["JSON objects"])
     return _of_text(text, stated, notes)
 
 
@@ -200,9 +208,9 @@ def decoded_text(content: bytes, encoding: str | None) -> tuple[str, list[str]]:
     if "\0" in text:
         raise ForeignTableError("the file holds zero bytes: a binary file, or one that was not written to its end")
     text = re.sub("\r*\n", "\n", text) if "\r" in text else text
-    text = re.sub("[\r\x85\u2028\u2029\v\f]", "\n", text)
-    # blanks and signs of typography, which no number has
-    text = text.translate({0x2212: "-", 0xA0: " ", 0x2007: " ", 0x2009: " ", 0x202F: " "})
+    # ends of lines, and blanks and signs of typography, which no number has
+    for sign, plain in _PLAIN_SIGNS.items():
+        text = text.replace(sign, plain)
     return text, [] if found in ("utf-8", "utf-8-sig") else [f"encoding {found}"]
 
 
@@ -239,30 +247,23 @@ def _is_data(cells: Sequence[str]) -> bool:
 
 def _of_text(text: str, stated: Container, notes: list[str]) -> Table:
     """Return the table of a text."""
-    lines = text.split("\n")
-    is_cut = lines[-1] != ""
-    if not is_cut:
-        lines.pop()
-    separator = _stated_separator(stated.separator)
-    first = stated.skip_lines
-    if separator is None and lines[:1] and (named := re.fullmatch(r"sep=(.)", lines[0].strip().strip('"'))):
+    separator, first = _stated_separator(stated.separator), stated.skip_lines
+    if separator is None and (named := re.match(r'"?sep=(.)"?\s*\n', text)):
         separator, first = named.group(1), max(first, 1)
-    numbered, comments, spans = _content_lines(lines, first)
+    if text.count('"') % 2:
+        number = next(k for k, line in enumerate(text.split("\n"), start=1) if line.count('"') % 2)
+        raise ForeignTableError(f"line {number}: a quote is not closed; correct it, or remove the sign")
+    numbered, comments = _head_of(text, first)
     if len(numbered) < 2:
         raise ForeignTableError("the file has no header with lines below it")
-    sample = [line for _, line in numbered[:_SAMPLE]]
-    separator = separator or _separator_of(sample)
+    sample = [line for _, line in numbered]
+    if separator is None:
+        separator = _separator_of(sample)
+        notes = [*notes, f"separated by {'tabs' if separator == _TAB else separator.replace(' ', 'blanks')}"]
     top = _top_of([_split(line, separator) for line in sample], comments, separator)
-    header, body = top.header, numbered[top.first_row :]
     if top.header_position > 0:
-        notes = [*notes, f"{top.header_position} lines before the header"]
-    good, numbers, faults = _rows_of(body, top, separator, spans, is_cut=is_cut)
-    names = {"\t": "tabs", " ": "blanks"}
-    notes = [*notes, f"separated by {names.get(separator, separator)}", *_footer(faults, numbers, body, is_cut=is_cut)]
-    if not good:
-        raise ForeignTableError(f"no row below the header can be read{'; ' + faults[0][1] if faults else ''}")
-    columns = _columns_of(good, separator, len(header))
-    return _finished(header, columns, np.array(numbers, dtype=np.int64), faults, notes, top.units)
+        notes = [f"{top.header_position} lines before the header", *notes]
+    return _of_rows(text, numbered[top.first_row][0], separator, top, notes)
 
 
 def _stated_separator(stated: str | None) -> str | None:
@@ -275,32 +276,27 @@ def _stated_separator(stated: str | None) -> str | None:
     return found
 
 
-def _content_lines(lines: list[str], first: int) -> tuple[list[tuple[int, str]], dict[int, str], dict[int, int]]:
-    """Return the lines that hold something, with their numbers, and comments by the position of the line below them.
+def _head_of(text: str, first: int) -> tuple[list[tuple[int, str]], dict[int, str]]:
+    """Return the first lines that hold something, with their numbers, and comments by the position of the line below.
 
-    Lines that a quoted cell spans become one; last comes by number how many more they were.
+    Lines that a quoted cell spans become one.
     """
     numbered: list[tuple[int, str]] = []
     comments: dict[int, str] = {}
-    spans: dict[int, int] = {}
     is_inside = False
-    for number, line in enumerate(lines[first:], start=first + 1):
+    for number, line in enumerate(text.split("\n", first + 4 * _SAMPLE)[first : first + 4 * _SAMPLE], start=first + 1):
         is_odd = line.count('"') % 2 == 1
         if is_inside:
-            begun, held = numbered[-1]
-            numbered[-1] = (begun, f"{held} {line}")
-            spans[begun] = number - begun
-            is_inside = not is_odd
-            if spans[begun] > _MOST_SPANNED:
-                break
+            begin, start = numbered[-1]
+            numbered[-1], is_inside = (begin, f"{start} {line}"), not is_odd
         elif (mark := _COMMENT.match(line)) is not None:
             comments[len(numbered)] = line[mark.end() :]
-        elif line.strip(" \t,;|"):
+        elif line.strip(_BLANK):
             numbered.append((number, line))
             is_inside = is_odd
-    if is_inside:
-        raise ForeignTableError(f"line {numbered[-1][0]}: a quote is not closed; correct it, or remove the sign")
-    return numbered, comments, spans
+        if len(numbered) > _SAMPLE:
+            break
+    return numbered[:_SAMPLE], comments
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -377,68 +373,105 @@ def _is_unit_row(cells: Sequence[str]) -> bool:
     return bool(held) and all(cell in _UNIT_WORDS for cell in held) and any(cell not in CODES for cell in held)
 
 
-def _rows_of(
-    body: list[tuple[int, str]], top: _Top, separator: str, spans: dict[int, int], *, is_cut: bool
-) -> tuple[list[str], list[int], list[tuple[int, str]]]:
-    """Return the lines of the table's width, their numbers, and the faults of the others."""
-    good: list[str] = []
-    numbers: list[int] = []
-    faults: list[tuple[int, str]] = []
-    rivals = [mark for mark in SEPARATORS if mark != separator]
-    last = body[-1][0] if is_cut and body else None
-    starts = (top.header[0], f'"{top.header[0]}"') if top.header[0] else ("\0",)
-    for number, line in body:
-        is_plain = '"' not in line and separator != " "
-        width = line.count(separator) + 1 if is_plain else len(_split(line, separator))
-        if number == last:
-            faults.append((number, "the last line does not end; the file may be cut off"))
-        elif width == top.width:
-            if line.startswith(starts) and not _is_data(_split(line, separator)):
-                continue
-            good.append(line)
-            numbers.append(number)
-        elif width == top.width + 1 and line.rstrip().endswith(separator):
-            good.append(line.rstrip()[:-1])
-            numbers.append(number)
-        else:
-            is_mixed = any(line.count(mark) + 1 == top.width for mark in rivals)
-            reason = f"{width} cells, the header has {top.width}"
-            reason = "the line has another separator than the header" if is_mixed else reason
-            # each line that a quote swallowed was a row of its own
-            faults += [(number, reason)] * (1 + spans.get(number, 0))
-    return good, numbers, faults
+def _of_rows(text: str, first_line: int, separator: str, top: _Top, notes: list[str]) -> Table:
+    """Return the table of the rows from a line on; rows of another width are faults, or a footer below all others."""
+    import pyarrow as pa
+
+    text = text.split("\n", first_line - 1)[-1]
+    columns, others = _cells_of(text, separator, top.width)
+    count = len(columns[0]) + len(others)
+    rows = np.delete(np.arange(count), [row for row, _, _ in others])
+    spans = np.ones(count, dtype=np.int64)
+    is_swallowed = np.zeros(len(rows), dtype=np.bool_)
+    for column in columns if '"' in text else ():
+        ends, marks = (_count_of(column, mark) for mark in ("\n", separator))
+        spans[rows] += ends
+        is_swallowed |= (ends > 0) & (marks > 0)
+    for row, _, line in others:
+        spans[row] += line.count("\n")
+    lines = first_line + np.cumsum(spans) - spans
+    reasons = {row: _fault_of(width, line, separator, top) for row, width, line in others}
+    reasons |= dict.fromkeys(rows[is_swallowed].tolist(), "a quote spans the ends of lines and separators")
+    is_row = ~is_swallowed & _is_row(columns, top.header[0])
+    if not text.endswith("\n"):
+        reasons[len(lines) - 1] = "the last line does not end; the file may be cut off"
+        is_row &= rows < len(lines) - 1
+    if not is_row.any():
+        shown = next(filter(None, reasons.values()), "there is none")
+        raise ForeignTableError(f"no row below the header can be read: {shown}")
+    footer = [(row, line) for row, _, line in others if row > rows[is_row][-1] and reasons[row]]
+    if text.endswith("\n") and 0 < len(footer) <= _MOST_FOOTER:
+        notes = [*notes, f"below the table: {footer[0][1][:60]!r}"]
+        reasons |= dict.fromkeys((row for row, _ in footer), None)
+    # each line that a quote swallowed was a row of its own
+    faults = [(int(lines[row]), why) for row, why in sorted(reasons.items()) for _ in range(spans[row]) if why]
+    if not is_row.all():
+        columns = [column.filter(pa.array(is_row)) for column in columns]
+    return _finished(top.header, columns, lines[rows[is_row]], faults, notes, top.units)
 
 
-def _footer(
-    faults: list[tuple[int, str]], numbers: list[int], body: list[tuple[int, str]], *, is_cut: bool
-) -> list[str]:
-    """Take the lines below the last row that hold no row out of the faults, and return the note of them."""
-    last = numbers[-1] if numbers else 0
-    texts = dict(body[-20:])
-    tail = [each for each in faults if each[0] > last and each[0] in texts and not (is_cut and each is faults[-1])]
-    if not tail or len(tail) > 10:
-        return []
-    for each in tail:
-        faults.remove(each)
-    return [f"below the table: {texts[tail[0][0]][:60]!r}"]
-
-
-def _columns_of(lines: list[str], separator: str, width: int) -> list[Any]:
-    """Return the columns of lines of one width."""
+def _cells_of(text: str, separator: str, width: int) -> tuple[list[Any], list[tuple[int, int, str]]]:
+    """Return the columns of the rows of a width; number, width and text of the others."""
     # pyarrow costs what only tables need
     import pyarrow as pa
     import pyarrow.csv as arrow_csv
 
-    if separator == " " or any('"' in line for line in lines):
-        return [pa.array(cells) for cells in zip(*(_split(line, separator) for line in lines), strict=True)]
-    names = [str(position) for position in range(width)]
-    found = arrow_csv.read_csv(
-        pa.BufferReader(("\n".join(lines) + "\n").encode()),
-        arrow_csv.ReadOptions(column_names=names, block_size=max(1 << 20, 2 * max(map(len, lines)) * 4)),
-        arrow_csv.ParseOptions(delimiter=separator, quote_char=False, ignore_empty_lines=False),
-        arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False),
-    )
-    return [found.column(name).combine_chunks() for name in names]
+    if separator == " ":
+        text = re.sub(r"(?m)^ +| +$", "", re.sub("[ \t]+", " ", text))
+    others: list[tuple[int, int, str]] = []
+
+    def leave_out(row: Any) -> str:
+        others.append((row.number - 1, row.actual_columns, row.text))
+        return "skip"
+
+    names, content = [str(position) for position in range(width)], text.encode()
+    try:
+        found = arrow_csv.read_csv(
+            pa.BufferReader(content),
+            # one block: numbers of rows are those of the file, and a cell may span lines
+            arrow_csv.ReadOptions(column_names=names, block_size=len(content) + 1, use_threads=False),
+            arrow_csv.ParseOptions(
+                delimiter=separator, ignore_empty_lines=False, newlines_in_values=True, invalid_row_handler=leave_out
+            ),
+            arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()), strings_can_be_null=False),
+        )
+    except (pa.ArrowInvalid, OverflowError) as error:
+        raise ForeignTableError(f"the rows cannot be read: {error}; state separator, or split the file") from None
+    return [column.combine_chunks() for column in found.columns], others
+
+
+def _count_of(column: Any, mark: str) -> NDArray[np.int64]:
+    """Return how often a sign occurs in each cell."""
+    import pyarrow.compute as pc
+
+    return np.asarray(pc.count_substring(column, mark).to_numpy(), dtype=np.int64)
+
+
+def _fault_of(width: int, line: str, separator: str, top: _Top) -> str | None:
+    """Return why a line of another width is no row; None: a comment or a blank line."""
+    if _COMMENT.match(line) or not line.strip(_BLANK):
+        return None
+    if any(line.count(mark) + 1 == top.width for mark in SEPARATORS if mark != separator):
+        return "the line has another separator than the header"
+    return f"{width} cells, the header has {top.width}"
+
+
+def _is_row(columns: list[Any], header_start: str) -> NDArray[np.bool_]:
+    """Return which rows are neither comments, blank nor a repeated header."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    first = pc.utf8_trim(columns[0], " \t\"'")
+    is_odd = pc.match_substring_regex(first, pattern=f"^(?:{_COMMENT.pattern})")
+    if header_start:
+        is_odd = pc.or_(is_odd, pc.equal(first, header_start))
+    found = ~np.asarray(is_odd.to_numpy(zero_copy_only=False), dtype=np.bool_)
+    blank = np.flatnonzero(pc.equal(first, "").to_numpy(zero_copy_only=False))
+    for column in columns if len(blank) else ():
+        texts = pc.utf8_trim_whitespace(column.take(pa.array(blank)))
+        blank = blank[pc.equal(texts, "").to_numpy(zero_copy_only=False)]
+    found[blank] = False
+    return found
 
 
 def _finished(
@@ -456,7 +489,7 @@ def _finished(
     kept: dict[str, Any] = {}
     for position, (name, column) in enumerate(zip(header, columns, strict=True), start=1):
         texts = pc.utf8_trim_whitespace(pc.fill_null(column.cast(pa.string()), ""))
-        if pc.max(pc.match_substring(texts, "'")).as_py():
+        if pc.any(pc.starts_with(texts, "'")).as_py():
             texts = pc.replace_substring_regex(texts, pattern=r"^'([=+\-@])", replacement=r"\1")
         if not name and pc.max(pc.utf8_length(texts)).as_py() in (0, None):
             continue
@@ -467,8 +500,8 @@ def _finished(
     return Table(list(kept), list(kept.values()), lines, faults, notes, units)
 
 
-def workbook_rows(content: bytes, sheet: str | None) -> list[tuple[str, ...]]:
-    """Return the rows of a workbook's sheet as texts; ForeignTableError where several hold something."""
+def workbook_text(content: bytes, sheet: str | None) -> str:
+    """Return a workbook's sheet as lines with commas; ForeignTableError where several sheets hold something."""
     from python_calamine import CalamineError, CalamineWorkbook
 
     try:
@@ -482,28 +515,15 @@ def workbook_rows(content: bytes, sheet: str | None) -> list[tuple[str, ...]]:
     if sheet is None and len(filled) != 1:
         raise ForeignTableError(f"an Excel workbook with {len(filled)} sheets ({', '.join(filled)}): state sheet")
     columns = [_texts_of(cells) for cells in zip(*sheets[sheet or filled[0]], strict=True)]
-    return list(zip(*columns, strict=True))
-
-
-def _of_workbook(content: bytes, stated: Container) -> Table:
-    """Return the table of a workbook's sheet."""
-    import pyarrow as pa
-
-    numbered = list(enumerate(workbook_rows(content, stated.sheet), start=1))[stated.skip_lines :]
-    rows = [(number, list(row)) for number, row in numbered if any(cell.strip() for cell in row)]
-    if len(rows) < 2:
-        raise ForeignTableError("the sheet has no header with rows below it")
-    top = _top_of([row for _, row in rows[:_SAMPLE]], {}, "")
-    body = [(number, row) for number, row in rows[top.first_row :] if row != rows[top.header_position][1]]
-    columns = [pa.array(cells) for cells in zip(*(row for _, row in body), strict=True)]
-    lines = np.array([number for number, _ in body], dtype=np.int64)
-    return _finished(top.header, columns, lines, [], [f"sheet {stated.sheet or 'of the workbook'}"], top.units)
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
+    return text.getvalue()
 
 
 def _texts_of(cells: Sequence[Any]) -> list[str]:
     """Return the cells of a workbook's column as texts; in a column of instants, midnight is one of them."""
     has_instants = any(isinstance(cell, datetime) for cell in cells)
-    return [_cell_text(cell, is_midnight=has_instants) for cell in cells]
+    return [" ".join(_cell_text(cell, is_midnight=has_instants).split()) for cell in cells]
 
 
 def _cell_text(cell: Any, *, is_midnight: bool) -> str:
@@ -514,12 +534,8 @@ def _cell_text(cell: Any, *, is_midnight: bool) -> str:
         if cell.year < 1901:
             return "00:00:00"
         return f"{cell.isoformat()} 00:00:00" if is_midnight else cell.isoformat()
-    if isinstance(cell, time):
-        return cell.isoformat()
     if isinstance(cell, timedelta):
-        milliseconds = round(cell / timedelta(milliseconds=1))
-        seconds, rest = divmod(milliseconds, 1000)
-        return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}.{rest:03d}"
+        return str(timedelta(milliseconds=round(cell / timedelta(milliseconds=1))))
     if isinstance(cell, float) and cell.is_integer() and abs(cell) < 1e15:
         return str(int(cell))
     return str(cell)
@@ -551,32 +567,15 @@ def _of_parquet(content: bytes) -> Table:
     return _finished(header, columns, np.arange(1, found.num_rows + 1), [], ["Parquet"], {})
 
 
-def _of_objects(text: str) -> Table:
-    """Return the table of JSON: one object a line, or an array of flat objects."""
-    import pyarrow as pa
-
+def _text_of_objects(text: str) -> str:
+    """Return JSON, one object a line or an array of flat objects, as lines with commas."""
+    is_array = text.lstrip().startswith("[")
+    out = io.StringIO()
     try:
-        if text.lstrip().startswith("["):
-            objects = list(enumerate(json.loads(text), start=1))
-        else:
-            lines_of = enumerate(text.split("\n"), start=1)
-            objects = [(number, json.loads(line)) for number, line in lines_of if line.strip()]
-    except (ValueError, RecursionError) as error:
-        raise ForeignTableError(f"a line is no JSON: {error}") from None
-    header = list(objects[0][1]) if objects and isinstance(objects[0][1], dict) else []
-    if not header:
-        raise ForeignTableError("no lines of JSON objects")
-    rows = [_object_cells(number, each, header) for number, each in objects]
-    columns = [pa.array(cells) for cells in zip(*rows, strict=True)]
-    lines = np.array([number for number, _ in objects], dtype=np.int64)
-    return _finished([str(name) for name in header], columns, lines, [], ["JSON objects"], {})
-
-
-def _object_cells(number: int, found: Any, header: Sequence[str]) -> list[str]:
-    """Return the cells of an object, which must have the names of the first and plain values."""
-    if not isinstance(found, dict) or set(found) != set(header):
-        odd = ", ".join(sorted(set(header) ^ set(found))[:5]) if isinstance(found, dict) else "no object"
-        raise ForeignTableError(f"line {number} has other names than the first: {odd}")
-    if any(isinstance(value, dict | list) for value in found.values()):
-        raise ForeignTableError(f"line {number} holds a list or an object in place of a value")
-    return ["" if found[name] is None else str(found[name]) for name in header]
+        objects = json.loads(text) if is_array else [json.loads(line) for line in text.split("\n") if line.strip()]
+        writer = csv.DictWriter(out, list(objects[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(objects)
+    except (ValueError, RecursionError, LookupError, TypeError, AttributeError) as error:
+        raise ForeignTableError(f"no JSON objects of the same names: {error}") from None
+    return out.getvalue()

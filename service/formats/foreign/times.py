@@ -1,7 +1,7 @@
 """Epochs of foreign tables: texts and numbers of a whole column at once become microseconds UTC."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from functools import lru_cache
@@ -62,6 +62,9 @@ _MONTHS = {
     )
     for number, name in enumerate(names.split(), start=1)
 }
+_HALVES = {"a": 0, "p": 12}
+#: of an epoch that states no offset from UTC, microseconds
+_NO_OFFSET = 1 << 60
 _FIXED_OFFSET = re.compile(r"(?:UTC|GMT)?([+-])(\d{1,2})(?::?(\d{2}))?")
 #: epochs ahead of this machine's clock by less are a difference of clocks
 _FUTURE_US = 60 * US_PER_S
@@ -173,27 +176,20 @@ def regex_of(time_format: str) -> str:
         seconds = r"(?::(?P<S>\d{2})(?:[.,](?P<f>\d{1,12}))?)?"
         start = regex_of("%Y-%m-%d %H:%M").removesuffix(f"{_ZONE}$")
         return f"{start}{seconds}{_ZONE}$"
-    pattern, text = (
-        "",
-        time_format.replace("%B", "%b").replace("%A", "%a").replace("%S.%f", "%S").replace("%S,%f", "%S"),
-    )
-    seen: set[str] = set()
-    position = 0
-    while position < len(text):
-        sign = text[position]
-        if sign == "%":
-            token = text[position + 1 : position + 2]
-            if token not in _TOKENS or token in seen:
-                raise ForeignTableError(f"time_format {time_format[:40]!r}: %{token} is unknown or occurs twice")
+    text = time_format.replace("%B", "%b").replace("%A", "%a").replace("%S.%f", "%S").replace("%S,%f", "%S")
+    tokens = re.findall("%(.?)", text)
+    for token in tokens:
+        if token not in _TOKENS or tokens.count(token) > 1:
+            raise ForeignTableError(f"time_format {time_format[:40]!r}: %{token} is unknown or occurs twice")
+    pattern, is_close = "", False
+    for token, sign in re.findall(r"%(.)|([^%])", text):
+        if sign:
+            pattern += r"[Tt\s]\s*" if sign in " T" else re.escape(sign)
+        else:
             # without a sign between them numbers have two digits
-            is_close = text[max(position - 2, 0) : position].startswith("%") and position > 0
-            seen.add(token)
             pattern += _TOKENS[token].replace("{1,2}", "{2}") if is_close else _TOKENS[token]
-            position += 2
-            continue
-        pattern += r"[Tt\s]\s*" if sign in " T" else re.escape(sign)
-        position += 1
-    return f"^{pattern}{'' if 'z' in seen else _ZONE}$"
+        is_close = not sign
+    return f"^{pattern}{'' if 'z' in tokens else _ZONE}$"
 
 
 def is_clock_only(time_format: str) -> bool:
@@ -251,64 +247,6 @@ def _counted(texts: Any, kind: str, decimal: str) -> Epochs:
     return epochs
 
 
-class _Fields:
-    """Numbers of the parts of matched texts."""
-
-    def __init__(self, texts: Any, time_format: str) -> None:
-        import pyarrow as pa
-        import pyarrow.compute as pc
-
-        self._arrow: Any = pa
-        self._compute: Any = pc
-        self._pattern = regex_of(time_format)
-        # of groups that one pattern names twice the second is another branch
-        self._parts = pc.extract_regex(texts, pattern=self._pattern)
-        self.is_matched = self._parts.is_valid().to_numpy(zero_copy_only=False)
-        self.count = len(texts)
-
-    def text(self, name: str) -> Any | None:
-        """Return the texts of a part; None where the format has no such part."""
-        if f"?P<{name}>" not in self._pattern:
-            return None
-        return self._compute.fill_null(self._compute.struct_field(self._parts, name), "")
-
-    def number(self, name: str, default: int = 0) -> IntArray:
-        """Return the numbers of a part."""
-        texts = self.text(name)
-        if texts is None:
-            return np.full(self.count, default, dtype=np.int64)
-        filled = self._compute.if_else(self._compute.equal(texts, ""), str(default), texts)
-        return np.asarray(filled.cast(self._arrow.int64()).to_numpy(), dtype=np.int64)
-
-    def nanoseconds(self) -> IntArray:
-        """Return the fractions of the second."""
-        texts = self.text("f")
-        if texts is None:
-            return np.zeros(self.count, dtype=np.int64)
-        padded = self._compute.utf8_slice_codeunits(self._compute.utf8_rpad(texts, 9, "0"), 0, 9)
-        return np.asarray(padded.cast(self._arrow.int64()).to_numpy(), dtype=np.int64)
-
-    def encoded(self, name: str) -> tuple[list[str], IntArray] | None:
-        """Return the different texts of a part, and which each row has."""
-        texts = self.text(name)
-        if texts is None:
-            return None
-        found = self._compute.dictionary_encode(texts)
-        return found.dictionary.to_pylist(), np.asarray(found.indices.to_numpy(), dtype=np.int64)
-
-    def holds(self, name: str, words: Sequence[str]) -> BoolArray:
-        """Return in which rows a part is one of some words."""
-        found = self.encoded(name)
-        if found is None:
-            return np.zeros(self.count, dtype=np.bool_)
-        return np.array([each.strip(" ().").casefold() in words for each in found[0]], dtype=np.bool_)[found[1]]
-
-    def mapped(self, name: str, values: dict[str, int], length: int) -> IntArray:
-        """Return the numbers that the first letters of a part stand for, -1 for unknown ones."""
-        texts, rows = self.encoded(name) or ([], np.zeros(self.count, dtype=np.int64))
-        return np.array([*(values.get(each.casefold()[:length], -1) for each in texts), -1], dtype=np.int64)[rows]
-
-
 def _plain_iso(texts: Any) -> Epochs | None:
     """Return the epochs of texts that are all RFC 3339, or all without an offset; None: some are odd."""
     import pyarrow as pa
@@ -328,61 +266,73 @@ def _plain_iso(texts: Any) -> Epochs | None:
 
 def _calendar(texts: Any, clock: TableClock) -> Epochs:
     """Return the epochs of calendar texts as UTC where they state an offset, as they stand where they state none."""
+    import pyarrow.compute as pc
+
     time_format = clock.time_format or ISO
-    fields = _Fields(texts, time_format)
-    hour, minute, second = (fields.number(each) for each in "HMS")
-    is_right = fields.is_matched & (minute <= 59) & (second <= 60)
-    nanoseconds = fields.nanoseconds()
-    if fields.text("p") is not None:
-        half = fields.mapped("p", {"a": 0, "p": 12}, 1)
-        is_right &= (hour >= 1) & (hour <= 12)
-        hour = hour % 12 + half
-    is_right &= (hour <= 23) | ((hour == 24) & (minute == 0) & (second == 0) & (nanoseconds == 0))
+    pattern = regex_of(time_format)
+    # of groups that one pattern names twice the second is another branch
+    parts = pc.extract_regex(texts, pattern=pattern)
+
+    def part(name: str, value_of: Callable[[str], int] = _number, default: int = 0) -> IntArray:
+        """Return the numbers of a part of the texts; a default where the format has no such part."""
+        if f"?P<{name}>" not in pattern:
+            return np.full(len(texts), default, dtype=np.int64)
+        encoded = pc.dictionary_encode(pc.fill_null(pc.struct_field(parts, name), ""))
+        values = np.array([value_of(each) for each in encoded.dictionary.to_pylist()], dtype=np.int64)
+        return np.asarray(values[encoded.indices.to_numpy()], dtype=np.int64)
+
+    hour, minute, second = (part(each) for each in "HMS")
+    nanoseconds = part("f", lambda text: int(text[:9].ljust(9, "0")))
+    half = part("p", lambda text: _HALVES.get(text[:1].lower(), 0), -1)
+    is_midnight = (hour == 24) & (minute == 0) & (second == 0) & (nanoseconds == 0)
+    is_right = np.where(half >= 0, (hour >= 1) & (hour <= 12), (hour <= 23) | is_midnight)
+    hour = np.where(half >= 0, hour % 12 + half, hour)
+    is_right &= parts.is_valid().to_numpy(zero_copy_only=False) & (minute <= 59) & (second <= 60)
+    # half a day that the format does not know would be read as the other half
+    is_right &= part("w", lambda text: text.strip(" ().").lower() in ("am", "pm", "a", "p")) == 0
     clock_us = ((hour * 60 + minute) * 60 + second) * US_PER_S + (nanoseconds + 500) // 1000
     if is_clock_only(time_format):
         days, is_day = _rolled_days(clock_us, is_right, clock.date)
     else:
-        days, is_day = _days(fields)
-    us = days * DAY_US + clock_us
-    is_local = np.ones(fields.count, dtype=np.bool_)
-    # half a day that the format does not know would be read as the other half
-    is_right &= ~fields.holds("w", ("am", "pm", "a", "p"))
-    zone = fields.encoded("z")
-    if zone is not None:
-        offsets = [_offset_us(each) for each in zone[0]]
-        us = us - np.array([each or 0 for each in offsets], dtype=np.int64)[zone[1]]
-        is_local = np.array([each is None for each in offsets], dtype=np.bool_)[zone[1]]
-    epochs = Epochs(us, np.zeros(fields.count, dtype=np.bool_), [], is_local & is_right & is_day)
+        days, is_day = _days(part)
+    offset_us = part("z", _offset_us, _NO_OFFSET)
+    is_local = (offset_us == _NO_OFFSET) & is_right & is_day
+    us = days * DAY_US + clock_us - np.where(offset_us == _NO_OFFSET, 0, offset_us)
+    epochs = Epochs(us, np.zeros(len(us), dtype=np.bool_), [], is_local)
     epochs.refuse(f"epoch is not {time_format}", ~(is_right & is_day))
     return epochs
 
 
-def _offset_us(text: str) -> int | None:
-    """Return the offset from UTC of a stated zone; None: it states none."""
-    if not text:
-        return None
+def _number(text: str) -> int:
+    """Return the number of a part, 0 of an empty one."""
+    return int(text or 0)
+
+
+def _offset_us(text: str) -> int:
+    """Return the offset from UTC of a stated zone; `_NO_OFFSET`: it states none."""
     found = re.search(r"([+-])(\d{2})(?::?(\d{2}))?", text)
     if found is None:
-        return 0
+        return 0 if text else _NO_OFFSET
     size_us = (int(found.group(2)) * 60 + int(found.group(3) or 0)) * 60 * US_PER_S
     return -size_us if found.group(1) == "-" else size_us
 
 
-def _days(fields: _Fields) -> tuple[IntArray, BoolArray]:
+def _days(part: Callable[..., IntArray]) -> tuple[IntArray, BoolArray]:
     """Return days since 1970, and which of them exist."""
-    year = fields.number("Y") if fields.text("Y") is not None else 2000 + fields.number("y")
+    year = part("Y", default=-1)
+    year = np.where(year < 0, 2000 + part("y"), year)
+    ordinal, named = part("j", default=-1), part("b", lambda text: _MONTHS.get(text.casefold()[:3], -1))
+    is_ordinal = ordinal >= 0
+    month = np.where(named == 0, part("m", default=1), named)
+    day = np.where(is_ordinal, ordinal, part("d", default=1))
     first = (np.clip(year, 1, 9999) - 1970).astype("datetime64[Y]")
-    if fields.text("j") is not None:
-        day = fields.number("j")
-        days = first.astype("datetime64[D]").astype(np.int64) + day - 1
-        is_day = (day >= 1) & (days < (first + 1).astype("datetime64[D]").astype(np.int64))
-        return days, is_day
-    month = fields.mapped("b", _MONTHS, 3) if fields.text("b") is not None else fields.number("m", 1)
-    day = fields.number("d", 1)
-    begin = (first.astype("datetime64[M]") + (np.clip(month, 1, 12) - 1)).astype("datetime64[M]")
-    days = begin.astype("datetime64[D]").astype(np.int64) + day - 1
-    last = (begin + 1).astype("datetime64[D]").astype(np.int64)
-    return days, (month >= 1) & (month <= 12) & (day >= 1) & (days < last)
+    begin = first.astype("datetime64[M]") + (np.clip(month, 1, 12) - 1).astype("timedelta64[M]")
+    starts, ends = (
+        np.where(is_ordinal, *(each.astype("datetime64[D]").astype(np.int64) for each in pair))
+        for pair in ((first, begin), (first + 1, begin + 1))
+    )
+    days = starts + day - 1
+    return days, (month >= 1) & (month <= 12) & (day >= 1) & (days < ends)
 
 
 def _rolled_days(clock_us: IntArray, is_right: BoolArray, date: str | None) -> tuple[IntArray, BoolArray]:

@@ -57,13 +57,15 @@ def number_column(texts: Any, decimal: str, missing: Sequence[str]) -> tuple[Flo
     import pyarrow as pa
     import pyarrow.compute as pc
 
+    if decimal == "point" and not missing:
+        with suppress(pa.ArrowInvalid):
+            is_empty = pc.equal(texts, "")
+            plain = pc.if_else(is_empty, "nan", texts) if pc.any(is_empty).as_py() else texts
+            values = plain.cast(pa.float64()).to_numpy().copy()
+            values[~(np.abs(values) < _NO_NUMBER)] = np.nan
+            return values, np.zeros(len(values), dtype=np.bool_), None
     unit = None
     is_number = pc.match_substring_regex(texts, pattern=_PATTERNS[decimal])
-    if pc.all(is_number).as_py() and not missing and decimal == "point":
-        with suppress(pa.ArrowInvalid):
-            values = texts.cast(pa.float64()).to_numpy(zero_copy_only=False).copy()
-            values[np.abs(values) >= _NO_NUMBER] = np.nan
-            return values, np.zeros(len(values), dtype=np.bool_), None
     low = pc.utf8_lower(texts)
     codes = pa.array([*CODES, *(each.strip().casefold() for each in missing)])
     # a limit is no reading: <-80

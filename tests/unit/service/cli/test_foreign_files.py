@@ -6,6 +6,7 @@ reader answers. The table holds what must be asked (fields of the manifest), wha
 
 import gzip
 import io
+import json
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -80,9 +81,9 @@ def read(folder: Path, content: str | bytes, name: str = "file.csv", **stated: o
     is_readings = b"Yaw" in path.read_bytes() or "Крен" in str(content) or "columns" in stated
     if is_readings:
         readings_of = ReadingsStatement.model_validate({"file": name, **stated})
-        return interpret_readings(read_table(path, readings_of.container), readings_of, NOW_US)
+        return interpret_readings(read_table(path, readings_of), readings_of, NOW_US)
     powers = PowersStatement.model_validate({"file": name, **stated})
-    return interpret_powers(read_table(path, powers.container), powers, CARRIERS, NOW_US)
+    return interpret_powers(read_table(path, powers), powers, CARRIERS, NOW_US)
 
 
 def asked(found: Interpretation) -> set[str]:
@@ -150,6 +151,34 @@ def sheet() -> str:
     return "".join(lines)
 
 
+def ods(text: str) -> bytes:
+    """Return an OpenDocument workbook of texts."""
+    kind = "application/vnd.oasis.opendocument.spreadsheet"
+    rows = ""
+    for line in text.splitlines():
+        cells = "".join(
+            f'<table:table-cell office:value-type="string"><text:p>{cell}</text:p></table:table-cell>'
+            for cell in line.split(",")
+        )
+        rows += f"<table:table-row>{cells}</table:table-row>"
+    names = "".join(
+        f' xmlns:{name}="urn:oasis:names:tc:opendocument:xmlns:{name}:1.0"' for name in ("office", "table", "text")
+    )
+    body = f'<office:spreadsheet><table:table table:name="Levels">{rows}</table:table></office:spreadsheet>'
+    content = f"<office:document-content{names}><office:body>{body}</office:body></office:document-content>"
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as file:
+        file.writestr("mimetype", kind)
+        file.writestr("content.xml", content)
+        file.writestr("META-INF/manifest.xml", "<manifest/>")
+    return out.getvalue()
+
+
+def objects() -> list[str]:
+    """Return the rows as objects of JSON."""
+    return [json.dumps({"Time": epoch(r), **{f"c{k:02d} (dBm)": level(r, k) for k in range(3)}}) for r in range(ROWS)]
+
+
 def zipped(**files: str) -> bytes:
     """Return a zip of files."""
     out = io.BytesIO()
@@ -213,6 +242,9 @@ RIGHT: dict[str, str | bytes] = {
     + "".join(f"{epoch(r)},c{k:02d},{level(r, k):.2f}\n" for r in range(ROWS) for k in range(3)),
     "sign of typography": table(cell=lambda row, k: f"\N{MINUS SIGN}{-level(row, k):.2f}"),
     "a workbook": xlsx({"Levels": sheet(), "Empty": ""}),
+    "an OpenDocument sheet": ods(table()),
+    "JSON lines": "".join(f"{each}\n" for each in objects()),
+    "an array of objects": f"[{','.join(objects())}]",
 }
 
 
@@ -367,6 +399,10 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     "no names": ("\n".join(table().splitlines()[1:]) + "\n", "no line of names"),
     "a tenth is no number": (spoiled(dict.fromkeys(range(6), "high")), "6 of 60 rows cannot be read"),
     "an open quote": (table().replace("-45.", '"-45.', 1), "a quote is not closed"),
+    "quotes that swallow rows": (
+        table(cell=lambda r, k: f"{'' if k or r not in (5, 20) else chr(34)}{level(r, k):.2f}"),
+        "a quote spans",
+    ),
     "another separator": (table() + table(separator=";").split("\n", 1)[1], "another separator than the header"),
     "seconds cut off": (
         table(time=lambda r: epoch(r // 6, "%Y-%m-%d %H:%MZ")),
