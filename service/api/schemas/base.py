@@ -7,7 +7,6 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Annotated, Any, Self, TypeVar
 
-import numpy as np
 from pydantic import (
     AfterValidator,
     AliasChoices,
@@ -112,13 +111,6 @@ def _finite_or_none(value: Any) -> Any:
     return None if isinstance(value, float) and math.isnan(value) else value
 
 
-def _list_of(value: Any) -> Any:
-    """Return a list for an array."""
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-#: of a list that records hold as an array
-OF_ARRAY = BeforeValidator(_list_of)
 EpochAnswer = Annotated[str, BeforeValidator(_epoch_text), WithJsonSchema(_EPOCH_SCHEMA)]
 Figure = Annotated[float | None, BeforeValidator(_finite_or_none)]
 
