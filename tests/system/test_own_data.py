@@ -17,7 +17,7 @@ from service_process import free_ports
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "your-own-satellite.md"
-MOST_COMMANDS, MOST_S, MOST_PROCESSOR_S = 5, 300.0, 60.0
+MOST_COMMANDS, MOST_S, MOST_PROCESSOR_S = 4, 300.0, 60.0
 SEED = 7
 AXES = ("yaw", "roll", "pitch")
 

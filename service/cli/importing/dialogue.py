@@ -1,5 +1,6 @@
 """Dialogue of `soo import` and `soo put` with people and programs: roles of files, exit codes, terminal, signals."""
 
+import json
 import sys
 from enum import StrEnum
 from typing import Any, NoReturn
@@ -35,7 +36,8 @@ def printable(text: str) -> str:
 def shown(value: Any) -> str:
     """Return a value for people, in words that a statement takes."""
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}: {each}" for name, each in value.items()) + "}"
+        # names may hold commas and colons
+        return json.dumps(value, ensure_ascii=False)
     return " + ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 

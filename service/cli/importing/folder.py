@@ -35,6 +35,7 @@ from service.formats.foreign.columns import (
     ReadingsStatement,
     TableRows,
     TableStatement,
+    carriers_named,
     interpret_powers,
     texts_of,
 )
@@ -315,6 +316,8 @@ def _table_role(table: Table, carriers: Mapping[str, str], stated: FolderManifes
     known = {each.casefold() for each in carriers}
     names = {without_unit(each).casefold() for each in table.header}
     if names & known or any(texts_of(column) & known for column in table.columns):
+        return FileRole.POWERS
+    if any(carriers_named(each, carriers) for each in table.header):
         return FileRole.POWERS
     is_number = [pc.match_substring_regex(column, pattern=f"^{NUMBER}$") for column in table.columns]
     numbers = sum(2 * (pc.sum(each).as_py() or 0) > len(each) for each in is_number)

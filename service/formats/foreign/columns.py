@@ -5,6 +5,7 @@ the file. A fault that depends on the size or sign of a value is asked about or 
 would be biased.
 """
 
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -115,7 +116,8 @@ class TableRows:
         if len(self.faults) > max(MOST_ROWS, MOST_SHARE * total) and not is_partial:
             raise ForeignTableError(
                 f"{len(self.faults)} of {total} rows cannot be read, so nothing is stored:"
-                f" {'; '.join(grouped(self.faults)[:5])}; correct them, or state partial to store the others"
+                f" {'; '.join(grouped(self.faults)[:5])}; correct them, state"
+                " missing for a code of no reading, or state partial to store the others"
             )
 
 
@@ -187,8 +189,10 @@ class TableReader:
     def numbers(self, columns: Sequence[str]) -> tuple[FloatArray, list[tuple[str, BoolArray]], list[str | None]]:
         """Return the numbers of columns (T, N), NaN = absent, the faults of cells, and the units that cells state."""
         found = [number_column(self.table.column(name), self.decimal, self.stated.missing) for name in columns]
-        reason = f"holds no number with decimal {self.decimal}"
-        faults = [(f"{name!r} {reason}", is_bad) for name, (_, is_bad, _) in zip(columns, found, strict=True)]
+        faults = []
+        for name, (_, is_bad, _) in zip(columns, found, strict=True):
+            cell = self.table.column(name)[int(np.argmax(is_bad))].as_py() if is_bad.any() else ""
+            faults.append((f"{name!r} holds no number with decimal {self.decimal}, like {str(cell)[:20]!r}", is_bad))
         return np.column_stack([values for values, _, _ in found]), faults, [unit for _, _, unit in found]
 
     def units(
@@ -355,7 +359,7 @@ def interpret_powers(
         for name in stated.carriers:
             table.column(name)
     if not matched:
-        matched = _ask_carriers(reader, carrier_column, names, plan_ids)
+        matched = _ask_carriers(reader, carrier_column, names, carriers)
     fields["carriers"] = matched
     _note_others(reader, [name for name in names if name not in matched and name != "source"])
     level_columns = list(matched) if carrier_column is None else [fields["level_column"]]
@@ -429,17 +433,28 @@ def _level_column(reader: TableReader, carrier_column: str) -> str | None:
     return named[0] if named else None
 
 
+def carriers_named(name: str, carriers: Mapping[str, str]) -> set[str]:
+    """Return the carriers whose id or name stands as a word in the name of a column, such as ``Level c00``."""
+    words = re.split(r"[^\w.+-]+", name.casefold())
+    return {carrier for known, carrier in carriers.items() if known.casefold() in words}
+
+
 def _ask_carriers(
-    reader: TableReader, carrier_column: str | None, names: Sequence[str], plan_ids: Sequence[str]
+    reader: TableReader, carrier_column: str | None, names: Sequence[str], carriers: Mapping[str, str]
 ) -> dict[str, str]:
-    """Ask which columns or names are which carriers, and return the guess: equally many suggest their order."""
+    """Ask which columns or names are which carriers; the guess goes by words of the names, else by an equal number."""
     if any(each.field == "carriers" for each in reader.questions):
         return {}
+    plan_ids = list(dict.fromkeys(filter(None, carriers.values())))
     names = reader.numeric() if carrier_column is None else names
     who = "column has the name of a carrier" if carrier_column is None else f"name in {carrier_column!r} is a carrier"
-    in_order = dict(zip(names, plan_ids, strict=True)) if len(names) == len(plan_ids) else {}
-    reader.ask("carriers", f"no {who}; the plan has {', '.join(plan_ids[:12])}", names, in_order or None)
-    return in_order
+    words = {name: found for name in names if (found := carriers_named(name, carriers))}
+    each_once = sum(map(len, words.values())) == len(set().union(*words.values()) - {""}) == len(words)
+    guess = {name: min(found) for name, found in words.items()} if words and each_once else {}
+    if not words and len(names) == len(plan_ids):
+        guess = dict(zip(names, plan_ids, strict=True))
+    reader.ask("carriers", f"no {who}; the plan has {', '.join(plan_ids[:12])}", names, guess or None)
+    return guess
 
 
 def _levels(reader: TableReader, columns: Sequence[str]) -> tuple[FloatArray, list[tuple[str, BoolArray]]]:

@@ -294,6 +294,10 @@ ASKED: dict[str, tuple[str, dict[str, object]]] = {
         table(time=lambda r: epoch(r, "%Y-%m-%d %H:%M:%S"), names="GPS time,c00 (dBm),c01 (dBm),c02 (dBm)"),
         {"tz": "GPS"},
     ),
+    "carriers among other words": (
+        table(names="Time,Уровень c00 (дБм),Уровень c01 (дБм),Уровень c02 (дБм)"),
+        {"carriers": {f"Уровень c{k:02d} (дБм)": f"c{k:02d}" for k in range(3)}},
+    ),
     "GPS in the name, Z in the cells": (table(names="GPS time,c00 (dBm),c01 (dBm),c02 (dBm)"), {"tz": "UTC"}),
     "GPS seconds": (
         table(
@@ -398,6 +402,7 @@ REFUSED: dict[str, tuple[str | bytes, str]] = {
     ),
     "no names": ("\n".join(table().splitlines()[1:]) + "\n", "no line of names"),
     "a tenth is no number": (spoiled(dict.fromkeys(range(6), "high")), "6 of 60 rows cannot be read"),
+    "a word for no reading": (spoiled(dict.fromkeys(range(6), "UNLOCK")), "like 'UNLOCK'"),
     "an open quote": (table().replace("-45.", '"-45.', 1), "a quote is not closed"),
     "quotes that swallow rows": (
         table(cell=lambda r, k: f"{'' if k or r not in (5, 20) else chr(34)}{level(r, k):.2f}"),

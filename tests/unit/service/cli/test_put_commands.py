@@ -283,7 +283,7 @@ def test_lines_that_cannot_be_read_are_grouped_and_the_others_sent(service: Cata
     assert done.exit_code == 3
     report = json.loads(done.output)
     assert (report["accepted"], report["unreadable"]) == (19, 1)
-    assert "holds no number with decimal point (first: line 4)" in report["faults"][0]
+    assert "holds no number with decimal point, like " in report["faults"][0]
 
 
 @pytest.mark.parametrize(
