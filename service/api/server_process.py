@@ -7,6 +7,7 @@ import asyncio
 import gc
 import socket
 import ssl
+import sys
 from functools import partial
 
 import uvicorn
@@ -68,6 +69,11 @@ def server_config(
     )
 
 
+#: a thread that computes gives the interpreter up after this long; with Python's 5 ms each of the twenty turns that an
+#: answer needs waits for it, and two viewers of samples made `status` twelve times as slow
+_SWITCH_S = 0.001
+
+
 class StreamingServer(uvicorn.Server):
     """A server whose graceful stop does not wait for live streams.
 
@@ -85,6 +91,7 @@ class StreamingServer(uvicorn.Server):
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Listen; a connection that does not finish its TLS handshake ends as soon as one without a head."""
+        sys.setswitchinterval(_SWITCH_S)
         loop = asyncio.get_running_loop()
         if self.config.ssl is not None:
             # some builds of Python leave it to the system's library
