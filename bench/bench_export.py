@@ -27,7 +27,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from bench.load.plain_batch import plain_batch
+from bench import plain_batch
 from bench.load.server_process import running
 from db.storage import SqlStorage
 from service.api.export.export_files import FileOrder, archive_file

@@ -26,7 +26,7 @@ from urllib.parse import urlencode
 import httpx
 import numpy as np
 
-from bench.load.plain_batch import plain_batch
+from bench import plain_batch
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.records.calibration import Window

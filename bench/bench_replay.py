@@ -17,8 +17,8 @@ from unittest.mock import patch
 
 import numpy as np
 
+from bench import plain_batch
 from bench.bench_chain import yardstick_s
-from bench.load.plain_batch import plain_batch
 from db.storage import SqlStorage
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig

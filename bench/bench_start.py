@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bench import plain_batch
 from bench.bench_chain import measure_filter
-from bench.load.plain_batch import plain_batch
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.__main__ import main as serve

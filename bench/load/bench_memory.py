@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.load.plain_batch import plain_batch
+from bench import plain_batch
 from db.storage import SqlStorage
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig

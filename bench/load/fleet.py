@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.load.plain_batch import plain_batch
+from bench import plain_batch
 from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from tests.fakes.drivers.postgresql_cluster import NoServerError, PostgresqlCluster

@@ -69,8 +69,8 @@ def server_config(
     )
 
 
-#: a thread that computes gives the interpreter up after this long; with Python's 5 ms each of the twenty turns that an
-#: answer needs waits for it, and two viewers of samples made `status` twelve times as slow
+#: a thread that computes releases the interpreter after this time, s; with Python's 5 ms two viewers of samples made
+#: `status`, which takes the interpreter some twenty times, twelve times as slow
 _SWITCH_S = 0.001
 
 

@@ -83,7 +83,7 @@ class AnyStory(RuleBasedStateMachine):
 
     @rule(seconds=st.sampled_from([-600.0, -3.0, 1.0, 3.0, 600.0]))
     def the_clock_jumps(self, seconds):
-        # not noted: a clock that is set and set back before anybody looks stood in nobody's way
+        # not noted: a clock that is set and set back before the service reads it blocks nothing
         self.driver.clock.now += round(seconds * US)
 
     @rule(facts=FACTS)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import robust_world
+from driven_world import shared_world
 
 from analyzer_sim.export import export_arrays
 from analyzer_sim.world.payload.level_terms import nominal_gain_db
@@ -420,3 +421,40 @@ def test_a_filter_without_the_coupling_loses_yaw():
     without = world.drive(FilterSettings(coupling_per_h=0.0)).judged()
     print(f"octants seed 1 without coupling: rms {without['rms']}")
     assert without["rms"][0] > BOUNDS["octants"][0][0]
+
+
+LIAR_SEED = 1
+LIE_BEGIN_H = 2.0
+LIE_DB_H = 0.06
+#: carriers that creep away by 1 mdB/min from the third hour of a day on: signs by carrier, and the greatest errors of
+#: yaw, and of roll and pitch, that they may make, deg
+LIES = {
+    "one": ([{k: 1.0} for k in range(16)], 0.30, 0.12),
+    "three of one sign": ([{0: 1.0, 9: 1.0, 12: 1.0}, {0: 1.0, 4: 1.0, 13: 1.0}], 0.45, 0.20),
+    "three of both signs": ([{0: 1.0, 9: -1.0, 12: 1.0}], 0.40, 0.15),
+    "all": ([dict.fromkeys(range(16), 1.0)], 0.10, 0.05),
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("lie", LIES)
+def test_creeping_carriers_lead_no_farther_than_before(lie):
+    liars, most_yaw_deg, most_deg = LIES[lie]
+    world = shared_world("nominal", LIAR_SEED, 1.0)
+    plain = world.plain
+    creep_db = LIE_DB_H * np.maximum(world.hours - LIE_BEGIN_H, 0.0)
+    worst = np.zeros(3)
+    for signs in liars:
+        power_dbm = world.ground.power_dbm.copy()
+        for carrier, sign in signs.items():
+            power_dbm[:, carrier] += sign * creep_db
+        flown = world.fly(power_dbm)
+        # noise is that of the plain flight: what is left is made by the liars
+        led_deg = np.abs(flown.estimate_deg - plain.estimate_deg)[flown.is_allowed].max(axis=0)
+        error_deg = np.abs(flown.error_deg[flown.is_allowed]).max(axis=0)
+        allowed, minutes = flown.is_allowed.mean(), flown.wrong_minutes
+        print(f"{lie} {sorted(signs)}: led {led_deg.round(3)}, error {error_deg.round(3)} deg, ", end="")
+        print(f"allowed {allowed:.3f}, wrong {minutes} min, seed {LIAR_SEED}")
+        worst = np.maximum(worst, led_deg)
+    assert worst[0] < most_yaw_deg
+    assert worst[1:].max() < most_deg

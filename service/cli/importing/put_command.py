@@ -54,25 +54,6 @@ _PAIRS = {"map_": "NAME=CARRIER or NAME=AXIS", "sigma_deg": "AXIS=DEG"}
 #: options whose field has another name
 _OPTIONS = {"carriers": "--map", "columns": "--map", "map_": "--map", "time_columns": "--time-column"}
 _CATALOGUE = (FileRole.SPACECRAFT, FileRole.CARRIERS, FileRole.EPHEMERIS)
-#: parameters that are no field of a table
-_OTHERS = [
-    "kind",
-    "file",
-    "spacecraft",
-    "source",
-    "change",
-    "relocating",
-    "inclined",
-    "confirmed",
-    "refuse_unknown",
-    "batch_rows",
-    "patience",
-    "state",
-    "dry_run",
-    "service",
-    "key_env",
-    "as_json",
-]
 
 
 def put(
@@ -133,9 +114,11 @@ def put(
     """Store one file: a spacecraft, a carrier plan, an orbit, readings of a sensor, or powers of carriers."""
     options = dict(locals())
     # validation and numpy cost more than the command line itself
+    from service.formats.foreign.columns import PowersStatement, ReadingsStatement
     from service.formats.foreign.table import ForeignTableError
 
-    stated = {name: value for name, value in options.items() if value and name not in _OTHERS}
+    fields = {*PowersStatement.model_fields, *ReadingsStatement.model_fields, *_PAIRS} - {"file", "source"}
+    stated = {name: value for name, value in options.items() if value and name in fields}
     stated |= {name: _pairs(stated[name], name) for name in _PAIRS if name in stated}
     if kind in _CATALOGUE and stated:
         end(f"{_option_of(next(iter(stated)))} is stated for tables only")

@@ -21,7 +21,8 @@ import numpy as np
 from service.client.backoff import Backoff
 from service.client.problem import ClientError, ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.formats.foreign.columns import AXES, FloatArray, ReadingsStatement, TableRows, grouped
+from service.core.arrays import FloatArray
+from service.formats.foreign.columns import AXES, ReadingsStatement, TableRows, grouped
 from service.formats.foreign.table import ForeignTableError
 from service.frontend.upload.plan_binding import BatchAction, BatchReply, judge, read_receipt
 from service.records.csv_guard import guarded

@@ -243,27 +243,13 @@ class Suggestion(NamedTuple):
 
 
 class ScheduleCheck(NamedTuple):
-    """Verdict on a schedule."""
+    """Verdict on a schedule, its metrics with what was carried, and what would help."""
 
     #: accept; reject: the peak is above what is allowed
     verdict: str
-    #: worst case over +-15 % of each frequency, sum over modes, what was carried included
-    peak_rad: float
-    residual_rad: float
-    #: greatest swing after any edge
-    swing_rad: float
-    #: place of the mode with the greatest peak, and the frequency at which it is greatest
-    worst_mode: int
-    worst_omega_rad_s: float
+    metrics: ScheduleMetrics
     #: best first
     suggestions: tuple[Suggestion, ...]
-    #: at each mode's own frequency: peak and Z at `end_s`, to be carried to the next uplink
-    nominal_peak_rad: tuple[float, ...]
-    phasor_rad: tuple[complex, ...]
-    end_s: float
-
-
-_RANK = {"accept": 0, "reject": 1}
 
 
 def check_schedule(
@@ -290,48 +276,38 @@ def check_schedule(
     >>> check = check_schedule(
     ...     (TorquePulse(0.0, 1.0, 0.2),), ScheduleLimits(5000.0, (HubMode(0.6, 0.003, 0.4),), 1e-4), (0j,)
     ... )
-    >>> check.verdict, f"{check.peak_rad:.4e}"
+    >>> check.verdict, f"{check.metrics.peak_rad:.4e}"
     ('accept', '3.0888e-05')
     """
     require_limits(limits)
     if len(carried_rad) != len(limits.modes) or not all(cmath.isfinite(one) for one in carried_rad):
         raise ValueError(f"carried_rad must hold one finite number for each of {len(limits.modes)} modes")
     ordered = ordered_schedule(pulses)
-    figures = schedule_metrics(ordered, limits, carried_rad)
-    verdict = _verdict(figures, limits)
-    return ScheduleCheck(
-        verdict=verdict,
-        peak_rad=figures.peak_rad,
-        residual_rad=figures.residual_rad,
-        swing_rad=figures.swing_rad,
-        worst_mode=figures.worst_mode,
-        worst_omega_rad_s=figures.worst_omega_rad_s,
-        suggestions=() if verdict == "accept" else _suggestions(ordered, limits, carried_rad, figures),
-        nominal_peak_rad=tuple(float(one.peak_rad[0]) for one in figures.nominal),
-        phasor_rad=tuple(complex(one.phasor_rad[0]) for one in figures.nominal),
-        end_s=figures.nominal[0].end_s,
-    )
+    metrics = schedule_metrics(ordered, limits, carried_rad)
+    verdict = _verdict(metrics, limits)
+    suggestions = () if verdict == "accept" else _suggestions(ordered, limits, carried_rad, metrics)
+    return ScheduleCheck(verdict, metrics, suggestions)
 
 
-def _verdict(figures: ScheduleMetrics, limits: ScheduleLimits) -> str:
-    return "reject" if figures.peak_rad > limits.peak_allowed_rad else "accept"
+def _verdict(metrics: ScheduleMetrics, limits: ScheduleLimits) -> str:
+    return "reject" if metrics.peak_rad > limits.peak_allowed_rad else "accept"
 
 
 def _suggestions(
     pulses: tuple[TorquePulse, ...],
     limits: ScheduleLimits,
     carried_rad: tuple[complex, ...],
-    figures: ScheduleMetrics,
+    metrics: ScheduleMetrics,
 ) -> tuple[Suggestion, ...]:
     """Return changes that help, judged like the schedule itself, best first."""
-    mode = limits.modes[figures.worst_mode]
+    mode = limits.modes[metrics.worst_mode]
     made = []
     for kind, value_s, changed in (*_splits(pulses, mode), *_widths(pulses, mode), *_intervals(pulses, mode)):
         tried = schedule_metrics(changed, limits, carried_rad)
-        if tried.peak_rad < _WORTH * figures.peak_rad or tried.swing_rad < _WORTH * figures.swing_rad:
+        if tried.peak_rad < _WORTH * metrics.peak_rad or tried.swing_rad < _WORTH * metrics.swing_rad:
             made.append(Suggestion(kind, value_s, _verdict(tried, limits), tried.peak_rad, tried.residual_rad))
     made += _waits(pulses, limits, carried_rad)
-    return tuple(sorted(made, key=lambda one: (_RANK[one.verdict], one.peak_rad, one.residual_rad)))
+    return tuple(sorted(made, key=lambda one: (one.verdict != "accept", one.peak_rad, one.residual_rad)))
 
 
 _Change = tuple[str, float, tuple[TorquePulse, ...]]

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.formats.foreign.clocks import find_clock
 from service.formats.foreign.table import Container, ForeignTableError, Question, Table
 from service.formats.foreign.times import Epochs, TableClock, age_question, in_words
@@ -30,9 +30,6 @@ from service.formats.foreign.units import (
 )
 from service.records.epoch import DAY_US
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 Axis = Literal["yaw", "roll", "pitch"]
 AXES: tuple[Axis, ...] = ("yaw", "roll", "pitch")
 #: levels of a carrier at an analyzer, dBm
@@ -434,7 +431,7 @@ def _level_column(reader: TableReader, carrier_column: str) -> str | None:
 
 
 def carriers_named(name: str, carriers: Mapping[str, str]) -> set[str]:
-    """Return the carriers whose id or name stands as a word in the name of a column, such as ``Level c00``."""
+    """Return the carriers whose id or name is a word of a column's name, such as ``Level c00``."""
     words = re.split(r"[^\w.+-]+", name.casefold())
     return {carrier for known, carrier in carriers.items() if known.casefold() in words}
 

@@ -2,13 +2,12 @@
 
 import numpy as np
 
+from service.core.arrays import BoolArray, FloatArray
 from service.core.geometry.frames import attitude_of_quaternion
 from service.formats.foreign.clocks import words_of
 from service.formats.foreign.columns import (
     AXES,
     Axis,
-    BoolArray,
-    FloatArray,
     Interpretation,
     Quantity,
     ReadingsStatement,

@@ -9,14 +9,12 @@ from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, IntArray
 from service.formats.ephemeris import utc_us
 from service.formats.foreign.table import ForeignTableError, Question
 from service.records.epoch import DAY_US, EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S
 
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 ISO = "iso"
 _GPS_ORIGIN_US = 315_964_800 * US_PER_S
 _WEEK_US = 7 * DAY_US

@@ -6,12 +6,10 @@ from contextlib import suppress
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.arrays import BoolArray, FloatArray
 from service.formats.foreign.table import CODES, NUMBER, ForeignTableError, Table
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Decimal = Literal["point", "comma"]
 #: unit of a level: its reference, dBm, or None for a power that is no logarithm, with milliwatts in one
 LEVEL_UNITS: dict[str, tuple[float | None, float]] = {

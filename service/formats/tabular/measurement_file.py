@@ -93,15 +93,15 @@ class TextFile:
     columns : MeasurementColumns
         Columns of the file.
     header : bytes
-        What stands before the first row.
+        Text before the first row.
     before, after : str
-        What stands before the epoch and behind the last level.
+        Text before the epoch and behind the last level of a row.
     source_text : callable
-        Gives what stands between epoch and levels for the name of a source.
+        Text between epoch and levels, of the name of a source.
     leads : sequence of str
-        What stands before each level.
+        Text before each level.
     absent : str
-        What stands for a level that is absent.
+        Text in place of an absent level.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class TextFile:
         self._source_text, self._leads, self._absent = source_text, leads, absent
 
     def begin(self) -> bytes:
-        """Return what stands before the first row."""
+        """Return the header."""
         return self._header
 
     def rows(self, block: MeasurementBlock) -> bytes:

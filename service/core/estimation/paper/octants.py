@@ -6,11 +6,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from service.core.arrays import BoolArray, FloatArray, IntArray
 
 #: (8, 3), sign of yaw, roll, pitch in each octant, lexicographic, + before -.
 OCTANT_SIGNS: FloatArray = np.array(list(itertools.product((1.0, -1.0), repeat=3)))

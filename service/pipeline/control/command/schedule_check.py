@@ -79,14 +79,15 @@ def schedule_verdict(
     ]
     if not found:
         return None
-    worst, positions = max(found, key=lambda one: one[0].peak_rad)
+    check, positions = max(found, key=lambda one: one[0].metrics.peak_rad)
+    worst = check.metrics
     return ScheduleVerdict(
-        verdict=worst.verdict,
+        verdict=check.verdict,
         peak_deg=math.degrees(worst.peak_rad),
         residual_deg=math.degrees(worst.residual_rad),
         margin=1.0 - math.degrees(worst.peak_rad) / config.panel_peak_limit_deg,
         worst_mode=positions[worst.worst_mode],
-        suggestion=_in_words(worst.suggestions),
+        suggestion=_in_words(check.suggestions),
     )
 
 

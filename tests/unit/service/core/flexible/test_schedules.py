@@ -30,9 +30,9 @@ def repeated(count, apart_s, duration_s=1.0, torque_n_m=0.2):
 def test_a_single_pulse_is_accepted():
     found = checked(pulses=repeated(1, 1.0), **PLAIN)
     assert (found.verdict, found.suggestions) == ("accept", ())
-    assert found.peak_rad == pytest.approx(3.088803e-5, rel=1e-6)
-    assert found.nominal_peak_rad[0] == pytest.approx(2.614520e-5, rel=1e-6)
-    assert found.worst_omega_rad_s == pytest.approx(0.85 * OMEGA)
+    assert found.metrics.peak_rad == pytest.approx(3.088803e-5, rel=1e-6)
+    assert found.metrics.nominal[0].peak_rad[0] == pytest.approx(2.614520e-5, rel=1e-6)
+    assert found.metrics.worst_omega_rad_s == pytest.approx(0.85 * OMEGA)
 
 
 def test_pulses_in_the_rhythm_of_the_panel_are_rejected_with_remedies_that_hold():
@@ -45,9 +45,9 @@ def test_pulses_in_the_rhythm_of_the_panel_are_rejected_with_remedies_that_hold(
     assert split_s == pytest.approx(math.pi / (OMEGA * math.sqrt(1.0 - XI**2)), rel=1e-12)
     halves = [(start + k * split_s, length, 0.5 * torque) for start, length, torque in pulses for k in range(2)]
     again = checked(pulses=tuple(halves), **PLAIN)
-    assert (again.verdict, again.peak_rad) == ("accept", pytest.approx(kinds["split"].peak_rad, rel=1e-12))
+    assert (again.verdict, again.metrics.peak_rad) == ("accept", pytest.approx(kinds["split"].peak_rad, rel=1e-12))
     spaced = checked(pulses=repeated(10, kinds["interval"].value_s), **PLAIN)
-    assert spaced.peak_rad == pytest.approx(kinds["interval"].peak_rad, rel=1e-12)
+    assert spaced.metrics.peak_rad == pytest.approx(kinds["interval"].peak_rad, rel=1e-12)
     assert found.suggestions[0].peak_rad <= found.suggestions[-1].peak_rad
 
 
@@ -57,8 +57,8 @@ def test_a_pulse_as_long_as_a_period_is_suggested_where_it_fits():
     assert width.value_s == pytest.approx(PERIOD_S, rel=1e-12)
     wide = tuple((start, PERIOD_S, 0.8 / PERIOD_S) for start in (0.0, 60.0))
     again = checked(pulses=wide, **PLAIN | {"peak_allowed_rad": 5e-5})
-    assert again.residual_rad == pytest.approx(width.residual_rad, rel=1e-9)
-    assert again.residual_rad < 0.5 * found.residual_rad
+    assert again.metrics.residual_rad == pytest.approx(width.residual_rad, rel=1e-9)
+    assert again.metrics.residual_rad < 0.5 * found.metrics.residual_rad
 
 
 def test_what_swings_from_earlier_counts_and_waiting_is_suggested():
@@ -78,17 +78,17 @@ def test_a_swing_undone_at_the_end_still_counts():
     half_s = math.pi / (OMEGA * math.sqrt(1.0 - XI**2))
     large = PLAIN | {"peak_allowed_rad": 1.0}
     found = checked(pulses=((0.0, 1.0, 50.0), (half_s, 1.0, 50.0)), **large)
-    assert found.swing_rad > 1.5 * found.residual_rad
+    assert found.metrics.swing_rad > 1.5 * found.metrics.residual_rad
 
 
 def test_modes_are_added_and_the_worst_is_named():
     both = checked(pulses=repeated(3, 7.0), **PLAIN | {"modes": ((2.0, 0.01, 0.1), (OMEGA, XI, KN))})
     alone = [
-        checked(pulses=repeated(3, 7.0), **PLAIN | {"modes": (mode,)}).peak_rad
+        checked(pulses=repeated(3, 7.0), **PLAIN | {"modes": (mode,)}).metrics.peak_rad
         for mode in ((2.0, 0.01, 0.1), (OMEGA, XI, KN))
     ]
-    assert both.peak_rad == pytest.approx(sum(alone), rel=1e-12)
-    assert both.worst_mode == 1
+    assert both.metrics.peak_rad == pytest.approx(sum(alone), rel=1e-12)
+    assert both.metrics.worst_mode == 1
 
 
 @pytest.mark.parametrize(

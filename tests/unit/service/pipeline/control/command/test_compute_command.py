@@ -328,8 +328,8 @@ def test_the_verdict_is_that_of_the_analysis_of_the_axis(swinging):
     )
     own = check_schedule((TorquePulse(0.0, 1.0, 0.02), TorquePulse(30.0, 1.0, 0.02)), limits, (0j,))
     assert (reported.verdict, reported.worst_mode) == (own.verdict, 1)
-    assert reported.peak_deg == pytest.approx(np.degrees(own.peak_rad), rel=1e-12)
-    assert reported.residual_deg == pytest.approx(np.degrees(own.residual_rad), rel=1e-12)
+    assert reported.peak_deg == pytest.approx(np.degrees(own.metrics.peak_rad), rel=1e-12)
+    assert reported.residual_deg == pytest.approx(np.degrees(own.metrics.residual_rad), rel=1e-12)
 
 
 def test_without_modes_or_pulses_there_is_none(swinging):
