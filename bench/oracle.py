@@ -23,9 +23,9 @@ from service.formats.tabular.measurement_file import MeasurementColumns
 from service.formats.tabular.series_tables import JoinedRow, joined_table
 from service.formats.tabular.table_file import table_bytes
 from service.records.catalogue import ControlMode, ControlSettings, Method, Release
+from service.study.estimation.campaign import GROUPS, SNAPSHOT
 from service.study.estimation.flight.drive import UndrivenError, open_chain
 from service.study.estimation.flight.world import Ground, export_world, read_world
-from service.study.estimation.scenarios import GROUPS, SNAPSHOT
 
 #: most by which a number may differ
 TOLERANCE = 1e-9

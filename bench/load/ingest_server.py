@@ -105,12 +105,14 @@ def main() -> None:
     parser.add_argument("--database", required=True)
     options = parser.parse_args()
     os.environ |= {"SOO_DATABASE_URL": options.database, "SOO_CLOCK": "data"}
-    settings = Settings()
+    settings = Settings.model_validate({})
     storage = build_storage(settings)
     if options.archive == "none":
-        storage.archive = NoArchive(storage.archive)
+        archive: Any = NoArchive(storage.archive)
+        storage.archive = archive
     elif options.archive == "each":
-        storage.archive = CommitPerRequest(storage.archive, options.database)
+        archive = CommitPerRequest(storage.archive, options.database)
+        storage.archive = archive
     app = build_app(settings, storage)
     # as the service itself does
     calm_collector()
