@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from waiting import wait_until
 
 from service.cli.app import app
+from service.records.catalogue import Method
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.plant_process import PlantFailedError
 from service.study.closed_loop.run import LoopUnit, fly_unit
@@ -75,6 +76,17 @@ def test_the_known_torque_is_balanced_through_a_fade_in_mid_slew():
     )
     assert flight.is_inhibited.mean() > 0.15
     assert largest[1:].max() < 0.4
+
+
+@pytest.mark.slow
+def test_the_published_method_comes_back_from_a_fade_in_mid_slew():
+    """Before, the turn during the stop kept the levels away, so the stop never ended: 5 of 6 were lost."""
+    flight = fly_unit(LoopUnit("slew_fade", 3, Sensing.AUTOMATIC, "link", 0.25, method=Method.PAPER)).flight
+    largest, end = np.abs(flight.truth_deg).max(axis=0), np.abs(flight.truth_deg[-1])
+    print(f"seed 3, yaw/roll/pitch: {largest.round(3)} deg, {end.round(3)} at the end")
+    assert 0.4 < largest[1:].max() < 0.8
+    assert end[1:].max() < 0.2
+    assert flight.trips == ()
 
 
 @pytest.mark.slow

@@ -76,6 +76,9 @@ def chi_square_tail_3(chi_square: float) -> float:
 MIN_CARRIERS = 4
 #: Angles that the fix took from the row.
 FITTED_ANGLES = 3
+#: Share of the spread that a turn leaves at most. Simulated fades of 1 to 3.5 dB left 0.8 to 15 times the spread, and
+#: turns of 0.3 to 1 deg 0.1 to 0.5 of it.
+TURN_SHARE = 0.5
 #: Standard deviation of a normal distribution over its median absolute deviation.
 SIGMA_OF_MAD = 1.4826
 
@@ -87,6 +90,8 @@ class FadeTest(NamedTuple):
     ----------
     is_fade : bool
         The condition holds on this row.
+    is_turn : bool
+        Three angles leave less than half of the spread: it is the attitude that has changed.
     median_db : float, dB
         Median deviation.
     spread_db : float, dB
@@ -96,6 +101,7 @@ class FadeTest(NamedTuple):
     """
 
     is_fade: bool
+    is_turn: bool
     median_db: float
     spread_db: float
     share_below: float
@@ -111,7 +117,7 @@ class FadeWatch(NamedTuple):
     wet_s : float, s
         How long the condition has stood without a break; a change of twice the depth counts twice.
     dry_s : float, s
-        How long the median has been above minus the depth without a break.
+        How long the median has been above minus the depth, or a turn has explained it, without a break.
     blind_s : float, s
         Time since the last row that could be judged.
     """
@@ -145,7 +151,8 @@ def fade_sign_test(
         The spread must be below this times the median's size.
     fix_residual_db : ndarray, shape (N,), dB, or None
         What the attitude fix of the same row leaves of the deviations (NaN = not used). The row is a fade only if it
-        leaves more than the common change does. None, or fewer than four residuals: the paper's rule alone.
+        leaves more than the common change does, and a turn where it leaves less than half. None, or fewer than four
+        residuals: the paper's rule alone.
 
     Returns
     -------
@@ -164,23 +171,24 @@ def fade_sign_test(
     """
     present = deviation_db[np.isfinite(deviation_db)]
     if present.size < MIN_CARRIERS:
-        return FadeTest(is_fade=False, median_db=math.nan, spread_db=math.nan, share_below=math.nan)
+        return FadeTest(is_fade=False, is_turn=False, median_db=math.nan, spread_db=math.nan, share_below=math.nan)
     median_db = _median(present)
     spread_db = SIGMA_OF_MAD * _median(np.abs(present - median_db))
     share_below = float(np.count_nonzero(present < -depth_db)) / present.size
     is_fade = share_below >= share and spread_db < spread_ratio * abs(median_db)
-    if is_fade and fix_residual_db is not None:
-        is_fade = not _explains_better(fix_residual_db, spread_db)
-    return FadeTest(is_fade, median_db, spread_db, share_below)
+    left_db = math.inf if fix_residual_db is None else _left_by_angles(fix_residual_db)
+    return FadeTest(
+        is_fade and left_db >= spread_db, left_db < TURN_SHARE * spread_db, median_db, spread_db, share_below
+    )
 
 
-def _explains_better(fix_residual_db: FloatArray, spread_db: float) -> bool:
-    """Return whether the residuals of a fix, freed from its three unknowns, are smaller than the spread."""
+def _left_by_angles(fix_residual_db: FloatArray) -> float:
+    """Return the spread of the residuals of a fix, dB, freed from its three unknowns."""
     present = fix_residual_db[np.isfinite(fix_residual_db)]
     if present.size < MIN_CARRIERS:
-        return False
+        return math.inf
     freedom = math.sqrt(present.size / (present.size - FITTED_ANGLES))
-    return SIGMA_OF_MAD * _median(np.abs(present)) * freedom < spread_db
+    return SIGMA_OF_MAD * _median(np.abs(present)) * freedom
 
 
 def _median(values: FloatArray) -> float:
@@ -212,7 +220,8 @@ def step_fade_watch(
     depth_db : float, dB
         The depth with which the test was made.
     stop_after_s, return_after_s : float, s
-        How long the condition must stand at the depth, a deeper change for less, and how long it must be dry.
+        How long the condition must stand at the depth, a deeper change for less, and how long it must be dry: nobody
+        holds the spacecraft during a stop, so levels may stay away by its turn.
     max_gap_s : float, s
         Time without a judged row above this starts both counters again and adds nothing to them. A standing stop stays:
         a gap is no evidence of dry weather.
@@ -236,7 +245,7 @@ def step_fade_watch(
     is_gap = elapsed_s > max_gap_s
     wet_before_s, dry_before_s, elapsed_s = (0.0, 0.0, 0.0) if is_gap else (state.wet_s, state.dry_s, elapsed_s)
     wet_s = wet_before_s + elapsed_s * abs(test.median_db) / depth_db if test.is_fade else 0.0
-    dry_s = dry_before_s + elapsed_s if test.median_db > -depth_db else 0.0
+    dry_s = dry_before_s + elapsed_s if test.is_turn or test.median_db > -depth_db else 0.0
     is_stopped = dry_s < return_after_s if state.is_stopped else wet_s >= stop_after_s
     return FadeWatch(is_stopped, wet_s, dry_s)
 

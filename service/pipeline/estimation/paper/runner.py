@@ -235,20 +235,14 @@ def _test_change(
     """Apply the rule of one sign and near size, and ask whether a turn would not explain the row better.
 
     The print has the rule for fades alone, sign 1; a rise of all levels (-1) looks like attitude as well. A stop ends
-    where the levels are back, or back but for the turn that the dynamics predict: nobody holds the spacecraft then.
+    where the levels are back, or back but for a turn, which the dynamics predict or which explains them by itself:
+    nobody holds the spacecraft then.
     """
-    deviation_db = sign * change_db
-    if is_stopped and np.isfinite(change_db).any():
-        deviation_db = max(deviation_db, sign * left_db, key=lambda each: float(np.nanmedian(each)))
     rule = partial(
-        fade_sign_test,
-        deviation_db,
-        depth_db=config.fade.depth_db,
-        share=config.fade.share,
-        spread_ratio=config.fade.spread_ratio,
+        fade_sign_test, depth_db=config.fade.depth_db, share=config.fade.share, spread_ratio=config.fade.spread_ratio
     )
-    test = rule()
-    if not test.is_fade:
+    test = rule(sign * change_db)
+    if not test.is_fade and not is_stopped:
         # the fix is costly and most rows need none
         return test
     turn = reject_faded_carriers(
@@ -259,7 +253,11 @@ def _test_change(
         gate_sigma=config.estimation.gate_sigma,
         min_carriers=config.estimation.min_carriers,
     )
-    return rule(fix_residual_db=turn.fix.residual_db)
+    test = rule(sign * change_db, fix_residual_db=turn.fix.residual_db)
+    if not is_stopped:
+        return test
+    left = rule(sign * left_db, fix_residual_db=turn.fix.residual_db)
+    return max(test, left._replace(is_turn=test.is_turn), key=lambda each: each.median_db)
 
 
 def _step_loop(state: PaperState, model: PaperModel, fix: AttitudeFix, config: ChainConfig) -> LoopState:

@@ -1,7 +1,10 @@
 """``soo import`` and its manifests: what is proposed of a folder, sent, left as it is and refused."""
 
 import json
+import os
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -480,6 +483,29 @@ def test_what_is_no_manifest_is_refused(tmp_path: Path, text: str, said: str) ->
     with pytest.raises(ForeignTableError) as ended:
         read_manifest(written(tmp_path, text))
     assert said in str(ended.value)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1251"])
+def test_names_that_a_terminal_cannot_show_do_not_end_a_proposal(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "pegel-Δ.csv").write_text("Time,Уровень\n2026-10-05 00:00:00,дождь\n")
+    done = soo("import", str(tmp_path), "--propose", PYTHONIOENCODING=encoding)
+    assert done.returncode == 0, done.stderr
+    shown = "left out: pegel-\\u0394.csv: no column is a carrier or an angle"
+    assert shown in done.stdout.decode(encoding)
+
+
+@pytest.mark.parametrize(
+    ("words", "completed"), [("soo pu", "put"), ("soo put pow", "powers"), ("soo put --time-f", "--time-format")]
+)
+def test_a_shell_completes_commands_kinds_and_options(words: str, completed: str) -> None:
+    done = soo(_SOO_COMPLETE="complete_bash", COMP_WORDS=words, COMP_CWORD=str(words.count(" ")))
+    assert done.stdout.decode().split() == [completed]
+
+
+def soo(*words: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """Run the installed command in a process of its own."""
+    program = Path(sys.executable).with_name("soo")
+    return subprocess.run([program, *words], env=os.environ | environment, capture_output=True, check=False)
 
 
 def test_a_folder_without_a_manifest_says_how_to_make_one(tmp_path: Path) -> None:

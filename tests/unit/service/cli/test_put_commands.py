@@ -50,14 +50,18 @@ class Catalogue:
         """Answer one request."""
         if request.method == "GET":
             if request.url.path.endswith("/status"):
-                return httpx.Response(200, json={"now": "2026-03-21T00:00:00.000000Z"})
+                now = {"now": "2026-03-21T00:00:00.000000Z"}
+                angles = {"aligned": False, "pending": 0, "newest_attitude": None}
+                return httpx.Response(200, json=now | angles | {"calibration_id": None, "alignment_id": None})
+            if request.url.path.endswith("/carriers"):
+                return httpx.Response(200, json={"plan_id": 7, "carriers": [CARRIER]})
             if self.craft is None:
                 return httpx.Response(404, json={"code": "spacecraft.unknown", "detail": "none"})
             return httpx.Response(200, json=self.craft)
         body = json.loads(request.content)
         self.sent.append((request.method, request.url.path.rpartition("/")[2], body))
-        rows = len(body.get("references", ()))
-        counts = {"accepted": rows, "duplicates": 0, "refused": []}
+        rows = len(body.get("references", ())) + len(body.get("measurements", ()))
+        counts = {"accepted": rows, "duplicates": 0, "late": 0, "refused": []}
         return httpx.Response(200, json={"ephemeris_id": 1, "plan_id": 1, "carriers": 1, **counts})
 
 
@@ -219,6 +223,14 @@ def sensor_csv(path: Path, header: list[str], order: tuple[int, ...], first: dat
     return path
 
 
+def tracking_message(power_dbw: list[float]) -> str:
+    """Return a message of another program with powers of one carrier, a minute after the other."""
+    head = ("CCSDS_TDM_VERS = 2.0", "CREATION_DATE = 2026-080T01:00:00", "ORIGINATOR = X", "META_START")
+    meta = ("TIME_SYSTEM = UTC", "PARTICIPANT_1 = YAMAL-202", "PARTICIPANT_2 = Moscow", "TRACK_ID = c00", "META_STOP")
+    rows = (f"CARRIER_POWER = 2026-080T00:{k:02d}:00.000 {power}" for k, power in enumerate(power_dbw))
+    return "\n".join((*head, *meta, "DATA_START", *rows, "DATA_STOP", ""))
+
+
 def test_readings_of_a_table_and_of_a_message_reach_the_service(service: Catalogue, tmp_path: Path) -> None:
     path = sensor_csv(tmp_path / "star.csv", ["pitch_deg", "yaw_deg", "roll_deg"], (2, 0, 1))
     done = put("references", path, *PAST, "--sigma-deg", "yaw=0.02", "--sigma-deg", "roll=0.01")
@@ -246,6 +258,20 @@ def test_readings_of_a_table_and_of_a_message_reach_the_service(service: Catalog
         ],
     }
     assert put("references", document, "--source", "earth_sensor").exit_code == 2
+
+
+def test_powers_of_a_tracking_message_reach_the_service(service: Catalogue, tmp_path: Path) -> None:
+    stated = (*PAST[2:], "--source", "ground-2", "--state", str(tmp_path))
+    message = tracking_message([-52.1, -52.3, -51.9])
+    done = put("powers", write(tmp_path, message, "powers.tdm"), *stated)
+    assert done.exit_code == 0, done.output
+    (sent,) = (body for _, path, body in service.sent if path == "measurements:batch")
+    assert (sent["plan_id"], sent["source"]) == (7, "ground-2")
+    assert [each["power_dbm"] for each in sent["measurements"]] == [[-22.1], [-22.3], [-21.9]]
+    assert sent["measurements"][1]["epoch"] == "2026-03-21T00:01:00.000000Z"
+    uncorrected = message.replace("META_STOP", "CORRECTIONS_APPLIED = NO\nCORRECTION_RANGE = 1\nMETA_STOP")
+    refused = put("powers", write(tmp_path, uncorrected, "raw.tdm"), *stated)
+    assert (refused.exit_code, "CORRECTION_RANGE" in refused.output) == (2, True), refused.output
 
 
 def test_what_must_be_stated_of_a_sensor_is_printed(service: Catalogue, tmp_path: Path) -> None:
@@ -291,6 +317,11 @@ def test_lines_that_cannot_be_read_are_grouped_and_the_others_sent(service: Cata
     [
         ("spacecraft", json.dumps({**CRAFT, "inertia_kg_m2": [[2.6, 0, 0], [0, 1.4, 0], [0, 0, 2.6]]}), "1.4 kg m^2"),
         ("spacecraft", json.dumps({**CRAFT, "torque_limit_n_m": 50.0}), "50 N m"),
+        (
+            "carriers",
+            json.dumps([{**CARRIER, "station": {"name": "Brest", "latitude_deg": 47.0, "longitude_deg": -23.0}}]),
+            "the sign of the longitudes turned",
+        ),
         ("carriers", json.dumps([{**CARRIER, "uplink_hz": 11.4e9, "downlink_hz": 14.0e9}]), "look exchanged"),
         (
             "carriers",
