@@ -1,10 +1,9 @@
 """Balance: torque and rates, which were learned over hours, are commanded against while no angle may be corrected.
 
-Both are slow states of the robust estimator, which the rows of a fade hardly move. What they would move wrongly is
-found: the newest row that control could use is carried on by its own rates, by the torque known then and by what was
-executed since, and where the angle that is seen leaves this prediction by four sigma, balance ends. The method `paper`
-takes no fix in a fade and knows the torque worse: balanced by it, one of 20 spacecraft in the rain was lost, and the
-others were held no better. Order everywhere: yaw, roll, pitch.
+Both are slow states of the estimator, which the rows of a fade hardly move. What they would move wrongly is found: the
+newest row that control could use is carried on by its own rates, by the torque known then and by what was executed
+since, and where the angle that is seen leaves this prediction by four sigma, balance ends. The method `paper` takes no
+fix in a fade, so its rows cannot contradict, and `hold_h` alone ends its balance. Order everywhere: yaw, roll, pitch.
 """
 
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ import numpy as np
 
 from service.core.control.quaternion_law import inertia_about_angles
 from service.pipeline.estimation.row_inhibitions import BALANCED
-from service.records.catalogue import Method, Spacecraft
+from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import (
     NO_ANGLES,
@@ -33,7 +32,7 @@ _SIGMAS = 4.0
 
 def basis_of(row: AttitudeRow, disturbance: Disturbance | None) -> BalanceBasis | None:
     """Return what a row that control could use lets be balanced after it; None where nothing is known for it."""
-    if row.rates_deg_s is None or row.method is not Method.ROBUST:
+    if row.rates_deg_s is None:
         return None
     return BalanceBasis(
         epoch_us=row.epoch_us,

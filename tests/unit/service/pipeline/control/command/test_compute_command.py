@@ -381,7 +381,7 @@ NIGHT = ("downlink_fade",)
 def known(age_s=600.0, rates=(0.0, 0.0, 0.0), axes=(True, True, True), disturbance=PUSHED, of=None):
     """Return what a row that control could use, some time ago, lets be balanced."""
     then = row(rates=rates, allowed=axes, sigma_deg=Axes(0.1, 0.02, 0.03)) if of is None else of
-    return basis_of(replace(then, epoch_us=EPOCH - round(age_s * S), method=Method.ROBUST), disturbance)
+    return basis_of(replace(then, epoch_us=EPOCH - round(age_s * S)), disturbance)
 
 
 def doubted(basis, record, inhibitions=NIGHT, rates=(0.0, 0.0, 0.0), release=Release.TWO_STEP, **changes):
@@ -428,8 +428,8 @@ def test_of_commands_that_count_as_applied_nothing_is_balanced(record):
     assert not doubted(known(), record, release=Release.AUTOMATIC).is_permitted
 
 
-def test_of_a_method_that_sees_nothing_in_a_fade_nothing_is_balanced():
-    assert basis_of(row(sigma_deg=Axes(0.1, 0.02, 0.03)), PUSHED) is None
+def test_of_a_row_without_rates_nothing_is_balanced():
+    assert basis_of(row(rates=None, sigma_deg=Axes(0.1, 0.02, 0.03)), PUSHED) is None
 
 
 def test_a_trip_ends_balance(record):
