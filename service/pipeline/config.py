@@ -108,7 +108,9 @@ class FadeConfig:
     share: float = setting(0.9, "share of the carriers that must", TUNED)
     spread_ratio: float = setting(0.5, "their spread (1.48 MAD) stays below this share of the median", TUNED)
     entry_s: float = setting(180.0, "control stops after a change of that depth has held this long, s", TUNED)
-    exit_s: float = setting(600.0, "control returns after the median has been above minus depth this long, s", TUNED)
+    exit_s: float = setting(
+        600.0, "control returns after levels are back within depth, or a turn explains them, this long, s", TUNED
+    )
     max_gap_s: float = setting(300.0, "a longer pause between rows starts the count of wet time again, s", TUNED)
     averaging_window_s: float = setting(180.0, "mean of the deviations that the rule looks at, s", TUNED)
 
