@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from service.core.arrays import BoolArray, FloatArray
+from service.core.control.wheel_allocation import allocate_to_wheels
 
 
 class PulseTrain(NamedTuple):
@@ -268,7 +269,7 @@ def predicted_effect(
         rate_change_deg_s=triple_of(np.degrees(np.linalg.solve(inertia_kg_m2, impulse))),
         peak_angle_deg=triple_of(np.degrees(peaks[np.abs(peaks).argmax(axis=0), columns])),
         peak_rate_deg_s=triple_of(np.degrees(motion.rate_rad_s[np.abs(motion.rate_rad_s).argmax(axis=0), columns])),
-        wheel_momentum_n_m_s=tuple((-impulse @ np.linalg.pinv(wheel_axes) + 0.0).tolist()),
+        wheel_momentum_n_m_s=tuple(allocate_to_wheels(wheel_axes, impulse).tolist()),
     )
 
 

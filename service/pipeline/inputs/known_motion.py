@@ -314,13 +314,13 @@ def disturbance_of(
     period_us = wave_period_us(settings)
     phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
     cos, sin = math.cos(phase), math.sin(phase)
+    unit, (constant, cosine, sine) = np.array(inertia_kg_m2) * DEG_H2_N_M, mean.reshape(3, 3)
     # what was a cosine since phase zero is a cosine and a sine since the epoch
-    turn = np.kron(np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]), np.eye(3))
-    unit = np.array(inertia_kg_m2) * DEG_H2_N_M
-    constant, cosine, sine = (turn @ mean).reshape(3, 3) * unit
-    now = np.kron(np.array([1.0, 1.0, 0.0]), np.eye(3)) @ turn
+    constant, cosine, sine = constant * unit, (cos * cosine + sin * sine) * unit, (cos * sine - sin * cosine) * unit
+    now = np.array([1.0, cos, sin])
+    variance = np.einsum("i,iaja,j->a", now, covariance.reshape(3, 3, 3, 3), now)
     # the covariance of a profile has no full rank: rounding may leave less than nothing of a variance
-    sigma = np.sqrt(np.maximum(0.0, np.diag(now @ covariance @ now.T))) * unit
+    sigma = np.sqrt(np.maximum(0.0, variance)) * unit
     return Disturbance(
         epoch_us, period_us / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
     )

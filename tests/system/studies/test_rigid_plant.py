@@ -166,7 +166,7 @@ def test_the_published_method_loses_nothing_in_twelve_hours(ground):
 def test_the_published_method_holds_roll_and_pitch_for_twelve_hours(ground, seed, stated_n_m):
     """The powers of this world tell yaw by 0.03 dB/deg, and a torque about roll hides it."""
     flight = flown(ground, RigidPlant(seed, residual_torque(seed)), 12.0, stated_n_m=stated_n_m, method="paper")
-    held(flight, 720, 3.0, level_deg=0.3)
+    held(flight, 720, 3.0, level_deg=0.4)
 
 
 @pytest.mark.nightly

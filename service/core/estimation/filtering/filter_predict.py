@@ -149,7 +149,7 @@ def waiting_loss_deg(model: CarrierModel, settings: FilterSettings, state: Gauss
 
 def _combined(matrix: FloatArray, state: Gaussian, places: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and sigma (3,) of combinations (3, P) of some states."""
-    variance = np.diagonal(matrix @ state.covariance[np.ix_(places, places)] @ matrix.T)
+    variance = ((matrix @ state.covariance[places[:, None], places]) * matrix).sum(axis=1)
     return matrix @ state.mean[places], np.sqrt(np.maximum(variance, 0.0))
 
 

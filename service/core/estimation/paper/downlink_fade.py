@@ -172,8 +172,8 @@ def fade_sign_test(
     present = deviation_db[np.isfinite(deviation_db)]
     if present.size < MIN_CARRIERS:
         return FadeTest(is_fade=False, is_turn=False, median_db=math.nan, spread_db=math.nan, share_below=math.nan)
-    median_db = _median(present)
-    spread_db = SIGMA_OF_MAD * _median(np.abs(present - median_db))
+    median_db = median_of(present)
+    spread_db = SIGMA_OF_MAD * median_of(np.abs(present - median_db))
     share_below = float(np.count_nonzero(present < -depth_db)) / present.size
     is_fade = share_below >= share and spread_db < spread_ratio * abs(median_db)
     left_db = math.inf if fix_residual_db is None else _left_by_angles(fix_residual_db)
@@ -188,10 +188,10 @@ def _left_by_angles(fix_residual_db: FloatArray) -> float:
     if present.size < MIN_CARRIERS:
         return math.inf
     freedom = math.sqrt(present.size / (present.size - FITTED_ANGLES))
-    return SIGMA_OF_MAD * _median(np.abs(present)) * freedom
+    return SIGMA_OF_MAD * median_of(np.abs(present)) * freedom
 
 
-def _median(values: FloatArray) -> float:
+def median_of(values: FloatArray) -> float:
     """Return the median of some finite values; numpy's own costs ten times as much on a row."""
     ordered = np.sort(values)
     return 0.5 * float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])

@@ -25,7 +25,7 @@ from service.core.estimation.filtering.model.filter_model import (
 )
 from service.core.estimation.filtering.model.step_inputs import step_inputs
 from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
-from service.core.estimation.paper.downlink_fade import SIGMA_OF_MAD
+from service.core.estimation.paper.downlink_fade import SIGMA_OF_MAD, median_of
 
 #: places of torques and of the error of fixes
 TORQUE = slice(RATE.stop, RATE.stop + TORQUES)
@@ -126,20 +126,22 @@ def linear_fix(level_db: FloatArray, slope: FloatArray, is_used: BoolArray) -> L
     level_db = level_db[is_used]
     fix, apart_db = _weighted_fix(own, level_db, np.ones(count))
     for _ in range(_REWEIGHTINGS):
-        near_db = 2.0 * max(_LASTING_DB, SIGMA_OF_MAD * float(np.median(apart_db)))
+        near_db = 2.0 * max(_LASTING_DB, SIGMA_OF_MAD * median_of(apart_db))
         fix, apart_db = _weighted_fix(own, level_db, np.square(near_db / np.maximum(apart_db, near_db)))
     return fix
 
 
 def _weighted_fix(own: FloatArray, level_db: FloatArray, share: FloatArray) -> tuple[LinearFix, FloatArray]:
     """Return the fix of levels (N,) by slopes (N, 3) under weights (N,), and how far each is from the others, dB."""
-    weight = np.linalg.inv(np.diag(1.0 / share) + _COMMON_VARIANCE)
-    information, axes = np.linalg.eigh(own.T @ weight @ own)
+    # inverse of diag(1 / share) + common variance
+    weight = np.diag(share) - np.multiply.outer(share, share / (1.0 / _COMMON_VARIANCE + float(share.sum())))
+    weighted = own.T @ weight
+    information, axes = np.linalg.eigh(weighted @ own)
     unit_covariance = np.asarray((axes / np.maximum(information, _LEAST_INFORMATION)) @ axes.T, dtype=np.float64)
-    angles_deg = unit_covariance @ (own.T @ weight @ level_db)
+    angles_deg = unit_covariance @ (weighted @ level_db)
     residual_db = level_db - own @ angles_deg
     scatter_db = math.sqrt(float(residual_db @ weight @ residual_db) / (len(own) - 3))
-    apart_db = np.asarray(np.abs(residual_db - np.median(residual_db)), dtype=np.float64)
+    apart_db = np.asarray(np.abs(residual_db - median_of(residual_db)), dtype=np.float64)
     return LinearFix(angles_deg, unit_covariance, scatter_db), apart_db
 
 

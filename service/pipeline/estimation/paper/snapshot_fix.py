@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from service.core.estimation.noise_model import averaged_sigma_db
+from service.core.estimation.paper.downlink_fade import median_of
 from service.core.estimation.paper.octants import OctantFix, predict_deviation_db
 from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.pipeline.config import EstimationConfig
@@ -124,7 +125,7 @@ def _common_covariance_deg2(
     if not is_used.any():
         return np.zeros((3, 3))
     slope = np.where(attitude_deg < 0.0, model.minus_db_per_deg, model.plus_db_per_deg)[is_used]
-    common_db = np.full(len(slope), np.median(deviation_db[is_used]))
+    common_db = np.full(len(slope), median_of(deviation_db[is_used]))
     turned_deg = np.linalg.lstsq(slope, common_db, rcond=None)[0]
     return np.asarray(np.outer(turned_deg, turned_deg))
 

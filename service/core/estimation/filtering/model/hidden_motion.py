@@ -138,17 +138,27 @@ def hidden_transition(
     if torques < TORQUES or not (is_pushed(settings) or settings.momentum is None):
         return matrix
     period_us = wave_period_us(settings)
-    response = response_over(step_us, settings.coupling_per_h, period_us)
     phase = 2.0 * math.pi * (from_us % period_us) / period_us
-    cos, sin = math.cos(phase), math.sin(phase)
-    for block, (constant, cosine, sine) in enumerate(((1.0, 0.0, 0.0), (0.0, cos, -sin), (0.0, sin, cos))):
-        parts = np.array([constant, cosine, sine])
-        turned = complex(parts @ np.array(response.turned_h2))
-        first = shares + 3 * block
-        matrix[0:2, first : first + 2] = [[turned.real, -turned.imag], [turned.imag, turned.real]]
-        matrix[2, first + 2] = float(parts @ response.pitch_h2)
-        matrix[(6, 7, 8), (first, first + 1, first + 2)] = float(parts @ response.rate_h)
+    constant, by_cosine, by_sine = _torque_waves(step_us, settings.coupling_per_h, period_us)
+    effect = constant + math.cos(phase) * by_cosine + math.sin(phase) * by_sine
+    matrix[:, shares : shares + TORQUES] = effect
     return matrix
+
+
+@lru_cache(maxsize=64)
+def _torque_waves(step_us: int, coupling_per_h: float, period_us: int) -> FloatArray:
+    """Return the parts (3, 9, 9) of the effect of the torques: constant, by cosine and by sine of the first phase.
+
+    Nobody may write to them.
+    """
+    response, waves = response_over(step_us, coupling_per_h, period_us), np.zeros((3, 9, TORQUES))
+    # a wave that begins at a phase: cos(p + t) = cos p cos t - sin p sin t, sin(p + t) = sin p cos t + cos p sin t
+    for part, torque, of, sign in ((0, 0, 0, 1.0), (1, 1, 1, 1.0), (2, 1, 2, -1.0), (1, 2, 2, 1.0), (2, 2, 1, 1.0)):
+        own, turned, first = waves[part], sign * response.turned_h2[of], 3 * torque
+        own[0:2, first : first + 2] = [[turned.real, -turned.imag], [turned.imag, turned.real]]
+        own[2, first + 2] = sign * response.pitch_h2[of]
+        own[(6, 7, 8), (first, first + 1, first + 2)] = sign * response.rate_h[of]
+    return waves
 
 
 @lru_cache(maxsize=64)
