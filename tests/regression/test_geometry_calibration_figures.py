@@ -1,10 +1,8 @@
 """Figures of the calibration."""
 
 import re
-import tempfile
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +16,7 @@ from service.pipeline.inputs.knowledge import JournalDocuments
 from service.records.calibration import Window
 from service.records.epoch import parse_epoch
 from service.study.estimation.flight.drive import calibrate
-from service.study.estimation.flight.world import export_world, read_world
+from service.study.estimation.flight.world import simulated_world
 
 SEEDS = (1, 2, 3)
 #: at 0.3 deg, every sign of every axis, and between
@@ -122,10 +120,7 @@ DRAWS, FEW = range(1, 21), range(1, 6)
 
 def calibrated(scenario, seed, share=1.0):
     """Return a world and its calibration by the first share of the turns."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "world.npz"
-        export_world(scenario, seed, path, OPERATION_DAYS)
-        world = read_world(path)
+    world = simulated_world(scenario, seed, OPERATION_DAYS)
     turns = world.ground.phases["turns"]
     flown = Window(turns.start_us, turns.start_us + round(share * (turns.stop_us - turns.start_us)))
     ground = replace(world.ground, phases=world.ground.phases | {"turns": flown})

@@ -37,7 +37,7 @@ from service.pipeline.planning.candidates import candidates_of
 from service.pipeline.planning.planning import Rule, recommend
 from service.study.estimation.bounds import measure_accuracy
 from service.study.estimation.flight.drive import calibrate, drive
-from service.study.estimation.flight.world import export_world, read_world
+from service.study.estimation.flight.world import simulated_world
 
 SEED = 61
 REALISATIONS = 12
@@ -168,10 +168,9 @@ def test_choice_out_of_forty_stations(stations, count):
 
 
 @pytest.mark.slow
-def test_calibration_by_geometry_states_an_honest_bound(stations, tmp_path):
+def test_calibration_by_geometry_states_an_honest_bound(stations):
     """32 users of `many32`: bounds by fitted coefficients against those by the true ones, and the sets side by side."""
-    export_world("many32", 1, tmp_path / "world.npz", operation_days=0.2)
-    ground = read_world(tmp_path / "world.npz").ground
+    ground = simulated_world("many32", 1, 0.2).ground
     documents = JournalDocuments()
     documents.add_plan(ground.carriers)
     documents.add_ephemeris(ground.ephemeris)
@@ -384,10 +383,9 @@ FACTOR = 1.5
 
 def predicted_and_reached(scenario, seed):
     """Return sigma before the turns, the one-row bound with assumed noise, and rms after them (3,), deg."""
+    world = simulated_world(scenario, seed)
     with TemporaryDirectory() as folder:
         path = Path(folder)
-        export_world(scenario, seed, path / "world.npz", None)
-        world = read_world(path / "world.npz")
         options = write_plan_files(world, path)
         files = {
             name[2:].removesuffix("-file"): Path(file) for name, file in zip(options[::2], options[1::2], strict=True)

@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -22,7 +20,7 @@ from service.records.calibration import MotionVerdict
 from service.records.inputs import PolarizationRecord
 from service.study.estimation.bounds import AXES
 from service.study.estimation.flight.drive import calibrate, drive
-from service.study.estimation.flight.world import GroundEvent, export_world, read_world
+from service.study.estimation.flight.world import GroundEvent, simulated_world
 from service.study.estimation.measures import gain_statistics, measure_gain
 
 SEED, DAYS = 2, 0.5
@@ -324,9 +322,7 @@ SMOOTHED_SEEDS = (1, 2, 3)
 
 def gained(scenario, seed, days=None):
     """Return what the whole span and the fixed lag gain over the filter in one world."""
-    with TemporaryDirectory() as folder:
-        export_world(scenario, seed, Path(folder) / "world.npz", days)
-        world = read_world(Path(folder) / "world.npz")
+    world = simulated_world(scenario, seed, days)
     driven = drive(world.ground)
     return {name: measure_gain(world, driven, driven.methods["robust"], past) for name, past in driven.smoothed.items()}
 

@@ -1,8 +1,6 @@
 """Weather: reports, worlds and fades of the downlink."""
 
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,20 +14,13 @@ from service.records.catalogue import Method
 from service.records.inputs import WeatherReport
 from service.study.estimation.campaign import Unit, run_unit
 from service.study.estimation.flight.drive import drive
-from service.study.estimation.flight.world import GroundEvent, export_world, read_world
+from service.study.estimation.flight.world import GroundEvent, simulated_world
 from service.study.estimation.yardstick import measure_yardsticks
 
 #: rows between two reports of a station
 PERIOD = 10
 STORM = ("weather_far", 6)
 NIGHTLY = [("weather_far", seed) for seed in range(1, 11)] + [("weather_near", seed) for seed in range(1, 11)]
-
-
-def made(scenario, seed, days):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "world.npz"
-        export_world(scenario, seed, path, days)
-        return read_world(path)
 
 
 def reported(loss_db):
@@ -70,7 +61,7 @@ def flown(world, attenuation):
 
 def with_reports(scenario, seed, days, *attenuations):
     """Return the yardsticks without reports and with each kind of them, by name."""
-    world = kept(made, scenario, seed, days)
+    world = kept(simulated_world, scenario, seed, days)
     found = {}
     for each in (None, *attenuations):
         name = "no reports" if each is None else each.__name__

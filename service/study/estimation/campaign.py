@@ -12,13 +12,11 @@ A unit is what a process of the campaign works on, so what it returns travels be
 """
 
 import platform
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -43,7 +41,7 @@ from service.study.estimation.flight.baselines import BASELINES, UNINFORMED, bas
 from service.study.estimation.flight.drive import Driven, UndrivenError, drive
 from service.study.estimation.flight.episodes import stretches
 from service.study.estimation.flight.oracle.filter import ORACLE, oracle_series
-from service.study.estimation.flight.world import World, export_world, read_world
+from service.study.estimation.flight.world import World, simulated_world
 from service.study.estimation.measures import (
     Measures,
     SmoothingGain,
@@ -203,10 +201,7 @@ def run_unit(unit: Unit) -> UnitResult:
         The simulator wrote no world.
     """
     began_s = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="soo-study-") as folder:
-        path = Path(folder) / "world.npz"
-        export_world(unit.scenario, unit.seed, path, unit.operation_days)
-        world = read_world(path)
+    world = simulated_world(unit.scenario, unit.seed, unit.operation_days)
     driven = _driven(world)
     if isinstance(driven, str):
         return UnitResult(unit, time.monotonic() - began_s, driven)

@@ -5,9 +5,7 @@ that what is shown is the product's fit; sessions are worlds of the simulator, w
 (20 min of each hour) go on in operation for the judge alone.
 """
 
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +14,7 @@ from service.core.estimation.paper.harmonic import HarmonicFit, evaluate_harmoni
 from service.core.geometry.line_of_sight import node_phase_rad
 from service.records.levels.attitude import FloatArray, IntArray
 from service.study.estimation.flight.drive import Driven, drive
-from service.study.estimation.flight.world import AXES, World, export_world, read_world
+from service.study.estimation.flight.world import AXES, World, simulated_world
 from service.study.published import Row, row, statement_row
 
 #: am, phi, h, rms and period of figure 1
@@ -95,10 +93,7 @@ def fly_session(seed: int) -> Session:
     ExportFailedError, UndrivenError
         The simulator wrote no world, or the product refused it.
     """
-    with tempfile.TemporaryDirectory(prefix="soo-study-") as folder:
-        path = Path(folder) / "world.npz"
-        export_world(SCENARIO, seed, path, OPERATION_DAYS)
-        world = read_world(path)
+    world = simulated_world(SCENARIO, seed, OPERATION_DAYS)
     return Session(world, drive(world.ground))
 
 

@@ -18,7 +18,7 @@ from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.plant_process import PlantFailedError
 from service.study.closed_loop.run import LoopUnit, fly_unit
 from service.study.estimation.bounds import Mark
-from service.study.estimation.flight.world import ExportFailedError, export_world, read_carriers, read_world
+from service.study.estimation.flight.world import ExportFailedError, read_carriers, read_world, simulated_world
 from service.study.estimation.trials.snapshot_trials import run_trials, trial_statistics
 
 pytestmark = pytest.mark.system
@@ -220,7 +220,8 @@ def test_a_signal_ends_the_study_with_all_its_processes(number, compiled_environ
 
 def test_a_world_is_read_as_it_was_written(tmp_path):
     path = tmp_path / "world.npz"
-    export_world("stale_calibration", 3, path, 0.1)
+    story = ("--scenario", "stale_calibration", "--seed", "3", "--operation-days", "0.1")
+    subprocess.run([sys.executable, "-m", "analyzer_sim", "export", *story, "--out", str(path)], check=True)
     world = read_world(path)
     with np.load(path) as file:
         written = {name: file[name] for name in file.files}
@@ -244,9 +245,9 @@ def test_a_world_is_read_as_it_was_written(tmp_path):
     )
 
 
-def test_a_world_that_cannot_be_made_says_why(tmp_path):
+def test_a_world_that_cannot_be_made_says_why():
     with pytest.raises(ExportFailedError, match=r"no world of nosuch, seed 1: .*invalid choice"):
-        export_world("nosuch", 1, tmp_path / "world.npz")
+        simulated_world("nosuch", 1)
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -315,8 +316,8 @@ class World(NamedTuple):
     truth: Truth
 
 
-def export_world(scenario: str, seed: int, path: Path, operation_days: float | None = None) -> None:
-    """Let the simulator write a world.
+def simulated_world(scenario: str, seed: int, operation_days: float | None = None) -> World:
+    """Return a world that the simulator makes, its operation as long as stated or as the scenario has it.
 
     Raises
     ------
@@ -324,15 +325,17 @@ def export_world(scenario: str, seed: int, path: Path, operation_days: float | N
         It refused or failed; a scenario that it does not know is the commonest reason.
     """
     length = () if operation_days is None else ("--operation-days", str(operation_days))
-    command = [sys.executable, "-m", "analyzer_sim", "export", "--scenario", scenario, "--seed", str(seed)]
+    command = [sys.executable, "-m", "analyzer_sim", "export", "--scenario", scenario, "--seed", str(seed), *length]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    ran = subprocess.run(
-        [*command, *length, "--out", str(path)], env=environment, capture_output=True, text=True, check=False
-    )
-    if ran.returncode != 0:
-        lines = ran.stderr.strip().splitlines() or [f"exit code {ran.returncode}"]
-        message = f"the simulator wrote no world of {scenario}, seed {seed}: {lines[-1]}"
-        raise ExportFailedError(message)
+    with TemporaryDirectory(prefix="soo-world-") as folder:
+        path = Path(folder) / "world.npz"
+        ran = subprocess.run(
+            [*command, "--out", str(path)], env=environment, capture_output=True, text=True, check=False
+        )
+        if ran.returncode == 0:
+            return read_world(path)
+    lines = ran.stderr.strip().splitlines() or [f"exit code {ran.returncode}"]
+    raise ExportFailedError(f"the simulator wrote no world of {scenario}, seed {seed}: {lines[-1]}")
 
 
 def read_world(path: Path) -> World:

@@ -18,9 +18,7 @@ noise and the error of the prediction. Means of two hours leave 0.015 dB of the 
 off.
 """
 
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +38,7 @@ from service.records.catalogue import CarrierPlan, Ephemeris
 from service.records.levels.attitude import BoolArray, FloatArray
 from service.study.estimation.bounds import AXES, Statistics
 from service.study.estimation.flight.drive import UndrivenError, calibrate
-from service.study.estimation.flight.world import World, export_world, read_world
+from service.study.estimation.flight.world import World, simulated_world
 
 #: days of operation that are looked at, counted from 1
 DAYS = (1, 7)
@@ -166,10 +164,7 @@ def _pairs(seeds: Sequence[SnapshotTrials]) -> tuple[list[FloatArray], list[Floa
 
 def _world(scenario: str, seed: int) -> World:
     """Return a world that is as long as the trials need it."""
-    with tempfile.TemporaryDirectory(prefix="soo-study-") as folder:
-        path = Path(folder) / "world.npz"
-        export_world(scenario, seed, path, max(DAYS) if scenario == "white" else _OPERATION_DAYS)
-        return read_world(path)
+    return simulated_world(scenario, seed, max(DAYS) if scenario == "white" else _OPERATION_DAYS)
 
 
 def _solve(

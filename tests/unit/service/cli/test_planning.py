@@ -24,7 +24,7 @@ from service.core.geometry.frames import station_direction
 from service.formats.carrier_plan_csv import COLUMNS
 from service.records.catalogue import CarrierPlan
 from service.records.levels.measurement import MeasurementSeries
-from service.study.estimation.flight.world import World, export_world, read_world
+from service.study.estimation.flight.world import World, simulated_world
 
 SPACECRAFT: dict[str, Any] = {
     "id": "yamal-202",
@@ -278,10 +278,8 @@ STEP = 5
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> World:
-    path = tmp_path_factory.mktemp("world") / "world.npz"
-    export_world("nominal", 1, path, 0.05)
-    return read_world(path)
+def world() -> World:
+    return simulated_world("nominal", 1, 0.05)
 
 
 def powers(world: World, window: str = "quiet") -> MeasurementSeries:

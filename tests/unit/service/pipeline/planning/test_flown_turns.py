@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ from service.pipeline.planning.flown_turns import flown_windows
 from service.pipeline.planning.quiet_days import QuietDays, quiet_levels
 from service.pipeline.planning.rehearsal import rehearse
 from service.records.catalogue import CarrierPlan
-from service.study.estimation.flight.world import export_world, read_world
+from service.study.estimation.flight.world import simulated_world
 
 MINUTE_US, DAY_MIN = 60_000_000, 1440
 CONFIG = CalibrationConfig()
@@ -112,9 +110,7 @@ BEAMS = {
 
 @cache
 def world():
-    with TemporaryDirectory() as folder:
-        export_world("nominal", 1, Path(folder) / "world.npz", 0.05)
-        return read_world(Path(folder) / "world.npz")
+    return simulated_world("nominal", 1, 0.05)
 
 
 def quiet_days(rows=slice(None), extra_db=0.0):

@@ -122,8 +122,7 @@ def test_a_world_that_cannot_be_driven_is_a_refusal(monkeypatch, toured_world, e
     def drive(ground):
         raise error
 
-    monkeypatch.setattr(campaign_module, "export_world", lambda *_: None)
-    monkeypatch.setattr(campaign_module, "read_world", lambda _: toured_world)
+    monkeypatch.setattr(campaign_module, "simulated_world", lambda *_: toured_world)
     monkeypatch.setattr(campaign_module, "drive", drive)
     result = run_unit(Unit("octants", 1))
     assert result.refusal == words
@@ -132,8 +131,7 @@ def test_a_world_that_cannot_be_driven_is_a_refusal(monkeypatch, toured_world, e
 
 def test_what_was_said_is_measured_and_kept_for_the_figures(monkeypatch, toured_world, said, driven_world):
     driven = driven_world({"robust": said(toured_world.truth.attitude_deg)})
-    monkeypatch.setattr(campaign_module, "export_world", lambda *_: None)
-    monkeypatch.setattr(campaign_module, "read_world", lambda _: toured_world)
+    monkeypatch.setattr(campaign_module, "simulated_world", lambda *_: toured_world)
     monkeypatch.setattr(campaign_module, "drive", lambda _: driven)
     oracle = said(0.9 * toured_world.truth.attitude_deg)
     monkeypatch.setattr(campaign_module, "oracle_series", lambda _world, _rows: oracle)
