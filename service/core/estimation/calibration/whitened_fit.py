@@ -91,14 +91,16 @@ def whitened_rows(
     from scipy.linalg import solve_triangular
 
     lag_s = np.abs(centre_s[:, np.newaxis] - centre_s)
+    # mostly the same times for all carriers, and exponentials cost more than all the rest
+    kept = {tau_s: np.exp(lag_s / -max(tau_s, 1e-9)) for tau_s in np.unique(noise.tau_s).tolist()}
     out = np.zeros_like(rows)
     for carrier in range(len(rows)):
         used = np.flatnonzero((weight[carrier] > MIN_WEIGHT) & np.isfinite(variance_db2[carrier]))
-        apart_s = lag_s[np.ix_(used, used)]
-        covariance = np.zeros_like(apart_s)
-        for sigma_db, tau_s in zip(noise.sigma_db[carrier], noise.tau_s[carrier], strict=True):
+        covariance = np.zeros_like(lag_s)
+        for sigma_db, tau_s in zip(noise.sigma_db[carrier].tolist(), noise.tau_s[carrier].tolist(), strict=True):
             if sigma_db > 0.0:
-                covariance += sigma_db**2 * np.exp(apart_s / -max(tau_s, 1e-9))
+                covariance += sigma_db**2 * kept[tau_s]
+        covariance = covariance if len(used) == len(lag_s) else covariance[np.ix_(used, used)]
         np.fill_diagonal(covariance, variance_db2[carrier, used] / weight[carrier, used])
         factor = np.linalg.cholesky(covariance)
         out[carrier, used] = solve_triangular(factor, rows[carrier, used], lower=True, check_finite=False)
