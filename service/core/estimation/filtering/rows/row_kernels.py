@@ -80,9 +80,9 @@ def compiled_kernels() -> RowKernels:
     from service.core.estimation.filtering.rows import held_values
     from service.core.machine_code import compiled
 
-    # less of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code
-    for vector_code in ("LOOP_VECTORIZE", "SLP_VECTORIZE"):
-        setattr(config, vector_code, 0)
+    # half of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code or more passes
+    for setting, level in (("LOOP_VECTORIZE", 0), ("SLP_VECTORIZE", 0), ("OPT", 1)):
+        setattr(config, setting, type(getattr(config, setting))(level))
 
     sources = (*_SOURCES, held_values)
     for module in sources:
