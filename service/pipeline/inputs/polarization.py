@@ -13,8 +13,13 @@ from functools import lru_cache
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import LearnedFeed, PolarimeterModel
-from service.core.estimation.filtering.model.polarimeter import angle_deg, faraday_deg, slope_db_deg, turned_deg
-from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock
+from service.core.estimation.filtering.model.polarimeter import (
+    AngleBlock,
+    angle_deg,
+    faraday_deg,
+    slope_db_deg,
+    turned_deg,
+)
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import PredictedTrack, frame_turn_deg
 from service.records.calibration import Calibration, FeedFit

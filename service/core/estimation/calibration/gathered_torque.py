@@ -13,13 +13,14 @@ import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_model import ATTITUDE, RATE, FilterSettings, Gaussian
+from service.core.estimation.filtering.model.motion_sensor import SensorWatch
 from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
 from service.core.estimation.filtering.model.wheel_momentum import (
     learned_positions,
     momentum_covariance,
     moved_momentum,
+    push_record,
 )
-from service.core.estimation.filtering.watches.momentum_watch import fresh_watch, push_record
 
 #: behind attitude, drift and rates stand the torques, then the wheels
 _FIRST = RATE.stop + TORQUES
@@ -67,7 +68,7 @@ def gathered_torque(
     if wheels is None:
         message = "a torque that gathers needs settings with the momentum of wheels"
         raise ValueError(message)
-    gaussian, watch = _beginning(settings), fresh_watch()
+    gaussian, watch = _beginning(settings), SensorWatch()
     known = np.isfinite(attitude_deg).all(axis=1) & np.isfinite(reported_n_m_s).all(axis=1)
     newest_us = int(epochs_us[known][0]) if known.any() else 0
     for k in np.flatnonzero(known).tolist():

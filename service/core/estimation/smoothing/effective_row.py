@@ -40,7 +40,7 @@ from service.core.estimation.filtering.model.filter_model import (
     core_size,
     hidden_count,
 )
-from service.core.estimation.filtering.model.sensor_effect import SensorEffect
+from service.core.estimation.filtering.model.motion_sensor import SensorEffect
 from service.core.estimation.filtering.model.step_inputs import StepInputs
 from service.core.estimation.filtering.rows.row_kernels import RowKernels
 from service.core.estimation.filtering.rows.row_stages import OrdinaryRow

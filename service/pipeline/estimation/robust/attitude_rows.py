@@ -12,8 +12,9 @@ from service.core.estimation.filtering.hidden_shares import sensors_of
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import FilterSettings, common_states
 from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
+from service.core.estimation.filtering.model.motion_sensor import SensorWatch
 from service.core.estimation.filtering.model.torque_prior import is_pushed
-from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, momentum_advice
+from service.core.estimation.filtering.model.wheel_momentum import momentum_advice
 from service.core.estimation.filtering.watches.rate_watch import RateWatch
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.estimation.robust.model import RobustModel
@@ -298,7 +299,7 @@ def torque_of(settings: FilterSettings) -> tuple[object, ...]:
 
 
 def telemetry_advice(
-    model: RobustModel, knowledge: Knowledge, momentum: MomentumWatch, rates: RateWatch, since_us: int, epoch_us: int
+    model: RobustModel, knowledge: Knowledge, momentum: SensorWatch, rates: RateWatch, since_us: int, epoch_us: int
 ) -> dict[str, bool]:
     """Return which advice is given at an epoch of a filter that began at another."""
     return {

@@ -22,9 +22,9 @@ from service.core.estimation.filtering.model.filter_model import (
     no_motion,
     rates_deg_h,
 )
+from service.core.estimation.filtering.model.motion_sensor import SensorWatch
+from service.core.estimation.filtering.model.polarimeter import polarimeter_advice
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels
-from service.core.estimation.filtering.watches.momentum_watch import MomentumWatch, fresh_watch
-from service.core.estimation.filtering.watches.polarimeter_watch import PolarimeterWatch, polarimeter_advice
 from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
@@ -66,11 +66,11 @@ class RobustState:
     #: source of the newest row, None before the first
     source: str | None = None
     #: judgement of the records of wheel momentum
-    momentum: MomentumWatch = field(default_factory=fresh_watch)
+    momentum: SensorWatch = field(default_factory=SensorWatch)
     #: judgement of the records of the rate of the body
     rates: RateWatch = field(default_factory=fresh_rates)
     #: judgement of the angles of each polarimeter
-    polarimeters: tuple[PolarimeterWatch, ...] = ()
+    polarimeters: tuple[SensorWatch, ...] = ()
 
 
 class RobustStep(NamedTuple):
@@ -118,7 +118,7 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
         state = replace(state, filter=pushed)
     # the sensors' states begin again together
     is_same = sensors_of(old.settings) == sensors_of(new.settings)
-    state = state if is_same else replace(state, momentum=fresh_watch(), polarimeters=())
+    state = state if is_same else replace(state, momentum=SensorWatch(), polarimeters=())
     if old.rate_sensor != new.rate_sensor:
         state = replace(state, filter=without_rates(state.filter, state.rates), rates=fresh_rates())
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:

@@ -13,7 +13,7 @@ from service.core.estimation.filtering.filter_records import FilterState, Filter
 from service.core.estimation.filtering.hidden_shares import sensors_of
 from service.core.estimation.filtering.model.filter_model import DRIFT, RATE, FilterSettings
 from service.core.estimation.filtering.model.hidden_motion import sensor_states
-from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
+from service.core.estimation.filtering.model.motion_sensor import NO_EFFECT, SensorEffect
 from service.core.estimation.filtering.model.torque_prior import TORQUES, has_torque
 from service.core.estimation.filtering.rows.row_kernels import RowKernels
 from service.core.estimation.smoothing.effective_row import (

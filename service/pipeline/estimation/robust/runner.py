@@ -25,11 +25,10 @@ from service.core.estimation.filtering.hidden_shares import with_share, without_
 from service.core.estimation.filtering.model.filter_model import core_size
 from service.core.estimation.filtering.model.hidden_motion import SHARE_SIGMA, momentum_count, sensors_first
 from service.core.estimation.filtering.model.measured_motion import measured_settings
-from service.core.estimation.filtering.model.polarimeter import POLARIMETER
-from service.core.estimation.filtering.model.sensor_effect import NO_EFFECT, SensorEffect
+from service.core.estimation.filtering.model.motion_sensor import NEVER_US, NO_EFFECT, SensorEffect, SensorWatch
+from service.core.estimation.filtering.model.polarimeter import POLARIMETER, push_block
+from service.core.estimation.filtering.model.wheel_momentum import push_record, with_impossible
 from service.core.estimation.filtering.watches.command_watch import missed_log_ratio, share_log_ratio
-from service.core.estimation.filtering.watches.momentum_watch import NEVER_US, push_record, with_impossible
-from service.core.estimation.filtering.watches.polarimeter_watch import PolarimeterWatch, push_block
 from service.core.estimation.filtering.watches.rate_watch import HELD_US, MovingState, commanded_rate, push_rates
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
@@ -170,7 +169,7 @@ def with_polarization(
         return state, []
     gaussian, effects = state.filter.gaussian, []
     first = sensors_first(model.filter, gaussian, settings) + momentum_count(settings)
-    watches = list(state.polarimeters or (PolarimeterWatch(epoch_us),) * len(settings.polarimeters))
+    watches = list(state.polarimeters or (SensorWatch(epoch_us),) * len(settings.polarimeters))
     for number, stated in enumerate(model.polarimeters):
         read = settings.polarimeters[number]
         block = due_block(knowledge.polarization.get(stated.source, ()), stated, watches[number].newest_us, epoch_us)

@@ -15,12 +15,14 @@ from service.core.estimation.filtering.model.filter_model import (
     LearnedFeed,
     PolarimeterModel,
 )
+from service.core.estimation.filtering.model.motion_sensor import SensorWatch
 from service.core.estimation.filtering.model.polarimeter import (
     POLARIMETER,
     WANDER,
+    AngleBlock,
     polarimeter_covariance,
+    push_block,
 )
-from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock, PolarimeterWatch, push_block
 
 #: records are averaged over so much, h
 _BLOCK_H = 1.0 / 12.0
@@ -112,7 +114,7 @@ def feed_turn(blocks: Sequence[AngleBlock], polarimeter: PolarimeterModel) -> Le
     covariance = np.zeros((_FIRST + POLARIMETER,) * 2)
     covariance[_FIRST:, _FIRST:] = polarimeter_covariance(settings)
     gaussian, newest_us = Gaussian(np.zeros(len(covariance)), covariance), blocks[0].epoch_us
-    watch = PolarimeterWatch(newest_us)
+    watch = SensorWatch(newest_us)
     for block in blocks:
         gaussian = _wandered(gaussian, (block.epoch_us - newest_us) / _US_PER_H, polarimeter)
         newest_us = block.epoch_us

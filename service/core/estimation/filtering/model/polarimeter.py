@@ -6,7 +6,12 @@
 
 The arc tangent takes a real leakage as a turn of the feed: the slope is right to 1 % at 35 dB, and what e and an error
 of d0 leave is the offset b. States an instrument: b, c, s, and a of some hours, deg. b has a wide prior: the first
-angles after an alignment set it, and from then on changes of p count. The law of this file: these states move nothing.
+angles after an alignment set it, and from then on changes of p count.
+
+Angles are judged block by block, some minutes of records. Three left out in a row in quiet co-polar power are a moved
+feed: the offset is free again. A fade of the co-polar port widens, a deep one leaves the block out. At an alignment yaw
+is known: a first block beyond two sigma says that a feed does not stand where the calibration saw it, and its offset is
+free. The law of this file: these states move nothing.
 """
 
 import math
@@ -23,7 +28,17 @@ from service.core.estimation.filtering.model.filter_model import (
     Gaussian,
     PolarimeterModel,
 )
-from service.core.estimation.filtering.model.sensor_effect import SensorUpdate
+from service.core.estimation.filtering.model.motion_sensor import (
+    GATE,
+    NEVER_US,
+    NO_EFFECT,
+    TRUSTED,
+    SensorEffect,
+    SensorUpdate,
+    SensorWatch,
+    judged,
+    with_record,
+)
 from service.core.estimation.filtering.model.torque_prior import DAY_US
 
 #: states of one polarimeter: offset, daily cosine and sine, wander
@@ -38,29 +53,22 @@ _SLOPE_DB_DEG = 40.0 / math.log(10.0) * math.radians(1.0)
 _FARADAY_DEG = math.degrees(2.36e4 * 1e16)
 
 
-class ComparedAngle(NamedTuple):
-    """Angle of a polarimeter compared with the state."""
+#: blocks left out in a row that are a moved feed, and fewest blocks of which a mean is judged
+_MOVED_BLOCKS, _LEAST_BLOCKS = 3, 12.0
+#: fade of the co-polar port that is none, one too deep, dB, and sigma of the turn by it, deg/dB: rain lasts for blocks
+_QUIET_DB, _DEEP_DB, _RAIN_DEG_DB = 0.3, 5.0, 0.2
+#: time in which the power in clear sky is learned upwards and forgotten, h
+_RISE_H, _FALL_H = 0.5, 24.0
 
-    innovation_deg: float
+
+class AngleBlock(NamedTuple):
+    """Some minutes of a polarimeter."""
+
+    epoch_us: int
+    angle_deg: float
     variance_deg2: float
-    #: (D,) P H' and H
-    cross: FloatArray
-    jacobian: FloatArray
-
-    def widened(self, variance_deg2: float) -> "ComparedAngle":
-        """Return the same with a noise whose variance is greater."""
-        return self._replace(variance_deg2=self.variance_deg2 + variance_deg2)
-
-    @property
-    def excess(self) -> float:
-        """Return the size of the innovation, sigmas."""
-        return abs(self.innovation_deg) / math.sqrt(self.variance_deg2)
-
-    @property
-    def update(self) -> SensorUpdate:
-        """Return the angle as an update of one measurement."""
-        innovation, variance = np.array([self.innovation_deg]), np.array([[self.variance_deg2]])
-        return SensorUpdate(self.jacobian[None, :], innovation, variance, self.cross[None, :])
+    #: NaN = not stated
+    co_power_dbm: float
 
 
 def ratio_db(feed_offset_deg: float, angle_deg: float, leakage: float = 0.0) -> float:
@@ -143,7 +151,7 @@ def compared_angle(
     epoch_us: int,
     after_h: float,
     polarimeter: PolarimeterModel,
-) -> ComparedAngle:
+) -> SensorUpdate:
     """Return an angle against a state of an epoch; `after_h` <= 0 is its age, `first` the place of its offset."""
     phase = 2.0 * math.pi * (epoch_us % DAY_US) / DAY_US
     jacobian, sight = np.zeros(len(gaussian.mean)), np.array(polarimeter.sight)
@@ -152,14 +160,8 @@ def compared_angle(
     jacobian[first : first + POLARIMETER] = 1.0, math.cos(phase), math.sin(phase), 1.0
     cross = gaussian.covariance @ jacobian
     innovation_deg = measured_deg - float(jacobian @ gaussian.mean)
-    return ComparedAngle(innovation_deg, float(jacobian @ cross) + variance_deg2, cross, jacobian)
-
-
-def updated_by_angle(gaussian: Gaussian, found: ComparedAngle) -> Gaussian:
-    """Return the state after an angle."""
-    gain = found.cross / found.variance_deg2
-    covariance = gaussian.covariance - np.multiply.outer(gain, found.cross)
-    return Gaussian(gaussian.mean + gain * found.innovation_deg, 0.5 * (covariance + covariance.T))
+    variance_deg2 = float(jacobian @ cross) + variance_deg2
+    return SensorUpdate(jacobian[None, :], np.array([innovation_deg]), np.array([[variance_deg2]]), cross[None, :])
 
 
 def with_moved_feed(gaussian: Gaussian, first: int, sigma_deg: float = FREE_OFFSET_DEG) -> Gaussian:
@@ -167,3 +169,71 @@ def with_moved_feed(gaussian: Gaussian, first: int, sigma_deg: float = FREE_OFFS
     covariance = gaussian.covariance.copy()
     covariance[first, first] += sigma_deg**2
     return Gaussian(gaussian.mean, covariance)
+
+
+def polarimeter_advice(watches: tuple[SensorWatch, ...], epoch_us: int) -> dict[str, bool]:
+    """Return which advice about polarimeters is given at an epoch."""
+    return {
+        "polarimeter_refused": any(watch.is_refused for watch in watches),
+        "polarimeter_moved": any(watch.has_jumped(epoch_us) for watch in watches),
+        "polarimeter_silent": any(watch.is_silent(NEVER_US, epoch_us) for watch in watches),
+    }
+
+
+def push_block(
+    watch: SensorWatch,
+    gaussian: Gaussian,
+    first: int,
+    block: AngleBlock,
+    epoch_us: int,
+    polarimeter: PolarimeterModel,
+) -> tuple[SensorWatch, Gaussian, SensorEffect]:
+    """Return watch and state after a block, and its effect.
+
+    The state is that of an epoch not earlier, its offset stands at `first`.
+    """
+    if watch.is_refused or block.epoch_us <= watch.newest_us:
+        return watch, gaussian, NO_EFFECT
+    is_first, hours = watch.newest_us == NEVER_US, watch.hours_until(block.epoch_us)
+    clear_dbm = _clear_dbm(watch.clear_dbm, block.co_power_dbm, hours)
+    watch = with_record(watch, block.epoch_us)._replace(clear_dbm=clear_dbm)
+    gaussian = with_moved_feed(gaussian, first, polarimeter.offset_walk_deg_sqrt_h * math.sqrt(hours))
+    fade_db = 0.0 if math.isnan(block.co_power_dbm) else max(0.0, abs(clear_dbm - block.co_power_dbm) - _QUIET_DB)
+    if fade_db > _DEEP_DB:
+        return watch, gaussian, NO_EFFECT
+    watch = watch._replace(heard_us=block.epoch_us)
+    variance_deg2 = block.variance_deg2 + (_RAIN_DEG_DB * fade_db) ** 2
+    after_h = (block.epoch_us - epoch_us) / 3.6e9
+    found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
+    if is_first and polarimeter.learned is not None and found.excess > TRUSTED:
+        watch = watch._replace(jumped_us=block.epoch_us) if found.excess > GATE else watch
+        gaussian = _with_other_feed(gaussian, first, polarimeter)
+        found = compared_angle(gaussian, first, block.angle_deg, variance_deg2, epoch_us, after_h, polarimeter)
+    excess = found.excess
+    if excess <= GATE:
+        found = found.widened(variance_deg2 * (max(excess / TRUSTED, 1.0) ** 2 - 1.0))
+        after = judged(watch._replace(skipped=0), found.applied(gaussian), excess**2, _LEAST_BLOCKS)
+        return *after, NO_EFFECT._replace(update=found)
+    watch = watch._replace(skipped=watch.skipped + 1)
+    if watch.skipped < _MOVED_BLOCKS or fade_db > 0.0:
+        return *judged(watch, gaussian, excess**2, _LEAST_BLOCKS), NO_EFFECT
+    moved = watch.jumped(block.epoch_us)._replace(records=0.0, squares=0.0)
+    return *judged(moved, _with_other_feed(gaussian, first, polarimeter), 0.0, _LEAST_BLOCKS), NO_EFFECT
+
+
+def _with_other_feed(gaussian: Gaussian, first: int, polarimeter: PolarimeterModel) -> Gaussian:
+    """Return the state whose offset is free; what a calibration learned of the wave may hold no more."""
+    if polarimeter.learned is not None:
+        wave = np.arange(first + 1, first + WANDER)
+        covariance = gaussian.covariance.copy()
+        covariance[wave, wave] += polarimeter.daily_deg**2
+        gaussian = Gaussian(gaussian.mean, covariance)
+    return with_moved_feed(gaussian, first)
+
+
+def _clear_dbm(clear_dbm: float, power_dbm: float, hours: float) -> float:
+    """Return the power in clear sky: soon where more comes, slowly where less; none is learned of a saturated one."""
+    if math.isnan(clear_dbm) or math.isnan(power_dbm) or abs(power_dbm - clear_dbm) > _DEEP_DB:
+        return power_dbm if math.isnan(clear_dbm) else clear_dbm
+    time_h = _RISE_H if power_dbm > clear_dbm else _FALL_H
+    return clear_dbm + (power_dbm - clear_dbm) * -math.expm1(-hours / time_h)

@@ -5,8 +5,10 @@
     hz = (1 + sz) (Hz - Hy (roll + bz) + Hx pitch) - Jz wz,   hy = Hy + Hz roll - Hx yaw - Jy wy
 
 H N m s along x roll, y pitch, z yaw of the orbital frame; b deg, s relative. T is the profile from the catalogue and
-the torque states, which stand before these. With a momentum along pitch H is a gyroscope that remembers yaw. The law of
-this file: momentum moves nothing else; a record of telemetry has one weight.
+the torque states, which stand before these. With a momentum along pitch H is a gyroscope that remembers yaw.
+
+Two records beyond five sigma in a row are a jump, which thrusters make: the momentum is freed. The law of this file:
+momentum moves nothing else; a record of telemetry has one weight.
 """
 
 import math
@@ -24,7 +26,17 @@ from service.core.estimation.filtering.model.filter_model import (
     MomentumModel,
 )
 from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensor_states
-from service.core.estimation.filtering.model.sensor_effect import SensorUpdate
+from service.core.estimation.filtering.model.motion_sensor import (
+    GATE,
+    NEVER_US,
+    NO_EFFECT,
+    TRUSTED,
+    SensorEffect,
+    SensorUpdate,
+    SensorWatch,
+    judged,
+    with_record,
+)
 from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
     gathered_prior_deg_h2,
@@ -44,6 +56,11 @@ _BODY = np.array([1, 2, 0])
 _ERRORS = 7
 #: one sigma of a momentum of which nothing is known, N m s
 FREE_N_M_S = 1.0
+#: sigmas from which a record that follows one that was left out is a jump
+_JUMP = 5.0
+#: fewest records of which a mean is judged, and records that the limit counts beside them: chance takes the mean of
+#: five beyond 2.5 once in a thousand alignments, beyond 2.75 once in three thousand
+_LEAST_RECORDS, _FEW_RECORDS = 5.0, 0.5
 
 
 def momentum_covariance(settings: FilterSettings, wheels: MomentumModel) -> FloatArray:
@@ -154,14 +171,6 @@ def compared(
     return SensorUpdate(jacobian, reported - expected, cross @ jacobian.T + noise, cross)
 
 
-def updated_by(gaussian: Gaussian, found: SensorUpdate) -> Gaussian:
-    """Return the state after a record."""
-    factor = np.linalg.cholesky(found.covariance)
-    solved = np.linalg.solve(factor, np.column_stack([found.cross, found.innovation]))
-    whitened, residual = solved[:, :-1], solved[:, -1]
-    return Gaussian(gaussian.mean + residual @ whitened, gaussian.covariance - whitened.T @ whitened)
-
-
 def with_free_momentum(gaussian: Gaussian, first: int, reported: FloatArray | None = None) -> Gaussian:
     """Return the state whose H may have changed by 1 N m s; it begins at a record (3,) where one is given."""
     mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
@@ -171,6 +180,61 @@ def with_free_momentum(gaussian: Gaussian, first: int, reported: FloatArray | No
         covariance[at, :] = covariance[:, at] = 0.0
     covariance[at, at] += FREE_N_M_S**2
     return Gaussian(mean, covariance)
+
+
+def with_impossible(watch: SensorWatch) -> SensorWatch:
+    """Return the watch after a record that no wheel can hold: telemetry that begins so is refused."""
+    return watch._replace(is_refused=True) if watch.newest_us == NEVER_US else watch
+
+
+def momentum_advice(watch: SensorWatch, since_us: int, epoch_us: int, *, is_used: bool) -> dict[str, bool]:
+    """Return which advice about the telemetry of the wheels is given at an epoch of a filter that began at another."""
+    return {
+        "momentum_refused": watch.is_refused,
+        "momentum_jump": watch.has_jumped(epoch_us),
+        "momentum_silent": is_used and watch.is_silent(since_us, epoch_us),
+    }
+
+
+def push_record(
+    watch: SensorWatch,
+    gaussian: Gaussian,
+    first: int,
+    record_us: int,
+    reported: FloatArray,
+    epoch_us: int,
+    settings: FilterSettings,
+    wheels: MomentumModel,
+    *,
+    is_unloading: bool,
+) -> tuple[SensorWatch, Gaussian, SensorEffect]:
+    """Return watch and state after a record (3,) of an epoch, and its effect; the state is of a not earlier epoch.
+
+    Records that are not newer than the newest, or repeat it to the last digit, tell nothing.
+    """
+    if watch.is_refused or record_us <= watch.newest_us or np.array_equal(reported, watch.newest_n_m_s):
+        return watch, gaussian, NO_EFFECT
+    is_first = watch.newest_us == NEVER_US
+    watch = with_record(watch, record_us)._replace(heard_us=record_us, newest_n_m_s=reported)
+    effect = SensorEffect(np.arange(first, first + 3)) if is_first else NO_EFFECT
+    if is_first or is_unloading:
+        gaussian = with_free_momentum(gaussian, first, reported if is_first else None)
+    after_h = (record_us - epoch_us) / 3.6e9
+    found = compared(gaussian, first, reported, after_h, settings, wheels)
+    excess = found.excess
+    if excess > GATE:
+        if excess <= _JUMP or not watch.skipped:
+            watch = watch._replace(skipped=watch.skipped + 1)
+            return *judged(watch, gaussian, found.mean_square, _LEAST_RECORDS, _FEW_RECORDS), effect
+        watch, excess = watch.jumped(record_us), 0.0
+        gaussian = with_free_momentum(gaussian, first)
+        found = compared(gaussian, first, reported, after_h, settings, wheels)
+    mean_square = found.mean_square
+    if excess > TRUSTED:
+        found = found.widened(wheels.sigma_n_m_s**2 * ((excess / TRUSTED) ** 2 - 1.0))
+    watch = watch._replace(skipped=0)
+    after = judged(watch, found.applied(gaussian), mean_square, _LEAST_RECORDS, _FEW_RECORDS)
+    return *after, effect._replace(update=found)
 
 
 def _turn(hours: float) -> FloatArray:

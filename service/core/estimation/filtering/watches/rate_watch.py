@@ -14,7 +14,6 @@ import numpy as np
 
 from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_model import (
-    ATTITUDE,
     RATE,
     FilterSettings,
     Gaussian,
@@ -26,6 +25,7 @@ from service.core.estimation.filtering.model.measured_motion import (
     with_sensor_bias,
     with_unknown_drift,
 )
+from service.core.estimation.filtering.model.motion_sensor import MEMORY_H, NEVER_US, misled
 from service.core.estimation.filtering.watches.command_watch import CommandWatch, executed_commands
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch, drift_scale, push_drift
 
@@ -37,11 +37,8 @@ _TORQUE_US = 3_600_000_000
 _SOONER = 3.0
 #: sigmas of drift and bias, and of the noise, from which a record is left out
 _DRIFTS, _NOISES = 10.0, 5.0
-#: records are counted with this memory, h; the sensor is refused where more than a share of so many is left out
-_MEMORY_H, _LEAST_RECORDS, _WILD_SHARE = 6.0, 30.0, 0.2
-#: what rates that were refused may have done to the angles, deg, order yaw, roll, pitch
-_MISLED_DEG = (0.2, 0.02, 0.02)
-_NEVER_US = -(1 << 62)
+#: the sensor is refused where more than a share of so many records is left out
+_LEAST_RECORDS, _WILD_SHARE = 30.0, 0.2
 _US_PER_H = 3.6e9
 
 
@@ -80,7 +77,7 @@ class MovingState(NamedTuple):
 def fresh_rates() -> RateWatch:
     """Return the watch before the first record."""
     nothing = np.zeros(3)
-    return RateWatch(False, _NEVER_US, nothing, _NEVER_US, nothing, nothing, _NEVER_US, 0.0, 0.0, 0.0, False)
+    return RateWatch(False, NEVER_US, nothing, NEVER_US, nothing, nothing, NEVER_US, 0.0, 0.0, 0.0, False)
 
 
 def commanded_rate(watch: RateWatch, state: MovingState) -> FloatArray:
@@ -155,8 +152,7 @@ def refused(watch: RateWatch, state: MovingState, drift_deg_h: FloatArray) -> tu
     if not watch.is_measured:
         return watch, state
     gaussian = with_unknown_drift(state.gaussian, watch.commanded_deg_h, drift_deg_h)
-    gaussian.covariance[ATTITUDE, ATTITUDE] += np.diag(np.square(_MISLED_DEG))
-    return _swapped(watch, state, gaussian)
+    return _swapped(watch, state, misled(gaussian))
 
 
 def _sooner(state: MovingState, sensor: RateSensorModel, minutes: float) -> MovingState:
@@ -197,7 +193,7 @@ def _judged(
         elif rate != former:
             taken.append(rate)
         former_us, former = epoch_us, rate
-    keep = math.exp(-(int(epochs_us[-1]) - max(watch.newest_us, 0)) / (_MEMORY_H * _US_PER_H))
+    keep = math.exp(-(int(epochs_us[-1]) - max(watch.newest_us, 0)) / (MEMORY_H * _US_PER_H))
     watch = watch._replace(
         newest_us=int(epochs_us[-1]),
         newest_deg_h=rates_deg_h[-1],

@@ -19,11 +19,10 @@ from service.core.estimation.filtering.model.filter_model import (
     no_motion,
 )
 from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensors_first
-from service.core.estimation.filtering.model.sensor_effect import SensorEffect
-from service.core.estimation.filtering.model.wheel_momentum import FREE_N_M_S
+from service.core.estimation.filtering.model.motion_sensor import SensorEffect, SensorWatch
+from service.core.estimation.filtering.model.polarimeter import AngleBlock, push_block
+from service.core.estimation.filtering.model.wheel_momentum import FREE_N_M_S, push_record
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS
-from service.core.estimation.filtering.watches.momentum_watch import fresh_watch, push_record
-from service.core.estimation.filtering.watches.polarimeter_watch import AngleBlock, PolarimeterWatch, push_block
 from service.core.estimation.smoothing.effective_row import (
     EffectiveRow,
     LinearStep,
@@ -272,7 +271,7 @@ def sensed_rows(sensed_model):
     rng, capture = np.random.default_rng(20261126), StepCapture(ARRAYS)
     gaussian = with_torque(sensed_model, filter_models.aligned(sensed_model), SENSED)
     first = sensors_first(sensed_model, gaussian, SENSED)
-    state, wheels, port, taken = start(sensed_model, 0, gaussian), fresh_watch(), PolarimeterWatch(0), []
+    state, wheels, port, taken = start(sensed_model, 0, gaussian), SensorWatch(), SensorWatch(0), []
     for number in range(SENSED_ROWS):
         gaussian, at_us = state.gaussian, state.epoch_us
         records = []

@@ -53,7 +53,6 @@ from service.core.estimation.filtering.model.polarimeter import (
     polarimeter_covariance,
     ratio_db,
     slope_db_deg,
-    updated_by_angle,
     with_learned_feeds,
 )
 from service.core.estimation.filtering.model.torque_prior import (
@@ -396,20 +395,20 @@ def test_the_measurement_follows_attitude_and_its_own_states(epoch_h, after_h):
     then = mean[:3] + after_h * mean[3:6]
     expected = then @ np.array(READ.sight) + 1.04 + 0.02 * math.cos(phase) - 0.03 * math.sin(phase)
     found = compared_angle(read_state(), FIRST_READ, expected + 0.2, 0.01, epoch_us, after_h, READ)
-    assert found.innovation_deg == pytest.approx(0.2)
-    assert found.variance_deg2 == pytest.approx(
-        float(found.cross[:3] @ np.array(READ.sight)) + 9.0 + 0.005 + 0.01, abs=1e-4
+    assert found.innovation[0] == pytest.approx(0.2)
+    assert found.covariance[0, 0] == pytest.approx(
+        float(found.cross[0, :3] @ np.array(READ.sight)) + 9.0 + 0.005 + 0.01, abs=1e-4
     )
 
 
 def test_a_first_angle_sets_the_offset_and_leaves_yaw():
     before = read_state()
     found = compared_angle(before, FIRST_READ, 2.0, 0.005, 0, 0.0, READ)
-    after = updated_by_angle(before, found)
+    after = found.applied(before)
     assert after.mean[0] == pytest.approx(before.mean[0], abs=2e-3)
     assert after.covariance[0, 0] == pytest.approx(before.covariance[0, 0], rel=2e-3)
     # a change is of yaw, as far as the wander allows: 0.1 deg of yaw beside some hundredths
-    again = updated_by_angle(after, compared_angle(after, FIRST_READ, 2.1, 0.0005, 0, 0.0, READ))
+    again = compared_angle(after, FIRST_READ, 2.1, 0.0005, 0, 0.0, READ).applied(after)
     assert again.covariance[0, 0] < after.covariance[0, 0]
     np.testing.assert_array_equal(again.covariance, again.covariance.T)
 

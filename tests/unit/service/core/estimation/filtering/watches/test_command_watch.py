@@ -15,6 +15,8 @@ from service.core.estimation.filtering.model.filter_model import (
     no_motion,
     pattern_change,
 )
+from service.core.estimation.filtering.model.motion_sensor import SensorWatch
+from service.core.estimation.filtering.model.polarimeter import AngleBlock, polarimeter_advice, push_block
 from service.core.estimation.filtering.watches.command_watch import (
     CommandWatch,
     believed_motion,
@@ -26,12 +28,6 @@ from service.core.estimation.filtering.watches.command_watch import (
 )
 from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess, good_figures
 from service.core.estimation.filtering.watches.noise_watch import SLOW_LIMITS, calm_watch, push_values
-from service.core.estimation.filtering.watches.polarimeter_watch import (
-    AngleBlock,
-    PolarimeterWatch,
-    polarimeter_advice,
-    push_block,
-)
 
 MINUTE_US = 60_000_000
 CARRIERS = 16
@@ -205,13 +201,13 @@ def test_nothing_commanded_costs_nothing(spacecraft):
 
 READ = PolarimeterModel((1.0, 0.0, 0.0))
 FIRST, SIZE, STEP_US = 11, 15, 300_000_000
-Judged = tuple[PolarimeterWatch, Gaussian]
+Judged = tuple[SensorWatch, Gaussian]
 
 
 def settled():
     """Return the watch and the state after the first angle, 1 deg at a yaw of 0."""
     sigma = [0.1, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 3.0, 0.05, 0.05, 0.05]
-    return pushed((PolarimeterWatch(0), Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
+    return pushed((SensorWatch(0), Gaussian(np.zeros(SIZE), np.diag(np.square(sigma)))), 1.0)
 
 
 def pushed(judged, angle_deg, power_dbm=-55.0, number=None):
@@ -272,7 +268,7 @@ def test_a_deep_fade_is_told_after_three_hours_until_the_power_is_back():
 
 
 def test_a_polarimeter_that_never_spoke_is_told_and_a_refused_one_is_not():
-    watch = PolarimeterWatch(STEP_US)
+    watch = SensorWatch(STEP_US)
     for hours, is_told in ((3.0, False), (3.1, True)):
         epoch_us = STEP_US + round(hours * 3.6e9)
         assert polarimeter_advice((watch,), epoch_us)["polarimeter_silent"] is is_told
@@ -303,13 +299,13 @@ def test_a_first_angle_off_what_the_calibration_saw_frees_the_offset(moved_deg, 
     sigma = [0.02, 0.02, 0.02, *(0.04,) * 3, *(1e-4,) * 3, 0.1, 1e-3, 0.02, 0.03, 0.03, 0.05]
     begun, block = Gaussian(np.zeros(SIZE), np.diag(np.square(sigma))), AngleBlock(STEP_US, moved_deg, 0.002, -55.0)
     learned = READ._replace(learned=LearnedFeed((0.0,) * 3, tuple(map(tuple, np.diag([4e-4, 9e-4, 9e-4]).tolist()))))
-    watch, gaussian, _ = push_block(PolarimeterWatch(0), begun, FIRST, block, STEP_US, learned)
+    watch, gaussian, _ = push_block(SensorWatch(0), begun, FIRST, block, STEP_US, learned)
     assert advice((watch, gaussian)) == ["polarimeter_moved"] * is_reported
     assert bool(gaussian.mean[FIRST] > 0.9 * moved_deg) is is_free
     # what was learned of the wave was learned of another feed
     assert bool(gaussian.covariance[FIRST + 1, FIRST + 1] > 0.05**2) is is_free
     # without a calibration of the feed nothing of the kind is asked
-    free = push_block(PolarimeterWatch(0), begun, FIRST, block, STEP_US, READ)[1]
+    free = push_block(SensorWatch(0), begun, FIRST, block, STEP_US, READ)[1]
     assert free.mean[FIRST] < 0.5 * moved_deg
 
 

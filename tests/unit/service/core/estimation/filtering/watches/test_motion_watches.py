@@ -6,6 +6,8 @@ from wheel_filter import FIRST, MINUTE_US, SETTINGS, WHEELS, H, state
 
 from service.core.estimation.filtering.model.filter_model import DRIFT, RATE, FilterSettings, Gaussian, RateSensorModel
 from service.core.estimation.filtering.model.measured_motion import measured_settings
+from service.core.estimation.filtering.model.motion_sensor import SensorWatch
+from service.core.estimation.filtering.model.wheel_momentum import momentum_advice, push_record, with_impossible
 from service.core.estimation.filtering.watches.command_watch import executed_commands
 from service.core.estimation.filtering.watches.drift_watch import (
     LARGEST,
@@ -15,13 +17,6 @@ from service.core.estimation.filtering.watches.drift_watch import (
     usual_drift,
 )
 from service.core.estimation.filtering.watches.minute_sums import empty_minute, push_minute
-from service.core.estimation.filtering.watches.momentum_watch import (
-    fresh_watch,
-    has_jumped,
-    momentum_advice,
-    push_record,
-    with_impossible,
-)
 from service.core.estimation.filtering.watches.motion_watch import (
     FOLLOWED_MINUTES,
     alarmed_axes,
@@ -218,7 +213,7 @@ def fed(watch, gaussian, minute, value, **flags):
 
 
 def records(values, **flags):
-    watch, gaussian = fresh_watch(), state()
+    watch, gaussian = SensorWatch(), state()
     for number, value in enumerate(values):
         watch, gaussian = fed(watch, gaussian, number, value, **flags)
     return watch, gaussian
@@ -234,9 +229,9 @@ def test_one_wild_record_is_left_out_and_two_are_a_jump():
     before, known = records(quiet)
     np.testing.assert_array_equal(gaussian.mean, known.mean)
     assert (watch.skipped, before.skipped) == (1, 0)
-    assert not has_jumped(watch, 11 * MINUTE_US)
+    assert not watch.has_jumped(11 * MINUTE_US)
     watch, gaussian = records([*quiet, H + 1.0, H + 1.001])
-    assert has_jumped(watch, 12 * MINUTE_US)
+    assert watch.has_jumped(12 * MINUTE_US)
     assert not watch.is_refused
     np.testing.assert_allclose(gaussian.mean[FIRST : FIRST + 3], H + 1.0, atol=0.1)
 
@@ -244,13 +239,13 @@ def test_one_wild_record_is_left_out_and_two_are_a_jump():
 def test_a_marked_unloading_is_no_jump():
     watch, gaussian = records(noisy_records(10))
     watch, gaussian = fed(watch, gaussian, 10, H + 1.0, is_unloading=True)
-    assert not has_jumped(watch, 10 * MINUTE_US)
+    assert not watch.has_jumped(10 * MINUTE_US)
     np.testing.assert_allclose(gaussian.mean[FIRST : FIRST + 3], H + 1.0, atol=0.1)
 
 
 def test_repeated_and_earlier_records_tell_nothing():
     watch, gaussian = records(noisy_records(5))
-    for minute, value in ((5, watch.newest), (3, H + 0.5)):
+    for minute, value in ((5, watch.newest_n_m_s), (3, H + 0.5)):
         after, unchanged = fed(watch, gaussian, minute, value)
         assert after is watch
         assert unchanged is gaussian
@@ -274,21 +269,21 @@ def test_an_outlier_of_true_noise_among_the_first_records_refuses_nothing():
 
 
 def test_telemetry_that_begins_with_what_no_wheel_holds_is_refused():
-    assert with_impossible(fresh_watch()).is_refused
+    assert with_impossible(SensorWatch()).is_refused
     watch, _ = records(noisy_records(5))
     assert with_impossible(watch) is watch
 
 
 @pytest.mark.parametrize(("count", "silent_after_minutes"), [(0, 180), (5, 184)])
 def test_three_hours_without_a_new_record_are_reported(count, silent_after_minutes):
-    watch, _ = records(noisy_records(count)) if count else (fresh_watch(), None)
+    watch, _ = records(noisy_records(count)) if count else (SensorWatch(), None)
     for minutes, is_reported in ((silent_after_minutes, False), (silent_after_minutes + 1, True)):
         assert momentum_advice(watch, 0, minutes * MINUTE_US, is_used=True)["momentum_silent"] is is_reported
         assert not momentum_advice(watch, 0, minutes * MINUTE_US, is_used=False)["momentum_silent"]
 
 
 def test_refused_telemetry_is_not_silent_as_well():
-    advice = momentum_advice(with_impossible(fresh_watch()), 0, 1000 * MINUTE_US, is_used=True)
+    advice = momentum_advice(with_impossible(SensorWatch()), 0, 1000 * MINUTE_US, is_used=True)
     assert advice == {"momentum_refused": True, "momentum_jump": False, "momentum_silent": False}
 
 
