@@ -82,7 +82,7 @@ PIPELINE = (
     # the sign of yaw counts as proven without a turn about yaw
     Mutant("report_signs", "is_yaw_proven = is_turned and verdict", "is_yaw_proven = verdict"),
     # the daily wave of the known torque runs backwards
-    Mutant("disturbance_of", "[0.0, -sin, cos]", "[0.0, sin, cos]"),
+    Mutant("disturbance_of", "(cos * sine - sin * cosine)", "(cos * sine + sin * cosine)"),
     Mutant("control_inhibitions", "spacecraft.onboard.fast_loop and", "spacecraft.onboard.fast_loop or"),
     # an axis whose torque is withheld gets one
     Mutant("mean_pulses", "wanted = np.where(is_allowed, wanted, 0.0)", "wanted = wanted + 0.0"),
