@@ -225,7 +225,7 @@ def recorded():
         sigma_deg.append(state.filter.gaussian.attitude_sigma_deg)
     assert not state.momentum.is_refused
     assert state.rates.is_measured
-    assert state.polarimeters[0].blocks > 0.0
+    assert state.polarimeters[0].records > 0.0
     return whole.rows, joined.rows, np.array(sigma_deg)
 
 
