@@ -21,7 +21,7 @@ $(STAMP): requirements-extras.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-extras.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-build.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	# a minute now, so that the first row does not wait for the compiler
+	@echo compiling the filter, about a minute after an installation, so that the first row does not wait for it
 	$(BIN)/python -m service.pipeline.first_rows
 	touch $@
 
