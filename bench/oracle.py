@@ -63,7 +63,7 @@ class Unit(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """What the chain of a closed loop was given, in order."""
+    """Journal of the chain of a closed loop, in order."""
 
     documents: JournalDocuments
     entries: list[Measurement | SlowInput]
