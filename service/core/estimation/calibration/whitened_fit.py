@@ -91,7 +91,7 @@ def whitened_rows(
     from scipy.linalg import solve_triangular
 
     lag_s = np.abs(centre_s[:, np.newaxis] - centre_s)
-    # mostly the same times for all carriers, and exponentials cost more than all the rest
+    # the carriers have the same few times
     kept = {tau_s: np.exp(lag_s / -max(tau_s, 1e-9)) for tau_s in np.unique(noise.tau_s).tolist()}
     out = np.zeros_like(rows)
     for carrier in range(len(rows)):
