@@ -327,7 +327,7 @@ def _days(part: Callable[..., IntArray]) -> tuple[IntArray, BoolArray]:
     begin = first.astype("datetime64[M]") + (np.clip(month, 1, 12) - 1).astype("timedelta64[M]")
     starts, ends = (
         np.where(is_ordinal, *(each.astype("datetime64[D]").astype(np.int64) for each in pair))
-        for pair in ((first, begin), (first + 1, begin + 1))
+        for pair in ((first, begin), (first + np.timedelta64(1, "Y"), begin + np.timedelta64(1, "M")))
     )
     days = starts + day - 1
     return days, (month >= 1) & (month <= 12) & (day >= 1) & (days < ends)
