@@ -11,10 +11,10 @@ from service.api.access.auth import MAY_APPROVE, MAY_OPERATE
 from service.api.context import (
     ApiContext,
     Context,
+    MethodParameter,
     Names,
     SpacecraftId,
     StoredMethod,
-    WantedMethod,
     WantedVersion,
     check_method,
 )
@@ -57,10 +57,11 @@ attitude_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=
 
 
 @attitude_router.get("")
-def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Context) -> NewestAttitudeAnswer:
+def get_attitude(spacecraft_id: SpacecraftId, context: Context, method: MethodParameter = None) -> NewestAttitudeAnswer:
     """Return the newest attitude; status NOT_RECEIVED before the first row, EXPIRED when the newest is too old."""
-    check_method(method, LIVE)
     spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
+    method = method or spacecraft.control.method
+    check_method(method, LIVE)
     present = present_of(context, spacecraft)
     row, control = present.row, present.control
     if method is not spacecraft.control.method:
