@@ -116,8 +116,10 @@ def main() -> int:
             for method in (Method.ROBUST, Method.PAPER)
         ]
     )
+    suffix = ".flight" if is_recorded else ".parquet"
+    left = [unit for unit in units if not unit.path.with_suffix(suffix).exists()]
     with ProcessPoolExecutor(options.jobs) as pool:
-        for line in pool.map(record_unit if is_recorded else write_unit, units):
+        for line in pool.map(record_unit if is_recorded else write_unit, left):
             print(line, flush=True)
     return 0
 
@@ -166,7 +168,7 @@ def write_unit(unit: Unit) -> str:
 
 
 def _of_world(unit: Unit) -> tuple[list[JoinedRow], dict[int, tuple[str, ...]]]:
-    """Return each row of operation with what a method, which drives control, made of it, and the carriers of plans."""
+    """Return the rows of operation with the results of a method, which drives control, and the carriers of plans."""
     ground = simulated_world(unit.name, unit.seed).ground
     control = ControlSettings(unit.method, ControlMode.GROUND, Release.AUTOMATIC)
     opened = open_chain(replace(ground, spacecraft=replace(ground.spacecraft, control=control)))
@@ -175,7 +177,7 @@ def _of_world(unit: Unit) -> tuple[list[JoinedRow], dict[int, tuple[str, ...]]]:
 
 
 def _of_flight(path: Path, method: Method) -> tuple[list[JoinedRow], dict[int, tuple[str, ...]]]:
-    """Return each row of a recorded flight with what its method made of it, and the carriers of plans."""
+    """Return the rows of a recorded flight with the results of its method, and the carriers of plans."""
     flight: Flight = pickle.loads(path.read_bytes())  # noqa: S301 our own file
     chain, rows = Chain(flight.documents, ChainConfig(), methods=(method,)), []
     for entry in flight.entries:

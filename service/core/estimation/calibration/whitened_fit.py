@@ -92,14 +92,14 @@ def whitened_rows(
 
     lag_s = np.abs(centre_s[:, np.newaxis] - centre_s)
     # the carriers have the same few times
-    kept = {tau_s: np.exp(lag_s / -max(tau_s, 1e-9)) for tau_s in np.unique(noise.tau_s).tolist()}
+    decay = {tau_s: np.exp(lag_s / -max(tau_s, 1e-9)) for tau_s in np.unique(noise.tau_s).tolist()}
     out = np.zeros_like(rows)
     for carrier in range(len(rows)):
         used = np.flatnonzero((weight[carrier] > MIN_WEIGHT) & np.isfinite(variance_db2[carrier]))
         covariance = np.zeros_like(lag_s)
         for sigma_db, tau_s in zip(noise.sigma_db[carrier].tolist(), noise.tau_s[carrier].tolist(), strict=True):
             if sigma_db > 0.0:
-                covariance += sigma_db**2 * kept[tau_s]
+                covariance += sigma_db**2 * decay[tau_s]
         covariance = covariance if len(used) == len(lag_s) else covariance[np.ix_(used, used)]
         np.fill_diagonal(covariance, variance_db2[carrier, used] / weight[carrier, used])
         factor = np.linalg.cholesky(covariance)

@@ -220,8 +220,8 @@ def step_fade_watch(
     depth_db : float, dB
         The depth with which the test was made.
     stop_after_s, return_after_s : float, s
-        How long the condition must stand at the depth, a deeper change for less, and how long it must be dry: nobody
-        holds the spacecraft during a stop, so levels may stay away by its turn.
+        How long the condition must stand at the depth, a deeper change for less, and how long it must be dry: the
+        spacecraft drifts during a stop, so levels may stay away by its turn.
     max_gap_s : float, s
         Time without a judged row above this starts both counters again and adds nothing to them. A standing stop stays:
         a gap is no evidence of dry weather.

@@ -235,8 +235,8 @@ def _test_change(
     """Apply the rule of one sign and near size, and ask whether a turn would not explain the row better.
 
     The print has the rule for fades alone, sign 1; a rise of all levels (-1) looks like attitude as well. A stop ends
-    where the levels are back, or back but for a turn, which the dynamics predict or which explains them by itself:
-    nobody holds the spacecraft then.
+    where the levels are back, or back but for a turn, which the dynamics predict or which explains them by itself: the
+    spacecraft drifts during a stop.
     """
     rule = partial(
         fade_sign_test, depth_db=config.fade.depth_db, share=config.fade.share, spread_ratio=config.fade.spread_ratio

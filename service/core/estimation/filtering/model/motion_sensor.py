@@ -1,8 +1,8 @@
 """Sensors of motion beside the powers: the update of the state by a record, and the judgement of their records.
 
 A record beyond two sigma counts less, one beyond four is left out. Where records of six hours keep disagreeing, or jump
-again and again, the sensor is refused until the next alignment, and yaw is known as if it had told nothing for long.
-The law of this file: what is common to wheels and polarimeters stands here; what a jump is, each sensor says itself.
+again and again, the sensor is refused until the next alignment, and yaw is as uncertain as after hours without it. The
+law of this file: it has what wheels and polarimeters share; the file of each sensor says what a jump is.
 """
 
 import math
@@ -80,8 +80,9 @@ class SensorWatch(NamedTuple):
 
     #: newest record of use, at first the begin of the watch
     heard_us: int = NEVER_US
-    #: epoch of the newest record judged, and that of wheels
+    #: epoch of the newest record judged
     newest_us: int = NEVER_US
+    #: newest record of wheels: a repeated one is left out
     newest_n_m_s: FloatArray = np.zeros(3)
     #: records left out in a row
     skipped: int = 0
@@ -103,11 +104,11 @@ class SensorWatch(NamedTuple):
         return self._replace(skipped=0, jumps=self.jumps + 1.0, jumped_us=epoch_us)
 
     def has_jumped(self, epoch_us: int) -> bool:
-        """Return whether a jump that nobody declared is reported at an epoch."""
+        """Return whether an undeclared jump is reported at an epoch."""
         return epoch_us - self.jumped_us < _REPORTED_US
 
     def is_silent(self, since_us: int, epoch_us: int) -> bool:
-        """Return whether a sensor that is not refused has told nothing of use for long."""
+        """Return whether a sensor that is not refused has had no record of use for hours."""
         return epoch_us - max(self.heard_us, since_us) > SILENT_US and not self.is_refused
 
 
