@@ -75,7 +75,7 @@ class Client:
         self._context = context
 
     def attitude(self, spacecraft_id, method=Method.ROBUST):
-        return get_attitude(spacecraft_id, Method(method), self._context).model_dump(mode="json")
+        return get_attitude(spacecraft_id, self._context, Method(method)).model_dump(mode="json")
 
     def status(self, spacecraft_id):
         return status_of(self._context, spacecraft_id).model_dump(mode="json")
@@ -143,8 +143,8 @@ def answers(driver):
     context = context_of(driver)
     control, handover = get_control(SC, context), handover_of(context, SC)
     reported = {
-        "attitude": get_attitude(SC, Method.ROBUST, context).control,
-        "attitude of the other method": get_attitude(SC, Method.PAPER, context).control,
+        "attitude": get_attitude(SC, context, Method.ROBUST).control,
+        "attitude of the other method": get_attitude(SC, context, Method.PAPER).control,
         "status": status_of(context, SC).control,
         "control": control.control,
         "torques": get_torques(SC, context).control,
