@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion
+from service.core.estimation.filtering.filter_model import FilterSettings, no_motion
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, RowKernels, compiled_kernels
 from service.pipeline.chain import METHODS, Chain
 from service.pipeline.config import ChainConfig

@@ -151,9 +151,6 @@ class Settings(BaseSettings):
     alarm_mail_password: SecretStr | None = Field(None, description="that user's password")
     alarm_mail_from: str = Field("soo@localhost", description="sender of notices")
     alarm_mail_to: str | None = Field(None, description="receivers of notices, by commas")
-    kernels: Literal["numba", "numpy"] = Field(
-        "numba", description="who computes the robust filter: `numba` is faster, `numpy` spares 130 MB of memory"
-    )
     workers: WorkerConfig = Field(WorkerConfig(), description="calibrations in worker processes")
     calibration: CalibrationConfig = Field(CalibrationConfig(), description="calibration jobs")
     alignment: AlignmentConfig = Field(AlignmentConfig(), description="alignments")
@@ -179,5 +176,4 @@ class Settings(BaseSettings):
             self.torque,
             self.robust,
             self.operations,
-            kernels=self.kernels,
         )

@@ -4,18 +4,32 @@ Imported where something is about to be compiled only: the import of numba takes
 """
 
 import contextlib
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Sequence
+from types import FunctionType, ModuleType
 from typing import Any
 
-from numba import njit
-from numba.core.caching import FunctionCache
+from numba import config, njit
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.extending import register_jitable
+
+# half of the compiler's time, and rows as fast: loops over some carriers gain nothing by vector code or more passes
+_LEVELS = (("LOOP_VECTORIZE", 0), ("SLP_VECTORIZE", 0), ("OPT", 1))
+#: functions that compiled ones may call
+_CALLED: set[FunctionType] = set()
 
 
 class _KeptCode(FunctionCache):
     """Machine code of one function on the disk; what cannot be read is forgotten, what cannot be written is not kept.
 
-    numba itself fails at each call where a file was cut or the disk is full.
+    numba itself fails at each call where a file was cut or the disk is full, and asks only the file of the function
+    whether its machine code is old; a stamp of all sources takes the place of that.
     """
+
+    def __init__(self, function: Callable[..., Any], stamp: str | None) -> None:
+        super().__init__(function)
+        if stamp is not None:
+            self._cache_file = IndexDataCacheFile(self._cache_path, self._impl.filename_base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the machine code for some types of arguments, None where there is none that can be read."""
@@ -32,13 +46,32 @@ class _KeptCode(FunctionCache):
             super().save_overload(sig, data)
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], stamp: str | None = None) -> Any:
     """Return a function of numbers and arrays that is compiled at its first call, or read from what was kept before.
 
     Machine code is kept beside the source or in the user's cache; where neither can be written, and where what is there
-    cannot be read, it is compiled.
+    cannot be read, it is compiled. `stamp` tells whether it is old, without one the file of the function does.
     """
     dispatcher: Any = njit(nogil=True, error_model="numpy")(function)
     with contextlib.suppress(RuntimeError):  # no place
-        dispatcher._cache = _KeptCode(function)  # noqa: SLF001 numba has no name for a cache of another kind
+        dispatcher._cache = _KeptCode(function, stamp)  # noqa: SLF001 numba has no name for a cache of another kind
     return dispatcher
+
+
+def compiled_with(run: Callable[..., Any], modules: Sequence[ModuleType]) -> Any:
+    """Return a function that is compiled with the functions and constants of its own and other modules.
+
+    Machine code is old where one of the modules has changed. With ``NUMBA_DISABLE_JIT=1`` it is the function itself.
+    """
+    if config.DISABLE_JIT:  # type: ignore[attr-defined]  # named at the start only
+        return run
+    for setting, level in _LEVELS:
+        setattr(config, setting, type(getattr(config, setting))(level))
+    for module in modules:
+        for part in vars(module).values():
+            if isinstance(part, FunctionType) and part.__module__ == module.__name__ and part not in _CALLED:
+                _CALLED.add(part)
+                register_jitable(part)
+    # the loader of a module has its source wherever it was installed
+    sources = (vars(module)["__loader__"].get_source(module.__name__) for module in modules)
+    return compiled(run, hashlib.sha256("".join(map(str, sources)).encode()).hexdigest())

@@ -178,9 +178,9 @@ _LAYOUT = Layout(ChainState)
 
 
 def fingerprint(config: ChainConfig) -> str:
-    """Return what a checkpoint must share with the program that restores it: layout, kernels and configuration."""
+    """Return what a checkpoint must share with the program that restores it: layout and configuration."""
     settings = hashlib.sha256(repr(config).encode()).hexdigest()[:16]
-    return f"{LAYOUT_NUMBER}/{_LAYOUT.digest}/{config.kernels}/{settings}"
+    return f"{LAYOUT_NUMBER}/{_LAYOUT.digest}/{settings}"
 
 
 def pack_state(state: ChainState) -> bytes:

@@ -5,7 +5,6 @@ reference of settings says which.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 from service.records.setting import CHOSEN, PUBLISHED, TUNED, setting
 
@@ -229,5 +228,3 @@ class ChainConfig:
     torque: TorqueConfig = TorqueConfig()
     robust: RobustConfig = RobustConfig()
     operations: OperationConfig = OperationConfig()
-    #: who does the arithmetic of the robust filter; both agree to rounding
-    kernels: Literal["numba", "numpy"] = "numpy"

@@ -6,14 +6,14 @@ code is there already.
 
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.attitude_filter import step
+from service.core.estimation.filtering.filter_model import (
     CarrierModel,
-    FilterSettings,
     initial_gaussian,
     no_motion,
 )
-from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
+from service.core.estimation.filtering.filter_state import start
+from service.core.estimation.filtering.plant import filter_model
 
 _MINUTE_US = 60_000_000
 #: more than the anchor waits between two answers
@@ -21,16 +21,15 @@ _ROWS = 30
 
 
 def compile_filter() -> None:
-    """Filter half an hour of eight carriers by the compiled kernels."""
-    model, kernels, random = _payload(8), compiled_kernels(), np.random.default_rng(1)
+    """Filter half an hour of eight carriers."""
+    model, random = _payload(8), np.random.default_rng(1)
     sigma_deg, sigma_db = np.full(3, 0.01), np.full(model.carriers, 0.03)
     aligned = initial_gaussian(model, np.zeros(3), sigma_deg, sigma_db, drift_deg_h=(0.1, 0.1, 0.1))
     state = start(model, 0, aligned)
+    arrays = filter_model(model)
     for row in range(1, _ROWS + 1):
-        # the last row has no carriers: it is only predicted, by a stage of its own
-        deviation_db = random.normal(0.0, 0.1, model.carriers) if row < _ROWS else np.full(model.carriers, np.nan)
-        epoch_us = row * _MINUTE_US
-        state = step(model, FilterSettings(), state, epoch_us, deviation_db, no_motion(), kernels=kernels).state
+        deviation_db = random.normal(0.0, 0.1, model.carriers)
+        state = step(arrays, state, row * _MINUTE_US, deviation_db, no_motion()).state
 
 
 def _payload(carriers: int) -> CarrierModel:

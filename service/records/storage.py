@@ -163,7 +163,7 @@ class Checkpoint:
     number: int
     #: newest consumed epoch, microseconds UTC
     epoch_us: int
-    #: layout, kernels and configuration, which must be the same where it is taken up
+    #: layout and configuration, which must be the same where it is taken up
     fingerprint: str
     content: bytes
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from service.core.estimation.calibration.geometry_columns import exact_response, predict_deviation
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion
+from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion
 from service.core.estimation.paper.downlink_fade import empty_window, fade_sign_test, mean, push
 from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
 from service.core.estimation.paper.octants import predict_deviation_db, solve_octants

@@ -18,7 +18,7 @@ from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.design import choose_carriers, most_share
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     FedForward,
     FilterSettings,
     Gaussian,
@@ -27,8 +27,8 @@ from service.core.estimation.filtering.model.filter_model import (
     initial_gaussian,
     no_motion,
 )
-from service.core.estimation.filtering.model.hidden_motion import inserted
-from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_covariance
+from service.core.estimation.filtering.state_changes import inserted
+from service.core.estimation.filtering.plant import is_pushed, torque_covariance
 from service.core.estimation.observability import averaged_crlb_deg, judge_set
 from service.core.estimation.paper.selection import select_by_axis
 from service.pipeline.inputs.knowledge import JournalDocuments

@@ -27,7 +27,7 @@ from service.core.estimation.calibration.geometry_columns import (
     predict_jacobian,
 )
 from service.core.estimation.design import choose_carriers
-from service.core.estimation.filtering.model.filter_model import FilterSettings
+from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.observability import crlb_deg
 from service.core.estimation.snapshot.snapshot import CarrierUse, solve_snapshots
 from service.core.estimation.snapshot.snapshot_steps import subset_orders

@@ -12,7 +12,7 @@ from kept_results import kept
 
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
-from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
+from service.core.estimation.filtering.polarimeter import angle_deg, ratio_db
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.geometry_rows import CalibrationError
 from service.pipeline.config import CalibrationConfig

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.arrays import FloatArray
-from service.core.estimation.filtering.model.filter_model import CarrierModel, pattern_change
+from service.core.estimation.filtering.filter_model import CarrierModel, pattern_change
 
 #: log-likelihood ratio against each of the two others that decides
 DECISIVE = 9.0

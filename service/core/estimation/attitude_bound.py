@@ -19,7 +19,7 @@ import numpy as np
 
 from service.core.arrays import FloatArray
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
-from service.core.estimation.filtering.model.filter_model import PolarimeterModel
+from service.core.estimation.filtering.filter_model import PolarimeterModel
 
 _ORBITAL_RATE_PER_H = 0.2625162
 _STEP_H, _SPAN_H, _JUDGED_H, _DAY_H = 1.0 / 12.0, 48.0, 24.0, 24.0

@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from service.core.estimation.calibration import gathered_torque as fit
-from service.core.estimation.filtering.model.filter_model import FilterSettings
-from service.core.estimation.filtering.model.torque_prior import TORQUES
+from service.core.estimation.filtering.filter_model import FilterSettings
+from service.core.estimation.filtering.plant import TORQUES
 from service.pipeline.calibration.geometry_fit import JointFit, calibration_warnings, fit_rows, quality_metrics
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput, GeometryRows, geometry_rows
 from service.pipeline.calibration.paper_calibration import observe, paper_part

@@ -14,7 +14,7 @@ from service.core.estimation.calibration.geometry_columns import (
     daily_columns,
 )
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
-from service.core.estimation.filtering.model.filter_model import CarrierModel
+from service.core.estimation.filtering.filter_model import CarrierModel
 from service.core.geometry.line_of_sight import (
     Positions,
     PredictedTrack,

@@ -10,7 +10,7 @@ the members. The law of this file: a row with fewer than three members tells not
 import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse
-from service.core.estimation.filtering.model.filter_model import CarrierModel
+from service.core.estimation.filtering.filter_model import CarrierModel
 from service.records.catalogue import CarrierPlan
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 

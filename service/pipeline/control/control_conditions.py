@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from service.core.estimation.filtering.watches.integrity import DOUBT_RATIO, WAITING_LOSS_DEG
+from service.core.estimation.filtering.integrity import DOUBT_RATIO, WAITING_LOSS_DEG
 from service.pipeline.config import InterlockConfig
 from service.pipeline.control.command.control_design import CONTROL_INHIBITIONS
 from service.pipeline.control.release.control_verdict import (

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.filtering.model.filter_model import CarrierModel
+from service.core.estimation.filtering.filter_model import CarrierModel
 from service.pipeline.inputs.knowledge import Knowledge
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.inputs import Operation, SlowInput

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import ATTITUDE, rates_deg_h
+from service.core.estimation.filtering.filter_model import ATTITUDE, rates_deg_h
 from service.core.estimation.smoothing.effective_row import EffectiveRow, SmoothedState, smoothed_rows
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.records.catalogue import Method

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     FedForward,
     FilterSettings,
     KnownMotion,
@@ -16,7 +16,7 @@ from service.core.estimation.filtering.model.filter_model import (
     RateSensorModel,
     no_motion,
 )
-from service.core.estimation.filtering.model.torque_prior import DAY_US, TORQUES, scale_covariance, wave_period_us
+from service.core.estimation.filtering.plant import DAY_US, TORQUES, scale_covariance, wave_period_us
 from service.pipeline.config import RobustConfig
 from service.records.calibration import Calibration, GatheredTorque
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft

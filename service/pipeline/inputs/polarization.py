@@ -12,8 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import LearnedFeed, PolarimeterModel
-from service.core.estimation.filtering.model.polarimeter import (
+from service.core.estimation.filtering.filter_model import LearnedFeed, PolarimeterModel
+from service.core.estimation.filtering.polarimeter import (
     AngleBlock,
     angle_deg,
     faraday_deg,

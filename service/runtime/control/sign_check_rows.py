@@ -13,7 +13,7 @@ import numpy as np
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.core.control.sign_check import SignContext, SignDecision, SignState, decide, weigh, wheel_decision
 from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
-from service.core.estimation.filtering.model.filter_model import CarrierModel
+from service.core.estimation.filtering.filter_model import CarrierModel
 from service.pipeline.control.release.interlock_conditions import ReleaseSettings, microseconds
 from service.pipeline.control.release.sign_checks import profile_of
 from service.records.epoch import US_PER_S

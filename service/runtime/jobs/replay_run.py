@@ -306,10 +306,9 @@ class ReplayRun:
         return not (self._replay.is_fixed_alignment and is_other)
 
 
-def prepare_process(_open_storage: Callable[[], Storage], config: ChainConfig) -> None:
+def prepare_process(_open_storage: Callable[[], Storage], _config: ChainConfig) -> None:
     """Load in a process, ahead of the first replay, what it needs: by the arguments all modules, here machine code."""
-    if config.kernels == "numba":
-        compile_filter()
+    compile_filter()
 
 
 def replay_in_process(

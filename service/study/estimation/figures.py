@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
-from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
+from service.core.estimation.filtering.anchor import HYPOTHESES
 from service.pipeline.config import InterlockConfig
 from service.records.levels.attitude import FloatArray
 from service.study.estimation.bounds import AXES

@@ -3,7 +3,7 @@
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     CarrierModel,
     FilterSettings,
     Gaussian,

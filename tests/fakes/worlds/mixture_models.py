@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.anchor.carrier_mixture import Branches
+from service.core.estimation.filtering.anchor import Branches
 
 PRIOR = np.array([0.2, 0.1, 0.1, 0.15])
 MEAN_DB = np.array([0.0, -0.35, -1.3, 0.0, 0.4])

@@ -14,8 +14,8 @@ from analyzer_sim.export import measured_dbm
 from analyzer_sim.world.payload.level_terms import dishes_loss_db, nominal_gain_db
 from analyzer_sim.world.world import World
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.model.declared import Declared, nothing_declared
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.declared import Declared, nothing_declared
+from service.core.estimation.filtering.filter_model import (
     CarrierModel,
     FilterSettings,
     KnownMotion,

@@ -5,7 +5,7 @@ import numpy as np
 from service.core.arrays import FloatArray
 from service.core.control import sign_check
 from service.core.control.sign_check import ROLL, YAW, Profile, Sign, SignContext, SignDecision, SignLikelihoods, decide
-from service.core.estimation.filtering.model.filter_model import CarrierModel
+from service.core.estimation.filtering.filter_model import CarrierModel
 
 #: white noise of a row and coloured parts as (dB, s), those that the links of rf-attitude.md have
 NOMINAL = (0.155, ((0.09, 1200.0),))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import FedForward, FilterSettings, Gaussian, MomentumModel
+from service.core.estimation.filtering.filter_model import FedForward, FilterSettings, Gaussian, MomentumModel
 
 #: nine core states, chain and rain, nine torques, seven of the momentum
 FIRST, SIZE = 20, 27

@@ -43,7 +43,7 @@ from db.encoding.segments import (
     unpack_extras,
 )
 from db.encoding.summary_codec import pack_day, unpack_level, unpack_rows
-from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
+from service.core.estimation.filtering.anchor import HYPOTHESES
 from service.core.rows import Summaries
 from service.errors import StorageError
 from service.records.inputs import KINDS, AttitudeReference, Operation, PlanChange

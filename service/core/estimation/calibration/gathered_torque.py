@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray, IntArray
-from service.core.estimation.filtering.model.filter_model import ATTITUDE, RATE, FilterSettings, Gaussian
-from service.core.estimation.filtering.model.motion_sensor import SensorWatch
-from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
-from service.core.estimation.filtering.model.wheel_momentum import (
+from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, Gaussian
+from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.plant import TORQUES, torque_covariance
+from service.core.estimation.filtering.wheel_momentum import (
     learned_positions,
     momentum_covariance,
     moved_momentum,

@@ -14,17 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.arrays import BoolArray, FloatArray
+from service.core.compiled_entry import CompiledEntry
 from service.core.estimation.calibration.geometry_columns import displacement_matrix
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering import filter_model, motion, plant
+from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     RATE,
     RATE_FLOOR_DEG_H,
-    CarrierModel,
     FilterSettings,
     KnownMotion,
+    no_carriers,
 )
-from service.core.estimation.filtering.model.step_inputs import step_inputs
-from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_covariance
+from service.core.estimation.filtering.plant import TORQUES, FilterModel, torque_covariance
 from service.core.estimation.paper.downlink_fade import SIGMA_OF_MAD, median_of
 
 #: places of torques and of the error of fixes
@@ -42,21 +43,8 @@ _REWEIGHTINGS = 3
 _MIN_CARRIERS = 4
 #: dB^2/deg^2, an axis of which levels tell less counts as zero within 50 deg/dB: stations in one place tell no yaw
 _LEAST_INFORMATION = 50.0**-2
-_CALM = (False, False, False)
-_NONE = np.zeros(0)
-_NO_CARRIERS = CarrierModel(
-    gradient_db_deg=np.zeros((0, 3)),
-    hessian_db_deg2=np.zeros((0, 3, 3)),
-    rain_share=_NONE,
-    transponder=np.zeros(0, dtype=np.int64),
-    white_sigma_db=_NONE,
-    coloured_sigma_db=np.zeros((0, 1)),
-    coloured_tau_s=np.zeros((0, 1)),
-    reference_walk_db=_NONE,
-    common_sigma_db=_NONE,
-    common_tau_s=_NONE,
-    coefficient_covariance=np.zeros((0, 9, 9)),
-)
+_CALM = np.zeros(3, dtype=np.bool_)
+_STEP_MOTION = CompiledEntry(motion.step_motion, (filter_model, plant, motion))
 
 
 class LoopModel(NamedTuple):
@@ -66,6 +54,8 @@ class LoopModel(NamedTuple):
     """
 
     motion: FilterSettings
+    #: motion as compiled functions take it, without carriers
+    arrays: FilterModel
     slope_db_per_deg: FloatArray
     is_used: BoolArray
     lasting_deg2: FloatArray
@@ -154,7 +144,8 @@ def loop_model(
     """
     fix = linear_fix(np.zeros(len(slope)), slope, is_used)
     lasting_db = max(_LASTING_DB, coloured_db)
-    return LoopModel(motion, slope, is_used, np.zeros((3, 3)) if fix is None else lasting_db**2 * fix.unit_covariance)
+    lasting_deg2 = np.zeros((3, 3)) if fix is None else lasting_db**2 * fix.unit_covariance
+    return LoopModel(motion, plant.filter_model(no_carriers(), motion), slope, is_used, lasting_deg2)
 
 
 def initial_estimate(epoch_us: int, attitude_deg: FloatArray, sigma_deg: FloatArray, model: LoopModel) -> LoopEstimate:
@@ -176,24 +167,35 @@ def with_other_torque(estimate: LoopEstimate, model: LoopModel) -> LoopEstimate:
 
 def predict_estimate(estimate: LoopEstimate, model: LoopModel, epoch_us: int, known: KnownMotion) -> LoopEstimate:
     """Return the estimate at a later epoch, after what was commanded until then; an earlier epoch changes nothing."""
-    step_us, motion = epoch_us - estimate.epoch_us, model.motion
+    step_us, arrays = epoch_us - estimate.epoch_us, model.arrays
     if step_us <= 0:
         return estimate
-    step = step_inputs(
-        _NO_CARRIERS, motion, TORQUES, step_us, known, _CALM, is_raining=False, from_us=estimate.epoch_us
+    step = _STEP_MOTION(
+        arrays,
+        TORQUES,
+        known.unreported,
+        estimate.epoch_us,
+        step_us,
+        known.correction_deg,
+        known.late_correction_deg,
+        known.rate_change_deg_h,
+        1.0,
+        math.nan,
+        _CALM,
+        False,  # noqa: FBT003 the compiled function knows no arguments by keyword alone
     )
-    hours = step.seconds / 3600.0
+    hours = step_us / 3.6e9
     transition, noise = np.eye(ERROR.stop), np.zeros((ERROR.stop, ERROR.stop))
-    transition[: RATE.stop, : TORQUE.stop] = step.transition
+    transition[: RATE.stop, : TORQUE.stop] = step.transition[: RATE.stop]
     transition[ERROR, ERROR] *= math.exp(-hours / _LASTING_H)
     noise[: RATE.stop, : RATE.stop] = step.noise + np.diag(step.core_variance[: RATE.stop])
-    # without carriers the torques are all that is common
-    noise[TORQUE, TORQUE] = np.diag(-np.expm1(-2.0 * step.seconds / step.common_tau_s) * step.common_sigma**2)
+    settled = -math.expm1(-2.0 * hours / model.motion.torque_tau_h)
+    noise[TORQUE, TORQUE] = np.diag(settled * arrays.plant[0]["torque_prior_deg_h2"] ** 2)
     noise[ERROR, ERROR] = -math.expm1(-2.0 * hours / _LASTING_H) * model.lasting_deg2
-    if len(step.torque_noise):
-        noise[TORQUE, TORQUE] += step.torque_noise
+    if arrays.plant[0]["is_fed_forward"]:
+        noise[TORQUE, TORQUE] += settled * arrays.plant[0]["scale_covariance"]
     mean = transition @ estimate.mean
-    mean[: RATE.stop] += step.push
+    mean[: RATE.stop] += step.push[: RATE.stop]
     return LoopEstimate(epoch_us, mean, transition @ estimate.covariance @ transition.T + noise)
 
 

@@ -16,34 +16,28 @@ Adjoint of the filter: what later rows say of a state, carried backwards (modifi
 
 No covariance of the state is inverted, so that a singular one does no harm. Noise of any kind passes: it is in P. The
 law of this file: a state that begins again had no past, so that nothing later says anything about it before.
-
-Capture of the step of time while the filter takes a row: its stages run as ever, their arguments are kept.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.filter_records import FilterState, FilterStep
-from service.core.estimation.filtering.filter_update import EffectiveUpdate
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.attitude_filter import FilterStep
+from service.core.estimation.filtering.filter_model import (
     CHAIN,
-    FIRST_COMMON,
     RAIN,
     RATE,
     CarrierModel,
     FilterSettings,
-    Gaussian,
-    carrier_states,
     core_size,
     hidden_count,
 )
-from service.core.estimation.filtering.model.motion_sensor import SensorEffect
-from service.core.estimation.filtering.model.step_inputs import StepInputs
-from service.core.estimation.filtering.rows.row_kernels import RowKernels
-from service.core.estimation.filtering.rows.row_stages import OrdinaryRow
+from service.core.estimation.filtering.filter_state import FilterState
+from service.core.estimation.filtering.motion_sensor import SensorEffect
+from service.core.estimation.filtering.plant import sensor_states
+from service.core.estimation.filtering.row_block import RowTrace
 
 
 class Adjoint(NamedTuple):
@@ -192,24 +186,25 @@ def effective_row(
     settings: FilterSettings,
     before: FilterState,
     found: FilterStep,
-    step: LinearStep,
+    trace: RowTrace,
     origin: IntArray | None,
     effects: Sequence[SensorEffect] = (),
 ) -> EffectiveRow:
-    """Return a row of the filter from the state before, the result, the step of time and records taken before it."""
-    after, effective = found.state, found.effective
-    is_used = effective is not None and effective.degrees > 0
+    """Return a row of the filter from the state before, the result with its trace, and records taken before it."""
+    after, update = found.state, trace.update[np.isfinite(trace.update[:, -1])]
+    states = len(after.mean)
     return EffectiveRow(
         after.epoch_us,
         origin,
         tuple(SensedRecord(each.restarted, each.update and whitened_row(*each.update)) for each in effects),
-        step,
-        _whitened(model, effective) if effective is not None and is_used else None,
-        0.0 if effective is None else _rain_push(effective),
-        before.rain.is_raining and not after.rain.is_raining,
-        restarted_states(after.gaussian.covariance),
-        after.gaussian.mean,
-        after.gaussian.covariance[:_MOVING].copy(),
+        _linear_step(model, settings, trace),
+        WhitenedRow(update[:, :states], update[:, states:-1], update[:, -1]) if len(update) else None,
+        # the adjoint of rain by which the state was moved to its border
+        found.rain_raised_db / found.rain_variance_db2 if len(update) else 0.0,
+        bool(before.watch["is_raining"][0] and not after.watch["is_raining"][0]),
+        restarted_states(after.covariance),
+        after.mean,
+        after.covariance[:_MOVING].copy(),
         settings.coupling_per_h,
     )
 
@@ -288,22 +283,6 @@ def _before_update(row: EffectiveRow, adjoint: Adjoint) -> Adjoint:
     return adjoint if row.update is None else before_row(adjoint, row.update)
 
 
-def _whitened(model: CarrierModel, effective: EffectiveUpdate) -> WhitenedRow:
-    """Return the update of a row as whitened measurements."""
-    used, states = effective.innovation, len(effective.state.mean)
-    hidden = hidden_count(model, states)
-    jacobian = np.zeros((len(used.carriers), states))
-    jacobian[:, : core_size(model, hidden)] = used.core_jacobian
-    own = carrier_states(model, used.carriers, hidden)
-    jacobian[np.arange(len(used.carriers)), own] = 1.0
-    return whitened_row(jacobian, used.innovation_db, used.covariance_db2, used.cross)
-
-
-def _rain_push(effective: EffectiveUpdate) -> float:
-    """Return the adjoint of rain by which the state was moved to its border."""
-    return effective.rain_raised_db / float(effective.state.covariance[RAIN, RAIN])
-
-
 def _rain_into_chain(states: int) -> LinearStep:
     """Return the step in which the chain takes over what the rain left."""
     factor = np.ones(states)
@@ -311,37 +290,10 @@ def _rain_into_chain(states: int) -> LinearStep:
     return LinearStep(factor, np.array([CHAIN]), np.array([CHAIN, RAIN]), np.array([[1.0, -1.0]]))
 
 
-class StepCapture:
-    """Stages of a row that keep the step of time of the newest one.
-
-    Parameters
-    ----------
-    kernels : RowKernels
-        Who does the arithmetic; not a bit of it changes.
-    """
-
-    def __init__(self, kernels: RowKernels) -> None:
-        self._kernels = kernels
-        self.kernels = kernels._replace(move_state=self._move, ordinary_row=self._row)
-        self.newest: LinearStep | None = None
-
-    def _move(self, model: CarrierModel, state: Gaussian, step: StepInputs, *rest: Any) -> tuple[Gaussian, FloatArray]:
-        self.newest = _linear_step(model, step)
-        return self._kernels.move_state(model, state, step, *rest)
-
-    def _row(self, model: CarrierModel, state: FilterState, step: StepInputs, *rest: Any) -> OrdinaryRow:
-        self.newest = _linear_step(model, step)
-        return self._kernels.ordinary_row(model, state, step, *rest)
-
-
-def _linear_step(model: CarrierModel, step: StepInputs) -> LinearStep:
+def _linear_step(model: CarrierModel, settings: FilterSettings, trace: RowTrace) -> LinearStep:
     """Return the step of a state whose first nine numbers, and the momentum of the wheels, move by a transition."""
-    core, transition = np.ones(FIRST_COMMON), step.transition
-    core[RAIN] = step.rain_factor
-    decays = [np.exp(-step.seconds / step.common_tau_s), np.exp(-step.seconds / model.coloured_tau_s).T.ravel()]
-    factor = np.concatenate([core, *decays, np.ones(model.carriers)])
-    moving = np.arange(RATE.stop)
-    hidden = core_size(model) + np.arange(transition.shape[1] - len(moving))
-    sources = np.concatenate([moving, hidden])
-    targets = np.concatenate([moving, step.momentum_first + np.arange(len(transition) - len(moving))])
-    return LinearStep(factor, targets, sources, transition * factor[sources])
+    moving, hidden = np.arange(_MOVING), trace.transition.shape[1] - _MOVING
+    sources = np.concatenate([moving, core_size(model) + np.arange(hidden)])
+    wheels = core_size(model, hidden) - sensor_states(settings) + np.arange(3 * (settings.momentum is not None))
+    targets = np.concatenate([moving, wheels])
+    return LinearStep(trace.factor, targets, sources, trace.transition[: len(targets)] * trace.factor[sources])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.model.filter_model import ATTITUDE, rates_deg_h
+from service.core.estimation.filtering.filter_model import ATTITUDE, rates_deg_h
 from service.core.estimation.paper.loop_observer import (
     TORQUE,
     LinearFix,

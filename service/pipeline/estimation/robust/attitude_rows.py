@@ -5,17 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import MIN_CARRIERS, FilterStep
-from service.core.estimation.filtering.causes.carrier_faults import QUIET_ROWS, QUIET_STD_DB
-from service.core.estimation.filtering.filter_records import FilterState
-from service.core.estimation.filtering.hidden_shares import sensors_of
-from service.core.estimation.filtering.model.declared import Declared
-from service.core.estimation.filtering.model.filter_model import FilterSettings, common_states
-from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, sensor_states, torque_states
-from service.core.estimation.filtering.model.motion_sensor import SensorWatch
-from service.core.estimation.filtering.model.torque_prior import is_pushed
-from service.core.estimation.filtering.model.wheel_momentum import momentum_advice
-from service.core.estimation.filtering.watches.rate_watch import RateWatch
+from service.core.estimation.filtering.attitude_filter import FilterStep
+from service.core.estimation.filtering.carrier_watch import QUIET_ROWS, QUIET_STD_DB
+from service.core.estimation.filtering.declared import Declared
+from service.core.estimation.filtering.filter_model import FilterSettings, common_states
+from service.core.estimation.filtering.filter_state import FilterState
+from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.plant import is_pushed, sensor_states
+from service.core.estimation.filtering.rate_sensor import RateWatch
+from service.core.estimation.filtering.row import MIN_CARRIERS
+from service.core.estimation.filtering.state_changes import is_torque_seen, sensors_of, torque_states
+from service.core.estimation.filtering.wheel_momentum import momentum_advice
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
@@ -116,8 +116,8 @@ def filtered_row(
     in_order = (*INHIBITIONS, *announced.integrity.reasons) if standing else ()
     inhibitions = tuple(dict.fromkeys(one for one in in_order if one in standing))
     advice = {"realign": announced.integrity.is_realignment_advised, **given}
-    is_raining = announced.state.rain.is_raining
-    common = announced.state.gaussian.mean[common_states(model.filter)]
+    is_raining = bool(announced.state.watch["is_raining"][0])
+    common = announced.state.mean[common_states(model.filter)]
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
         received_at_us=measurement.received_at_us,
@@ -190,18 +190,18 @@ def _exclusions(model: RobustModel, fixed: Fixed) -> tuple[Exclusion, ...]:
 
 def _reason(model: RobustModel, fixed: Fixed, moved: set[int], k: int) -> str:
     """Return why one carrier is out."""
-    watch = fixed.announced.state.carriers
+    is_flagged, aside_db = fixed.announced.state.carriers["is_flagged"], fixed.announced.state.aside_db
     if fixed.declared is not None and fixed.declared.is_masked[k]:
         return "manual"
     if fixed.is_frozen[k]:
         return "frozen"
     if np.isnan(fixed.deviation_db[k]):
         return "absent"
-    if watch.is_flagged[k] and int(model.filter.transponder[k]) in moved:
+    if is_flagged[k] and int(model.filter.transponder[k]) in moved:
         return "group"
-    seen_db = watch.residuals_db[:, k]
+    seen_db = aside_db[:, k]
     seen_db = seen_db[np.isfinite(seen_db)]
-    if watch.is_flagged[k] and len(seen_db) >= _INFORMATIVE_ROWS:
+    if is_flagged[k] and len(seen_db) >= _INFORMATIVE_ROWS:
         if float(seen_db.std()) < QUIET_STD_DB:
             return "step"
         return "uplink_fade" if float(seen_db.mean()) < 0.0 else "interference"
@@ -210,7 +210,7 @@ def _reason(model: RobustModel, fixed: Fixed, moved: set[int], k: int) -> str:
 
 def _moved_groups(model: RobustModel, fixed: Fixed) -> set[int]:
     """Return the transponders all of whose carriers are flagged."""
-    flagged, labels = fixed.announced.state.carriers.is_flagged, model.filter.transponder
+    flagged, labels = fixed.announced.state.carriers["is_flagged"], model.filter.transponder
     return {
         int(label)
         for label in np.unique(labels[flagged])
@@ -273,15 +273,15 @@ def frozen(readings: LastReadings, epoch_us: int) -> BoolArray:
 
 def is_torque_shown(state: FilterState, model: RobustModel, shares: int) -> bool:
     """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
-    gaussian = state.gaussian
-    positions = torque_states(model.filter, gaussian, shares, sensor_states(model.settings))
-    return any(state.motion.is_followed) or (positions is not None and is_torque_seen(gaussian, positions))
+    positions = torque_states(model.filter, len(state.mean), shares, sensor_states(model.settings))
+    is_followed = bool((state.watch["followed_minutes"] > 0.0).any())
+    return is_followed or (positions is not None and is_torque_seen(state.gaussian, positions))
 
 
 def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Disturbance | None:
     """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
     gaussian, epoch_us = state.gaussian, state.epoch_us
-    positions = torque_states(model.filter, gaussian, shares, sensor_states(model.settings))
+    positions = torque_states(model.filter, len(gaussian.mean), shares, sensor_states(model.settings))
     if positions is None or model.inertia_kg_m2 is None or not is_pushed(model.settings):
         return None
     return disturbance_of(

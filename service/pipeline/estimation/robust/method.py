@@ -10,22 +10,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import FilterState, FilterStep, start, step
-from service.core.estimation.filtering.carry_over import carry_over, without_rates
-from service.core.estimation.filtering.filter_update import site_db
-from service.core.estimation.filtering.hidden_shares import sensors_of, with_stated_torque, with_torque
-from service.core.estimation.filtering.model.declared import Declared
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.attitude_filter import FilterStep, step
+from service.core.estimation.filtering.declared import Declared
+from service.core.estimation.filtering.filter_model import (
     FREE_REFERENCE_DB2,
     KnownMotion,
     initial_gaussian,
     no_motion,
     rates_deg_h,
 )
-from service.core.estimation.filtering.model.motion_sensor import SensorWatch
-from service.core.estimation.filtering.model.polarimeter import polarimeter_advice
-from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels
-from service.core.estimation.filtering.watches.rate_watch import RateWatch, fresh_rates
+from service.core.estimation.filtering.filter_state import FilterState, start
+from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.polarimeter import polarimeter_advice
+from service.core.estimation.filtering.prediction import site_level_db
+from service.core.estimation.filtering.rate_sensor import RateWatch, fresh_rates
+from service.core.estimation.filtering.state_changes import (
+    carry_over,
+    sensors_of,
+    with_stated_torque,
+    with_torque,
+    without_rates,
+)
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
@@ -102,13 +107,11 @@ def initial_state(
     state = start(model.filter, alignment.epoch_us, with_torque(model.filter, gaussian, model.settings))
     # a carrier that nobody knows has no level to come back to
     known_db = np.where(model.is_referenced, 0.0, np.nan)
-    watch = state.carriers._replace(
-        is_flagged=state.carriers.is_flagged | ~model.is_referenced,
-        saved_reference_db=known_db,
-        aligned_reference_db=known_db,
+    state = state.with_carriers(
+        is_flagged=~model.is_referenced, saved_reference_db=known_db, aligned_reference_db=known_db
     )
     commanded = replace(commanded, since_us=alignment.epoch_us)
-    return RobustState(state._replace(carriers=watch), commanded, no_readings(len(model.carrier_ids)))
+    return RobustState(state, commanded, no_readings(len(model.carrier_ids)))
 
 
 def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> RobustState:
@@ -139,8 +142,8 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
 
 def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
     """Return the figures of the carriers in the outcome of a row; they are not copied."""
-    watch = found.state.filter.anchor
-    hypothesis = np.where(np.isnan(watch.probability), 0, watch.hypothesis + 1)
+    carriers = found.state.filter.carriers
+    hypothesis = np.where(np.isnan(carriers["probability"]), 0, carriers["hypothesis"] + 1)
     figures_db = (found.deviation_db, found.residual_db, model.filter.sigma_db)
     return CarrierLevels(model.carrier_ids, *figures_db, model.is_used, hypothesis)
 
@@ -175,10 +178,10 @@ def step_robust(
     if state.rates.is_measured:
         # the measured rate holds all of it
         known = no_motion()
-    found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, config, recorder)
+    found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, recorder)
     is_without_orbit = not np.isfinite(expected_dbm).any()
     residual_db = found.residual_db
-    rates = rates_deg_h(found.state.gaussian.mean, model.settings.coupling_per_h) / 3600.0
+    rates = rates_deg_h(found.state.mean, model.settings.coupling_per_h) / 3600.0
     fixed = Fixed(found, deviation_db, is_frozen, rates, declared, is_without_orbit, residual_db)
     row = filtered_row(
         measurement,
@@ -209,26 +212,19 @@ def _filtered(
     deviation_db: FloatArray,
     known: KnownMotion,
     declared: Declared | None,
-    config: ChainConfig,
     recorder: RowRecorder | None,
 ) -> FilterStep:
     """Return the filter after a row; ArithmeticError where its numbers are lost."""
-    kernels = ARRAYS if config.kernels == "numpy" else compiled_kernels()
     found = step(
-        model.filter,
-        model.settings,
+        model.arrays,
         state.filter,
         epoch_us,
         deviation_db,
         known,
-        limits=model.limits,
         declared=declared,
         reported_wet=knowledge.reported_wet(model.carrier_ids, epoch_us),
-        kernels=kernels if recorder is None else recorder.capturing(kernels),
+        is_traced=recorder is not None,
     )
-    if not (np.isfinite(found.attitude_deg).all() and np.isfinite(found.covariance_deg2).all()):
-        message = "the filter lost its numbers; the state before this row is kept"
-        raise ArithmeticError(message)
     if recorder is not None:
         recorder.push(model, state.filter, found)
     return found
@@ -254,7 +250,7 @@ def _deviation_db(
     deviation_db = np.where(model.is_used, power_dbm - expected_dbm, np.nan)
     if not model.groups:
         return deviation_db
-    return without_group_gain(deviation_db, site_db(model.filter, state.filter.gaussian.mean), model.groups)
+    return without_group_gain(deviation_db, site_level_db(model.arrays, state.filter.mean), model.groups)
 
 
 def _unreported(

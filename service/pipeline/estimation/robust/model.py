@@ -1,13 +1,15 @@
 """Model of the robust method from calibration, alignment and ephemeris; fixed until one of them changes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_deviation
-from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, RateSensorModel
-from service.core.estimation.filtering.watches.integrity import IntegrityLimits
+from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, RateSensorModel
+from service.core.estimation.filtering.plant import FilterModel, IntegrityLimits, filter_model
+from service.core.estimation.filtering.rate_sensor import measured_settings
 from service.core.estimation.snapshot.snapshot_steps import subset_orders
 from service.pipeline.carrier_model.expected_level import (
     ExpectedLevel,
@@ -83,6 +85,18 @@ class RobustModel:
     is_rate_in_loop: bool
     calibration_id: int
     alignment_id: int
+
+    @cached_property
+    def arrays(self) -> FilterModel:
+        """Carriers, spacecraft and limits as the compiled filter takes them."""
+        return filter_model(self.filter, self.settings, self.limits)
+
+    @cached_property
+    def measured(self) -> "RobustModel":
+        """Model of a step whose rate a sensor measured; the same where there is none."""
+        if self.rate_sensor is None:
+            return self
+        return replace(self, settings=measured_settings(self.settings, self.rate_sensor))
 
     def expected_dbm(self, epoch_us: int) -> FloatArray:
         """Return the level (N,) at zero attitude by calibration, ephemeris and references."""

@@ -9,16 +9,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_records import FilterState, FilterStep
-from service.core.estimation.filtering.hidden_shares import sensors_of
-from service.core.estimation.filtering.model.filter_model import DRIFT, RATE, FilterSettings
-from service.core.estimation.filtering.model.hidden_motion import sensor_states
-from service.core.estimation.filtering.model.motion_sensor import NO_EFFECT, SensorEffect
-from service.core.estimation.filtering.model.torque_prior import TORQUES, has_torque
-from service.core.estimation.filtering.rows.row_kernels import RowKernels
+from service.core.estimation.filtering.attitude_filter import FilterStep
+from service.core.estimation.filtering.filter_model import DRIFT, RATE, FilterSettings
+from service.core.estimation.filtering.filter_state import FilterState
+from service.core.estimation.filtering.motion_sensor import NO_EFFECT, SensorEffect
+from service.core.estimation.filtering.plant import TORQUES, has_torque, sensor_states
+from service.core.estimation.filtering.state_changes import sensors_of
 from service.core.estimation.smoothing.effective_row import (
     EffectiveRow,
-    StepCapture,
     effective_row,
     restarted_states,
     state_origin,
@@ -38,7 +36,6 @@ class RowRecorder:
 
     def __init__(self, most_rows: int) -> None:
         self._rows: deque[EffectiveRow] = deque(maxlen=most_rows)
-        self._capture: StepCapture | None = None
         self._model: RobustModel | None = None
         #: mean before the records of other sensors that the next row follows, and what they did
         self._began: FloatArray | None = None
@@ -54,12 +51,6 @@ class RowRecorder:
         for _ in range(count):
             self._rows.popleft()
 
-    def capturing(self, kernels: RowKernels) -> RowKernels:
-        """Return the stages of a row that let their step of time be seen."""
-        if self._capture is None:
-            self._capture = StepCapture(kernels)
-        return self._capture.kernels
-
     def sense(
         self, began: FloatArray, effects: Sequence[SensorEffect], moved: FilterState | None, *, is_measured: bool
     ) -> None:
@@ -69,7 +60,7 @@ class RowRecorder:
         knows a rate that is measured.
         """
         if moved is not None:
-            begun = restarted_states(moved.gaussian.covariance)
+            begun = restarted_states(moved.covariance)
             begun = begun[(begun >= DRIFT.start) & (begun < RATE.stop)]
             if is_measured:
                 begun = np.union1d(begun, np.arange(RATE.start, RATE.stop))
@@ -77,18 +68,17 @@ class RowRecorder:
         self._began, self._effects = began, tuple(each for each in effects if each is not NO_EFFECT)
 
     def push(self, model: RobustModel, before: FilterState, found: FilterStep) -> None:
-        """Keep a row of the filter that was taken with the capturing stages."""
-        effects, began = self._effects, before.gaussian.mean if self._began is None else self._began
+        """Keep a row of the filter that was taken with its trace."""
+        effects, began = self._effects, before.mean if self._began is None else self._began
         self._began, self._effects = None, ()
         if found.state is before:
             return
         while self._rows and self._rows[-1].epoch_us >= found.state.epoch_us:
             self._rows.pop()
-        if self._capture is None or self._capture.newest is None:
+        if found.trace is None:
             return
         origin = self._origin(model, began)
-        step = self._capture.newest
-        self._rows.append(effective_row(model.filter, model.settings, before, found, step, origin, effects))
+        self._rows.append(effective_row(model.filter, model.settings, before, found, found.trace, origin, effects))
         self._model = model
 
     def _origin(self, model: RobustModel, mean: FloatArray) -> IntArray | None:

@@ -15,21 +15,20 @@ of the journal; the same entries give the same state.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from service.core.estimation.filtering.anchor.anchor_watch import carrier_hypotheses
-from service.core.estimation.filtering.hidden_shares import with_share, without_shares
-from service.core.estimation.filtering.model.filter_model import core_size
-from service.core.estimation.filtering.model.hidden_motion import SHARE_SIGMA, momentum_count, sensors_first
-from service.core.estimation.filtering.model.measured_motion import measured_settings
-from service.core.estimation.filtering.model.motion_sensor import NEVER_US, NO_EFFECT, SensorEffect, SensorWatch
-from service.core.estimation.filtering.model.polarimeter import POLARIMETER, push_block
-from service.core.estimation.filtering.model.wheel_momentum import push_record, with_impossible
-from service.core.estimation.filtering.watches.command_watch import missed_log_ratio, share_log_ratio
-from service.core.estimation.filtering.watches.rate_watch import HELD_US, MovingState, commanded_rate, push_rates
+from service.core.estimation.filtering.anchor import HYPOTHESES
+from service.core.estimation.filtering.command_watch import missed_log_ratio, share_log_ratio
+from service.core.estimation.filtering.filter_model import core_size
+from service.core.estimation.filtering.motion_sensor import NEVER_US, NO_EFFECT, SensorEffect, SensorWatch
+from service.core.estimation.filtering.plant import POLARIMETER, momentum_count
+from service.core.estimation.filtering.polarimeter import push_block
+from service.core.estimation.filtering.rate_sensor import HELD_US, commanded_rate, push_rates
+from service.core.estimation.filtering.state_changes import SHARE_SIGMA, sensors_first, with_share, without_shares
+from service.core.estimation.filtering.wheel_momentum import push_record, with_impossible
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.estimation.robust.attitude_rows import known_disturbance
@@ -168,7 +167,7 @@ def with_polarization(
     if knowledge.spacecraft is None or not settings.polarimeters:
         return state, []
     gaussian, effects = state.filter.gaussian, []
-    first = sensors_first(model.filter, gaussian, settings) + momentum_count(settings)
+    first = sensors_first(model.filter, len(gaussian.mean), settings) + momentum_count(settings)
     watches = list(state.polarimeters or (SensorWatch(epoch_us),) * len(settings.polarimeters))
     for number, stated in enumerate(model.polarimeters):
         read = settings.polarimeters[number]
@@ -184,7 +183,7 @@ def with_polarization(
             )
             effects.append(effect)
     if effects or not state.polarimeters:
-        state = replace(state, filter=state.filter._replace(gaussian=gaussian), polarimeters=tuple(watches))
+        state = replace(state, filter=state.filter.with_gaussian(gaussian), polarimeters=tuple(watches))
     return state, effects
 
 
@@ -198,13 +197,12 @@ def with_rates(
     sensor, watch, from_us = model.rate_sensor, state.rates, state.filter.epoch_us
     if sensor is None or watch.is_refused or to_us <= from_us:
         return state, model
-    before = MovingState(from_us, state.filter.gaussian, state.filter.drift, state.filter.command)
     known, _ = consume(state.commanded, from_us, to_us)
-    commanded = commanded_rate(watch, before) + known.correction_deg * (_US_PER_H / (to_us - from_us))
+    commanded = commanded_rate(watch, state.filter) + known.correction_deg * (_US_PER_H / (to_us - from_us))
     records = records_between(knowledge.rates, max(watch.newest_us, from_us - HELD_US), to_us)
     watch, moved = push_rates(
         watch,
-        before,
+        state.filter,
         np.array([one.epoch_us for one in records], dtype=np.int64),
         inertial_deg_h([one.body_rate_deg_s for one in records if one.body_rate_deg_s is not None]),
         to_us,
@@ -213,17 +211,7 @@ def with_rates(
         sensor,
         is_pushed=bool(known.rate_change_deg_h.any() or state.released),
     )
-    state = replace(state, filter=state.filter._replace(**moved._asdict()), rates=watch)
-    if not watch.is_measured:
-        return state, model
-    return state, _under_rates(model)
-
-
-@lru_cache(maxsize=64)
-def _under_rates(model: RobustModel) -> RobustModel:
-    """Return the model of a step whose rate is measured."""
-    sensor = model.rate_sensor
-    return model if sensor is None else replace(model, settings=measured_settings(model.settings, sensor))
+    return replace(state, filter=moved, rates=watch), model.measured if watch.is_measured else model
 
 
 #: a momentum along pitch that is off the stated one by more than this share of it is of other wheels or another unit;
@@ -245,13 +233,13 @@ def step_with_record(
 ) -> RobustStep:
     """Take the records of wheels, polarimeters and rates that are due, then a row, as `step_robust` does."""
     if not is_late:
-        began = state.filter.gaussian
+        began = state.filter.mean
         state, of_wheels = with_momenta(state, model, knowledge)
         state, of_angles = with_polarization(state, model, knowledge)
         state, model = with_rates(state, model, knowledge, measurement.epoch_us)
         if recorder is not None:
             moved = None if model.rate_sensor is None else state.filter
-            recorder.sense(began.mean, (*of_wheels, *of_angles), moved, is_measured=state.rates.is_measured)
+            recorder.sense(began, (*of_wheels, *of_angles), moved, is_measured=state.rates.is_measured)
     return step_robust(state, model, knowledge, measurement, is_late=is_late, recorder=recorder, **inputs)
 
 
@@ -297,7 +285,7 @@ def _with_momentum(
     watch, gaussian, effect = push_record(
         state.momentum,
         gaussian,
-        sensors_first(model.filter, gaussian, model.settings),
+        sensors_first(model.filter, len(gaussian.mean), model.settings),
         record.epoch_us,
         momentum_n_m_s,
         state.filter.epoch_us,
@@ -305,7 +293,7 @@ def _with_momentum(
         wheels,
         is_unloading=bool(record.thrusters_active),
     )
-    return replace(state, filter=state.filter._replace(gaussian=gaussian), momentum=watch), effect
+    return replace(state, filter=state.filter.with_gaussian(gaussian), momentum=watch), effect
 
 
 def _is_off_bias(pitch_n_m_s: float, stated: WheelMomentum | None) -> bool:
@@ -467,7 +455,7 @@ class RobustRunner:
         outcome, model = self._last
         out = {item.carrier for item in outcome.row.excluded}
         sigma_db = model.filter.sigma_db
-        hypotheses = carrier_hypotheses(outcome.state.filter.anchor)
+        carriers = outcome.state.filter.carriers
         return {
             name: CarrierState(
                 carrier=name,
@@ -478,9 +466,7 @@ class RobustRunner:
                 sigma_db=float(sigma_db[k]),
                 flags=0,
                 state="unselected" if not model.is_used[k] else ("excluded" if name in out else "used"),
-                hypothesis=hypotheses[k].name,
-                hypothesis_probability=hypotheses[k].probability,
-                hypothesis_since_us=hypotheses[k].since_us,
+                **_hypothesis(carriers[k]),
             )
             for k, name in enumerate(model.carrier_ids)
         }
@@ -503,7 +489,7 @@ class RobustRunner:
         return CommandEvidence(
             model.filter,
             np.where(model.is_used, outcome.deviation_db, np.nan),
-            missed_log_ratio(self._state.filter.command),
+            missed_log_ratio(self._state.filter.watch[0]),
             unreported,
         )
 
@@ -548,6 +534,17 @@ class RobustRunner:
         if alignment is None or Method.ROBUST.value not in alignment.calibration_by_method:
             return None
         return self._lookup.calibration(alignment.calibration_by_method[Method.ROBUST.value])
+
+
+def _hypothesis(carrier: np.void) -> dict[str, Any]:
+    """Return the likeliest hypothesis of a record of `CARRIER`; None and NaN before it was asked."""
+    probability = float(carrier["probability"])
+    is_known = not math.isnan(probability)
+    return {
+        "hypothesis": tuple(HYPOTHESES)[carrier["hypothesis"]] if is_known else None,
+        "hypothesis_probability": probability,
+        "hypothesis_since_us": int(carrier["hypothesis_since_us"]) if is_known else None,
+    }
 
 
 def _as_released(announced: Sequence[tuple[Motion, Spacecraft | None]]) -> list[tuple[Motion, Spacecraft | None]]:

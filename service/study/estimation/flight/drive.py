@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.anchor.carrier_mixture import HYPOTHESES
+from service.core.estimation.filtering.anchor import HYPOTHESES
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.geometry_rows import CalibrationError, CalibrationInput

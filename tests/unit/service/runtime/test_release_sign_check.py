@@ -6,7 +6,7 @@ from release_service_driver import GOOD, US, ReleaseServiceDriver
 from release_storage import SC
 from sign_world import payload
 
-from service.core.estimation.filtering.model.filter_model import pattern_change
+from service.core.estimation.filtering.filter_model import pattern_change
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.control.release.command_states import CommandState
 from service.pipeline.control.release.events import OrderKind

@@ -8,17 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.arrays import BoolArray, FloatArray
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     RATE,
     FilterSettings,
     Gaussian,
     LearnedFeed,
     PolarimeterModel,
 )
-from service.core.estimation.filtering.model.motion_sensor import SensorWatch
-from service.core.estimation.filtering.model.polarimeter import (
-    POLARIMETER,
-    WANDER,
+from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.plant import POLARIMETER, WANDER
+from service.core.estimation.filtering.polarimeter import (
     AngleBlock,
     polarimeter_covariance,
     push_block,

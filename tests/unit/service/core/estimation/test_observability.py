@@ -9,7 +9,7 @@ import pytest
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.design import AXIS_WEIGHTS, choose_carriers
-from service.core.estimation.filtering.model.filter_model import LearnedFeed, PolarimeterModel
+from service.core.estimation.filtering.filter_model import LearnedFeed, PolarimeterModel
 from service.core.estimation.observability import (
     angle_dilution_deg_per_db,
     averaged_crlb_deg,

@@ -11,7 +11,7 @@ from turned_wheels import ALIKE, MINUTE_US, SCENARIO, WRONG, turned_deg, turned_
 
 from analyzer_sim.world.scenario.story import WheelTelemetry
 from service.core.estimation.calibration.checks.sensor_axes import MAPPINGS
-from service.core.estimation.filtering.model.polarimeter import angle_deg, ratio_db
+from service.core.estimation.filtering.polarimeter import angle_deg, ratio_db
 from service.pipeline.calibration.geometry_calibration import (
     calibrate_geometry,
     gathered_quality,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import synthetic_payload as synthetic
 
-from service.core.estimation.filtering.model.polarimeter import faraday_deg, ratio_db, slope_db_deg
+from service.core.estimation.filtering.polarimeter import faraday_deg, ratio_db, slope_db_deg
 from service.core.geometry.frames import body_from_nadir
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.knowledge import Knowledge, reported_wet, update, with_report

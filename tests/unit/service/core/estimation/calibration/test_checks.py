@@ -26,8 +26,8 @@ from service.core.estimation.calibration.checks.sensor_axes import (
 )
 from service.core.estimation.calibration.geometry_calibration import fit_geometry
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry
-from service.core.estimation.filtering.model.filter_model import PolarimeterModel
-from service.core.estimation.filtering.model.polarimeter import AngleBlock
+from service.core.estimation.filtering.filter_model import PolarimeterModel
+from service.core.estimation.filtering.polarimeter import AngleBlock
 from service.pipeline.calibration.geometry_rows import geometry_rows
 from service.pipeline.config import CalibrationConfig
 

@@ -18,7 +18,7 @@ from service.core.estimation.calibration.sensor_smoothing import (
 )
 from service.core.estimation.calibration.whitened_fit import ColouredNoise, stretch_variance_db2, whitened_rows
 from service.core.estimation.calibration_turns import FAR_YAW_DEG, recommended_turns
-from service.core.estimation.filtering.model.filter_model import FilterSettings, MomentumModel
+from service.core.estimation.filtering.filter_model import FilterSettings, MomentumModel
 
 SEED = 31
 ROWS = 1440

@@ -4,14 +4,14 @@ import filter_models
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.anchor.anchor_watch import ERROR_SIGMA_DEG
-from service.core.estimation.filtering.anchor.carrier_mixture import Mixture
+from service.core.estimation.filtering.anchor import ERROR_SIGMA_DEG
+from service.core.estimation.filtering.anchor import Mixture
 from service.core.estimation.filtering.attitude_filter import start, start_again, step
-from service.core.estimation.filtering.carry_over import carry_over
-from service.core.estimation.filtering.causes.common_cause import Cause, LikeliestCause
+from service.core.estimation.filtering.state_changes import carry_over
+from service.core.estimation.filtering.common_cause import Cause, LikeliestCause
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, site_db, update
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     CHAIN,
     DRIFT,
@@ -27,7 +27,7 @@ from service.core.estimation.filtering.model.filter_model import (
     pattern_change,
     reference_states,
 )
-from service.core.estimation.filtering.watches.integrity import IntegrityLimits
+from service.core.estimation.filtering.integrity import IntegrityLimits
 
 MINUTE_US = 60_000_000
 CARRIERS = 16

@@ -10,8 +10,8 @@ from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.kernels import state_kernels
-from service.core.estimation.filtering.model.declared import nothing_declared
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.declared import nothing_declared
+from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     CHAIN,
     DRIFT,
@@ -24,7 +24,7 @@ from service.core.estimation.filtering.model.filter_model import (
     no_motion,
     reference_states,
 )
-from service.core.estimation.filtering.model.hidden_motion import inserted
+from service.core.estimation.filtering.state_changes import inserted
 from service.core.estimation.filtering.model.step_inputs import motion_over
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS, compiled_kernels
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch

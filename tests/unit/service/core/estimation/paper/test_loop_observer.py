@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, rates_deg_h
+from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, rates_deg_h
 from service.core.estimation.paper.loop_observer import (
     ATTITUDE,
     TORQUE,

@@ -8,8 +8,8 @@ import pytest
 from wheel_filter import WHEELS, H
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.hidden_shares import with_torque
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.state_changes import with_torque
+from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     FREE_REFERENCE_DB2,
     RAIN,
@@ -18,10 +18,10 @@ from service.core.estimation.filtering.model.filter_model import (
     PolarimeterModel,
     no_motion,
 )
-from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensors_first
-from service.core.estimation.filtering.model.motion_sensor import SensorEffect, SensorWatch
-from service.core.estimation.filtering.model.polarimeter import AngleBlock, push_block
-from service.core.estimation.filtering.model.wheel_momentum import FREE_N_M_S, push_record
+from service.core.estimation.filtering.state_changes import momentum_count, sensors_first
+from service.core.estimation.filtering.motion_sensor import SensorEffect, SensorWatch
+from service.core.estimation.filtering.polarimeter import AngleBlock, push_block
+from service.core.estimation.filtering.wheel_momentum import FREE_N_M_S, push_record
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS
 from service.core.estimation.smoothing.effective_row import (
     EffectiveRow,

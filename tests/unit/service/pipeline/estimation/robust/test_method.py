@@ -7,8 +7,8 @@ import pytest
 from geometry_flight import CITIES, HOUR, INERTIA, MINUTE, START_US, Flight, FlightPayload, S
 from stepped_robust import ALIGNED_US, CONFIG, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.model.filter_model import FREE_REFERENCE_DB2, rates_deg_h
-from service.core.estimation.filtering.model.torque_prior import torque_prior_deg_h2
+from service.core.estimation.filtering.filter_model import FREE_REFERENCE_DB2, rates_deg_h
+from service.core.estimation.filtering.plant import torque_prior_deg_h2
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.model import robust_model, signals

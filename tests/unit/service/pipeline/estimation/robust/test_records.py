@@ -10,9 +10,9 @@ from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.hidden_shares import with_share
-from service.core.estimation.filtering.model.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
-from service.core.estimation.filtering.model.hidden_motion import sensors_first
+from service.core.estimation.filtering.state_changes import with_share
+from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
+from service.core.estimation.filtering.state_changes import sensors_first
 from service.core.estimation.filtering.rows.row_kernels import ARRAYS
 from service.pipeline.estimation.robust.attitude_rows import frozen, no_readings, push_readings, telemetry_advice
 from service.pipeline.estimation.robust.method import carried_state

@@ -9,7 +9,7 @@ import pytest
 from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, CONFIG, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.model.filter_model import ATTITUDE, DRIFT, RATE
+from service.core.estimation.filtering.filter_model import ATTITUDE, DRIFT, RATE
 from service.pipeline.estimation import smoothed as lagged_rows
 from service.pipeline.estimation import smoothed as smoother
 from service.pipeline.estimation.robust.row_recorder import RowRecorder

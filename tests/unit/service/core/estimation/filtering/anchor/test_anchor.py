@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from mixture_models import CALM, PRIOR, STORM, branches, jacobian
 
-import service.core.estimation.filtering.anchor.carrier_mixture as module
-from service.core.estimation.filtering.anchor.anchor_watch import (
+import service.core.estimation.filtering.anchor as module
+from service.core.estimation.filtering.anchor import (
     ask_anchor,
     calm_anchor,
     carrier_hypotheses,
@@ -18,9 +18,9 @@ from service.core.estimation.filtering.anchor.anchor_watch import (
     protection_now_deg,
     push_residuals,
 )
-from service.core.estimation.filtering.anchor.carrier_mixture import DRY, Branches, Mixture, solve_mixture
-from service.core.estimation.filtering.causes.carrier_faults import healthy
-from service.core.estimation.filtering.model.filter_model import ATTITUDE
+from service.core.estimation.filtering.anchor import DRY, Branches, Mixture, solve_mixture
+from service.core.estimation.filtering.carrier_watch import healthy
+from service.core.estimation.filtering.filter_model import ATTITUDE
 from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
 
 MINUTE_US = filter_models.MINUTE_US

@@ -4,7 +4,7 @@ import filter_models
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.causes.carrier_faults import (
+from service.core.estimation.filtering.carrier_watch import (
     MIN_BACK_MINUTES,
     QUIET_ROWS,
     STANDING_ROWS,
@@ -16,7 +16,7 @@ from service.core.estimation.filtering.causes.carrier_faults import (
     trusted_white_db2,
     watch_flagged,
 )
-from service.core.estimation.filtering.causes.common_cause import (
+from service.core.estimation.filtering.common_cause import (
     HOLD_MINUTES,
     Cause,
     choose_cause,
@@ -37,7 +37,7 @@ from service.core.estimation.filtering.causes.common_change import (
     reset_cusum,
 )
 from service.core.estimation.filtering.filter_update import innovate
-from service.core.estimation.filtering.model.filter_model import CHAIN, RAIN, pattern_change, reference_states
+from service.core.estimation.filtering.filter_model import CHAIN, RAIN, pattern_change, reference_states
 
 
 def minutes_to_alarm(shift, series, seed, longest):

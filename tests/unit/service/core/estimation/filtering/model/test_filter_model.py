@@ -9,9 +9,9 @@ from wheel_filter import FIRST, MINUTE_US, SETTINGS, SIZE, WHEELS, state
 
 from service.core.estimation.filtering.attitude_filter import start
 from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
+from service.core.estimation.filtering.state_changes import with_stated_torque, with_torque
 from service.core.estimation.filtering.kernels.state_kernels import know_rate
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     DRIFT,
     RATE,
@@ -32,7 +32,7 @@ from service.core.estimation.filtering.model.filter_model import (
     reference_states,
     reset_carriers,
 )
-from service.core.estimation.filtering.model.hidden_motion import (
+from service.core.estimation.filtering.state_changes import (
     hidden_noise,
     hidden_transition,
     inserted,
@@ -40,13 +40,13 @@ from service.core.estimation.filtering.model.hidden_motion import (
     sensor_states,
     torque_states,
 )
-from service.core.estimation.filtering.model.measured_motion import (
+from service.core.estimation.filtering.rate_sensor import (
     with_inertial_drift,
     with_measured_rate,
     with_sensor_bias,
     with_unknown_drift,
 )
-from service.core.estimation.filtering.model.polarimeter import (
+from service.core.estimation.filtering.polarimeter import (
     POLARIMETER,
     angle_deg,
     compared_angle,
@@ -55,7 +55,7 @@ from service.core.estimation.filtering.model.polarimeter import (
     slope_db_deg,
     with_learned_feeds,
 )
-from service.core.estimation.filtering.model.torque_prior import (
+from service.core.estimation.filtering.plant import (
     DAY_US,
     TORQUES,
     gathered_prior_deg_h2,
@@ -66,7 +66,7 @@ from service.core.estimation.filtering.model.torque_prior import (
     torque_size_deg_h2,
     wave_period_us,
 )
-from service.core.estimation.filtering.model.wheel_momentum import compared, momentum_covariance, moved_momentum
+from service.core.estimation.filtering.wheel_momentum import compared, momentum_covariance, moved_momentum
 
 
 def test_the_pattern_is_the_quadratic_and_its_gradient_the_derivative():

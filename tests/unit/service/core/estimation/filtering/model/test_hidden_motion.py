@@ -7,8 +7,8 @@ from scipy.linalg import expm
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_predict import Weather, predict, waiting_loss_deg
-from service.core.estimation.filtering.hidden_shares import with_share, with_stated_torque, with_torque, without_shares
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.state_changes import with_share, with_stated_torque, with_torque, without_shares
+from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     RATE,
     FilterSettings,
@@ -19,14 +19,14 @@ from service.core.estimation.filtering.model.filter_model import (
     no_motion,
     pattern_change,
 )
-from service.core.estimation.filtering.model.hidden_motion import (
+from service.core.estimation.filtering.state_changes import (
     dropped,
     hidden_transition,
     inserted,
     torque_states,
     with_doubted_torque,
 )
-from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_prior_deg_h2
+from service.core.estimation.filtering.plant import TORQUES, torque_prior_deg_h2
 
 MINUTE_US, HOUR_US, DAY_US = 60_000_000, 3_600_000_000, 86_400_000_000
 CARRIERS = 16

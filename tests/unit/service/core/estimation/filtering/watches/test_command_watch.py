@@ -6,7 +6,7 @@ import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     FilterSettings,
     Gaussian,
     KnownMotion,
@@ -15,9 +15,9 @@ from service.core.estimation.filtering.model.filter_model import (
     no_motion,
     pattern_change,
 )
-from service.core.estimation.filtering.model.motion_sensor import SensorWatch
-from service.core.estimation.filtering.model.polarimeter import AngleBlock, polarimeter_advice, push_block
-from service.core.estimation.filtering.watches.command_watch import (
+from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.polarimeter import AngleBlock, polarimeter_advice, push_block
+from service.core.estimation.filtering.command_watch import (
     CommandWatch,
     believed_motion,
     executed_commands,
@@ -26,7 +26,7 @@ from service.core.estimation.filtering.watches.command_watch import (
     pass_commands,
     push_row,
 )
-from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess, good_figures
+from service.core.estimation.filtering.integrity import IntegrityInputs, IntegrityLimits, assess, good_figures
 from service.core.estimation.filtering.watches.noise_watch import SLOW_LIMITS, calm_watch, push_values
 
 MINUTE_US = 60_000_000

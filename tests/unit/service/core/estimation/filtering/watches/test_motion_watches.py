@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from wheel_filter import FIRST, MINUTE_US, SETTINGS, WHEELS, H, state
 
-from service.core.estimation.filtering.model.filter_model import DRIFT, RATE, FilterSettings, Gaussian, RateSensorModel
-from service.core.estimation.filtering.model.measured_motion import measured_settings
-from service.core.estimation.filtering.model.motion_sensor import SensorWatch
-from service.core.estimation.filtering.model.wheel_momentum import momentum_advice, push_record, with_impossible
-from service.core.estimation.filtering.watches.command_watch import executed_commands
+from service.core.estimation.filtering.filter_model import DRIFT, RATE, FilterSettings, Gaussian, RateSensorModel
+from service.core.estimation.filtering.rate_sensor import measured_settings
+from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.wheel_momentum import momentum_advice, push_record, with_impossible
+from service.core.estimation.filtering.command_watch import executed_commands
 from service.core.estimation.filtering.watches.drift_watch import (
     LARGEST,
     DriftWatch,
@@ -28,7 +28,7 @@ from service.core.estimation.filtering.watches.motion_watch import (
     still_watch,
     with_alarms,
 )
-from service.core.estimation.filtering.watches.rate_watch import MovingState, fresh_rates, inertial_motion, push_rates
+from service.core.estimation.filtering.rate_sensor import MovingState, fresh_rates, inertial_motion, push_rates
 
 SENSOR = RateSensorModel(0.01, 8.0, 0.003)
 PLAIN = FilterSettings()

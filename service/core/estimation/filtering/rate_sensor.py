@@ -1,10 +1,16 @@
-"""Records of a rate sensor judged one by one, and the change between the measured rate and the inertial model.
+"""Rate sensor outside of the loop on board: its records judged one by one, and the motion that it measures.
+
+    yaw' = -w roll + z_yaw + e_yaw      roll' = w yaw + z_roll + e_roll      pitch' = z_pitch + e_pitch
+
+z is the measured inertial rate of the body about its axes, pitch without the turn of the orbit, deg/h; e = - bias of
+the sensor. z stands in the states of the rate and e in those of the drift, so that whatever reads a rate from the state
+reads that of the body. What was commanded is in z: nothing of it is added. Yaw and roll exchange by the orbit, whatever
+mode is flown.
 
 A record far from what commands and drift make is left out; one that repeats the last to the digit tells nothing. While
 records come the drift of the filter is the bias of the sensor, watched as the drift is: the factor on its size grows
 where powers contradict it. Once the sensor is no better than the inertial model, or records keep being left out, it is
-refused until the next alignment. The law of this file: each of both has its own factor, and neither learns by the
-other's motion.
+refused until the next alignment. Each of both has its own factor, and neither learns by the other's motion.
 """
 
 import math
@@ -13,21 +19,18 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
+    DRIFT,
     RATE,
+    RATE_FLOOR_DEG_H,
     FilterSettings,
     Gaussian,
     RateSensorModel,
 )
-from service.core.estimation.filtering.model.measured_motion import (
-    with_inertial_drift,
-    with_measured_rate,
-    with_sensor_bias,
-    with_unknown_drift,
-)
-from service.core.estimation.filtering.model.motion_sensor import MEMORY_H, NEVER_US, misled
-from service.core.estimation.filtering.watches.command_watch import CommandWatch, executed_commands
-from service.core.estimation.filtering.watches.drift_watch import DriftWatch, drift_scale, push_drift
+from service.core.estimation.filtering.filter_state import FilterState
+from service.core.estimation.filtering.motion import ORBITAL_RATE_PER_H
+from service.core.estimation.filtering.motion_sensor import MEMORY_H, NEVER_US, misled
+from service.core.estimation.filtering.motion_watch import drift_scale, push_drift
 
 #: a rate holds for so long where no newer one is known, and records of a step may be apart by so much, us
 HELD_US = 600_000_000
@@ -65,29 +68,20 @@ class RateWatch(NamedTuple):
     is_refused: bool
 
 
-class MovingState(NamedTuple):
-    """State of a filter that a sensor changes."""
-
-    epoch_us: int
-    gaussian: Gaussian
-    drift: DriftWatch
-    command: CommandWatch
-
-
 def fresh_rates() -> RateWatch:
     """Return the watch before the first record."""
     nothing = np.zeros(3)
     return RateWatch(False, NEVER_US, nothing, NEVER_US, nothing, nothing, NEVER_US, 0.0, 0.0, 0.0, False)
 
 
-def commanded_rate(watch: RateWatch, state: MovingState) -> FloatArray:
+def commanded_rate(watch: RateWatch, state: FilterState) -> FloatArray:
     """Return the rate (3,) that commands have left, deg/h."""
-    return watch.commanded_deg_h if watch.is_measured else state.gaussian.mean[RATE].copy()
+    return watch.commanded_deg_h if watch.is_measured else state.mean[RATE].copy()
 
 
 def push_rates(
     watch: RateWatch,
-    state: MovingState,
+    state: FilterState,
     epochs_us: IntArray,
     rates_deg_h: FloatArray,
     to_us: int,
@@ -96,12 +90,12 @@ def push_rates(
     sensor: RateSensorModel,
     *,
     is_pushed: bool,
-) -> tuple[RateWatch, MovingState]:
+) -> tuple[RateWatch, FilterState]:
     """Return watch and state before a step, its rate the measured one where one is known.
 
     Parameters
     ----------
-    watch, state : RateWatch, MovingState
+    watch, state : RateWatch, FilterState
         Before.
     epochs_us, rates_deg_h : ndarray, shapes (n,) and (n, 3)
         Records up to the end of the step that were not judged yet, in order; pitch without the turn of the orbit.
@@ -114,7 +108,7 @@ def push_rates(
     is_pushed : bool
         Whether torques from the ground act within the step, or may.
     """
-    own, other = drift_scale(state.drift.log_scale), drift_scale(watch.other_log_scale)
+    own, other = drift_scale(_log_scale(state)), drift_scale(watch.other_log_scale)
     bias, drift = (own, other) if watch.is_measured else (other, own)
     inertial = drift * np.array(settings.drift_deg_h)
     watch, mean = _judged(
@@ -136,17 +130,17 @@ def push_rates(
         state = _sooner(state, sensor, min((to_us - state.epoch_us) / 60e6, 1.0))
     else:
         watch, state = _swapped(watch, state, with_sensor_bias(state.gaussian, bias * sensor.bias_deg_h))
-    return watch, state._replace(gaussian=with_measured_rate(state.gaussian, rate))
+    return watch, state.with_gaussian(with_measured_rate(state.gaussian, rate))
 
 
-def inertial_motion(watch: RateWatch, state: MovingState) -> tuple[RateWatch, MovingState]:
+def inertial_motion(watch: RateWatch, state: FilterState) -> tuple[RateWatch, FilterState]:
     """Return watch and state that go on by the inertial model."""
     if not watch.is_measured:
         return watch, state
     return _swapped(watch, state, with_inertial_drift(state.gaussian, watch.commanded_deg_h, watch.residual_deg_h))
 
 
-def refused(watch: RateWatch, state: MovingState, drift_deg_h: FloatArray) -> tuple[RateWatch, MovingState]:
+def refused(watch: RateWatch, state: FilterState, drift_deg_h: FloatArray) -> tuple[RateWatch, FilterState]:
     """Return watch and state after the sensor is refused: what it may have done is known less, and so is the drift."""
     watch = watch._replace(is_refused=True)
     if not watch.is_measured:
@@ -155,19 +149,24 @@ def refused(watch: RateWatch, state: MovingState, drift_deg_h: FloatArray) -> tu
     return _swapped(watch, state, misled(gaussian))
 
 
-def _sooner(state: MovingState, sensor: RateSensorModel, minutes: float) -> MovingState:
+def _log_scale(state: FilterState) -> float:
+    return float(state.watch["log_drift_scale"][0])
+
+
+def _sooner(state: FilterState, sensor: RateSensorModel, minutes: float) -> FilterState:
     """Return the state whose factor on the bias has followed sooner than a drift's: a sensor may be worse than none."""
-    sigma = sensor.bias_deg_h
-    drift, gaussian = push_drift(state.drift, (sigma, sigma, sigma), state.gaussian, _SOONER * minutes)
-    return state._replace(drift=drift, gaussian=gaussian)
+    covariance, sigma_deg_h = state.covariance.copy(), np.full(3, sensor.bias_deg_h)
+    log_scale = push_drift(state.mean, covariance, _log_scale(state), sigma_deg_h, _SOONER * minutes)
+    return state._replace(covariance=covariance).with_watch(log_drift_scale=log_scale)
 
 
-def _swapped(watch: RateWatch, state: MovingState, gaussian: Gaussian) -> tuple[RateWatch, MovingState]:
-    """Return watch and state after the drift began to be the bias, or the reverse."""
-    commanded = commanded_rate(watch, state)
-    command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
-    swapped = state._replace(gaussian=gaussian, drift=DriftWatch(watch.other_log_scale), command=command)
-    other = state.drift.log_scale
+def _swapped(watch: RateWatch, state: FilterState, gaussian: Gaussian) -> tuple[RateWatch, FilterState]:
+    """Return watch and state after the drift began to be the bias, or the reverse; evidence on commands begins again."""
+    commanded, other = commanded_rate(watch, state), _log_scale(state)
+    swapped = state.with_gaussian(gaussian).with_watch(
+        log_drift_scale=watch.other_log_scale, score=0.0, information=0.0, is_by_torque=False
+    )
+    swapped = swapped._replace(sensitivity=np.zeros_like(state.sensitivity))
     return watch._replace(is_measured=not watch.is_measured, commanded_deg_h=commanded, other_log_scale=other), swapped
 
 
@@ -208,3 +207,48 @@ def _is_covered(epochs_us: IntArray, from_us: int, to_us: int) -> bool:
     if to_us - from_us <= HELD_US:
         return True
     return bool((np.diff(np.concatenate([[from_us], epochs_us, [to_us]])) <= HELD_US).all())
+
+
+def measured_settings(settings: FilterSettings, sensor: RateSensorModel) -> FilterSettings:
+    """Return the settings of a step whose rate is measured: bias in place of drift, the true exchange."""
+    bias = sensor.bias_deg_h
+    return settings._replace(
+        coupling_per_h=ORBITAL_RATE_PER_H,
+        drift_deg_h=(bias, bias, bias),
+        drift_tau_h=sensor.bias_tau_h,
+        rate_noise_deg_sqrt_h=sensor.noise_deg_sqrt_h,
+    )
+
+
+def with_measured_rate(gaussian: Gaussian, measured_deg_h: FloatArray) -> Gaussian:
+    """Return the state whose rate (3,) is the measured one; the step by it makes it known exactly but for the bias."""
+    mean = gaussian.mean.copy()
+    mean[RATE] = measured_deg_h
+    return Gaussian(mean, gaussian.covariance)
+
+
+def with_sensor_bias(gaussian: Gaussian, bias_deg_h: float) -> Gaussian:
+    """Return the state whose drift becomes the bias of the sensor, of which only its size is known."""
+    return _with_block(gaussian, DRIFT, np.zeros(3), np.full(3, bias_deg_h))
+
+
+def with_inertial_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, residual_deg_h: FloatArray) -> Gaussian:
+    """Return the state that goes on by the inertial model; its drift is what was beside the commanded rate (3,)."""
+    mean = gaussian.mean.copy()
+    mean[DRIFT] += residual_deg_h
+    return _with_block(Gaussian(mean, gaussian.covariance), RATE, commanded_deg_h, np.full(3, RATE_FLOOR_DEG_H))
+
+
+def with_unknown_drift(gaussian: Gaussian, commanded_deg_h: FloatArray, drift_deg_h: FloatArray) -> Gaussian:
+    """Return the state that goes on by the inertial model, of whose drift (3,) nothing is known."""
+    drifting = _with_block(gaussian, DRIFT, np.zeros(3), drift_deg_h)
+    return _with_block(drifting, RATE, commanded_deg_h, np.full(3, RATE_FLOOR_DEG_H))
+
+
+def _with_block(gaussian: Gaussian, positions: slice, value: FloatArray, sigma: FloatArray) -> Gaussian:
+    """Return the state in which three numbers are others, correlated with nothing."""
+    mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
+    mean[positions] = value
+    covariance[positions, :] = covariance[:, positions] = 0.0
+    covariance[positions, positions] = np.diag(sigma**2)
+    return Gaussian(mean, covariance)

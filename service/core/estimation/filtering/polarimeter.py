@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.arrays import FloatArray
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     DRIFT,
     RATE,
@@ -28,7 +28,7 @@ from service.core.estimation.filtering.model.filter_model import (
     Gaussian,
     PolarimeterModel,
 )
-from service.core.estimation.filtering.model.motion_sensor import (
+from service.core.estimation.filtering.motion_sensor import (
     GATE,
     NEVER_US,
     NO_EFFECT,
@@ -39,12 +39,8 @@ from service.core.estimation.filtering.model.motion_sensor import (
     judged,
     with_record,
 )
-from service.core.estimation.filtering.model.torque_prior import DAY_US
+from service.core.estimation.filtering.plant import DAY_US, POLARIMETER, WANDER
 
-#: states of one polarimeter: offset, daily cosine and sine, wander
-POLARIMETER = 4
-#: place of the wander among them
-WANDER = 3
 #: one sigma of the offset of a feed that was moved, deg
 FREE_OFFSET_DEG = 3.0
 #: slope of the ratio at 45 deg, dB/deg
@@ -112,13 +108,6 @@ def faraday_deg(tec_tecu: float, field_t: float, frequency_hz: float) -> float:
     0.134
     """
     return _FARADAY_DEG * field_t * tec_tecu / frequency_hz**2
-
-
-def polarimeter_noise(settings: FilterSettings) -> tuple[FloatArray, FloatArray]:
-    """Return sigma (4 P,), deg, and correlation time (4 P,), s, of the noise that keeps the states alive."""
-    sigma = [one for each in settings.polarimeters for one in (0.0, 0.0, 0.0, each.wander_deg)]
-    tau_s = [one for each in settings.polarimeters for one in (math.inf, math.inf, math.inf, 3600.0 * each.wander_h)]
-    return np.array(sigma), np.array(tau_s)
 
 
 def polarimeter_covariance(settings: FilterSettings) -> FloatArray:

@@ -17,16 +17,22 @@ from functools import lru_cache
 import numpy as np
 
 from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.model.filter_model import (
+from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     DRIFT,
     RATE,
     FilterSettings,
     Gaussian,
     MomentumModel,
+    no_carriers,
 )
-from service.core.estimation.filtering.model.hidden_motion import momentum_count, sensor_states
-from service.core.estimation.filtering.model.motion_sensor import (
+from service.core.estimation.filtering.motion import (
+    ORBITAL_RATE_PER_H,
+    momentum_turn,
+    walked_variance,
+    write_momentum,
+)
+from service.core.estimation.filtering.motion_sensor import (
     GATE,
     NEVER_US,
     NO_EFFECT,
@@ -37,19 +43,16 @@ from service.core.estimation.filtering.model.motion_sensor import (
     judged,
     with_record,
 )
-from service.core.estimation.filtering.model.torque_prior import (
+from service.core.estimation.filtering.plant import (
     TORQUES,
+    FilterModel,
+    filter_model,
     gathered_prior_deg_h2,
     has_torque,
-    wave_period_us,
+    momentum_count,
+    sensor_states,
 )
 
-#: exchange of roll and yaw momentum in the orbital frame, 1/h
-_ORBITAL_RATE_PER_H = 0.2625162
-#: torque that gives 1 kg m^2 an acceleration of 1 deg/h^2, N m
-_DEG_H2_N_M = math.radians(1.0) / 3600.0**2
-#: longest span over which a torque counts as constant, h
-_PANEL_H = 1.0 / 6.0
 #: positions of roll, pitch, yaw among yaw, roll, pitch
 _BODY = np.array([1, 2, 0])
 #: states of momentum, misalignment and scales
@@ -71,60 +74,26 @@ def momentum_covariance(settings: FilterSettings, wheels: MomentumModel) -> Floa
     return np.diag(np.square(sigma))
 
 
-def momentum_rows(hidden: int, from_us: int, step_us: int, settings: FilterSettings) -> FloatArray:
-    """Return three rows (3, 9 + E + 1) of a transition: effect of the states on H over a step, last what is added."""
-    period_us = wave_period_us(settings)
-    phase = 2.0 * math.pi * (from_us % period_us) / period_us
-    constant, by_cosine, by_sine = _momentum_waves(hidden, step_us, settings)
-    rows: FloatArray = constant + math.cos(phase) * by_cosine + math.sin(phase) * by_sine
-    return rows
-
-
-@lru_cache(maxsize=64)
-def _momentum_waves(hidden: int, step_us: int, settings: FilterSettings) -> FloatArray:
-    """Return the parts (3, 3, 9 + E + 1) of `momentum_rows`: constant, by cosine and by sine of its first phase.
-
-    Nobody may write to them.
-    """
-    wheels, hours, period_h = settings.momentum, step_us / 3.6e9, wave_period_us(settings) / 3.6e9
-    parts, effect = np.zeros((3, 3, RATE.stop + hidden + 1)), np.zeros((3, 3, TORQUES))
-    if wheels is None:
-        return parts
-    panels = max(1, math.ceil(hours / _PANEL_H))
-    span_h, unit = hours / panels, np.zeros((3, 3))
-    unit[np.arange(3), _BODY] = np.array(wheels.inertia_kg_m2)[_BODY] * _DEG_H2_N_M * 3600.0
-    for elapsed_h in ((panel + 0.5) * span_h for panel in range(panels)):
-        pushed, turned = _turn(hours - elapsed_h) @ unit * span_h, 2.0 * math.pi * elapsed_h / period_h
-        cosine, sine, nothing = math.cos(turned) * pushed, math.sin(turned) * pushed, np.zeros((3, 3))
-        effect[0] += np.hstack([pushed, nothing, nothing])
-        effect[1] += np.hstack([nothing, cosine, sine])
-        effect[2] += np.hstack([nothing, -sine, cosine])
-    sources = momentum_sources(RATE.stop + hidden - sensor_states(settings), settings)
-    parts[:, :, sources[:-3]] = effect[:, :, : len(sources) - 3]
-    parts[0][:, sources[-3:]] = _turn(hours)
-    known = wheels.profile or settings.fed_forward
-    if known is not None:
-        parts[:, :, -1] = effect @ np.concatenate(known[:3])
-    return parts
-
-
-def walked_variance(step_us: int, settings: FilterSettings) -> float:
-    """Return the variance that a step adds to H by torques of which nobody knows, (N m s)^2."""
-    return 0.0 if settings.momentum is None else settings.momentum.walk_n_m_s_sqrt_s**2 * step_us / 1e6
-
-
 def moved_momentum(gaussian: Gaussian, first: int, from_us: int, step_us: int, settings: FilterSettings) -> Gaussian:
     """Return the state whose momentum, from a place on, has moved on, and nothing else."""
-    rows = momentum_rows(first + sensor_states(settings), from_us, step_us, settings)
+    model = _wheels_of(settings)
+    hidden = first - RATE.stop + sensor_states(settings)
+    rows = np.zeros((3, RATE.stop + hidden))
+    push = write_momentum(rows, model, hidden, from_us, step_us)
     positions, own = momentum_sources(first, settings), slice(first, first + 3)
-    step, push = rows[:, RATE.stop + positions], rows[:, -1]
+    step = rows[:, positions]
     mean, covariance = gaussian.mean.copy(), gaussian.covariance.copy()
     moved = step @ covariance[positions]
     block = moved[:, positions] @ step.T
-    moved[:, own] = 0.5 * (block + block.T) + walked_variance(step_us, settings) * np.eye(3)
+    moved[:, own] = 0.5 * (block + block.T) + walked_variance(model, step_us) * np.eye(3)
     covariance[own], covariance[:, own] = moved, moved.T
     mean[own] = step @ mean[positions] + push
     return Gaussian(mean, covariance)
+
+
+@lru_cache(maxsize=8)
+def _wheels_of(settings: FilterSettings) -> FilterModel:
+    return filter_model(no_carriers(), settings)
 
 
 def learned_positions(first: int, settings: FilterSettings) -> IntArray:
@@ -237,13 +206,6 @@ def push_record(
     return *after, effect._replace(update=found)
 
 
-def _turn(hours: float) -> FloatArray:
-    """Return the turn (3, 3) of H over some hours."""
-    angle = _ORBITAL_RATE_PER_H * hours
-    cos, sin = math.cos(angle), math.sin(angle)
-    return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-
-
 def _expected(
     mean: FloatArray, first: int, after_h: float, settings: FilterSettings, wheels: MomentumModel
 ) -> tuple[FloatArray, FloatArray]:
@@ -254,13 +216,13 @@ def _expected(
     back[:, ATTITUDE] = np.eye(3) + after_h * np.array([[0.0, -coupling, 0.0], [coupling, 0.0, 0.0], [0.0] * 3])
     back[:, DRIFT] = back[:, RATE] = after_h * np.eye(3)
     yaw, roll, pitch = (degree * (back @ mean)).tolist()
-    turn = _turn(after_h)
+    turn = momentum_turn(after_h)
     own = slice(first, first + 3)
     x, y, z = (turn @ mean[own]).tolist()
     bx, bz = (degree * mean[first + 3 : first + 5]).tolist()
     sx, sz = mean[first + 5 : first + 7].tolist()
     # the wheels hold what the whole body does not turn with the orbit by itself
-    whole = y - wheels.inertia_kg_m2[2] * _ORBITAL_RATE_PER_H / 3600.0
+    whole = y - wheels.inertia_kg_m2[2] * ORBITAL_RATE_PER_H / 3600.0
     seen = np.array([x + whole * (yaw + bx) - z * pitch, y + z * roll - x * yaw, z - whole * (roll + bz) + x * pitch])
     scale = np.array([1.0 + sx, 1.0, 1.0 + sz])
     jacobian = np.zeros((3, len(mean)))
@@ -272,7 +234,7 @@ def _expected(
     jacobian[0, first + 5], jacobian[2, first + 6] = seen[0], seen[2]
     # what the body itself turns with, beside the constant part along pitch that H holds
     inertia = np.array(wheels.inertia_kg_m2)[_BODY] * degree / 3600.0
-    rest = coupling - _ORBITAL_RATE_PER_H
+    rest = coupling - ORBITAL_RATE_PER_H
     spin = np.zeros((3, len(mean)))
     spin[np.arange(3), DRIFT.start + _BODY] = spin[np.arange(3), RATE.start + _BODY] = 1.0
     spin[0, ATTITUDE.start], spin[2, ATTITUDE.start + 1] = rest, -rest

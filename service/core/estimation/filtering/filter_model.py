@@ -67,6 +67,24 @@ class CarrierModel(NamedTuple):
         return int(self.coloured_sigma_db.shape[1])
 
 
+def no_carriers() -> CarrierModel:
+    """Return the model of no carrier, for motion that no level follows."""
+    nothing, pairs = np.zeros(0), np.zeros((0, 1))
+    return CarrierModel(
+        gradient_db_deg=np.zeros((0, 3)),
+        hessian_db_deg2=np.zeros((0, 3, 3)),
+        rain_share=nothing,
+        transponder=np.zeros(0, dtype=np.int64),
+        white_sigma_db=nothing,
+        coloured_sigma_db=pairs,
+        coloured_tau_s=pairs,
+        reference_walk_db=nothing,
+        common_sigma_db=nothing,
+        common_tau_s=nothing,
+        coefficient_covariance=np.zeros((0, 9, 9)),
+    )
+
+
 class FedForward(NamedTuple):
     """Torque that the loop on board takes away by a known profile, as accelerations in deg/h^2 by yaw, roll, pitch.
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.arrays import FloatArray, IntArray
-from service.core.estimation.filtering.model.filter_model import ATTITUDE, Gaussian
+from service.core.estimation.filtering.filter_model import ATTITUDE, Gaussian
 
 #: sigmas from which a record counts less, and is left out
 TRUSTED, GATE = 2.0, 4.0

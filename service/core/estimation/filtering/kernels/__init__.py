@@ -1,1 +1,0 @@
-"""Arithmetic of the attitude filter, as numpy runs it or compiled."""

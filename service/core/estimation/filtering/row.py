@@ -1,0 +1,462 @@
+"""One row of the attitude filter: predict, common first, carriers next, update, integrity.
+
+The order of the stages is written here once. A row writes into the state that it is given, which is the caller's own
+copy; the same rows give the same states bit for bit. With fewer than four carriers the filter coasts. What the ground
+declared is no fault: a masked carrier is neither used nor missed, a declared step of levels empties the sums it would
+have filled, a declared change of the chain holds control as a found one does. Steps too small to be told from noise, of
+which an operation that lasts makes one a row, widen the state and no more. The functions are compiled as they stand.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.arrays import FloatArray, IntArray
+from service.core.estimation.filtering.anchor import (
+    ask_anchor,
+    is_contradicted,
+    is_question_due,
+    push_anchor,
+    start_again,
+)
+from service.core.estimation.filtering.carrier_watch import (
+    MINUTE_US,
+    SAME_LEVEL_DB,
+    count_row,
+    failed,
+    is_returning,
+    pushed_minute,
+    release_quiet,
+    set_aside,
+    trusted,
+    watch_flagged,
+)
+from service.core.estimation.filtering.command_watch import (
+    SHARE_ERROR,
+    forget_evidence,
+    judge_commands,
+    likelier_share,
+    pass_commands,
+    push_row,
+)
+from service.core.estimation.filtering.common_cause import (
+    ATTITUDE_JUMP,
+    COMMON,
+    HOLD_MINUTES,
+    INDEPENDENT,
+    NOTHING,
+    SUDDEN_CHANGE,
+    choose_cause,
+    common_innovation,
+    pass_rain,
+    push_common,
+    suspicion,
+    widen_cause,
+)
+from service.core.estimation.filtering.filter_model import ATTITUDE, CHAIN, DRIFT, RAIN, RATE
+from service.core.estimation.filtering.filter_state import FilterState
+from service.core.estimation.filtering.integrity import assess
+from service.core.estimation.filtering.motion import step_motion
+from service.core.estimation.filtering.motion_watch import (
+    alarmed_axes,
+    doubt_torque,
+    drift_scale,
+    explain_by_torque,
+    follow_jump,
+    forget_shifts,
+    newly_explained,
+    pass_motion,
+    push_drift,
+    push_noise,
+    push_shift,
+    raise_alarms,
+)
+from service.core.estimation.filtering.plant import FilterModel
+from service.core.estimation.filtering.prediction import (
+    Innovation,
+    decay_factors,
+    hidden_states,
+    innovate,
+    predict_state,
+    site_level_db,
+    update_state,
+    widen_declared,
+)
+from service.core.estimation.filtering.row_block import LOST, OLD, TAKEN, BlockResult, RowBlock, RowTrace
+
+MIN_CARRIERS = 4
+#: smallest declared step of an attitude that the watch on motion must not take for its own, deg
+_STEP_DEG = 0.05
+
+
+class Present(NamedTuple):
+    """Carriers of a row after its prediction."""
+
+    #: (N,) dB, NaN = absent or masked
+    deviation_db: FloatArray
+    #: (n,) carriers to be judged, none where too few are there
+    carriers: IntArray
+    #: (N,) dB^2, white noise
+    white_db2: FloatArray
+    #: (N,) references and their variance before the row, which failed carriers keep
+    reference_db: FloatArray
+    reference_db2: FloatArray
+    #: minutes for which the row stands, at most 1
+    minutes: float
+
+
+class Screened(NamedTuple):
+    """Row after the tests of all carriers together."""
+
+    innovation: Innovation
+    #: (N,) test values of a minute that the row closes; NaN while it lasts
+    values: FloatArray
+    is_minute: bool
+    cause: int
+    #: (3,) alarms of motion before the update
+    alarms: FloatArray
+
+
+class Used(NamedTuple):
+    """Row after the update with the carriers that are trusted."""
+
+    innovation: Innovation
+    #: carriers in the update, 0 = there was none, and their normalised innovation squared
+    degrees: int
+    nis: float
+    has_findings: bool
+    #: False = the covariance of the innovations is not positive definite
+    is_done: bool
+
+
+def take_rows(
+    model: FilterModel,
+    state: FilterState,
+    one: FilterState,
+    other: FilterState,
+    block: RowBlock,
+    result: BlockResult,
+    trace: RowTrace,
+) -> int:
+    """Take rows in turns into two sets of arrays, and write what is left of each; the state given is not changed.
+
+    Return where the newest state is: as given (0), in one (1), in the other (2). A row that is not newer than the state
+    moves nothing, and neither does one whose numbers are lost.
+    """
+    newest = 0
+    for number in range(len(block.rows)):
+        before = state if newest == 0 else (one if newest == 1 else other)
+        after = other if newest == 1 else one
+        copy_state(before, after)
+        begin_result(block, number, result)
+        # each stage is called from here alone: the compiler goes over what a function calls once for each caller
+        row = begin_row(model, after, block, number, trace)
+        status, used_count, is_moved = TAKEN, 0, True
+        if block.rows["epoch_us"][number] <= before.watch["epoch_us"][0]:
+            status = OLD
+        elif len(row.carriers) >= MIN_CARRIERS:
+            screened = screen_row(model, after, block, number, row, result)
+            used = use_row(model, after, block, number, row, screened, result, trace)
+            if used.has_findings:
+                act_on_findings(model, after, block, row, screened, used)
+            is_due, is_moved = close_row(model, after, block, number, row, screened, used, result)
+            if is_due:
+                mixture = ask_anchor(model, after, block.carriers["reported_wet"][number])
+                if is_contradicted(mixture):
+                    start_again(model, after, mixture)
+                    is_moved = True
+            status, used_count = TAKEN if used.is_done else LOST, len(used.innovation.carriers)
+        if is_moved:
+            residual_db = block.carriers["deviation_db"][number] - site_level_db(model, after.mean)
+            result.carriers["residual_db"][number] = residual_db
+        assess(model, after, used_count, result.rows[number])
+        status = write_state(after, status, result.rows[number])
+        if status == TAKEN:
+            newest = 2 if newest == 1 else 1
+    return newest
+
+
+def copy_state(state: FilterState, into: FilterState) -> None:
+    """Write a state into other arrays."""
+    into.mean[:], into.covariance[:], into.carriers[:] = state.mean, state.covariance, state.carriers
+    into.watch[0] = state.watch[0]
+    into.aside_db[:], into.anchor[:], into.sensitivity[:] = state.aside_db, state.anchor, state.sensitivity
+
+
+def begin_result(block: RowBlock, number: int, result: BlockResult) -> None:
+    """Write what is left of a row in which nothing is used."""
+    found, carriers = result.rows[number], result.carriers[number]
+    found["cause"], found["has_event"] = NOTHING, block.rows["is_declared"][number]
+    carriers["innovation_db"][:] = np.nan
+    carriers["is_used"][:] = False
+
+
+def write_state(state: FilterState, status: int, found: NDArray[np.void]) -> int:
+    """Write what a record of `RESULT` says of the state after a row; return what became of the row."""
+    mean = state.mean
+    for place in range(len(mean)):
+        if not (math.isfinite(mean[place]) and math.isfinite(state.covariance[place, place])):
+            status = LOST
+    found["status"] = status
+    for axis in range(3):
+        found["attitude_deg"][axis] = mean[axis]
+        found["drift_deg_h"][axis], found["rate_deg_h"][axis] = mean[DRIFT.start + axis], mean[RATE.start + axis]
+        for second in range(3):
+            found["covariance_deg2"][axis, second] = state.covariance[axis, second]
+    found["chain_db"], found["rain_db"], found["is_raining"] = mean[CHAIN], mean[RAIN], state.watch["is_raining"][0]
+    return status
+
+
+def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: int, trace: RowTrace) -> Present:
+    """Move the state over the step before a row, in place, and the watches with it; return who is there."""
+    watch, row, carriers = state.watch[0], block.rows[number], block.carriers[number]
+    step_us, every = row["epoch_us"] - watch["epoch_us"], len(model.carriers)
+    minutes = min(step_us / 60e6, 1.0)
+    if step_us > 0:
+        _predict(model, state, block, number, step_us, trace)
+        watch["epoch_us"] = row["epoch_us"]
+        watch["hold_minutes"] = max(0.0, watch["hold_minutes"] - minutes)
+        pass_motion(watch, minutes)
+        if row["is_declared"]:
+            _declare(state, block, number)
+    deviation_db = np.where(carriers["is_masked"], np.nan, carriers["deviation_db"])
+    present = np.flatnonzero(np.isfinite(deviation_db) & ~state.carriers["is_flagged"])
+    white_db2 = (model.carriers["white_sigma_db"] * state.carriers["white_scale"]) ** 2 + carriers["white_db"] ** 2
+    reference_db, reference_db2 = state.mean[-every:].copy(), np.empty(every)
+    for k in range(every):
+        reference_db2[k] = state.covariance[k - every, k - every]
+    return Present(deviation_db, present, white_db2, reference_db, reference_db2, minutes)
+
+
+def _predict(
+    model: FilterModel, state: FilterState, block: RowBlock, number: int, step_us: int, trace: RowTrace
+) -> None:
+    """Move mean, covariance and the derivative by commands over the step before a row, in place."""
+    watch, row, shares = state.watch[0], block.rows[number], block.unreported.shape[1]
+    hidden = hidden_states(model, len(state.mean))
+    share, is_doubted = watch["share"], watch["doubted_minutes"] > 0.0
+    correction_deg, rate_change_deg_h = row["correction_deg"], row["rate_change_deg_h"]
+    motion = step_motion(
+        model,
+        hidden,
+        block.unreported[number],
+        watch["epoch_us"],
+        step_us,
+        share * correction_deg,
+        row["late_correction_deg"],
+        share * rate_change_deg_h,
+        drift_scale(watch["log_drift_scale"]),
+        SHARE_ERROR if is_doubted else math.nan,
+        watch["followed_minutes"] > 0.0,
+        watch["is_raining"],
+    )
+    factor, hidden_variance = decay_factors(model, state, step_us / 1e6, shares)
+    if len(trace.factor):
+        trace.factor[:] = factor
+        trace.transition[: len(motion.transition)] = motion.transition
+    pass_commands(model, state, motion.transition, factor, correction_deg, rate_change_deg_h, step_us)
+    predict_state(model, state, motion, factor, hidden_variance, shares, step_us)
+    if row["is_declared"]:
+        widen_declared(model, state, row, block.carriers[number], step_us / 3.6e9)
+
+
+def _declare(state: FilterState, block: RowBlock, number: int) -> None:
+    """Let the detectors know, in place, what was declared about the step."""
+    watch, carriers, row, declared = state.watch[0], state.carriers, block.rows[number], block.carriers[number]
+    for k in range(len(carriers)):
+        step_db, group_db = declared["reference_step_db"][k], declared["group_step_db"][k]
+        if max(step_db, group_db) > SAME_LEVEL_DB:
+            carriers["skip_minutes"][k] = carriers["up"][k] = carriers["down"][k] = 0.0
+        if declared["is_masked"][k]:
+            carriers["absent_minutes"][k] = 0.0
+        carriers["saved_variance_db2"][k] += step_db**2 + group_db**2
+        carriers["is_relearned"][k] = carriers["is_relearned"][k] or step_db > SAME_LEVEL_DB
+    if row["chain_step_db"] > SAME_LEVEL_DB:
+        watch["hold_minutes"] = HOLD_MINUTES
+        watch["common_up"] = watch["common_down"] = 0.0
+    if row["attitude_step_deg"].max() > _STEP_DEG:
+        forget_shifts(watch)
+
+
+def screen_row(
+    model: FilterModel, state: FilterState, block: RowBlock, number: int, present: Present, result: BlockResult
+) -> Screened:
+    """Test all carriers together, and let the unknown of their common cause be free, in place."""
+    watch, carriers, row = state.watch[0], state.carriers, block.rows[number]
+    innovation = _innovation(model, state, present)
+    result.carriers["innovation_db"][number][present.carriers] = innovation.innovation_db
+    excess = np.abs(innovation.innovation_db) / _sigma_db(innovation)
+    median_db, common_value = common_innovation(model, innovation)
+    common_up, common_down, base_db = watch["common_up"], watch["common_down"], watch["base_chain_db"]
+    values, is_minute = _push_minute(state, innovation, common_value)
+    cause, transponder = NOTHING, -1
+    suspected = suspicion(state, excess, common_value)
+    if suspected == SUDDEN_CHANGE:
+        cause, transponder = choose_cause(model, innovation)
+    elif suspected != NOTHING:
+        cause = COMMON
+    if cause == INDEPENDENT:
+        # what single carriers did says nothing about the common level
+        watch["common_up"], watch["common_down"], watch["base_chain_db"] = common_up, common_down, base_db
+    elif cause != NOTHING:
+        is_chain_worked = row["chain_walk_db"] > 0.0 or row["chain_step_db"] > SAME_LEVEL_DB
+        widen_cause(model, state, cause, transponder, median_db, is_chain_worked)
+        if cause == ATTITUDE_JUMP:
+            follow_jump(watch)
+        carriers["minute_total"][:] = 0.0
+        carriers["minute_rows"][:] = 0.0
+        watch["common_total"] = watch["common_rows"] = 0.0
+        watch["minute_start_us"] = watch["epoch_us"]
+        values[:] = np.nan
+        is_minute = False
+        innovation = _innovation(model, state, present)
+    result.rows["cause"][number] = cause
+    return Screened(innovation, values, is_minute, cause, watch["alarms"].copy())
+
+
+def _innovation(model: FilterModel, state: FilterState, present: Present) -> Innovation:
+    """Return the innovations of the carriers to be judged, their patterns linearised at the predicted attitude."""
+    at_deg, white_db2 = state.mean[ATTITUDE].copy(), present.white_db2[present.carriers]
+    return innovate(model, state.mean, state.covariance, present.deviation_db, present.carriers, white_db2, at_deg)
+
+
+def _push_minute(state: FilterState, innovation: Innovation, common_value: float) -> tuple[FloatArray, bool]:
+    """Count a row's test values, in place; return those of the minute that it closes (N,), NaN, and whether it does."""
+    watch, carriers = state.watch[0], state.carriers
+    is_over = watch["epoch_us"] - watch["minute_start_us"] >= MINUTE_US
+    row_value, values = np.full(len(carriers), np.nan), np.full(len(carriers), np.nan)
+    row_value[innovation.carriers] = innovation.innovation_db / _sigma_db(innovation)
+    for k in range(len(carriers)):
+        total, rows, value = pushed_minute(carriers["minute_total"][k], carriers["minute_rows"][k], row_value[k])
+        carriers["minute_total"][k], carriers["minute_rows"][k] = (0.0, 0.0) if is_over else (total, rows)
+        if is_over:
+            values[k] = value
+    total, rows, value = pushed_minute(watch["common_total"], watch["common_rows"], common_value)
+    watch["common_total"], watch["common_rows"] = (0.0, 0.0) if is_over else (total, rows)
+    if is_over:
+        watch["minute_start_us"] = watch["epoch_us"]
+        push_common(state, value)
+    return values, is_over
+
+
+def _sigma_db(innovation: Innovation) -> FloatArray:
+    """Return one standard deviation (n,) of each innovation, dB."""
+    return np.sqrt(np.diag(innovation.predicted_db2) + innovation.white_db2)
+
+
+def use_row(
+    model: FilterModel,
+    state: FilterState,
+    block: RowBlock,
+    number: int,
+    present: Present,
+    screened: Screened,
+    result: BlockResult,
+    trace: RowTrace,
+) -> Used:
+    """Take a row into the state, in place; carriers beyond four sigma are skipped, fewer than four move nothing."""
+    watch, innovation, carriers = state.watch[0], screened.innovation, block.carriers[number]
+    is_shared = screened.cause > INDEPENDENT
+    excess = np.abs(innovation.innovation_db) / _sigma_db(innovation)
+    kept = trusted(innovation, excess)
+    # carriers that are there, or that nobody expects
+    is_accounted = np.isfinite(carriers["deviation_db"]) | carriers["is_masked"]
+    count_row(state.carriers, innovation, excess, is_accounted, present.minutes, screened.values)
+    result.carriers["is_used"][number][kept.carriers] = True
+    has_findings = bool(failed(state.carriers).any())
+    if len(kept.carriers) < MIN_CARRIERS:
+        return Used(kept, 0, 0.0, has_findings, True)
+    shift = np.zeros(3)
+    is_done, nis = update_state(model, state, present.deviation_db, kept, shift, result.rows[number], trace)
+    if is_shared:
+        forget_shifts(watch)
+    else:
+        push_shift(watch, shift)
+    is_moving = bool(alarmed_axes(watch).any())
+    if not is_moving:
+        push_row(model, state, kept, is_shared)
+    has_findings = has_findings or is_moving or not math.isnan(likelier_share(watch))
+    if has_findings:
+        result.rows["has_event"][number] = True
+    return Used(kept, len(kept.carriers), nis, has_findings, is_done)
+
+
+def act_on_findings(
+    model: FilterModel, state: FilterState, block: RowBlock, present: Present, screened: Screened, used: Used
+) -> None:
+    """Act on what a row found, in place: motion of its own, commands that are not obeyed, failed carriers."""
+    watch, one, shares = state.watch[0], model.plant[0], block.unreported.shape[1]
+    # a torque that was called small, about a spacecraft that is turned by torques, explains motion as one that was not
+    unknown_deg_h2 = one["unknown_torque_deg_h2"]
+    is_small = bool((one["torque_size_deg_h2"] < unknown_deg_h2).any())
+    is_explained = one["is_pushed"] and (not is_small or watch["is_by_torque"])
+    # one that nobody knows may have changed, as at the edge of a shadow
+    unproven = (unknown_deg_h2 > 0.0) & (is_explained and not watch["alarms"].any())
+    moving = alarmed_axes(watch)
+    if used.degrees and moving.any():
+        raise_alarms(watch, moving, is_explained)
+        axes = newly_explained(screened.alarms, watch)
+        if is_explained and axes.any():
+            # what is wrong about one axis is so about all
+            axes |= unproven
+            unproven[:] = False
+            doubt_torque(model, state, axes, shares)
+            forget_evidence(watch)
+        push_row(model, state, used.innovation, False)
+    if used.degrees:
+        if unproven.any() and not math.isnan(likelier_share(watch)):
+            # a torque explains as much as a command that is not obeyed, and is the likelier
+            explain_by_torque(watch, unproven)
+            doubt_torque(model, state, unproven, shares)
+            forget_evidence(watch)
+        judge_commands(state)
+    is_failed = failed(state.carriers)
+    for k in range(len(is_failed)):
+        if is_failed[k]:
+            set_aside(model, state, k, present.reference_db[k], present.reference_db2[k])
+
+
+def close_row(
+    model: FilterModel,
+    state: FilterState,
+    block: RowBlock,
+    number: int,
+    present: Present,
+    screened: Screened,
+    used: Used,
+    result: BlockResult,
+) -> tuple[bool, bool]:
+    """Learn from a row, in place: noise, flagged carriers, rain, anchor and drift; write what is left of the deviations.
+
+    Return whether the references of the alignment are to be asked, and whether what is left is to be written anew.
+    """
+    watch, declared, is_declared = state.watch[0], block.carriers[number], block.rows["is_declared"][number]
+    if screened.is_minute and used.degrees:
+        # while it rains their variance holds the free walk of the rain, a quarter of a decibel a row, so that all look
+        # small; none is learned of carriers whose noise is declared
+        values = screened.values.copy()
+        for k in range(len(values)):
+            if watch["is_raining"] or declared["white_db"][k] > 0.0:
+                values[k] = np.nan
+        push_noise(state, values, used.nis, used.degrees)
+    if screened.is_minute and state.carriers["is_flagged"].any():
+        watch_flagged(state, present.deviation_db - site_level_db(model, state.mean), 1.0)
+    pass_rain(state, present.minutes)
+    residual_db = present.deviation_db - site_level_db(model, state.mean)
+    result.carriers["residual_db"][number] = residual_db
+    if screened.is_minute:
+        push_anchor(state, residual_db, present.white_db2)
+    drift_deg_h = model.plant[0]["drift_deg_h"]
+    log_scale = watch["log_drift_scale"]
+    watch["log_drift_scale"] = push_drift(state.mean, state.covariance, log_scale, drift_deg_h, present.minutes)
+    if block.rows["chain_step_db"][number] > SAME_LEVEL_DB:
+        # a fall that begins at a declared step is counted from where the chain stands now
+        watch["base_chain_db"] = state.mean[CHAIN]
+    is_due, is_moved = screened.is_minute and is_question_due(state), is_declared
+    if screened.is_minute and is_returning(state.carriers):
+        is_moved = release_quiet(model, state) or is_moved
+    if screened.cause != NOTHING:
+        result.rows["has_event"][number] = True
+    return is_due, is_moved

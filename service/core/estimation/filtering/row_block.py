@@ -1,0 +1,162 @@
+"""Rows of the filter as arrays: what goes in with each, and what is left of it.
+
+Shapes: T rows of N carriers, n commands that nobody has reported, a state of D numbers, E of them hidden. Triples stand
+in the order yaw, roll, pitch.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.arrays import FloatArray
+from service.core.estimation.filtering.declared import Declared
+from service.core.estimation.filtering.filter_model import KnownMotion
+from service.core.estimation.filtering.plant import FilterModel
+
+#: what became of a row: it moved the state, it was not newer than the state, or its numbers were lost
+TAKEN, OLD, LOST = 0, 1, 2
+
+#: a row, and what was known of the time before it
+ROW = np.dtype(
+    [
+        # microseconds UTC
+        ("epoch_us", "i8"),
+        # deg, commanded angles and those that became known after their time; deg/h, rates that torques added
+        ("correction_deg", "f8", (3,)),
+        ("late_correction_deg", "f8", (3,)),
+        ("rate_change_deg_h", "f8", (3,)),
+        # declared operations, as in `Declared`
+        ("is_declared", "?"),
+        ("chain_walk_db", "f8"),
+        ("chain_step_db", "f8"),
+        ("attitude_walk_deg", "f8", (3,)),
+        ("attitude_step_deg", "f8", (3,)),
+    ],
+    align=True,
+)
+#: a carrier in a row
+ROW_CARRIER = np.dtype(
+    [
+        # dB, measured minus reference minus harmonic, NaN = absent
+        ("deviation_db", "f8"),
+        # 1 where rain over the carrier's station is reported, 0 where none is, NaN where nobody says
+        ("reported_wet", "f8"),
+        # declared operations, as in `Declared`
+        ("is_masked", "?"),
+        ("white_db", "f8"),
+        ("reference_walk_db", "f8"),
+        ("reference_step_db", "f8"),
+        # by which the carriers of its transponder may have moved together
+        ("group_step_db", "f8"),
+    ],
+    align=True,
+)
+#: what is left of a row
+RESULT = np.dtype(
+    [
+        # `TAKEN`, `OLD` or `LOST`; cause of a common change, 0 = none; whether something was found or declared
+        ("status", "i8"),
+        ("cause", "i8"),
+        ("has_event", "?"),
+        # what the update raised rain below zero by, and variance of rain after it
+        ("rain_raised_db", "f8"),
+        ("rain_variance_db2", "f8"),
+        # levels that the error passes with a probability of 1e-4, NaN = not known, and those if nothing were wrong with
+        # any carrier; loss by two hours without control
+        ("protection_deg", "f8", (3,)),
+        ("nominal_deg", "f8", (3,)),
+        ("waiting_loss_deg", "f8", (3,)),
+        # bits of `REASONS`
+        ("reasons", "i8"),
+        ("is_yaw_allowed", "?"),
+        ("is_realignment_advised", "?"),
+        # mean and covariance of yaw, roll, pitch after it
+        ("attitude_deg", "f8", (3,)),
+        ("covariance_deg2", "f8", (3, 3)),
+        ("drift_deg_h", "f8", (3,)),
+        ("rate_deg_h", "f8", (3,)),
+        ("chain_db", "f8"),
+        ("rain_db", "f8"),
+        ("is_raining", "?"),
+    ],
+    align=True,
+)
+#: what is left of a carrier
+RESULT_CARRIER = np.dtype(
+    [
+        # dB, measured minus predicted, NaN = absent or flagged
+        ("innovation_db", "f8"),
+        # dB, measured minus what attitude, chain, rain and common parts explain; NaN = absent
+        ("residual_db", "f8"),
+        ("is_used", "?"),
+    ],
+    align=True,
+)
+
+
+class RowBlock(NamedTuple):
+    """Rows in order."""
+
+    #: (T,) of `ROW` and (T, N) of `ROW_CARRIER`
+    rows: NDArray[np.void]
+    carriers: NDArray[np.void]
+    #: (T, n, 2, 3) turns of unreported commands if executed, deg, and their rates at the end, deg/h
+    unreported: FloatArray
+
+
+class BlockResult(NamedTuple):
+    """What is left of rows."""
+
+    #: (T,) of `RESULT` and (T, N) of `RESULT_CARRIER`
+    rows: NDArray[np.void]
+    carriers: NDArray[np.void]
+
+
+class RowTrace(NamedTuple):
+    """Step and update of a row as they acted, for who goes back over the rows; empty where nobody asks."""
+
+    #: (D,) by which each number decayed, and (12, 9 + E) how attitude, drift, rate and momentum moved
+    factor: FloatArray
+    transition: FloatArray
+    #: (n, 2 D + 1) whitened by the covariance of the innovations, L L': L^-1 H, L^-1 H P and L^-1 nu, linearised where
+    #: they led; rows of NaN where there was none
+    update: FloatArray
+
+
+def empty_block(rows: int, carriers: int, shares: int = 0) -> RowBlock:
+    """Return rows without readings, of which nothing is known."""
+    block = RowBlock(np.zeros(rows, ROW), np.zeros((rows, carriers), ROW_CARRIER), np.zeros((rows, shares, 2, 3)))
+    block.carriers["deviation_db"] = block.carriers["reported_wet"] = np.nan
+    return block
+
+
+def write_known(block: RowBlock, number: int, known: KnownMotion) -> None:
+    """Write what was commanded before a row."""
+    row = block.rows[number]
+    row["correction_deg"], row["late_correction_deg"] = known.correction_deg, known.late_correction_deg
+    row["rate_change_deg_h"] = known.rate_change_deg_h
+    block.unreported[number] = known.unreported
+
+
+def write_declared(model: FilterModel, block: RowBlock, number: int, declared: Declared) -> None:
+    """Write what was declared about the time before a row."""
+    row, carriers = block.rows[number], block.carriers[number]
+    row["is_declared"] = True
+    for name in ("chain_walk_db", "chain_step_db", "attitude_walk_deg", "attitude_step_deg"):
+        row[name] = getattr(declared, name)
+    for name in ("is_masked", "white_db", "reference_walk_db", "reference_step_db"):
+        carriers[name] = getattr(declared, name)
+    carriers["group_step_db"] = declared.group_step_db[model.carriers["transponder"]]
+
+
+def empty_result(rows: int, carriers: int) -> BlockResult:
+    """Return room for what is left of rows."""
+    return BlockResult(np.zeros(rows, RESULT), np.zeros((rows, carriers), RESULT_CARRIER))
+
+
+def empty_trace(states: int, hidden: int, carriers: int) -> RowTrace:
+    """Return room for the trace of a row, none where all are zero."""
+    return RowTrace(
+        np.ones(states), np.zeros((12, 9 + hidden) if states else (0, 0)), np.full((carriers, 2 * states + 1), np.nan)
+    )
