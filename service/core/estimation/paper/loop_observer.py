@@ -173,12 +173,11 @@ def predict_estimate(estimate: LoopEstimate, model: LoopModel, epoch_us: int, kn
     step = _STEP_MOTION(
         arrays,
         TORQUES,
-        known.unreported,
+        np.array(known.unreported),
         estimate.epoch_us,
         step_us,
-        known.correction_deg,
-        known.late_correction_deg,
-        known.rate_change_deg_h,
+        # arrays that may be written are another type to the compiler
+        *map(np.array, (known.correction_deg, known.late_correction_deg, known.rate_change_deg_h)),
         1.0,
         math.nan,
         _CALM,
