@@ -12,8 +12,9 @@ that fails on a row says so in its row and goes on with the next; the other meth
 import logging
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +26,7 @@ from service.pipeline.control.command.compute_command import NO_CARRY, compute_c
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.estimation.method import (
     CommandEvidence,
+    MethodRow,
     MethodRunner,
     RowEvidence,
     carrier_results,
@@ -57,6 +59,8 @@ from service.records.levels.measurement import Measurement
 _LOG = logging.getLogger("soo.chain")
 
 _RUNNERS: dict[Method, type[RobustRunner | PaperRunner]] = {Method.ROBUST: RobustRunner, Method.PAPER: PaperRunner}
+#: errors of numbers that break a computation
+_BROKEN = (ArithmeticError, ValueError, LookupError)
 #: in the order in which their rows are written
 METHODS = tuple(_RUNNERS)
 
@@ -147,26 +151,63 @@ class Chain:
 
     def step(self, measurement: Measurement, *, is_catch_up: bool = False) -> Outcome | None:
         """Consume a row of powers; None while nothing can be computed or the row does not feed the estimator."""
+        return self.steps([measurement], is_catch_up=is_catch_up)[0]
+
+    def steps(self, measurements: Sequence[Measurement], *, is_catch_up: bool = False) -> list[Outcome | None]:
+        """Consume rows of powers with nothing between them; the outcomes are those of `step`, row by row."""
+        outcomes: list[Outcome | None] = []
+        block: list[Measurement] = []
+        newest_us = self._newest_us or 0
+        for each in measurements:
+            # of two rows of one epoch, from two sources, the second is late also where rows are caught up with
+            is_late = each.epoch_us <= newest_us or (each.is_late and not is_catch_up)
+            is_next = each.feeds_estimator and self.is_running and not is_late
+            if block and not (is_next and each.plan_id == block[0].plan_id):
+                outcomes += self._block(block, is_catch_up=is_catch_up)
+                block = []
+            if is_next:
+                block.append(each)
+                newest_us = each.epoch_us
+            else:
+                outcomes.append(self._apart(each, is_catch_up=is_catch_up))
+        return outcomes + self._block(block, is_catch_up=is_catch_up)
+
+    def _apart(self, measurement: Measurement, *, is_catch_up: bool) -> Outcome | None:
+        """Return the outcome of a row that is late, feeds nothing, or comes while nothing runs."""
         if not measurement.feeds_estimator:
             return None
-        plan = self._lookup.plan(measurement.plan_id)
         if not self.is_running:
             self._last = (measurement, False)
             return None
-        # of two rows of one epoch, from two sources, the second is late also where rows are caught up with
-        is_late = measurement.epoch_us <= (self._newest_us or 0) or (measurement.is_late and not is_catch_up)
-        rows = tuple(
-            self._row(runner, measurement, plan, is_late=is_late, is_catch_up=is_catch_up)
-            for runner in self._runners
-            if runner.is_running
-        )
-        if is_late:
-            return Outcome(rows, None)
-        self._last = (measurement, True)
-        self._remember_epoch(measurement.epoch_us)
-        self._disagreement = compare(self._disagreement, rows, self._config.robust)
-        carriers = carrier_results(self._runners, rows, measurement, plan)
-        return self._with_command(rows, carriers)
+        rows = self._rows([measurement], is_late=True, is_catch_up=is_catch_up)
+        return Outcome(tuple(each.row for each in rows[0]), None)
+
+    def _block(self, measurements: list[Measurement], *, is_catch_up: bool) -> list[Outcome | None]:
+        """Return the outcomes of rows in time of one plan."""
+        if not measurements:
+            return []
+        plan = self._lookup.plan(measurements[0].plan_id)
+        outcomes: list[Outcome | None] = []
+        for measurement, found in zip(
+            measurements, self._rows(measurements, is_late=False, is_catch_up=is_catch_up), strict=True
+        ):
+            self._last = (measurement, True)
+            self._remember_epoch(measurement.epoch_us)
+            rows = tuple(each.row for each in found)
+            self._disagreement = compare(self._disagreement, rows, self._config.robust)
+            outcomes.append(self._with_command(found, carrier_results(found, measurement, plan)))
+        return outcomes
+
+    def _rows(
+        self, measurements: list[Measurement], *, is_late: bool, is_catch_up: bool
+    ) -> list[tuple[MethodRow, ...]]:
+        """Return what each method that runs makes of each row."""
+        plan = self._lookup.plan(measurements[0].plan_id)
+        running = [runner for runner in self._runners if runner.is_running]
+        by_method = [
+            self._rows_of(runner, measurements, plan, is_late=is_late, is_catch_up=is_catch_up) for runner in running
+        ]
+        return list(zip(*by_method, strict=True))
 
     def saved(self) -> ChainState | None:
         """Return the state after the newest entry; None where the chain cannot be saved now.
@@ -237,20 +278,37 @@ class Chain:
             operations=self._knowledge.operations,
         )
 
+    def _rows_of(
+        self,
+        runner: MethodRunner,
+        measurements: list[Measurement],
+        plan: CarrierPlan,
+        *,
+        is_late: bool,
+        is_catch_up: bool,
+    ) -> list[MethodRow]:
+        """Return a method's rows; numbers that break the computation of one make a row that says so."""
+        take = partial(runner.steps, plan=plan, knowledge=self._knowledge, is_late=is_late, is_catch_up=is_catch_up)
+        if len(measurements) > 1 and runner.method is Method.ROBUST:
+            try:
+                return take(measurements)
+            except _BROKEN:
+                _LOG.info("a block of %d rows breaks the numbers: its rows are taken one by one", len(measurements))
+        return [self._row(runner.method, take, each) for each in measurements]
+
     def _row(
-        self, runner: MethodRunner, measurement: Measurement, plan: CarrierPlan, *, is_late: bool, is_catch_up: bool
-    ) -> AttitudeRow:
-        """Return a method's row; numbers that break the computation make a row that says so."""
+        self, method: Method, take: Callable[[Sequence[Measurement]], list[MethodRow]], measurement: Measurement
+    ) -> MethodRow:
         try:
-            return runner.step(measurement, plan, self._knowledge, is_late=is_late, is_catch_up=is_catch_up)
-        except (ArithmeticError, ValueError, LookupError):
+            return take([measurement])[0]
+        except _BROKEN:
             _LOG.exception(
                 "method %s failed at journal number %d; the row has no attitude (internal_error)",
-                runner.method,
+                method,
                 measurement.number,
             )
             number, epoch_us, received_us = measurement.number, measurement.epoch_us, measurement.received_at_us
-            return row_without_attitude(epoch_us, received_us, number, runner.method, ("internal_error",))
+            return MethodRow(row_without_attitude(epoch_us, received_us, number, method, ("internal_error",)))
 
     def _remember_epoch(self, epoch_us: int) -> None:
         """Keep the newest epoch and the epochs from which the row period is taken."""
@@ -278,8 +336,9 @@ class Chain:
         periods_us = [later - earlier for earlier, later in pairwise(self._recent_us.tolist())]
         return float(statistics.median(periods_us)) / US_PER_S
 
-    def _with_command(self, rows: tuple[AttitudeRow, ...], carriers: tuple[CarrierResults | None, ...]) -> Outcome:
+    def _with_command(self, found: tuple[MethodRow, ...], carriers: tuple[CarrierResults | None, ...]) -> Outcome:
         """Return the outcome of a row with the torque command that follows from it."""
+        rows = tuple(each.row for each in found)
         spacecraft, apart_deg = self._knowledge.spacecraft, self._disagreement.apart_deg
         if spacecraft is None or not self._has_commands:
             return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
@@ -287,8 +346,8 @@ class Chain:
         if all(runner.method is not wanted for runner in self._runners):
             return Outcome(rows, None, disagreement_deg=apart_deg, carriers=carriers)
         driving = next((row for row in rows if row.method is wanted), None) or self._row_of_silent(rows[0], wanted)
-        runner = next(runner for runner in self._runners if runner.method is wanted)
-        config, disturbance = self._config.torque, runner.disturbance()
+        source = next((each for each in found if each.row.method is wanted), None)
+        config, disturbance = self._config.torque, None if source is None else source.disturbance()
         row_period_s, is_automatic = self._row_period_s(), spacecraft.control.release is Release.AUTOMATIC
         rate_age_s = config.rate_stale_periods * row_period_s + config.rate_stale_margin_s
         self._basis = self._basis_at(driving, spacecraft, disturbance)

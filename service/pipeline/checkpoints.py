@@ -14,7 +14,7 @@ import numpy as np
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.schedule_check import PanelSwing
 from service.pipeline.estimation.paper.runner import SavedPaper
-from service.pipeline.estimation.robust.saved_state import SavedRobust
+from service.pipeline.estimation.robust.robust_state import SavedRobust
 from service.pipeline.estimation.row_inhibitions import Disagreement
 from service.records.levels.attitude import BalanceBasis, FloatArray, IntArray
 from service.records.levels.measurement import Measurement

@@ -1,6 +1,7 @@
 """Arrays of a calibration by geometry, and the expected level of every carrier at zero attitude."""
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -216,28 +217,32 @@ class ExpectedLevel:
         self._days: dict[int, FloatArray] = {}
 
     def __call__(self, epoch_us: int) -> FloatArray:
-        """Return the levels at an epoch, the solar day included; NaN where nothing is known."""
-        angle = 2.0 * np.pi * ((epoch_us % _DAY_US) / _DAY_US)
-        solar_db = self._solar_db @ np.array([np.cos(angle), np.sin(angle)])
+        """Return the levels (N,) at an epoch as `rows` does."""
+        return np.asarray(self.rows(np.array([epoch_us], dtype=np.int64))[0])
+
+    def rows(self, epochs_us: IntArray) -> FloatArray:
+        """Return the levels (T, N) at some epochs, the solar day included; NaN where nothing is known.
+
+        The bits of a row do not depend on the other rows.
+        """
+        angle = 2.0 * np.pi * ((epochs_us % _DAY_US) / _DAY_US)
+        solar_db = np.cos(angle)[:, None] * self._solar_db[:, 0] + np.sin(angle)[:, None] * self._solar_db[:, 1]
         if not self._is_interpolated:
-            return np.asarray(self._at(np.array([epoch_us], dtype=np.int64))[0] + solar_db)
-        day, within = divmod(epoch_us, _DAY_US)
-        knot, offset = divmod(within, _KNOT_US)
-        x = offset / _KNOT_US
-        # cubic through the knots at -1, 0, 1, 2
-        weights = np.array(
-            [
-                -x * (x - 1.0) * (x - 2.0) / 6.0,
-                (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
-                -(x + 1.0) * x * (x - 2.0) / 2.0,
-                (x + 1.0) * x * (x - 1.0) / 6.0,
-            ]
-        )
-        return np.asarray(weights @ self._day(day)[knot : knot + 4] + solar_db)
+            alone = [self._at(epochs_us[row : row + 1]) for row in range(len(epochs_us))]
+            return np.asarray(np.concatenate(alone) + solar_db)
+        levels = np.empty((len(epochs_us), len(self._solar_db)))
+        days = epochs_us // _DAY_US
+        # rows of one day lie together
+        bounds = [0, *(np.flatnonzero(np.diff(days)) + 1).tolist(), len(days)]
+        for start, stop in pairwise(bounds):
+            if stop > start:
+                day = int(days[start])
+                levels[start:stop] = _between_knots(self._day(day), epochs_us[start:stop] - day * _DAY_US)
+        return levels + solar_db
 
     def mean_dbm(self, epochs_us: IntArray) -> FloatArray:
         """Return the mean level (N,) over some epochs."""
-        return np.asarray(np.array([self(int(epoch_us)) for epoch_us in epochs_us]).mean(axis=0))
+        return np.asarray(self.rows(np.asarray(epochs_us, dtype=np.int64)).mean(axis=0))
 
     def _day(self, day: int) -> FloatArray:
         """Return the levels at the knots of a day, one before it and two after it."""
@@ -247,3 +252,15 @@ class ExpectedLevel:
             epochs_us = day * _DAY_US + _KNOT_US * np.arange(-1, _KNOTS_A_DAY + 2, dtype=np.int64)
             self._days[day] = self._at(epochs_us)
         return self._days[day]
+
+
+def _between_knots(knots_dbm: FloatArray, within_us: IntArray) -> FloatArray:
+    """Return the levels (T, N) at times of a day by cubics through the knots (K, N) at -1, 0, 1, 2."""
+    knot, offset = np.divmod(within_us, _KNOT_US)
+    x = (offset / _KNOT_US)[:, None]
+    return np.asarray(
+        -x * (x - 1.0) * (x - 2.0) / 6.0 * knots_dbm[knot]
+        + (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0 * knots_dbm[knot + 1]
+        - (x + 1.0) * x * (x - 2.0) / 2.0 * knots_dbm[knot + 2]
+        + (x + 1.0) * x * (x - 1.0) / 6.0 * knots_dbm[knot + 3]
+    )

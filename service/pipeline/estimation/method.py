@@ -1,7 +1,7 @@
 """A method of estimation as the chain sees it, its evidence and its results of each carrier."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
@@ -55,6 +55,20 @@ class CommandEvidence(NamedTuple):
     unreported_log_ratio: float | None
 
 
+def no_disturbance() -> None:
+    """Return what a method knows of torques that knows of none."""
+
+
+class MethodRow(NamedTuple):
+    """What a method makes of a row in time."""
+
+    row: AttitudeRow
+    #: figures of the carriers, None where nothing was computed; they are not copied
+    levels: CarrierLevels | None = None
+    #: returns the torque that acts without being fed forward, None where the method knows of none
+    disturbance: Callable[[], Disturbance | None] = no_disturbance
+
+
 class MethodRunner(Protocol):
     """One method with its model and its state."""
 
@@ -75,10 +89,19 @@ class MethodRunner(Protocol):
     def rebuild(self, knowledge: Knowledge) -> None:
         """Take over a change of calibration, ephemeris or spacecraft; the state is kept."""
 
-    def step(
-        self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
-    ) -> AttitudeRow:
-        """Return the row of a measurement; the state moves on unless the row is late."""
+    def steps(
+        self,
+        measurements: Sequence[Measurement],
+        plan: CarrierPlan,
+        knowledge: Knowledge,
+        *,
+        is_late: bool,
+        is_catch_up: bool,
+    ) -> list[MethodRow]:
+        """Return the rows of measurements in order; the state moves on unless they are late.
+
+        Where it raises an error the state is as before the first of them.
+        """
 
     @property
     def is_waiting(self) -> bool:
@@ -98,9 +121,6 @@ class MethodRunner(Protocol):
 
     def command_evidence(self) -> CommandEvidence | None:
         """Return the evidence of the newest row in time on commands; None where the method has none."""
-
-    def disturbance(self) -> Disturbance | None:
-        """Return the torque that acts without being fed forward; None where the method knows of none."""
 
 
 class CarrierColumns(NamedTuple):
@@ -180,17 +200,10 @@ _USED, _ABSENT, _EXCLUDED, _UNSELECTED, _UNCALIBRATED = range(len(CARRIER_STATES
 
 
 def carrier_results(
-    runners: Sequence[MethodRunner], rows: Sequence[AttitudeRow], measurement: Measurement, plan: CarrierPlan
+    rows: Sequence[MethodRow], measurement: Measurement, plan: CarrierPlan
 ) -> tuple[CarrierResults | None, ...]:
-    """Return what each method makes of the carriers at a row that it has just stepped in time; None where it failed."""
-    levels = {runner.method: runner.carrier_levels() for runner in runners if runner.is_running}
-    return tuple(
-        None
-        if (known := levels[row.method]) is None or "internal_error" in row.inhibitions
-        # a method that failed knows the row before
-        else _of_row(known, row, measurement, plan)
-        for row in rows
-    )
+    """Return what each method makes of the carriers at a row in time; None where it failed."""
+    return tuple(None if each.levels is None else _of_row(each.levels, each.row, measurement, plan) for each in rows)
 
 
 def _of_row(levels: CarrierLevels, row: AttitudeRow, measurement: Measurement, plan: CarrierPlan) -> CarrierResults:

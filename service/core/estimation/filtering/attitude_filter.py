@@ -15,6 +15,7 @@ from service.core.estimation.filtering.plant import FilterModel
 from service.core.estimation.filtering.prediction import hidden_states
 from service.core.estimation.filtering.row_block import (
     LOST,
+    BlockResult,
     RowTrace,
     empty_block,
     empty_result,
@@ -108,24 +109,29 @@ def step(
         write_declared(model, block, 0, declared)
     trace = empty_trace(states, hidden_states(model, states), carriers) if is_traced else None
     after = advance(model, state, block, result, trace)
-    row, carrier = result.rows[0], result.carriers[0]
-    if row["status"] == LOST:
+    if result.rows["status"][0] == LOST:
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
+    return filter_step(after, result, 0, trace)
+
+
+def filter_step(state: FilterState, result: BlockResult, number: int, trace: RowTrace | None = None) -> FilterStep:
+    """Return a row of a block as a record; the state is the one after it."""
+    row, carriers = result.rows[number], result.carriers[number]
     return FilterStep(
-        after,
+        state,
         row["attitude_deg"],
         row["covariance_deg2"],
         row["protection_deg"],
         row["nominal_deg"],
         row["waiting_loss_deg"],
-        carrier["innovation_db"],
-        np.flatnonzero(carrier["is_used"]),
+        carriers["innovation_db"],
+        np.flatnonzero(carriers["is_used"]),
         CAUSES[row["cause"]],
         float(row["chain_db"]),
         float(row["rain_db"]),
         integrity_of(int(row["reasons"]), bool(row["is_yaw_allowed"]), bool(row["is_realignment_advised"])),
-        carrier["residual_db"],
+        carriers["residual_db"],
         not row["has_event"],
         float(row["rain_raised_db"]),
         float(row["rain_variance_db2"]),

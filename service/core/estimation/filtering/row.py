@@ -23,6 +23,8 @@ from service.core.estimation.filtering.anchor import (
 )
 from service.core.estimation.filtering.carrier_watch import (
     MINUTE_US,
+    QUIET_ROWS,
+    QUIET_STD_DB,
     SAME_LEVEL_DB,
     count_row,
     failed,
@@ -55,7 +57,7 @@ from service.core.estimation.filtering.common_cause import (
     suspicion,
     widen_cause,
 )
-from service.core.estimation.filtering.filter_model import ATTITUDE, CHAIN, DRIFT, RAIN, RATE
+from service.core.estimation.filtering.filter_model import ATTITUDE, CHAIN, DRIFT, FIRST_COMMON, RAIN, RATE
 from service.core.estimation.filtering.filter_state import FilterState
 from service.core.estimation.filtering.integrity import assess
 from service.core.estimation.filtering.motion import step_motion
@@ -73,7 +75,7 @@ from service.core.estimation.filtering.motion_watch import (
     push_shift,
     raise_alarms,
 )
-from service.core.estimation.filtering.plant import FilterModel
+from service.core.estimation.filtering.plant import TORQUES, FilterModel
 from service.core.estimation.filtering.prediction import (
     Innovation,
     decay_factors,
@@ -84,11 +86,28 @@ from service.core.estimation.filtering.prediction import (
     update_state,
     widen_declared,
 )
-from service.core.estimation.filtering.row_block import LOST, OLD, TAKEN, BlockResult, RowBlock, RowTrace
+from service.core.estimation.filtering.row_block import (
+    ABSENT,
+    FROZEN,
+    GROUP_MOVED,
+    INTERFERENCE,
+    LOST,
+    MANUAL,
+    NOT_EXCLUDED,
+    OLD,
+    STEPPED,
+    TAKEN,
+    UPLINK_FADE,
+    BlockResult,
+    RowBlock,
+    RowTrace,
+)
 
 MIN_CARRIERS = 4
 #: smallest declared step of an attitude that the watch on motion must not take for its own, deg
 _STEP_DEG = 0.05
+#: fewest rows of a flagged carrier from which its kind of fault is told, and carriers of a transponder that moved
+_INFORMATIVE_ROWS, _MIN_GROUP = QUIET_ROWS // 2, 3
 
 
 class Present(NamedTuple):
@@ -172,7 +191,8 @@ def take_rows(
             residual_db = block.carriers["deviation_db"][number] - site_level_db(model, after.mean)
             result.carriers["residual_db"][number] = residual_db
         assess(model, after, used_count, result.rows[number])
-        status = write_state(after, status, result.rows[number])
+        exclude_carriers(model, after, block, number, result)
+        status = write_state(model, after, status, block.unreported.shape[1], result.rows[number])
         if status == TAKEN:
             newest = 2 if newest == 1 else 1
     return newest
@@ -193,9 +213,9 @@ def begin_result(block: RowBlock, number: int, result: BlockResult) -> None:
     carriers["is_used"][:] = False
 
 
-def write_state(state: FilterState, status: int, found: NDArray[np.void]) -> int:
+def write_state(model: FilterModel, state: FilterState, status: int, shares: int, found: NDArray[np.void]) -> int:
     """Write what a record of `RESULT` says of the state after a row; return what became of the row."""
-    mean = state.mean
+    mean, watch, one = state.mean, state.watch[0], model.plant[0]
     for place in range(len(mean)):
         if not (math.isfinite(mean[place]) and math.isfinite(state.covariance[place, place])):
             status = LOST
@@ -205,8 +225,53 @@ def write_state(state: FilterState, status: int, found: NDArray[np.void]) -> int
         found["drift_deg_h"][axis], found["rate_deg_h"][axis] = mean[DRIFT.start + axis], mean[RATE.start + axis]
         for second in range(3):
             found["covariance_deg2"][axis, second] = state.covariance[axis, second]
-    found["chain_db"], found["rain_db"], found["is_raining"] = mean[CHAIN], mean[RAIN], state.watch["is_raining"][0]
+    found["chain_db"], found["rain_db"], found["is_raining"] = mean[CHAIN], mean[RAIN], watch["is_raining"]
+    first, hidden = FIRST_COMMON + len(model.common), hidden_states(model, len(mean))
+    found["common_db"] = mean[CHAIN] + mean[FIRST_COMMON:first].sum()
+    found["is_followed"] = (watch["followed_minutes"] > 0.0).any()
+    if hidden - shares - one["sensor_states"] >= TORQUES:
+        at = first + shares
+        found["torque_deg_h2"][:] = mean[at : at + TORQUES]
+        found["torque_covariance"][:, :] = state.covariance[at : at + TORQUES, at : at + TORQUES]
     return status
+
+
+def exclude_carriers(model: FilterModel, state: FilterState, block: RowBlock, number: int, result: BlockResult) -> None:
+    """Write why each carrier that a row did not use is out, and the likeliest hypothesis of each."""
+    given, found, carriers = block.carriers[number], result.carriers[number], state.carriers
+    for k in range(len(carriers)):
+        is_asked = not math.isnan(carriers["probability"][k])
+        found["hypothesis"][k] = carriers["hypothesis"][k] + 1 if is_asked else 0
+        if found["is_used"][k]:
+            reason = NOT_EXCLUDED
+        elif given["is_masked"][k]:
+            reason = MANUAL
+        elif given["is_frozen"][k]:
+            reason = FROZEN
+        elif math.isnan(given["deviation_db"][k]):
+            reason = ABSENT
+        else:
+            reason = _fault(model, state, k, found["residual_db"][k])
+        found["exclusion"][k] = reason
+
+
+def _fault(model: FilterModel, state: FilterState, k: int, residual_db: float) -> int:
+    """Return what is wrong with a carrier that is there and not in use."""
+    if state.carriers["is_flagged"][k]:
+        members, flagged = 0, 0
+        for other in range(len(state.carriers)):
+            if model.carriers["transponder"][other] == model.carriers["transponder"][k]:
+                members += 1
+                flagged += 1 if state.carriers["is_flagged"][other] else 0
+        if members >= _MIN_GROUP and flagged == members:
+            return GROUP_MOVED
+        seen_db = state.aside_db[:, k]
+        seen_db = seen_db[np.isfinite(seen_db)]
+        if len(seen_db) >= _INFORMATIVE_ROWS:
+            if seen_db.std() < QUIET_STD_DB:
+                return STEPPED
+            residual_db = seen_db.mean()
+    return UPLINK_FADE if residual_db < 0.0 else INTERFERENCE
 
 
 def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: int, trace: RowTrace) -> Present:
@@ -428,7 +493,7 @@ def close_row(
     used: Used,
     result: BlockResult,
 ) -> tuple[bool, bool]:
-    """Learn from a row, in place: noise, flagged carriers, rain, anchor and drift; write what is left of the deviations.
+    """Learn from a row, in place: noise, flagged carriers, rain, anchor and drift; write what the deviations leave.
 
     Return whether the references of the alignment are to be asked, and whether what is left is to be written anew.
     """

@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 from service.core.arrays import FloatArray
 from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import KnownMotion
-from service.core.estimation.filtering.plant import FilterModel
+from service.core.estimation.filtering.plant import TORQUES, FilterModel
 
 #: what became of a row: it moved the state, it was not newer than the state, or its numbers were lost
 TAKEN, OLD, LOST = 0, 1, 2
+
+#: why a carrier is not in use
+EXCLUSIONS = ("", "manual", "frozen", "absent", "group", "step", "uplink_fade", "interference")
+NOT_EXCLUDED, MANUAL, FROZEN, ABSENT, GROUP_MOVED, STEPPED, UPLINK_FADE, INTERFERENCE = range(len(EXCLUSIONS))
 
 #: a row, and what was known of the time before it
 ROW = np.dtype(
@@ -40,6 +44,8 @@ ROW_CARRIER = np.dtype(
     [
         # dB, measured minus reference minus harmonic, NaN = absent
         ("deviation_db", "f8"),
+        # whether its reading stands still, which is why it is absent
+        ("is_frozen", "?"),
         # 1 where rain over the carrier's station is reported, 0 where none is, NaN where nobody says
         ("reported_wet", "f8"),
         # declared operations, as in `Declared`
@@ -79,6 +85,12 @@ RESULT = np.dtype(
         ("chain_db", "f8"),
         ("rain_db", "f8"),
         ("is_raining", "?"),
+        # what all carriers have in common, without rain
+        ("common_db", "f8"),
+        # whether an axis is followed with a wide drift, and the torque that is not fed forward, zero without states
+        ("is_followed", "?"),
+        ("torque_deg_h2", "f8", (TORQUES,)),
+        ("torque_covariance", "f8", (TORQUES, TORQUES)),
     ],
     align=True,
 )
@@ -90,6 +102,10 @@ RESULT_CARRIER = np.dtype(
         # dB, measured minus what attitude, chain, rain and common parts explain; NaN = absent
         ("residual_db", "f8"),
         ("is_used", "?"),
+        # place in `EXCLUSIONS`
+        ("exclusion", "i8"),
+        # likeliest of the hypotheses from 1 on, 0 before an answer
+        ("hypothesis", "i8"),
     ],
     align=True,
 )

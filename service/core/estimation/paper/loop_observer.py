@@ -181,7 +181,7 @@ def predict_estimate(estimate: LoopEstimate, model: LoopModel, epoch_us: int, kn
         1.0,
         math.nan,
         _CALM,
-        False,  # noqa: FBT003 the compiled function knows no arguments by keyword alone
+        False,
     )
     hours = step_us / 3.6e9
     transition, noise = np.eye(ERROR.stop), np.zeros((ERROR.stop, ERROR.stop))

@@ -6,6 +6,7 @@ that a replay can start from any of them. A late row gets a fix of its own and l
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from service.core.estimation.paper.loop_observer import LoopModel, linear_fix, l
 from service.core.estimation.paper.rejection import reject_faded_carriers
 from service.core.geometry.frames import AntennaDirection, station_direction
 from service.pipeline.config import ChainConfig, RobustConfig
-from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
+from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence, MethodRow
 from service.pipeline.estimation.paper.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
 from service.pipeline.estimation.paper.loop_state import (
     LoopState,
@@ -428,6 +429,23 @@ class PaperRunner:
             self._last = (outcome, self._model)
         return outcome.row
 
+    def steps(
+        self,
+        measurements: Sequence[Measurement],
+        plan: CarrierPlan,
+        knowledge: Knowledge,
+        *,
+        is_late: bool,
+        is_catch_up: bool,
+    ) -> list[MethodRow]:
+        """Return the rows of measurements in order; the state moves on unless they are late."""
+        rows = []
+        for each in measurements:
+            row = self.step(each, plan, knowledge, is_late=is_late, is_catch_up=is_catch_up)
+            found = partial(_disturbance, self._state, self._model)
+            rows.append(MethodRow(row) if is_late else MethodRow(row, self.carrier_levels(), found))
+        return rows
+
     @property
     def is_waiting(self) -> bool:
         """Return False: no row is ever taken again."""
@@ -484,12 +502,6 @@ class PaperRunner:
         """Return None: the method has no model of the noise."""
         return None
 
-    def disturbance(self) -> Disturbance | None:
-        """Return the torque that the loop has learned; None where it knows of none."""
-        if self._model is None or self._model.inertia_kg_m2 is None or self._state is None:
-            return None
-        return loop_disturbance(self._state.loop, self._model.loop, self._model.inertia_kg_m2)
-
     def _model_of(self, knowledge: Knowledge) -> tuple[PaperModel | None, CalibratedColumns | None]:
         """Return the model that holds and the order of its carriers."""
         alignment, calibration = knowledge.alignment, knowledge.calibration_for(Method.PAPER)
@@ -501,3 +513,10 @@ class PaperRunner:
         if model is None:
             return None, None
         return model, CalibratedColumns(model.expected.carrier_ids, plan)
+
+
+def _disturbance(state: PaperState | None, model: PaperModel | None) -> Disturbance | None:
+    """Return the torque that the loop has learned; None where it knows of none."""
+    if model is None or model.inertia_kg_m2 is None or state is None:
+        return None
+    return loop_disturbance(state.loop, model.loop, model.inertia_kg_m2)

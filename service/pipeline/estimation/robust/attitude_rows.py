@@ -1,36 +1,34 @@
 """Attitude rows of the robust method, and what they say of readings, torque and telemetry."""
 
-import math
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from service.core.estimation.filtering.attitude_filter import FilterStep
-from service.core.estimation.filtering.carrier_watch import QUIET_ROWS, QUIET_STD_DB
-from service.core.estimation.filtering.declared import Declared
-from service.core.estimation.filtering.filter_model import FilterSettings, common_states
-from service.core.estimation.filtering.filter_state import FilterState
-from service.core.estimation.filtering.motion_sensor import SensorWatch
-from service.core.estimation.filtering.plant import is_pushed, sensor_states
-from service.core.estimation.filtering.rate_sensor import RateWatch
+from service.core.estimation.filtering.filter_model import FilterSettings, Gaussian
+from service.core.estimation.filtering.integrity import REASONS
+from service.core.estimation.filtering.plant import TORQUES
+from service.core.estimation.filtering.polarimeter import polarimeter_advice
 from service.core.estimation.filtering.row import MIN_CARRIERS
-from service.core.estimation.filtering.state_changes import is_torque_seen, sensors_of, torque_states
+from service.core.estimation.filtering.row_block import EXCLUSIONS, BlockResult
+from service.core.estimation.filtering.state_changes import is_torque_seen, sensors_of
 from service.core.estimation.filtering.wheel_momentum import momentum_advice
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
+from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.model import RobustModel
+from service.pipeline.estimation.robust.robust_state import RobustState
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import disturbance_of
 from service.records.catalogue import Method
-from service.records.epoch import US_PER_S
 from service.records.levels.attitude import (
     NO_AXES,
     AttitudeRow,
+    Axes,
     BoolArray,
     Disturbance,
     Exclusion,
     FloatArray,
-    IntArray,
     Status,
     named_axes,
 )
@@ -69,80 +67,169 @@ ADVICE: dict[str, str] = {
 MOTION_ADVICE = tuple(
     code for code in ADVICE if code.startswith(("momentum_", "rates_", "polarimeter_")) and code != "rates_in_loop"
 )
-#: fewest rows of a flagged carrier from which its kind of fault is told
-_INFORMATIVE_ROWS = QUIET_ROWS // 2
-_MIN_GROUP = 3
 
 
-class Fixed(NamedTuple):
-    """A filtered row before it is put into words."""
-
-    announced: FilterStep
-    #: (N,) dB
-    deviation_db: FloatArray
-    #: (N,) carriers whose reading stands still
-    is_frozen: BoolArray
-    #: (3,) deg/s
-    rates_deg_s: FloatArray
-    declared: Declared | None
-    #: whether the ephemeris does not reach the row
-    is_without_ephemeris: bool
-    #: (N,) dB, beside attitude and common level
-    residual_db: FloatArray
-
-
-def filtered_row(
-    measurement: Measurement,
+def filtered_rows(
+    measurements: Sequence[Measurement],
     model: RobustModel,
-    fixed: Fixed,
+    knowledge: Knowledge,
+    state: RobustState,
+    result: BlockResult,
+    is_without_orbit: BoolArray,
     *,
     is_catch_up: bool,
-    has_inhibiting_operation: bool,
-    is_thrusting_undeclared: bool,
-    range_deg: float,
-    given: dict[str, bool],
-) -> AttitudeRow:
-    """Return the archive's row of one step of the filter."""
-    announced = fixed.announced
+    config: ChainConfig,
+) -> list[AttitudeRow]:
+    """Return the archive's rows of a block of the filter; the state is that before the block.
+
+    `is_without_orbit` (T,) says which rows the ephemeris does not reach.
+    """
+    rows, carriers = result.rows, result.carriers
+    rates_deg_s = _rates_deg_s(rows, model.settings.coupling_per_h)
+    sigma_deg = np.sqrt(np.diagonal(rows["covariance_deg2"], axis1=1, axis2=2))
+    used = np.count_nonzero(carriers["is_used"], axis=1)
+    residual_db = np.where(carriers["is_used"] & np.isfinite(carriers["residual_db"]), carriers["residual_db"], 0.0)
+    rms_db = _rms(residual_db, carriers["is_used"] & np.isfinite(carriers["residual_db"]))
+    figures = zip(
+        measurements,
+        rows["attitude_deg"].tolist(),
+        sigma_deg.tolist(),
+        rates_deg_s.tolist(),
+        used.tolist(),
+        rows["is_raining"].tolist(),
+        rows["rain_db"].tolist(),
+        rows["common_db"].tolist(),
+        rms_db.tolist(),
+        rows["protection_deg"].tolist(),
+        rows["nominal_deg"].tolist(),
+        rows["waiting_loss_deg"].tolist(),
+        rows["reasons"].tolist(),
+        rows["is_yaw_allowed"].tolist(),
+        is_without_orbit.tolist(),
+        strict=True,
+    )
+    whole = int(np.count_nonzero(model.is_used))
+    made = []
+    for number, (
+        measurement,
+        attitude_deg,
+        sigma,
+        rates,
+        count,
+        is_raining,
+        rain_db,
+        common_db,
+        rms,
+        protection_deg,
+        nominal_deg,
+        loss_deg,
+        reasons,
+        is_yaw_allowed,
+        is_lost,
+    ) in enumerate(figures):
+        is_beyond = max(abs(attitude_deg[1]), abs(attitude_deg[2])) > config.interlock.model_range_deg
+        inhibitions = _inhibitions(knowledge, measurement.epoch_us, reasons, is_catch_up, is_beyond, is_lost)
+        made.append(
+            AttitudeRow(
+                epoch_us=measurement.epoch_us,
+                received_at_us=measurement.received_at_us,
+                number=measurement.number,
+                method=Method.ROBUST,
+                attitude_deg=Axes(*attitude_deg),
+                sigma_deg=Axes(*sigma),
+                rates_deg_s=Axes(*rates),
+                status=Status.ACQUIRED if count >= MIN_CARRIERS else Status.EXPIRED,
+                control_allowed=not inhibitions,
+                control_allowed_axes=NO_AXES if inhibitions else (is_yaw_allowed, True, True),
+                inhibitions=inhibitions,
+                carriers_used=count,
+                excluded=() if count == whole else _exclusions(model, carriers[number]),
+                downlink_fade=is_raining,
+                downlink_fade_db=rain_db if is_raining else 0.0,
+                common_db=common_db,
+                residual_rms_db=rms,
+                calibration_id=model.calibration_id,
+                alignment_id=model.alignment_id,
+                protection_deg=Axes(*protection_deg),
+                nominal_protection_deg=Axes(*nominal_deg),
+                waiting_loss_deg=Axes(*loss_deg),
+                advice=_advice(model, knowledge, state, rows[number], measurement.epoch_us),
+            )
+        )
+    return made
+
+
+def _rates_deg_s(rows: NDArray[np.void], coupling_per_h: float) -> FloatArray:
+    """Return the rates (T, 3) of yaw, roll and pitch that attitude, drift and commanded rate imply, deg/s."""
+    rates_deg_h = rows["drift_deg_h"] + rows["rate_deg_h"]
+    rates_deg_h[:, 0] -= coupling_per_h * rows["attitude_deg"][:, 1]
+    rates_deg_h[:, 1] += coupling_per_h * rows["attitude_deg"][:, 0]
+    return np.asarray(rates_deg_h / 3600.0)
+
+
+def _rms(values: FloatArray, is_there: BoolArray) -> FloatArray:
+    """Return the root mean square (T,) of the values (T, N) that are there, NaN where none is."""
+    total, count = np.zeros(len(values)), np.count_nonzero(is_there, axis=1)
+    # carrier by carrier: the same bits for any number of rows
+    for column in values.T:
+        total += column**2
+    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+
+
+def _inhibitions(
+    knowledge: Knowledge,
+    epoch_us: int,
+    reasons: int,
+    is_catch_up: bool,  # noqa: FBT001
+    is_beyond: bool,  # noqa: FBT001
+    is_without_orbit: bool,  # noqa: FBT001
+) -> tuple[str, ...]:
+    """Return what stands against control, in the usual order."""
+    is_declared = bool(knowledge.operations) and bool(knowledge.inhibiting_operations(epoch_us))
+    is_thrusting = bool(knowledge.thrusters) and knowledge.is_thrusting_undeclared(epoch_us)
+    if not (reasons or is_catch_up or is_beyond or is_declared or is_thrusting or is_without_orbit):
+        return ()
+    standing = {REASONS[place] for place in range(len(REASONS)) if reasons >> place & 1}
     conditions = {
         "catch_up": is_catch_up,
-        "operation": has_inhibiting_operation,
-        "undeclared_operation": is_thrusting_undeclared,
-        "no_ephemeris": fixed.is_without_ephemeris,
-        "beyond_validity": max(map(abs, announced.attitude_deg[1:].tolist())) > range_deg,
+        "operation": is_declared,
+        "undeclared_operation": is_thrusting,
+        "no_ephemeris": is_without_orbit,
+        "beyond_validity": is_beyond,
     }
-    standing = {*announced.integrity.reasons, *(reason for reason, stands in conditions.items() if stands)}
-    # whatever the filter holds against control stands, in the usual order where it has one
-    in_order = (*INHIBITIONS, *announced.integrity.reasons) if standing else ()
-    inhibitions = tuple(dict.fromkeys(one for one in in_order if one in standing))
-    advice = {"realign": announced.integrity.is_realignment_advised, **given}
-    is_raining = bool(announced.state.watch["is_raining"][0])
-    common = announced.state.mean[common_states(model.filter)]
-    return AttitudeRow(
-        epoch_us=measurement.epoch_us,
-        received_at_us=measurement.received_at_us,
-        number=measurement.number,
-        method=Method.ROBUST,
-        attitude_deg=named_axes(announced.attitude_deg),
-        sigma_deg=named_axes(np.sqrt(announced.covariance_deg2.diagonal())),
-        rates_deg_s=named_axes(fixed.rates_deg_s),
-        status=Status.ACQUIRED if len(announced.used) >= MIN_CARRIERS else Status.EXPIRED,
-        control_allowed=not inhibitions,
-        control_allowed_axes=NO_AXES if inhibitions else announced.integrity.is_axis_allowed,
-        inhibitions=inhibitions,
-        carriers_used=len(announced.used),
-        excluded=_exclusions(model, fixed),
-        downlink_fade=is_raining,
-        downlink_fade_db=float(announced.rain_db) if is_raining else 0.0,
-        common_db=float(announced.common_db + common.sum()),
-        residual_rms_db=_rms(fixed.residual_db[announced.used]),
-        calibration_id=model.calibration_id,
-        alignment_id=model.alignment_id,
-        protection_deg=named_axes(announced.protection_deg),
-        nominal_protection_deg=named_axes(announced.nominal_deg),
-        waiting_loss_deg=named_axes(announced.waiting_loss_deg),
-        advice=tuple(code for code, is_given in advice.items() if is_given),
+    standing |= {reason for reason, stands in conditions.items() if stands}
+    return tuple(reason for reason in INHIBITIONS if reason in standing)
+
+
+def _advice(
+    model: RobustModel, knowledge: Knowledge, state: RobustState, row: np.void, epoch_us: int
+) -> tuple[str, ...]:
+    """Return what the operator should do while control goes on."""
+    is_shown = model.is_torque_unknown and _is_torque_shown(row)
+    given = {"realign": bool(row["is_realignment_advised"]), "state_torque": is_shown}
+    if model.has_sensors or model.contradicted or model.is_rate_in_loop:
+        since_us, is_used = state.commanded.since_us, model.settings.momentum is not None
+        given |= dict.fromkeys(sorted(model.contradicted), True)
+        given |= momentum_advice(state.momentum, since_us, epoch_us, is_used=is_used)
+        given["rates_refused"] = state.rates.is_refused
+        given["rates_in_loop"] = model.is_rate_in_loop and knowledge.has_rate(epoch_us)
+        given |= polarimeter_advice(state.polarimeters, epoch_us)
+    return tuple(code for code, is_given in given.items() if is_given)
+
+
+def _is_torque_shown(row: np.void) -> bool:
+    """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
+    covariance = row["torque_covariance"]
+    is_known = bool(covariance.any())
+    return bool(row["is_followed"]) or (
+        is_known and is_torque_seen(Gaussian(row["torque_deg_h2"], covariance), slice(0, TORQUES))
     )
+
+
+def _exclusions(model: RobustModel, carriers: NDArray[np.void]) -> tuple[Exclusion, ...]:
+    """Return the carriers of the method that did not enter, each with its reason."""
+    is_out = np.flatnonzero(model.is_used & ~carriers["is_used"])
+    return tuple(Exclusion(model.carrier_ids[k], EXCLUSIONS[carriers["exclusion"][k]]) for k in is_out)
 
 
 def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, is_absent: BoolArray) -> AttitudeRow:
@@ -172,139 +259,21 @@ def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, 
         downlink_fade=False,
         downlink_fade_db=0.0,
         common_db=float(fixes.common_db[0]),
-        residual_rms_db=_rms(fixes.residual_db[0][used]),
+        residual_rms_db=float(_rms(fixes.residual_db, used[None, :] & np.isfinite(fixes.residual_db))[0]),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
     )
 
 
-def _exclusions(model: RobustModel, fixed: Fixed) -> tuple[Exclusion, ...]:
-    """Return the carriers of the method that did not enter, each with its reason."""
-    if len(fixed.announced.used) == np.count_nonzero(model.is_used):
-        return ()
-    is_out = model.is_used.copy()
-    is_out[fixed.announced.used] = False
-    moved = _moved_groups(model, fixed)
-    return tuple(Exclusion(model.carrier_ids[k], _reason(model, fixed, moved, int(k))) for k in np.flatnonzero(is_out))
-
-
-def _reason(model: RobustModel, fixed: Fixed, moved: set[int], k: int) -> str:
-    """Return why one carrier is out."""
-    is_flagged, aside_db = fixed.announced.state.carriers["is_flagged"], fixed.announced.state.aside_db
-    if fixed.declared is not None and fixed.declared.is_masked[k]:
-        return "manual"
-    if fixed.is_frozen[k]:
-        return "frozen"
-    if np.isnan(fixed.deviation_db[k]):
-        return "absent"
-    if is_flagged[k] and int(model.filter.transponder[k]) in moved:
-        return "group"
-    seen_db = aside_db[:, k]
-    seen_db = seen_db[np.isfinite(seen_db)]
-    if is_flagged[k] and len(seen_db) >= _INFORMATIVE_ROWS:
-        if float(seen_db.std()) < QUIET_STD_DB:
-            return "step"
-        return "uplink_fade" if float(seen_db.mean()) < 0.0 else "interference"
-    return "uplink_fade" if fixed.residual_db[k] < 0.0 else "interference"
-
-
-def _moved_groups(model: RobustModel, fixed: Fixed) -> set[int]:
-    """Return the transponders all of whose carriers are flagged."""
-    flagged, labels = fixed.announced.state.carriers["is_flagged"], model.filter.transponder
-    return {
-        int(label)
-        for label in np.unique(labels[flagged])
-        if flagged[labels == label].all() and np.count_nonzero(labels == label) >= _MIN_GROUP
-    }
-
-
-def _rms(values: FloatArray) -> float:
-    """Return the root mean square of the figures that are there, NaN when there are none."""
-    present = values[np.isfinite(values)]
-    return math.sqrt(float(present @ present) / len(present)) if len(present) else math.nan
-
-
-#: rows of one reading, and how long they last, from which it is frozen
-_ROWS = 20
-_LASTING_US = 20 * 60 * US_PER_S
-#: least change of a reading, dB, from which it is coarse, how fast small changes of before are forgotten, and the one
-#: before the first, so that six readings far apart make a carrier coarse: two are a fade or a step
-_COARSE_DB, _FORGETTING, _BEFORE_DB = 0.4, 1.05, 0.3
-
-
-class LastReadings(NamedTuple):
-    """Last reading of N carriers, how many rows it has lasted, and since when."""
-
-    #: (N,) dBm, NaN = never read
-    power_dbm: FloatArray
-    #: (N,)
-    rows: IntArray
-    #: (N,) microseconds UTC
-    since_us: IntArray
-    #: (N,) dB, least change of the last hundred or so
-    least_change_db: FloatArray
-
-
-def no_readings(carriers: int) -> LastReadings:
-    """Return the readings before the first row."""
-    zeros = np.zeros(carriers, dtype=np.int64)
-    return LastReadings(np.full(carriers, np.nan), zeros, zeros, np.full(carriers, _BEFORE_DB))
-
-
-def push_readings(readings: LastReadings, power_dbm: FloatArray, epoch_us: int) -> LastReadings:
-    """Return the readings after a row (N,); a carrier that is absent keeps its last one."""
-    is_there = np.isfinite(power_dbm)
-    is_new = is_there & (power_dbm != readings.power_dbm)
-    change_db = np.where(is_new, np.abs(power_dbm - readings.power_dbm), np.nan)
-    least_db = np.where(is_new, _FORGETTING * readings.least_change_db, readings.least_change_db)
-    return LastReadings(
-        np.where(is_there, power_dbm, readings.power_dbm),
-        np.where(is_new, 1, readings.rows + is_there),
-        np.where(is_new, epoch_us, readings.since_us),
-        np.fmin(least_db, change_db),
-    )
-
-
-def frozen(readings: LastReadings, epoch_us: int) -> BoolArray:
-    """Return which carriers (N,) have shown one reading for too long, or move in steps that are too large."""
-    is_lasting = (readings.rows >= _ROWS) & (epoch_us - readings.since_us >= _LASTING_US)
-    return np.asarray(is_lasting | (readings.least_change_db >= _COARSE_DB))
-
-
-def is_torque_shown(state: FilterState, model: RobustModel, shares: int) -> bool:
-    """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
-    positions = torque_states(model.filter, len(state.mean), shares, sensor_states(model.settings))
-    is_followed = bool((state.watch["followed_minutes"] > 0.0).any())
-    return is_followed or (positions is not None and is_torque_seen(state.gaussian, positions))
-
-
-def known_disturbance(state: FilterState, model: RobustModel, shares: int) -> Disturbance | None:
-    """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
-    gaussian, epoch_us = state.gaussian, state.epoch_us
-    positions = torque_states(model.filter, len(gaussian.mean), shares, sensor_states(model.settings))
-    if positions is None or model.inertia_kg_m2 is None or not is_pushed(model.settings):
+def known_disturbance(
+    torque_deg_h2: FloatArray, covariance: FloatArray, model: RobustModel, epoch_us: int
+) -> Disturbance | None:
+    """Return the torque that acts without being fed forward, its phase zero at an epoch; None = there is none."""
+    if model.inertia_kg_m2 is None or not model.is_pushed:
         return None
-    return disturbance_of(
-        gaussian.mean[positions],
-        gaussian.covariance[positions, positions],
-        model.settings,
-        model.inertia_kg_m2,
-        epoch_us,
-    )
+    return disturbance_of(torque_deg_h2, covariance, model.settings, model.inertia_kg_m2, epoch_us)
 
 
 def torque_of(settings: FilterSettings) -> tuple[object, ...]:
     """Return what the states of torque and sensors begin with."""
     return settings.torque_deg_h2, settings.fed_forward, *sensors_of(settings)
-
-
-def telemetry_advice(
-    model: RobustModel, knowledge: Knowledge, momentum: SensorWatch, rates: RateWatch, since_us: int, epoch_us: int
-) -> dict[str, bool]:
-    """Return which advice is given at an epoch of a filter that began at another."""
-    return {
-        **dict.fromkeys(sorted(model.contradicted), True),
-        **momentum_advice(momentum, since_us, epoch_us, is_used=model.settings.momentum is not None),
-        "rates_refused": rates.is_refused,
-        "rates_in_loop": model.is_rate_in_loop and knowledge.has_rate(epoch_us),
-    }

@@ -5,25 +5,29 @@ state alone. Without an ephemeris that reaches the row, or with fewer than four 
 on with an honest sigma, and control waits.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import FilterStep, step
-from service.core.estimation.filtering.declared import Declared
-from service.core.estimation.filtering.filter_model import (
-    FREE_REFERENCE_DB2,
-    KnownMotion,
-    initial_gaussian,
-    no_motion,
-    rates_deg_h,
-)
-from service.core.estimation.filtering.filter_state import FilterState, start
+from service.core.estimation.filtering.advance import advance
+from service.core.estimation.filtering.attitude_filter import filter_step
+from service.core.estimation.filtering.filter_model import FREE_REFERENCE_DB2, hidden_count, initial_gaussian
+from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.motion_sensor import SensorWatch
-from service.core.estimation.filtering.polarimeter import polarimeter_advice
+from service.core.estimation.filtering.plant import TORQUES
 from service.core.estimation.filtering.prediction import site_level_db
-from service.core.estimation.filtering.rate_sensor import RateWatch, fresh_rates
+from service.core.estimation.filtering.rate_sensor import fresh_rates
+from service.core.estimation.filtering.readings import frozen_readings, no_readings, standing_readings
+from service.core.estimation.filtering.row_block import (
+    LOST,
+    RowBlock,
+    empty_block,
+    empty_result,
+    empty_trace,
+    write_declared,
+    write_known,
+)
 from service.core.estimation.filtering.state_changes import (
     carry_over,
     sensors_of,
@@ -35,19 +39,9 @@ from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CarrierLevels
-from service.pipeline.estimation.robust.attitude_rows import (
-    Fixed,
-    LastReadings,
-    filtered_row,
-    frozen,
-    is_torque_shown,
-    late_row,
-    no_readings,
-    push_readings,
-    telemetry_advice,
-    torque_of,
-)
+from service.pipeline.estimation.robust.attitude_rows import filtered_rows, late_row, torque_of
 from service.pipeline.estimation.robust.model import RobustModel, signals
+from service.pipeline.estimation.robust.robust_state import RobustState, RobustStep
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
 from service.pipeline.inputs.knowledge import Knowledge
@@ -55,40 +49,8 @@ from service.pipeline.inputs.known_motion import CommandedMotion, consume
 from service.pipeline.inputs.sensor_angles import usual_sigma_deg
 from service.records.calibration import Alignment
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow, FloatArray
+from service.records.levels.attitude import FloatArray
 from service.records.levels.measurement import Measurement
-
-
-@dataclass(frozen=True)
-class RobustState:
-    """State of the robust method between two rows."""
-
-    filter: FilterState
-    commanded: CommandedMotion
-    readings: LastReadings
-    #: effect of each unreported command, by counter; one share each in the filter's state
-    released: tuple[tuple[int, CommandedMotion], ...] = ()
-    #: source of the newest row, None before the first
-    source: str | None = None
-    #: judgement of the records of wheel momentum
-    momentum: SensorWatch = field(default_factory=SensorWatch)
-    #: judgement of the records of the rate of the body
-    rates: RateWatch = field(default_factory=fresh_rates)
-    #: judgement of the angles of each polarimeter
-    polarimeters: tuple[SensorWatch, ...] = ()
-
-
-class RobustStep(NamedTuple):
-    """One row's outcome and the state after it."""
-
-    row: AttitudeRow
-    #: (N,) dBm and dB
-    expected_dbm: FloatArray
-    deviation_db: FloatArray
-    residual_db: FloatArray
-    state: RobustState
-    #: whether nothing was found or declared, so that compiled stages carried the row
-    is_ordinary: bool = True
 
 
 def initial_state(
@@ -142,111 +104,135 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
 
 def carrier_levels(found: RobustStep, model: RobustModel) -> CarrierLevels:
     """Return the figures of the carriers in the outcome of a row; they are not copied."""
-    carriers = found.state.filter.carriers
-    hypothesis = np.where(np.isnan(carriers["probability"]), 0, carriers["hypothesis"] + 1)
-    figures_db = (found.deviation_db, found.residual_db, model.filter.sigma_db)
-    return CarrierLevels(model.carrier_ids, *figures_db, model.is_used, hypothesis)
+    figures_db = (found.deviation_db, found.residual_db, model.sigma_db)
+    return CarrierLevels(model.carrier_ids, *figures_db, model.is_used, found.hypothesis)
 
 
-def step_robust(
+def step_late(state: RobustState, model: RobustModel, measurement: Measurement, power_dbm: FloatArray) -> RobustStep:
+    """Return the outcome of a row that is late: the fix of the row alone; the state stays."""
+    expected_dbm = model.expected_rows_dbm(np.array([measurement.epoch_us], dtype=np.int64))
+    is_frozen = standing_readings(state.readings, measurement.epoch_us)
+    deviation_db = _deviations_db(state, model, np.where(is_frozen, np.nan, power_dbm[None, :]), expected_dbm)
+    fixes = _snapshot(model, deviation_db[0])
+    row = late_row(measurement, model, fixes, is_absent=np.isnan(deviation_db[0]))
+    return RobustStep(
+        row,
+        expected_dbm[0],
+        deviation_db[0],
+        fixes.residual_db[0],
+        state,
+        np.zeros(len(model.carrier_ids), dtype=np.int64),
+        np.zeros(TORQUES),
+        np.zeros((TORQUES, TORQUES)),
+    )
+
+
+def take_rows(
     state: RobustState,
     model: RobustModel,
     knowledge: Knowledge,
-    measurement: Measurement,
+    measurements: Sequence[Measurement],
     power_dbm: FloatArray,
     *,
-    is_late: bool,
     is_catch_up: bool,
     config: ChainConfig,
     recorder: RowRecorder | None = None,
-) -> RobustStep:
-    """Take one row whose powers stand in the calibration's order and return its outcome and the next state.
+) -> list[RobustStep]:
+    """Take rows in time in order, whose powers (T, N) stand in the calibration's order; return their outcomes.
 
-    A recorder keeps what the filter did to the state; it changes no bit.
+    The state before rows that a recorder keeps, or whose levels depend on it, is that of one row: those are taken alone
+    (`taken_alone`). A recorder changes no bit.
+
+    Raises
+    ------
+    ArithmeticError
+        The numbers of the filter were lost in a row; the state is as before the first.
     """
-    expected_dbm = model.expected_dbm(measurement.epoch_us)
-    readings = state.readings if is_late else push_readings(state.readings, power_dbm, measurement.epoch_us)
-    is_frozen = frozen(readings, measurement.epoch_us)
-    deviation_db = _deviation_db(state, model, np.where(is_frozen, np.nan, power_dbm), expected_dbm)
-    if is_late:
-        return _late_step(state, model, measurement, expected_dbm, deviation_db)
-    known, commanded = consume(state.commanded, state.filter.epoch_us, measurement.epoch_us)
-    unreported, released = _unreported(state.released, state.filter.epoch_us, measurement.epoch_us)
-    declared = _declared(state, model, knowledge, measurement, config)
-    if released:
-        known = known._replace(unreported=unreported)
-    if state.rates.is_measured:
-        # the measured rate holds all of it
-        known = no_motion()
-    found = _filtered(state, model, knowledge, measurement.epoch_us, deviation_db, known, declared, recorder)
-    is_without_orbit = not np.isfinite(expected_dbm).any()
-    residual_db = found.residual_db
-    rates = rates_deg_h(found.state.mean, model.settings.coupling_per_h) / 3600.0
-    fixed = Fixed(found, deviation_db, is_frozen, rates, declared, is_without_orbit, residual_db)
-    row = filtered_row(
-        measurement,
-        model,
-        fixed,
-        is_catch_up=is_catch_up,
-        has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
-        is_thrusting_undeclared=knowledge.is_thrusting_undeclared(measurement.epoch_us),
-        range_deg=config.interlock.model_range_deg,
-        given={
-            "state_torque": model.is_torque_unknown and is_torque_shown(found.state, model, len(released)),
-            **telemetry_advice(
-                model, knowledge, state.momentum, state.rates, state.commanded.since_us, measurement.epoch_us
-            ),
-            **polarimeter_advice(state.polarimeters, measurement.epoch_us),
-        },
-    )
+    count, carriers = power_dbm.shape
+    epochs_us = np.array([each.epoch_us for each in measurements], dtype=np.int64)
+    expected_dbm = model.expected_rows_dbm(epochs_us)
+    readings, is_frozen = frozen_readings(state.readings, epochs_us, power_dbm)
+    block, result = empty_block(count, carriers, len(state.released)), empty_result(count, carriers)
+    block.rows["epoch_us"], block.carriers["is_frozen"] = epochs_us, is_frozen
+    deviation_db = _deviations_db(state, model, np.where(is_frozen, np.nan, power_dbm), expected_dbm)
+    block.carriers["deviation_db"] = deviation_db
+    commanded, released = _write_inputs(state, model, knowledge, measurements, block, config)
+    trace = None if recorder is None else empty_trace(*_sizes(model, state), carriers)
+    after = advance(model.arrays, state.filter, block, result, trace)
+    if (result.rows["status"] == LOST).any():
+        message = "the filter lost its numbers; the state before this row is kept"
+        raise ArithmeticError(message)
+    if recorder is not None and trace is not None:
+        recorder.push(model, state.filter, filter_step(after, result, 0, trace))
     watches = state.momentum, state.rates, state.polarimeters
-    after = RobustState(found.state, commanded, readings, released, measurement.source, *watches)
-    return RobustStep(row, expected_dbm, deviation_db, residual_db, after, found.is_ordinary)
+    last = RobustState(after, commanded, readings, released, measurements[-1].source, *watches)
+    is_without_orbit = np.asarray(~np.isfinite(expected_dbm).any(axis=1))
+    rows = filtered_rows(
+        measurements, model, knowledge, state, result, is_without_orbit, is_catch_up=is_catch_up, config=config
+    )
+    found = result.carriers
+    return [
+        RobustStep(
+            rows[number],
+            expected_dbm[number],
+            deviation_db[number],
+            found["residual_db"][number],
+            last,
+            found["hypothesis"][number],
+            result.rows["torque_deg_h2"][number],
+            result.rows["torque_covariance"][number],
+            not result.rows["has_event"][number],
+        )
+        for number in range(count)
+    ]
 
 
-def _filtered(
+def taken_alone(state: RobustState, model: RobustModel, recorder: RowRecorder | None) -> bool:
+    """Return whether each row must be taken by itself: something looks at the state between two rows."""
+    return bool(model.has_sensors or model.groups or state.released or recorder is not None)
+
+
+def _write_inputs(
     state: RobustState,
     model: RobustModel,
     knowledge: Knowledge,
-    epoch_us: int,
-    deviation_db: FloatArray,
-    known: KnownMotion,
-    declared: Declared | None,
-    recorder: RowRecorder | None,
-) -> FilterStep:
-    """Return the filter after a row; ArithmeticError where its numbers are lost."""
-    found = step(
-        model.arrays,
-        state.filter,
-        epoch_us,
-        deviation_db,
-        known,
-        declared=declared,
-        reported_wet=knowledge.reported_wet(model.carrier_ids, epoch_us),
-        is_traced=recorder is not None,
-    )
-    if recorder is not None:
-        recorder.push(model, state.filter, found)
-    return found
+    measurements: Sequence[Measurement],
+    block: RowBlock,
+    config: ChainConfig,
+) -> tuple[CommandedMotion, tuple[tuple[int, CommandedMotion], ...]]:
+    """Write what was commanded, declared and reported before each row; return what is left of commands."""
+    commanded, released, source = state.commanded, state.released, state.source
+    from_us = state.filter.epoch_us
+    operations = knowledge.live_operations(from_us)
+    for number, measurement in enumerate(measurements):
+        to_us = measurement.epoch_us
+        known, commanded = consume(commanded, from_us, to_us)
+        unreported, released = _unreported(released, from_us, to_us)
+        if not state.rates.is_measured:
+            # a measured rate holds all of it
+            write_known(block, number, known._replace(unreported=unreported))
+        declared = declared_between(operations, model.names, from_us, to_us, config.operations)
+        if source is not None and source != measurement.source:
+            # another measuring source is a step of the receiving chain
+            declared = with_chain_step(declared, model.names, config.operations.gain_step_db)
+        if declared is not None:
+            write_declared(model.arrays, block, number, declared)
+        if knowledge.weather and (wet := knowledge.reported_wet(model.carrier_ids, to_us)) is not None:
+            block.carriers["reported_wet"][number] = wet
+        from_us, source = to_us, measurement.source
+    return commanded, released
 
 
-def _late_step(
-    state: RobustState,
-    model: RobustModel,
-    measurement: Measurement,
-    expected_dbm: FloatArray,
-    deviation_db: FloatArray,
-) -> RobustStep:
-    """Return the outcome of a row that is late: the fix of the row alone; the state stays."""
-    fixes = _snapshot(model, deviation_db)
-    row = late_row(measurement, model, fixes, is_absent=np.isnan(deviation_db))
-    return RobustStep(row, expected_dbm, deviation_db, fixes.residual_db[0], state)
+def _sizes(model: RobustModel, state: RobustState) -> tuple[int, int]:
+    """Return the numbers of a state, and the hidden ones among them."""
+    states = len(state.filter.mean)
+    return states, hidden_count(model.filter, states)
 
 
-def _deviation_db(
+def _deviations_db(
     state: RobustState, model: RobustModel, power_dbm: FloatArray, expected_dbm: FloatArray
 ) -> FloatArray:
-    """Return measured minus expected of the carriers used (N,), dB, groups under level control by their differences."""
+    """Return measured minus expected of the carriers used (T, N), dB, groups under level control by differences."""
     deviation_db = np.where(model.is_used, power_dbm - expected_dbm, np.nan)
     if not model.groups:
         return deviation_db
@@ -265,22 +251,6 @@ def _unreported(
         effects[position] = known.correction_deg + known.late_correction_deg + half_h * rate, rate
         left.append((counter, rest))
     return effects, tuple(left)
-
-
-def _declared(
-    state: RobustState, model: RobustModel, knowledge: Knowledge, measurement: Measurement, config: ChainConfig
-) -> Declared | None:
-    """Return the declarations for the step, a change of the measuring source included."""
-    declared = declared_between(
-        knowledge.live_operations(state.filter.epoch_us),
-        model.names,
-        state.filter.epoch_us,
-        measurement.epoch_us,
-        config.operations,
-    )
-    if state.source is None or state.source == measurement.source:
-        return declared
-    return with_chain_step(declared, model.names, config.operations.gain_step_db)
 
 
 def _snapshot(model: RobustModel, deviation_db: FloatArray) -> Snapshots:

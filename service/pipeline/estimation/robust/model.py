@@ -8,7 +8,7 @@ import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import QuadraticResponse, predict_deviation
 from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, RateSensorModel
-from service.core.estimation.filtering.plant import FilterModel, IntegrityLimits, filter_model
+from service.core.estimation.filtering.plant import FilterModel, IntegrityLimits, filter_model, is_pushed
 from service.core.estimation.filtering.rate_sensor import measured_settings
 from service.core.estimation.snapshot.snapshot_steps import subset_orders
 from service.pipeline.carrier_model.expected_level import (
@@ -98,9 +98,28 @@ class RobustModel:
             return self
         return replace(self, settings=measured_settings(self.settings, self.rate_sensor))
 
+    @cached_property
+    def sigma_db(self) -> FloatArray:
+        """Noise (N,) of one row of each carrier, dB."""
+        return self.filter.sigma_db
+
+    @cached_property
+    def has_sensors(self) -> bool:
+        """Whether records of other sensors may change the state between two rows."""
+        return bool(self.settings.momentum or self.settings.polarimeters or self.rate_sensor)
+
+    @cached_property
+    def is_pushed(self) -> bool:
+        """Whether a torque acts that is not fed forward."""
+        return is_pushed(self.settings)
+
     def expected_dbm(self, epoch_us: int) -> FloatArray:
         """Return the level (N,) at zero attitude by calibration, ephemeris and references."""
         return self.level(epoch_us) + self.reference_offset_db
+
+    def expected_rows_dbm(self, epochs_us: IntArray) -> FloatArray:
+        """Return the levels (T, N) of some epochs."""
+        return self.level.rows(epochs_us) + self.reference_offset_db
 
 
 def robust_model(

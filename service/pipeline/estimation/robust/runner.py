@@ -30,19 +30,25 @@ from service.core.estimation.filtering.rate_sensor import HELD_US, commanded_rat
 from service.core.estimation.filtering.state_changes import SHARE_SIGMA, sensors_first, with_share, without_shares
 from service.core.estimation.filtering.wheel_momentum import push_record, with_impossible
 from service.pipeline.config import ChainConfig
-from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
+from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence, MethodRow
 from service.pipeline.estimation.robust.attitude_rows import known_disturbance
 from service.pipeline.estimation.robust.method import (
-    RobustState,
-    RobustStep,
     carried_state,
     carrier_levels,
     initial_state,
-    step_robust,
+    step_late,
+    take_rows,
+    taken_alone,
 )
 from service.pipeline.estimation.robust.model import RobustModel, robust_model
+from service.pipeline.estimation.robust.robust_state import (
+    RobustState,
+    RobustStep,
+    SavedRobust,
+    newest_row,
+    saved_robust,
+)
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.estimation.robust.saved_state import SavedRobust, newest_row, saved_robust
 from service.pipeline.inputs.knowledge import Knowledge, Lookup, records_between
 from service.pipeline.inputs.known_motion import (
     CommandedMotion,
@@ -60,9 +66,9 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, SlowInput, TelemetryRecord
 from service.records.levels.attitude import (
     AppliedCommand,
-    AttitudeRow,
     CarrierState,
     Disturbance,
+    FloatArray,
     Pulse,
     ReleasedCommand,
     ReportedCommand,
@@ -221,26 +227,59 @@ _BIAS_SHARE, _LEAST_N_M_S = 0.5, 1.0
 _LATE_US = 900 * US_PER_S
 
 
-def step_with_record(
+def with_records(
+    state: RobustState, model: RobustModel, knowledge: Knowledge, to_us: int, recorder: RowRecorder | None
+) -> tuple[RobustState, RobustModel]:
+    """Return state and model for a row of an epoch, with the records of wheels, polarimeters and rates that are due."""
+    if not model.has_sensors:
+        return state, model
+    began = state.filter.mean
+    state, of_wheels = with_momenta(state, model, knowledge)
+    state, of_angles = with_polarization(state, model, knowledge)
+    state, model = with_rates(state, model, knowledge, to_us)
+    if recorder is not None:
+        moved = None if model.rate_sensor is None else state.filter
+        recorder.sense(began, (*of_wheels, *of_angles), moved, is_measured=state.rates.is_measured)
+    return state, model
+
+
+def steps_in_time(
     state: RobustState,
     *,
     model: RobustModel,
     knowledge: Knowledge,
-    measurement: Measurement,
-    is_late: bool,
+    measurements: Sequence[Measurement],
+    power_dbm: FloatArray,
+    is_catch_up: bool,
+    config: ChainConfig,
     recorder: RowRecorder | None = None,
-    **inputs: Any,
-) -> RobustStep:
-    """Take the records of wheels, polarimeters and rates that are due, then a row, as `step_robust` does."""
-    if not is_late:
-        began = state.filter.mean
-        state, of_wheels = with_momenta(state, model, knowledge)
-        state, of_angles = with_polarization(state, model, knowledge)
-        state, model = with_rates(state, model, knowledge, measurement.epoch_us)
-        if recorder is not None:
-            moved = None if model.rate_sensor is None else state.filter
-            recorder.sense(began, (*of_wheels, *of_angles), moved, is_measured=state.rates.is_measured)
-    return step_robust(state, model, knowledge, measurement, is_late=is_late, recorder=recorder, **inputs)
+) -> list[RobustStep]:
+    """Take rows in time, whose powers are (T, N), in as few blocks as they need, with the records due before each."""
+    if len(measurements) > 1 and taken_alone(state, model, recorder):
+        steps: list[RobustStep] = []
+        for number, measurement in enumerate(measurements):
+            steps += steps_in_time(
+                steps[-1].state if steps else state,
+                model=model,
+                knowledge=knowledge,
+                measurements=[measurement],
+                power_dbm=power_dbm[number : number + 1],
+                is_catch_up=is_catch_up,
+                config=config,
+                recorder=recorder,
+            )
+        return steps
+    state, model = with_records(state, model, knowledge, measurements[0].epoch_us, recorder)
+    return take_rows(
+        state,
+        model,
+        knowledge,
+        measurements,
+        power_dbm,
+        is_catch_up=is_catch_up,
+        config=config,
+        recorder=recorder,
+    )
 
 
 def with_momenta(
@@ -406,31 +445,40 @@ class RobustRunner:
             self._state = taken(self._state)
             self._applied(taken)
 
-    def step(
-        self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
-    ) -> AttitudeRow:
-        """Return the row of a measurement; the state moves on unless the row is late."""
-        if self._model is None or self._state is None or self._columns is None:
+    def steps(
+        self,
+        measurements: Sequence[Measurement],
+        plan: CarrierPlan,
+        knowledge: Knowledge,
+        *,
+        is_late: bool,
+        is_catch_up: bool,
+    ) -> list[MethodRow]:
+        """Return the rows of measurements in order; the state moves on unless they are late."""
+        model, columns = self._model, self._columns
+        if model is None or self._state is None or columns is None:
             message = "the robust method was stepped without a model"
             raise ValueError(message)
-        consume = partial(
-            step_with_record,
-            model=self._model,
+        power_dbm = np.array([columns.fit_power_dbm(each, plan, _UNFIT) for each in measurements])
+        if is_late:
+            late = [step_late(self._state, model, each, power_dbm[k]) for k, each in enumerate(measurements)]
+            return [MethodRow(each.row) for each in late]
+        take = partial(
+            steps_in_time,
+            model=model,
             knowledge=knowledge,
-            measurement=measurement,
-            power_dbm=self._columns.fit_power_dbm(measurement, plan, _UNFIT),
-            is_late=is_late,
+            measurements=measurements,
+            power_dbm=power_dbm,
             is_catch_up=is_catch_up,
             config=self._config,
             recorder=self.recorder,
         )
-        outcome = consume(self._state)
-        self._state = outcome.state
-        if not is_late:
-            self._last = (outcome, self._model)
-            self.rows_by_kind[outcome.is_ordinary] += 1
-            self._applied(partial(_again, consume))
-        return outcome.row
+        found = take(self._state)
+        self._state, self._last = found[-1].state, (found[-1], model)
+        for each in found:
+            self.rows_by_kind[each.is_ordinary] += 1
+        self._applied(partial(_again, take))
+        return [MethodRow(each.row, carrier_levels(each, model), partial(_disturbance, each, model)) for each in found]
 
     @property
     def is_waiting(self) -> bool:
@@ -493,12 +541,6 @@ class RobustRunner:
             unreported,
         )
 
-    def disturbance(self) -> Disturbance | None:
-        """Return the torque that acts without being fed forward; None where the catalogue states none."""
-        if self._model is None or self._state is None:
-            return None
-        return known_disturbance(self._state.filter, self._model, len(self._state.released))
-
     def _forget(self, before_us: int) -> None:
         """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""
         self._open = {n: kept for n, kept in self._open.items() if kept[0].stop_us > before_us}
@@ -554,9 +596,14 @@ def _as_released(announced: Sequence[tuple[Motion, Spacecraft | None]]) -> list[
     return [next(in_order) if isinstance(each[0], ReportedCommand) else each for each in announced]
 
 
-def _again(consume: Callable[[RobustState], RobustStep], state: RobustState) -> RobustState:
-    """Return the state after a row that is taken again; one that breaks the numbers is left out as ever."""
+def _again(take: Callable[[RobustState], list[RobustStep]], state: RobustState) -> RobustState:
+    """Return the state after rows that are taken again; one that breaks the numbers is left out as ever."""
     try:
-        return consume(state).state
+        return take(state)[-1].state
     except ArithmeticError:
         return state
+
+
+def _disturbance(found: RobustStep, model: RobustModel) -> Disturbance | None:
+    """Return the torque that acts at a row without being fed forward; None where the catalogue states none."""
+    return known_disturbance(found.torque_deg_h2, found.torque_covariance, model, found.row.epoch_us)

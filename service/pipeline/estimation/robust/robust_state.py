@@ -1,0 +1,100 @@
+"""State of the robust method between two rows, the outcome of a row, and both as they are saved and restored."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.estimation.filtering.filter_state import FilterState
+from service.core.estimation.filtering.motion_sensor import SensorWatch
+from service.core.estimation.filtering.rate_sensor import RateWatch, fresh_rates
+from service.pipeline.estimation.robust.model import RobustModel
+from service.pipeline.inputs.known_motion import CommandedMotion
+from service.records.catalogue import Ephemeris
+from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class RobustState:
+    """State of the robust method between two rows."""
+
+    filter: FilterState
+    commanded: CommandedMotion
+    #: (N,) of `READING`
+    readings: NDArray[np.void]
+    #: effect of each unreported command, by counter; one share each in the filter's state
+    released: tuple[tuple[int, CommandedMotion], ...] = ()
+    #: source of the newest row, None before the first
+    source: str | None = None
+    #: judgement of the records of wheel momentum
+    momentum: SensorWatch = field(default_factory=SensorWatch)
+    #: judgement of the records of the rate of the body
+    rates: RateWatch = field(default_factory=fresh_rates)
+    #: judgement of the angles of each polarimeter
+    polarimeters: tuple[SensorWatch, ...] = ()
+
+
+class RobustStep(NamedTuple):
+    """One row's outcome and the state after it, or after the last of its block."""
+
+    row: AttitudeRow
+    #: (N,) dBm and dB
+    expected_dbm: FloatArray
+    deviation_db: FloatArray
+    residual_db: FloatArray
+    state: RobustState
+    #: (N,) positions in `CARRIER_HYPOTHESES`
+    hypothesis: IntArray
+    #: (9,) and (9, 9) torque states and their covariance
+    torque_deg_h2: FloatArray
+    torque_covariance: FloatArray
+    #: whether nothing was found or declared
+    is_ordinary: bool = True
+
+
+class SavedRobust(NamedTuple):
+    """State of the method between two rows, and its newest row."""
+
+    state: RobustState
+    #: orbit that held at the alignment
+    aligned_under_id: int | None
+    row: AttitudeRow | None
+    #: (N,) dBm and dB of the newest row, hypotheses of its carriers; empty without one
+    expected_dbm: FloatArray
+    deviation_db: FloatArray
+    residual_db: FloatArray
+    hypothesis: IntArray
+    #: (9,) and (9, 9) torque states and their covariance
+    torque_deg_h2: FloatArray
+    torque_covariance: FloatArray
+
+
+def saved_robust(state: RobustState, aligned_under: Ephemeris | None, last: RobustStep | None) -> SavedRobust:
+    """Return the record of a state, with the newest row if there is one."""
+    under = None if aligned_under is None else aligned_under.id
+    if last is None:
+        nothing = np.zeros(0)
+        return SavedRobust(
+            state, under, None, nothing, nothing, nothing, np.zeros(0, dtype=np.int64), nothing, np.zeros((0, 0))
+        )
+    return SavedRobust(
+        state,
+        under,
+        last.row,
+        last.expected_dbm,
+        last.deviation_db,
+        last.residual_db,
+        last.hypothesis,
+        last.torque_deg_h2,
+        last.torque_covariance,
+    )
+
+
+def newest_row(saved: SavedRobust, model: RobustModel | None) -> tuple[RobustStep, RobustModel] | None:
+    """Return the step that made the newest row, with its model; None without one."""
+    if saved.row is None or model is None:
+        return None
+    levels = saved.expected_dbm, saved.deviation_db, saved.residual_db
+    step = RobustStep(saved.row, *levels, saved.state, saved.hypothesis, saved.torque_deg_h2, saved.torque_covariance)
+    return step, model
