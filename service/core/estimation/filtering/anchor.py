@@ -24,12 +24,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.arrays import FloatArray
-from service.core.estimation.filtering.carrier_watch import set_aside, shift_rows, take_back
+from service.core.arrays import BoolArray, FloatArray, IntArray
+from service.core.estimation.filtering.carrier_watch import ascending, set_aside, shift_rows, take_back
 from service.core.estimation.filtering.filter_model import ATTITUDE
 from service.core.estimation.filtering.filter_state import ANCHOR_MINUTES, FilterState
 from service.core.estimation.filtering.motion_watch import forget_shifts
 from service.core.estimation.filtering.plant import FilterModel
+from service.core.estimation.filtering.prediction import inverse_of
 
 #: combinations kept, the rest among them
 KEPT = 32
@@ -122,53 +123,184 @@ def solve_mixture(
     prior_sigma : ndarray, shape (4,), deg, the last dB
         Error of yaw, roll, pitch and of the shared part before the carriers are asked, one standard deviation.
     """
-    mean_db, variance_db2, log_probability, log_weight = branches
-    regimes, carriers, count = log_probability.shape
     present = np.flatnonzero(np.isfinite(residual_db))
+    regimes, carriers, _ = branches.log_probability.shape
+    size = regimes
+    before, after = _no_combinations(carriers), _no_combinations(carriers)
+    for regime in range(regimes):
+        before.log_weight[regime], before.regime[regime] = branches.regime_log_probability[regime], regime
+        for k in range(4):
+            before.covariance[regime, k, k] = prior_sigma[k] ** 2
+        for carrier in range(carriers):
+            for branch in range(BRANCHES):
+                log_probability = branches.log_probability[regime, carrier, branch]
+                before.share[regime, carrier, branch] = math.exp(log_probability)
     # the surest first: they tell the attitude by which the others are judged
-    order = present[np.argsort(variance_db2[:, DRY][present], kind="mergesort")]
-    regime = np.arange(regimes)
-    mean, covariance = np.zeros((regimes, 4)), np.zeros((regimes, 4, 4))
-    covariance[:] = np.diag(prior_sigma**2)
-    share = np.exp(log_probability).reshape(regimes, carriers * count)
-    for carrier in order:
-        row, before = np.ascontiguousarray(jacobian[carrier]), share
-        across = (covariance.reshape(-1, 4) @ row).reshape(-1, 4)
-        variance = (across @ row).reshape(-1, 1) + variance_db2[carrier]
-        surprise = (residual_db[carrier] - mean @ row).reshape(-1, 1) - mean_db[carrier]
-        weight = log_weight.reshape(-1, 1) + log_probability[:, carrier][regime]
-        candidate = (weight - 0.5 * (np.log(variance) + surprise**2 / variance)).ravel()
-        candidate -= candidate.max()
-        candidate -= math.log(np.exp(candidate).sum())
-        rank = np.argsort(-candidate, kind="mergesort")
-        parent, log_weight = rank // count, candidate[rank]
-        gain = across[parent] / variance.ravel()[rank].reshape(-1, 1)
-        mean = mean[parent] + gain * surprise.ravel()[rank].reshape(-1, 1)
-        covariance = covariance[parent] - gain.reshape(-1, 4, 1) * across[parent].reshape(-1, 1, 4)
-        share, regime = before[parent[:KEPT]], regime[parent]
-        own, first = np.eye(count)[rank - parent * count], carrier * count
-        share[:, first : first + count] = own[:KEPT]
-        if len(rank) > KEPT:
-            rest = KEPT - 1
-            part = np.exp(log_weight[rest:] - log_weight[rest])
-            log_weight[rest] += math.log(part.sum())
-            part /= part.sum()
-            mean[rest], covariance[rest] = merged(part, mean[rest:], covariance[rest:])
-            share[rest] = np.bincount(parent[rest:], part, len(before)) @ before
-            share[rest, first : first + count] = part @ own[rest:]
-            regime[rest] = regime[-1]
-            log_weight, regime, mean, covariance = log_weight[:KEPT], regime[:KEPT], mean[:KEPT], covariance[:KEPT]
-    probability = np.exp(log_weight)
-    by_branch = (probability @ share).reshape(carriers, count)
-    return Mixture(probability, mean[:, :3].copy(), covariance[:, :3, :3].copy(), by_branch)
+    for carrier in present[ascending(branches.variance_db2[:, DRY][present])]:
+        size = _ask_carrier(jacobian[carrier], residual_db[carrier], branches, carrier, before, size, after)
+        before, after = after, before
+    probability, by_branch = np.zeros(size), np.zeros((carriers, BRANCHES))
+    for number in range(size):
+        probability[number] = math.exp(before.log_weight[number])
+        by_branch += probability[number] * before.share[number]
+    mean, covariance = before.mean[:size, :3].copy(), before.covariance[:size, :3, :3].copy()
+    return Mixture(probability, mean, covariance, by_branch)
 
 
-def merged(part: FloatArray, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean (4,) and covariance (4, 4) of combinations (n,) of shares `part`."""
-    middle = part @ mean
-    apart = mean - middle
-    within = part @ np.ascontiguousarray(covariance).reshape(len(part), 16)
-    return middle, within.reshape(4, 4) + (apart * part.reshape(-1, 1)).T @ apart
+class _Combinations(NamedTuple):
+    """Combinations of branches of the carriers asked so far, `KEPT` at the most, the likeliest first."""
+
+    log_weight: FloatArray
+    regime: IntArray
+    mean: FloatArray
+    covariance: FloatArray
+    #: (K, N, B) probability of each branch
+    share: FloatArray
+
+
+def _no_combinations(carriers: int) -> _Combinations:
+    return _Combinations(
+        np.zeros(KEPT),
+        np.zeros(KEPT, dtype=np.int64),
+        np.zeros((KEPT, 4)),
+        np.zeros((KEPT, 4, 4)),
+        np.zeros((KEPT, carriers, BRANCHES)),
+    )
+
+
+def _ask_carrier(
+    row: FloatArray,
+    residual_db: float,
+    branches: Branches,
+    carrier: int,
+    before: _Combinations,
+    size: int,
+    after: _Combinations,
+) -> int:
+    """Write the combinations after one carrier more, and return how many there are; the rest stand last as one."""
+    across, variance, surprise, candidate = _candidates(row, residual_db, branches, carrier, before, size)
+    total = size * BRANCHES
+    greatest = candidate.max()
+    summed = 0.0
+    for place in range(total):
+        summed += math.exp(candidate[place] - greatest)
+    candidate -= greatest + math.log(summed)
+    chosen, is_chosen = _likeliest(candidate, total if total <= KEPT else KEPT - 1)
+    mean, covariance = np.zeros(4), np.zeros((4, 4))
+    for number in range(len(chosen)):
+        place = int(chosen[number])
+        parent, branch = place // BRANCHES, place % BRANCHES
+        _moved(before, parent, across[parent], variance[place], surprise[place], mean, covariance)
+        after.log_weight[number], after.regime[number] = candidate[place], before.regime[parent]
+        after.mean[number], after.covariance[number] = mean, covariance
+        after.share[number] = before.share[parent]
+        after.share[number, carrier] = 0.0
+        after.share[number, carrier, branch] = 1.0
+    if len(chosen) == total:
+        return total
+    _merge_rest(before, after, carrier, candidate, is_chosen, across, variance, surprise)
+    return KEPT
+
+
+def _candidates(
+    row: FloatArray, residual_db: float, branches: Branches, carrier: int, before: _Combinations, size: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return ``P J`` (K, 4) of the combinations, variance and surprise (K B,) of a reading, and log weights (K B,)."""
+    across, variance = np.zeros((size, 4)), np.zeros(size * BRANCHES)
+    surprise, candidate = np.zeros(size * BRANCHES), np.zeros(size * BRANCHES)
+    for number in range(size):
+        seen, left = 0.0, residual_db
+        for i in range(4):
+            for j in range(4):
+                across[number, i] += before.covariance[number, i, j] * row[j]
+            seen += across[number, i] * row[i]
+            left -= before.mean[number, i] * row[i]
+        for branch in range(BRANCHES):
+            place = number * BRANCHES + branch
+            variance[place] = seen + branches.variance_db2[carrier, branch]
+            surprise[place] = left - branches.mean_db[carrier, branch]
+            known = before.log_weight[number] + branches.log_probability[before.regime[number], carrier, branch]
+            unlikely = math.log(variance[place]) + surprise[place] ** 2 / variance[place]
+            candidate[place] = known - 0.5 * unlikely
+    return across, variance, surprise, candidate
+
+
+def _likeliest(candidate: FloatArray, count: int) -> tuple[IntArray, BoolArray]:
+    """Return the places of the greatest of some numbers (M,) in falling order, and which (M,) are among them."""
+    chosen, size = np.zeros(count, dtype=np.int64), 0
+    for place in range(len(candidate)):
+        if size == count and candidate[place] <= candidate[chosen[count - 1]]:
+            continue
+        at = size if size < count else count - 1
+        while at > 0 and candidate[chosen[at - 1]] < candidate[place]:
+            chosen[at] = chosen[at - 1]
+            at -= 1
+        chosen[at] = place
+        size = min(size + 1, count)
+    is_chosen = np.zeros(len(candidate), dtype=np.bool_)
+    for number in range(count):
+        is_chosen[chosen[number]] = True
+    return chosen, is_chosen
+
+
+def _moved(
+    before: _Combinations,
+    parent: int,
+    across: FloatArray,
+    variance: float,
+    surprise: float,
+    mean: FloatArray,
+    covariance: FloatArray,
+) -> None:
+    """Write mean (4,) and covariance (4, 4) of a combination after a reading."""
+    for i in range(4):
+        gain = across[i] / variance
+        mean[i] = before.mean[parent, i] + gain * surprise
+        for j in range(4):
+            covariance[i, j] = before.covariance[parent, i, j] - gain * across[j]
+
+
+def _merge_rest(
+    before: _Combinations,
+    after: _Combinations,
+    carrier: int,
+    candidate: FloatArray,
+    is_chosen: BoolArray,
+    across: FloatArray,
+    variance: FloatArray,
+    surprise: FloatArray,
+) -> None:
+    """Write what was not chosen as one combination, the last: mean and covariance of all of it."""
+    last, greatest, least = KEPT - 1, -math.inf, math.inf
+    for place in range(len(candidate)):
+        if not is_chosen[place]:
+            greatest = max(greatest, candidate[place])
+            if candidate[place] <= least:
+                least, after.regime[last] = candidate[place], before.regime[place // BRANCHES]
+    total, mean, covariance = 0.0, np.zeros(4), np.zeros((4, 4))
+    after.mean[last], after.covariance[last], after.share[last] = 0.0, 0.0, 0.0
+    for place in range(len(candidate)):
+        if not is_chosen[place]:
+            part, parent = math.exp(candidate[place] - greatest), place // BRANCHES
+            total += part
+            _moved(before, parent, across[parent], variance[place], surprise[place], mean, covariance)
+            after.share[last] += part * before.share[parent]
+            for i in range(4):
+                after.mean[last, i] += part * mean[i]
+                for j in range(4):
+                    after.covariance[last, i, j] += part * (covariance[i, j] + mean[i] * mean[j])
+    own = np.zeros(BRANCHES)
+    for place in range(len(candidate)):
+        if not is_chosen[place]:
+            own[place % BRANCHES] += math.exp(candidate[place] - greatest) / total
+    after.log_weight[last] = greatest + math.log(total)
+    after.share[last] /= total
+    after.share[last, carrier] = own
+    after.mean[last] /= total
+    for i in range(4):
+        for j in range(4):
+            second = after.covariance[last, i, j] / total
+            after.covariance[last, i, j] = second - after.mean[last, i] * after.mean[last, j]
 
 
 def mixture_error_deg(mixture: Mixture) -> tuple[FloatArray, FloatArray]:
@@ -303,10 +435,11 @@ def _nominal_levels_deg(
             for i in range(4):
                 for j in range(4):
                     precision[i, j] += jacobian[k, i] * jacobian[k, j] / dry_db2[k]
-    return SIGMAS_OF_RISK * np.sqrt(np.diag(np.linalg.inv(precision))[:3])
+    covariance, _ = inverse_of(precision)
+    return SIGMAS_OF_RISK * np.sqrt(np.diag(covariance)[:3])
 
 
-def _name_hypotheses(state: FilterState, mixture: Mixture, is_there: np.ndarray) -> None:
+def _name_hypotheses(state: FilterState, mixture: Mixture, is_there: BoolArray) -> None:
     """Keep the likeliest hypothesis of each carrier (N,) that was there; the others keep theirs."""
     carriers, epoch_us = state.carriers, state.watch[0]["epoch_us"]
     for k in range(len(carriers)):

@@ -23,7 +23,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.arrays import BoolArray, FloatArray
+from service.core.arrays import BoolArray, FloatArray, IntArray
 from service.core.estimation.filtering.filter_model import FREE_REFERENCE_DB2
 from service.core.estimation.filtering.filter_state import STANDING_ROWS, FilterState
 from service.core.estimation.filtering.plant import FilterModel
@@ -70,6 +70,18 @@ def pushed_minute(total: float, rows: float, value: float) -> tuple[float, float
     if math.isfinite(value):
         total, rows = total + value, rows + 1.0
     return total, rows, total / math.sqrt(rows) if rows > 0.0 else math.nan
+
+
+def ascending(values: FloatArray) -> IntArray:
+    """Return the places of values (n,) in rising order, those of equal ones as they stand."""
+    places = np.arange(len(values))
+    for number in range(1, len(values)):
+        place, at = places[number], number
+        while at > 0 and values[places[at - 1]] > values[place]:
+            places[at] = places[at - 1]
+            at -= 1
+        places[at] = place
+    return places
 
 
 def shift_rows(window: FloatArray) -> None:

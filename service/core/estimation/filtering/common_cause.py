@@ -22,11 +22,11 @@ from enum import StrEnum
 import numpy as np
 
 from service.core.arrays import FloatArray
-from service.core.estimation.filtering.carrier_watch import THRESHOLD, pushed_sum
+from service.core.estimation.filtering.carrier_watch import THRESHOLD, ascending, pushed_sum
 from service.core.estimation.filtering.filter_model import CHAIN, RAIN
 from service.core.estimation.filtering.filter_state import STEADY_ROWS, FilterState
 from service.core.estimation.filtering.plant import FilterModel
-from service.core.estimation.filtering.prediction import Innovation
+from service.core.estimation.filtering.prediction import Innovation, inverse_of
 
 #: causes of a simultaneous change of several carriers, as their places in `CAUSES`; 0 = nothing changed
 INDEPENDENT, COMMON, GROUP, ATTITUDE_JUMP = 1, 2, 3, 4
@@ -80,8 +80,9 @@ def common_innovation(model: FilterModel, innovation: Innovation) -> tuple[float
     count = len(full)
     if count < _SEVERAL:
         return math.nan, math.nan
-    ordered = np.sort(innovation.innovation_db[full])
-    median_db = 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2])
+    values = innovation.innovation_db[full]
+    ordered = ascending(values)
+    median_db = 0.5 * (values[ordered[(count - 1) // 2]] + values[ordered[count // 2]])
     total, own = 0.0, 0.0
     for row in full:
         variance = innovation.predicted_db2[row, row] + innovation.white_db2[row]
@@ -131,48 +132,65 @@ def choose_cause(model: FilterModel, innovation: Innovation) -> tuple[int, int]:
     spread = innovation.predicted_db2.copy()
     for row in range(count):
         spread[row, row] += innovation.white_db2[row]
+    nothing, column = np.zeros((count, 0)), np.full((count, 1), COMMON_STEP_DB)
     cause, transponder = INDEPENDENT, -1
-    best = _log_likelihood(innovation.innovation_db, spread)
-    column = np.full((count, 1), COMMON_STEP_DB)
-    score = _COMMON_PRIOR + _log_likelihood(innovation.innovation_db, spread + column @ column.T)
+    best = _log_likelihood(innovation.innovation_db, spread, nothing)
+    score = _COMMON_PRIOR + _log_likelihood(innovation.innovation_db, spread, column)
     if score > best:
         cause, best = COMMON, score
-    column = JUMP_DEG * np.ascontiguousarray(innovation.core_jacobian[:, :3])
-    score = _ATTITUDE_PRIOR + _log_likelihood(innovation.innovation_db, spread + column @ column.T)
+    slopes = JUMP_DEG * innovation.core_jacobian[:, :3]
+    score = _ATTITUDE_PRIOR + _log_likelihood(innovation.innovation_db, spread, slopes)
     if score > best:
         cause, best = ATTITUDE_JUMP, score
     labels = model.carriers["transponder"][innovation.carriers]
-    for label in np.unique(labels):
+    for label in range(labels.max() + 1):
         is_member = labels == label
         members = np.count_nonzero(is_member)
         if _MIN_GROUP <= members < count:
-            column = np.where(is_member, GROUP_STEP_DB, 0.0).reshape(count, 1)
-            score = _GROUP_PRIOR + _log_likelihood(innovation.innovation_db, spread + column @ column.T)
+            column[:, 0] = np.where(is_member, GROUP_STEP_DB, 0.0)
+            score = _GROUP_PRIOR + _log_likelihood(innovation.innovation_db, spread, column)
             if score > best:
                 cause, best, transponder = GROUP, score, label
     return cause, transponder if cause == GROUP else -1
 
 
-def _log_likelihood(innovation_db: FloatArray, covariance_db2: FloatArray) -> float:
-    """Return the log likelihood with contradicting carriers taken out at their price."""
+def _log_likelihood(innovation_db: FloatArray, covariance_db2: FloatArray, columns: FloatArray) -> float:
+    """Return the log likelihood under a cause (n, c), with contradicting carriers taken out at their price."""
     count = len(innovation_db)
-    kept = np.arange(count)
-    allowed = (count - 4) // 2
-    price = 0.0
+    spread = covariance_db2.copy()
+    for i in range(count):
+        for j in range(count):
+            for k in range(columns.shape[1]):
+                spread[i, j] += columns[i, k] * columns[j, k]
+    inverse, log_determinant = inverse_of(spread)
+    is_kept, taken_out, price = np.ones(count, dtype=np.bool_), 0, 0.0
+    weighted = np.zeros(count)
     while True:
-        inverse = np.linalg.inv(np.ascontiguousarray(covariance_db2[kept][:, kept]))
-        weighted = inverse @ innovation_db[kept]
-        alone = weighted**2 / np.diag(inverse)
-        worst = alone.argmax()
-        if alone[worst] <= _CONTRADICTION**2 or count - len(kept) >= allowed:
+        worst, greatest = -1, -1.0
+        for i in range(count):
+            weighted[i] = 0.0
+            if is_kept[i]:
+                for j in range(count):
+                    weighted[i] += inverse[i, j] * innovation_db[j] if is_kept[j] else 0.0
+                if weighted[i] ** 2 / inverse[i, i] > greatest:
+                    worst, greatest = i, weighted[i] ** 2 / inverse[i, i]
+        if greatest <= _CONTRADICTION**2 or taken_out >= (count - 4) // 2:
             break
         # without the others' word the carrier's own step is spread over OWN_STEP_DB
         step_db = weighted[worst] / inverse[worst, worst]
         price += _OWN_PRIOR - math.log(OWN_STEP_DB) - 0.5 * (step_db / OWN_STEP_DB) ** 2
-        kept = np.delete(kept, worst)
-    half_log_det = 0.5 * np.linalg.slogdet(inverse)[1]
-    normal = half_log_det - 0.5 * (innovation_db[kept] @ weighted) - 0.5 * count * math.log(2.0 * math.pi)
-    return float(normal + price)
+        log_determinant += math.log(inverse[worst, worst])
+        is_kept[worst] = False
+        taken_out += 1
+        # the inverse of what is left
+        removed, pivot = inverse[worst].copy(), inverse[worst, worst]
+        for i in range(count):
+            for j in range(count):
+                inverse[i, j] -= removed[i] * removed[j] / pivot
+    square = 0.0
+    for i in range(count):
+        square += innovation_db[i] * weighted[i]
+    return price - 0.5 * (log_determinant + square + count * math.log(2.0 * math.pi))
 
 
 def free_together(state: FilterState, place: int, variance: float) -> None:

@@ -457,3 +457,22 @@ def _updated(mean: FloatArray, innovation: Innovation) -> tuple[bool, FloatArray
             own[j] /= factor[row, row]
             after[j] += residual[row] * own[j]
     return True, after, whitened, residual, factor
+
+
+def inverse_of(matrix: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse (n, n) of a symmetric positive definite matrix and the logarithm of its determinant."""
+    inverse, log_determinant = matrix.copy(), 0.0
+    size = len(inverse)
+    for k in range(size):
+        pivot = inverse[k, k]
+        log_determinant += math.log(pivot)
+        inverse[k, k] = 1.0
+        for j in range(size):
+            inverse[k, j] /= pivot
+        for i in range(size):
+            if i != k:
+                share = inverse[i, k]
+                inverse[i, k] = 0.0
+                for j in range(size):
+                    inverse[i, j] -= share * inverse[k, j]
+    return inverse, log_determinant
