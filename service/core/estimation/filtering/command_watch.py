@@ -105,7 +105,7 @@ def pass_commands(
                 sensitivity[place] = 0.0
 
 
-def push_row(model: FilterModel, state: FilterState, used: Innovation, is_shared: bool) -> None:  # noqa: FBT001
+def push_row(model: FilterModel, state: FilterState, used: Innovation, is_shared: bool) -> None:
     """Take an update into the derivative and its evidence, in place; the state is the updated one.
 
     A row in which something else moved all carriers says nothing about commands (`is_shared`).

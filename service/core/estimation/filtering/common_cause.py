@@ -204,7 +204,7 @@ def widen_cause(
     cause: int,
     transponder: int,
     median_db: float,
-    is_chain_worked: bool,  # noqa: FBT001 numba knows no arguments by keyword alone
+    is_chain_worked: bool,
 ) -> None:
     """Let the unknown of a cause be free, in place; the state is the predicted one.
 

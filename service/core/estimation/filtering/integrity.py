@@ -71,7 +71,7 @@ class Integrity(NamedTuple):
     is_realignment_advised: bool
 
 
-def integrity_of(reasons: int, is_yaw_allowed: bool, is_realignment_advised: bool) -> Integrity:  # noqa: FBT001
+def integrity_of(reasons: int, is_yaw_allowed: bool, is_realignment_advised: bool) -> Integrity:
     """Return a verdict by its bits, with the names of the reasons."""
     is_allowed = not reasons
     names = tuple(name for place, name in enumerate(REASONS) if reasons >> place & 1) if reasons else ()

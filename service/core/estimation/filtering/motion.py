@@ -69,7 +69,7 @@ def step_motion(
     drift_scale: float,
     scale_error: float,
     is_followed: NDArray[np.bool_],
-    is_raining: bool,  # noqa: FBT001 numba knows no arguments by keyword alone
+    is_raining: bool,
 ) -> StepMotion:
     """Return the motion over a step from an epoch.
 
@@ -184,7 +184,7 @@ def _core_variance(
     rate_change_deg_h: FloatArray,
     scale_error: float,
     is_followed: NDArray[np.bool_],
-    is_raining: bool,  # noqa: FBT001 as above
+    is_raining: bool,
 ) -> FloatArray:
     """Return the variance (11,) that a step adds beside what the drifts do.
 

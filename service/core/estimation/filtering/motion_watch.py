@@ -87,8 +87,8 @@ def alarmed_axes(watch: NDArray[np.void]) -> BoolArray:
     return axes
 
 
-def raise_alarms(watch: NDArray[np.void], axes: BoolArray, is_explained: bool) -> None:  # noqa: FBT001
-    """Follow and report the motion of alarmed axes (3,), in place; `is_explained` = a torque among the states may be it.
+def raise_alarms(watch: NDArray[np.void], axes: BoolArray, is_explained: bool) -> None:
+    """Follow and report the motion of alarmed axes (3,), in place; `is_explained` = a torque may be it.
 
     Motion that a torque explains is reported from its second alarm on.
     """

@@ -195,7 +195,7 @@ def _coefficient_slope(mean: FloatArray) -> FloatArray:
 def widen_declared(
     model: FilterModel, state: FilterState, row: NDArray[np.void], declared: NDArray[np.void], hours: float
 ) -> None:
-    """Add what operations may have changed over a step, in place, by a record of `ROW` and those (N,) of the carriers."""
+    """Add what operations may have changed over a step, in place, by the records of a row and of its carriers (N,)."""
     covariance, every = state.covariance, len(model.carriers)
     first = len(state.mean) - every
     for axis in range(3):

@@ -161,7 +161,7 @@ def _sooner(state: FilterState, sensor: RateSensorModel, minutes: float) -> Filt
 
 
 def _swapped(watch: RateWatch, state: FilterState, gaussian: Gaussian) -> tuple[RateWatch, FilterState]:
-    """Return watch and state after the drift began to be the bias, or the reverse; evidence on commands begins again."""
+    """Return watch and state after the drift began to be the bias, or the reverse; evidence begins again."""
     commanded, other = commanded_rate(watch, state), _log_scale(state)
     swapped = state.with_gaussian(gaussian).with_watch(
         log_drift_scale=watch.other_log_scale, score=0.0, information=0.0, is_by_torque=False

@@ -15,8 +15,8 @@ _ROWS, _LASTING_US = 20, 20 * 60 * 10**6
 #: before the first, so that six readings far apart make a carrier coarse: two are a fade or a step
 _COARSE_DB, _FORGETTING, _BEFORE_DB = 0.4, 1.05, 0.3
 
-#: last reading of a carrier: dBm, NaN = never read; how many rows it has lasted, and since when, microseconds UTC; least
-#: change of the last hundred or so, dB
+#: last reading of a carrier: dBm, NaN = never read; how many rows it has lasted, and since when, microseconds UTC;
+#: least change of the last hundred or so, dB
 READING = np.dtype([("power_dbm", "f8"), ("rows", "i8"), ("since_us", "i8"), ("least_change_db", "f8")], align=True)
 
 
