@@ -2,16 +2,19 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.attitude_filter import step
+from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import (
     CarrierModel,
     FilterSettings,
     Gaussian,
+    KnownMotion,
     initial_gaussian,
     no_motion,
 )
-from service.core.estimation.filtering.rows.row_kernels import ARRAYS
-from service.core.estimation.smoothing.effective_row import EffectiveRow, StepCapture, effective_row
+from service.core.estimation.filtering.filter_state import FilterState, start
+from service.core.estimation.filtering.plant import FilterModel, filter_model
+from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row
 
 MINUTE_US = 60_000_000
 
@@ -44,15 +47,34 @@ def aligned(model: CarrierModel, drift_deg_h=(0.04, 0.025, 0.025)) -> Gaussian:
     return initial_gaussian(model, np.zeros(3), sigma, np.full(model.carriers, 0.03), drift_deg_h=drift_deg_h)
 
 
+def copied(state: FilterState) -> FilterState:
+    """Return the state in arrays of its own, for functions that write into them."""
+    return FilterState._make(each.copy() for each in state)
+
+
+def coasted(
+    model: FilterModel,
+    state: FilterState,
+    step_us: int,
+    known: KnownMotion | None = None,
+    declared: Declared | None = None,
+) -> FilterState:
+    """Return the state after a step of time at whose end no carrier is measured."""
+    absent = np.full(len(model.carriers), np.nan)
+    return step(model, state, state.epoch_us + step_us, absent, known or no_motion(), declared=declared).state
+
+
 def quiet_effective_rows(rows: int, carriers: int, period_us: int, seed: int) -> list[EffectiveRow]:
     """Return what a filter did with rows that hold noise alone."""
-    model, capture, rng = carrier_model(carriers=carriers), StepCapture(ARRAYS), np.random.default_rng(seed)
+    model, rng = carrier_model(carriers=carriers), np.random.default_rng(seed)
     settings, state, found = FilterSettings(), start(model, 0, aligned(model)), []
+    compiled = filter_model(model, settings)
     for _ in range(rows):
         level_db = model.white_sigma_db * rng.standard_normal(carriers)
         before, epoch_us = state, state.epoch_us + period_us
-        result = step(model, settings, state, epoch_us, level_db, no_motion(), kernels=capture.kernels)
+        result = step(compiled, state, epoch_us, level_db, no_motion(), is_traced=True)
         state = result.state
-        origin = np.arange(len(state.gaussian.mean))
-        found.append(effective_row(model, settings, before, result, capture.newest, origin))
+        assert result.trace is not None
+        origin = np.arange(len(state.mean))
+        found.append(effective_row(model, settings, before, result, result.trace, origin))
     return found
