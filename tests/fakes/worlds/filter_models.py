@@ -1,10 +1,15 @@
 """Small carrier models for the tests of the attitude filter: every figure is chosen."""
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import numpy as np
 
+from service.core.arrays import FloatArray, IntArray
 from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import (
+    ATTITUDE,
     CarrierModel,
     FilterSettings,
     Gaussian,
@@ -14,6 +19,8 @@ from service.core.estimation.filtering.filter_model import (
 )
 from service.core.estimation.filtering.filter_state import FilterState, start
 from service.core.estimation.filtering.plant import FilterModel, filter_model
+from service.core.estimation.filtering.prediction import Innovation, innovate, update_state
+from service.core.estimation.filtering.row_block import empty_result, empty_trace
 from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row
 
 MINUTE_US = 60_000_000
@@ -52,6 +59,12 @@ def copied(state: FilterState) -> FilterState:
     return FilterState._make(each.copy() for each in state)
 
 
+def bits(arrays: Iterable[np.ndarray]) -> list[bytes]:
+    """Return the bytes of all numbers of a state or a result; what stands between fields of a record is none."""
+    parts = [[each[name] for name in each.dtype.names] if each.dtype.names else [each] for each in arrays]
+    return [part.tobytes() for each in parts for part in each]
+
+
 def coasted(
     model: FilterModel,
     state: FilterState,
@@ -78,3 +91,28 @@ def quiet_effective_rows(rows: int, carriers: int, period_us: int, seed: int) ->
         origin = np.arange(len(state.mean))
         found.append(effective_row(model, settings, before, result, result.trace, origin))
     return found
+
+
+def innovated(
+    model: FilterModel, gaussian: Gaussian, deviation_db: FloatArray, carriers: IntArray | None = None
+) -> Innovation:
+    """Return the innovations of some carriers, of all without a choice, linearised at the state's own attitude."""
+    chosen = np.arange(len(model.carriers)) if carriers is None else carriers
+    white_db2 = model.carriers["white_sigma_db"][chosen] ** 2
+    return innovate(model, *gaussian, deviation_db, chosen, white_db2, gaussian.mean[ATTITUDE].copy())
+
+
+class Updated(NamedTuple):
+    """State after an update, normalised innovation squared and shift (3,) of the attitude in sigmas."""
+
+    state: FilterState
+    nis: float
+    shift: FloatArray
+
+
+def updated(model: FilterModel, state: FilterState, deviation_db: FloatArray, innovation: Innovation) -> Updated:
+    """Return the update of a state; the state given stays."""
+    after, shift, found = copied(state), np.zeros(3), empty_result(1, len(model.carriers)).rows[0]
+    is_done, nis = update_state(model, after, deviation_db, innovation, shift, found, empty_trace(0, 0, 0))
+    assert is_done
+    return Updated(after, nis, shift)
