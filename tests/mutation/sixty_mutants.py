@@ -41,16 +41,20 @@ CORE = (
     # slopes of negative angles change their sign
     Mutant("one_sided_columns", "np.minimum(angle_deg, 0.0)", "-np.minimum(angle_deg, 0.0)"),
     # a new level stays correlated with the attitude
-    Mutant("reset_carriers", "covariance[:, flat] = 0.0", "covariance[flat, :] = 0.0"),
+    Mutant("restart_carrier", "covariance[:, place] = 0.0", "covariance[place, :] = 0.0"),
     # drift without process noise: sigma too small
-    Mutant("turn", "0.5 * (own + own.T) + drift_noise", "0.5 * (own + own.T)"),
-    Mutant("reduce", "covariance - 0.5 * (product + product.T)", "covariance + 0.5 * (product + product.T)"),
+    Mutant("step_motion", "_drift_noise(model, hours, drift_scale)", "np.zeros((9, 9))"),
     Mutant(
-        "_rotation",
-        "[value.real, -value.imag, 0.0], [value.imag, value.real, 0.0]",
-        "[value.real, value.imag, 0.0], [-value.imag, value.real, 0.0]",
+        "update_state",
+        "covariance[i, j] -= 0.5 * (product[i, j] + product[j, i])",
+        "covariance[i, j] += 0.5 * (product[i, j] + product[j, i])",
     ),
-    Mutant("linearise", "+ 0.5 * (bend @ at_deg)", "- 0.5 * (bend @ at_deg)"),
+    Mutant(
+        "_write_rotation",
+        "matrix[0, first], matrix[0, first + 1] = value.real, -value.imag",
+        "matrix[0, first], matrix[0, first + 1] = value.real, value.imag",
+    ),
+    Mutant("innovate", "- 0.5 * bend * at_deg[axis]", "+ 0.5 * bend * at_deg[axis]"),
     # noise of one bin is taken off a carrier of many
     Mutant("measure_carriers", "total_mw - noise_bin_mw * weights.band_sum", "total_mw - noise_bin_mw"),
 )

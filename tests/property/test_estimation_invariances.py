@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.core.estimation.calibration.geometry_columns import exact_response, predict_deviation
-from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion
+from service.core.estimation.filtering.attitude_filter import step
+from service.core.estimation.filtering.filter_model import KnownMotion, no_motion
+from service.core.estimation.filtering.filter_state import start
+from service.core.estimation.filtering.plant import filter_model
 from service.core.estimation.paper.downlink_fade import empty_window, fade_sign_test, mean, push
 from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
 from service.core.estimation.paper.octants import predict_deviation_db, solve_octants
@@ -316,7 +318,7 @@ def test_any_rows_leave_a_sound_state(seed):
     rng = np.random.default_rng(seed)
     model = filter_models.carrier_model(carriers=int(rng.integers(6, 20)), components=2, common=int(rng.integers(0, 2)))
     state = start(model, 0, filter_models.aligned(model))
-    level_db = np.zeros(model.carriers)
+    compiled, level_db = filter_model(model), np.zeros(model.carriers)
     for _ in range(120):
         level_db += np.where(rng.random(model.carriers) < 0.02, rng.normal(0.0, 3.0, model.carriers), 0.0)
         level_db += rng.normal(0.0, 2.0) * (rng.random() < 0.03)
@@ -324,7 +326,7 @@ def test_any_rows_leave_a_sound_state(seed):
         row[rng.random(model.carriers) < rng.choice([0.0, 0.05, 0.9])] = np.nan
         epoch_us = state.epoch_us + int(rng.choice([1, 10, 60, 300, 14_400], p=[0.2, 0.2, 0.4, 0.15, 0.05])) * 1_000_000
         motion = [rng.normal(0.0, 0.02, 3) * (rng.random() < 0.2) for _ in range(3)]
-        state = step(model, FilterSettings(), state, epoch_us, row, KnownMotion(*motion)).state
+        state = step(compiled, state, epoch_us, row, KnownMotion(*motion)).state
     assert_sound(state)
 
 
@@ -333,11 +335,11 @@ def test_two_weeks_of_rows_leave_a_sound_state():
     """14 days at five minutes a row, one carrier in ten absent at any time; seed 11."""
     rng = np.random.default_rng(11)
     model = filter_models.carrier_model(carriers=8, components=2)
-    state = start(model, 0, filter_models.aligned(model))
+    state, compiled = start(model, 0, filter_models.aligned(model)), filter_model(model)
     for number in range(1, 14 * 288 + 1):
         row = 0.15 * rng.standard_normal(8)
         row[rng.random(8) < 0.1] = np.nan
-        state = step(model, FilterSettings(), state, number * 300_000_000, row, no_motion()).state
+        state = step(compiled, state, number * 300_000_000, row, no_motion()).state
     assert_sound(state)
     assert np.abs(state.gaussian.mean[:3]).max() < 0.5
 
@@ -353,8 +355,8 @@ def test_the_filter_does_not_mind_the_order_of_the_carriers(seed):
     one, other = start(model, 0, filter_models.aligned(model)), start(shuffled, 0, filter_models.aligned(shuffled))
     for number in range(1, 40):
         row = 0.15 * rng.standard_normal(12) - 2.0 * (number > 20) * (np.arange(12) == 3)
-        one = step(model, FilterSettings(), one, number * 60_000_000, row, no_motion()).state
-        other = step(shuffled, FilterSettings(), other, number * 60_000_000, row[order], no_motion()).state
+        one = step(filter_model(model), one, number * 60_000_000, row, no_motion()).state
+        other = step(filter_model(shuffled), other, number * 60_000_000, row[order], no_motion()).state
     np.testing.assert_allclose(one.gaussian.mean[:3], other.gaussian.mean[:3], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(one.gaussian.covariance[:3, :3], other.gaussian.covariance[:3, :3], rtol=1e-7)
 

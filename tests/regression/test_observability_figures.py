@@ -16,19 +16,18 @@ from service.cli.planning.sources import PlanFiles, PlanRequest, planned_by_file
 from service.core.estimation.attitude_bound import DriftStatistics, WheelStatistics, attitude_bound_deg
 from service.core.estimation.calibration.whitened_fit import ColouredNoise
 from service.core.estimation.design import choose_carriers, most_share
-from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.filter_update import innovate, update
+from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import (
     FedForward,
     FilterSettings,
-    Gaussian,
     PolarimeterModel,
     core_size,
     initial_gaussian,
     no_motion,
 )
+from service.core.estimation.filtering.filter_state import start
+from service.core.estimation.filtering.plant import filter_model, is_pushed, torque_covariance
 from service.core.estimation.filtering.state_changes import inserted
-from service.core.estimation.filtering.plant import is_pushed, torque_covariance
 from service.core.estimation.observability import averaged_crlb_deg, judge_set
 from service.core.estimation.paper.selection import select_by_axis
 from service.pipeline.inputs.knowledge import JournalDocuments
@@ -241,20 +240,18 @@ def sigmas(model, settings, known=()):
         prior[axis::3] *= 1e-3
         prior[:, axis::3] *= 1e-3
     aligned, references = np.array([0.004, 0.002, 0.002]), np.full(CARRIERS, 0.03)
-    state = initial_gaussian(model, np.zeros(3), aligned, references, drift_deg_h=settings.drift_deg_h)
+    gaussian = initial_gaussian(model, np.zeros(3), aligned, references, drift_deg_h=settings.drift_deg_h)
     if is_pushed(settings):
-        state = inserted(state, core_size(model), prior)
-    variance, everyone, nothing = np.zeros(CARRIERS), np.arange(CARRIERS), np.zeros(CARRIERS)
+        gaussian = inserted(gaussian, core_size(model), prior)
+    state, compiled = start(model, 0, gaussian), filter_model(model, settings)
     angles, torques = [], []
-    for row in range(6 * max(HOURS)):
-        weather = Weather(False, (False, False, False), 1.0, variance)
-        state, variance = predict(model, settings, state, STEP_US, no_motion(), weather, from_us=row * STEP_US)
-        still = Gaussian(np.zeros_like(state.mean), state.covariance)
-        used = innovate(model, still, nothing, everyone, model.white_sigma_db**2)
-        state = update(model, still, nothing, used).state
-        if (row + 1) % 6 == 0 and (row + 1) // 6 in HOURS:
+    for row in range(1, 6 * max(HOURS) + 1):
+        found = step(compiled, state, row * STEP_US, np.zeros(CARRIERS), no_motion())
+        # rows without noise teach nothing about it
+        state = found.state.with_carriers(white_scale=1.0).with_watch(slow_scale=1.0)
+        if row % 6 == 0 and row // 6 in HOURS:
             angles.append(np.sqrt(np.diag(state.covariance)[:3]))
-            torques.append(_torque_sigma(model, state, row + 1) / SIZE if is_pushed(settings) else np.zeros(3))
+            torques.append(_torque_sigma(model, state, row) / SIZE if is_pushed(settings) else np.zeros(3))
     return np.array(angles), np.array(torques)
 
 

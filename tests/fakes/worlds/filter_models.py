@@ -1,17 +1,27 @@
 """Small carrier models for the tests of the attitude filter: every figure is chosen."""
 
+from collections.abc import Iterable
+from typing import NamedTuple
+
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.arrays import FloatArray, IntArray
+from service.core.estimation.filtering.attitude_filter import step
+from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import (
+    ATTITUDE,
     CarrierModel,
     FilterSettings,
     Gaussian,
+    KnownMotion,
     initial_gaussian,
     no_motion,
 )
-from service.core.estimation.filtering.rows.row_kernels import ARRAYS
-from service.core.estimation.smoothing.effective_row import EffectiveRow, StepCapture, effective_row
+from service.core.estimation.filtering.filter_state import FilterState, start
+from service.core.estimation.filtering.plant import FilterModel, filter_model
+from service.core.estimation.filtering.prediction import Innovation, innovate, update_state
+from service.core.estimation.filtering.row_block import empty_result, empty_trace
+from service.core.estimation.smoothing.effective_row import EffectiveRow, effective_row
 
 MINUTE_US = 60_000_000
 
@@ -44,15 +54,65 @@ def aligned(model: CarrierModel, drift_deg_h=(0.04, 0.025, 0.025)) -> Gaussian:
     return initial_gaussian(model, np.zeros(3), sigma, np.full(model.carriers, 0.03), drift_deg_h=drift_deg_h)
 
 
+def copied(state: FilterState) -> FilterState:
+    """Return the state in arrays of its own, for functions that write into them."""
+    return FilterState._make(each.copy() for each in state)
+
+
+def bits(arrays: Iterable[np.ndarray]) -> list[bytes]:
+    """Return the bytes of all numbers of a state or a result; what stands between fields of a record is none."""
+    parts = [[each[name] for name in each.dtype.names] if each.dtype.names else [each] for each in arrays]
+    return [part.tobytes() for each in parts for part in each]
+
+
+def coasted(
+    model: FilterModel,
+    state: FilterState,
+    step_us: int,
+    known: KnownMotion | None = None,
+    declared: Declared | None = None,
+) -> FilterState:
+    """Return the state after a step of time at whose end no carrier is measured."""
+    absent = np.full(len(model.carriers), np.nan)
+    return step(model, state, state.epoch_us + step_us, absent, known or no_motion(), declared=declared).state
+
+
 def quiet_effective_rows(rows: int, carriers: int, period_us: int, seed: int) -> list[EffectiveRow]:
     """Return what a filter did with rows that hold noise alone."""
-    model, capture, rng = carrier_model(carriers=carriers), StepCapture(ARRAYS), np.random.default_rng(seed)
+    model, rng = carrier_model(carriers=carriers), np.random.default_rng(seed)
     settings, state, found = FilterSettings(), start(model, 0, aligned(model)), []
+    compiled = filter_model(model, settings)
     for _ in range(rows):
         level_db = model.white_sigma_db * rng.standard_normal(carriers)
         before, epoch_us = state, state.epoch_us + period_us
-        result = step(model, settings, state, epoch_us, level_db, no_motion(), kernels=capture.kernels)
+        result = step(compiled, state, epoch_us, level_db, no_motion(), is_traced=True)
         state = result.state
-        origin = np.arange(len(state.gaussian.mean))
-        found.append(effective_row(model, settings, before, result, capture.newest, origin))
+        assert result.trace is not None
+        origin = np.arange(len(state.mean))
+        found.append(effective_row(model, settings, before, result, result.trace, origin))
     return found
+
+
+def innovated(
+    model: FilterModel, gaussian: Gaussian, deviation_db: FloatArray, carriers: IntArray | None = None
+) -> Innovation:
+    """Return the innovations of some carriers, of all without a choice, linearised at the state's own attitude."""
+    chosen = np.arange(len(model.carriers)) if carriers is None else carriers
+    white_db2 = model.carriers["white_sigma_db"][chosen] ** 2
+    return innovate(model, *gaussian, deviation_db, chosen, white_db2, gaussian.mean[ATTITUDE].copy())
+
+
+class Updated(NamedTuple):
+    """State after an update, normalised innovation squared and shift (3,) of the attitude in sigmas."""
+
+    state: FilterState
+    nis: float
+    shift: FloatArray
+
+
+def updated(model: FilterModel, state: FilterState, deviation_db: FloatArray, innovation: Innovation) -> Updated:
+    """Return the update of a state; the state given stays."""
+    after, shift, found = copied(state), np.zeros(3), empty_result(1, len(model.carriers)).rows[0]
+    is_done, nis = update_state(model, after, deviation_db, innovation, shift, found, empty_trace(0, 0, 0))
+    assert is_done
+    return Updated(after, nis, shift)

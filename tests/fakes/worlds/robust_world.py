@@ -13,7 +13,7 @@ from simulated_gain import attitude_gain_db
 from analyzer_sim.export import measured_dbm
 from analyzer_sim.world.payload.level_terms import dishes_loss_db, nominal_gain_db
 from analyzer_sim.world.world import World
-from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.declared import Declared, nothing_declared
 from service.core.estimation.filtering.filter_model import (
     CarrierModel,
@@ -22,6 +22,8 @@ from service.core.estimation.filtering.filter_model import (
     initial_gaussian,
     no_motion,
 )
+from service.core.estimation.filtering.filter_state import start
+from service.core.estimation.filtering.plant import filter_model
 
 #: correlation times that the learned noise may have, s
 TAUS_S = (300.0, 1200.0, 7200.0, 36000.0)
@@ -229,6 +231,7 @@ class RobustWorld:
             model, aligned, ALIGNED_SIGMA_DEG, self.reference_sigma_db, drift_deg_h=settings.drift_deg_h
         )
         state = start(model, int(rows.epochs_us[self.first - 1]), gaussian)
+        compiled = filter_model(model, settings)
         steps, pending, written = [], no_motion(), []
         for k in range(self.first, len(rows.epochs_us)):
             moved = known[k - self.first]
@@ -237,7 +240,7 @@ class RobustWorld:
                 continue
             epoch_us = int(rows.epochs_us[k])
             declared = self.declared(state.epoch_us, epoch_us) if self.world.operations else None
-            reported = step(model, settings, state, epoch_us, self.deviation_db[k], pending, declared=declared)
+            reported = step(compiled, state, epoch_us, self.deviation_db[k], pending, declared=declared)
             state, pending = reported.state, no_motion()
             steps.append(reported)
             written.append(k)
@@ -249,11 +252,11 @@ class RobustWorld:
             np.array([reported.attitude_deg for reported in steps]),
             np.array([np.sqrt(np.diagonal(reported.covariance_deg2)) for reported in steps]),
             np.array([reported.integrity.is_axis_allowed for reported in steps]),
-            np.array([reported.state.rain.is_raining for reported in steps]),
+            np.array([bool(reported.state.watch["is_raining"][0]) for reported in steps]),
             rows.downlink_fade_db[written],
             used,
             rows.flags[written],
-            np.array([reported.state.noise.nis_ratio for reported in steps]),
+            np.array([float(reported.state.watch["nis_ratio"][0]) for reported in steps]),
             [reported.cause for reported in steps],
             steps,
         )

@@ -23,7 +23,8 @@ from service.core.estimation.filtering import (
     row_block,
 )
 from service.core.estimation.filtering.filter_state import FilterState
-from service.core.estimation.filtering.plant import FilterModel
+from service.core.estimation.filtering.plant import TORQUES, FilterModel
+from service.core.estimation.filtering.prediction import hidden_states
 from service.core.estimation.filtering.row_block import BlockResult, RowBlock, RowTrace, empty_trace
 
 _TAKE_ROWS = CompiledEntry(
@@ -67,10 +68,24 @@ def advance(
         Written; a row whose numbers are lost has the status `LOST` and leaves the state as it was.
     trace : RowTrace, optional
         Written with the newest row, with room as `empty_trace` makes it.
+
+    Raises
+    ------
+    ValueError
+        The state has other shares than there are commands.
     """
+    _check_shares(model, state, block)
     buffers = _like(state), _like(state) if len(block.rows) > 1 else state
     newest = _TAKE_ROWS(model, state, *buffers, block, result, _NO_TRACE if trace is None else trace)
     return (state, *buffers)[newest]
+
+
+def _check_shares(model: FilterModel, state: FilterState, block: RowBlock) -> None:
+    hidden, shares, one = hidden_states(model, len(state.mean)), block.unreported.shape[1], model.plant[0]
+    torques = hidden - shares - int(one["sensor_states"])
+    if torques != TORQUES * one["has_torque"] and (one["has_wheels"] or torques not in (0, TORQUES)):
+        message = f"{shares} commands are unreported, which does not fit {hidden} hidden states"
+        raise ValueError(message)
 
 
 _NO_TRACE = empty_trace(0, 0, 0)

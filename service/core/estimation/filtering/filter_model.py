@@ -252,31 +252,6 @@ def pattern_change(model: CarrierModel, attitude_deg: FloatArray) -> PatternChan
     return PatternChange((model.gradient_db_deg + 0.5 * bend) @ attitude_deg, gradient)
 
 
-def model_variance_db2(coefficient_covariance: FloatArray, attitude_deg: FloatArray) -> FloatArray:
-    """Return how much the error of the calibrated coefficients (N, 9, 9) adds at an attitude (3,), shape (N,), dB^2.
-
-    Notes
-    -----
-    ``J C J'`` with J the levels' derivative by the nine coefficients: zero at nominal attitude.
-    """
-    yaw, roll, pitch = attitude_deg[0], attitude_deg[1], attitude_deg[2]
-    slope = np.array(
-        [
-            yaw,
-            roll,
-            pitch,
-            yaw * yaw / 2.0,
-            yaw * roll,
-            yaw * pitch,
-            roll * roll / 2.0,
-            roll * pitch,
-            pitch * pitch / 2.0,
-        ]
-    )
-    variance: FloatArray = (coefficient_covariance.reshape(-1, 9) @ slope).reshape(-1, 9) @ slope
-    return variance
-
-
 def model_error_component(coloured_tau_s: FloatArray) -> IntArray:
     """Return which of the coloured components (N, K) of each carrier also carries the error of the calibration, (N,).
 
@@ -386,52 +361,3 @@ def initial_gaussian(
     mean = np.zeros(len(variance))
     mean[ATTITUDE] = attitude_deg
     return Gaussian(mean, np.diag(variance))
-
-
-def freed(state: Gaussian, positions: IntArray, variance: float) -> Gaussian:
-    """Return the state in which some elements have moved together by an unknown amount.
-
-    Parameters
-    ----------
-    state : Gaussian
-        State before.
-    positions : ndarray, shape (n,)
-        Elements that moved by one and the same amount.
-    variance : float
-        Variance of the amount, in the unit of the states squared.
-    """
-    covariance = state.covariance.copy()
-    covariance[np.ix_(positions, positions)] += variance
-    return Gaussian(state.mean, covariance)
-
-
-def reset_carriers(
-    model: CarrierModel, state: Gaussian, carriers: IntArray, reference_db: FloatArray, variance_db2: FloatArray
-) -> Gaussian:
-    """Return the state in which some carriers begin again.
-
-    Parameters
-    ----------
-    model : CarrierModel
-        The carriers.
-    state : Gaussian
-        State before.
-    carriers : ndarray, shape (n,)
-        Which carriers.
-    reference_db, variance_db2 : ndarray, shape (n,), dB and dB^2
-        Their reference errors from now on.
-
-    Returns
-    -------
-    Gaussian
-        Coloured parts of these carriers at zero with stationary variance, correlated with nothing.
-    """
-    positions = carrier_states(model, carriers, hidden_count(model, len(state.mean)))
-    mean, covariance = state.mean.copy(), state.covariance.copy()
-    flat = positions.ravel()
-    mean[flat] = 0.0
-    covariance[flat, :] = 0.0
-    covariance[:, flat] = 0.0
-    covariance[flat, flat] = np.concatenate([(model.coloured_sigma_db[carriers].T ** 2).ravel(), variance_db2])
-    mean[positions[-1]] = reference_db
-    return Gaussian(mean, covariance)

@@ -108,6 +108,8 @@ MIN_CARRIERS = 4
 _STEP_DEG = 0.05
 #: fewest rows of a flagged carrier from which its kind of fault is told, and carriers of a transponder that moved
 _INFORMATIVE_ROWS, _MIN_GROUP = QUIET_ROWS // 2, 3
+#: variance beside which rounding loses the noise of a row, dB^2 or deg^2
+_LOST_VARIANCE = 1e12
 
 
 class Present(NamedTuple):
@@ -175,18 +177,24 @@ def take_rows(
         status, used_count, is_moved = TAKEN, 0, True
         if block.rows["epoch_us"][number] <= before.watch["epoch_us"][0]:
             status = OLD
+        elif is_lost(after):
+            status = LOST
         elif len(row.carriers) >= MIN_CARRIERS:
             screened = screen_row(model, after, block, number, row, result)
             used = use_row(model, after, block, number, row, screened, result, trace)
-            if used.has_findings:
-                act_on_findings(model, after, block, row, screened, used)
-            is_due, is_moved = close_row(model, after, block, number, row, screened, used, result)
-            if is_due:
-                mixture = ask_anchor(model, after, block.carriers["reported_wet"][number])
-                if is_contradicted(mixture):
-                    start_again(model, after, mixture)
-                    is_moved = True
-            status, used_count = TAKEN if used.is_done else LOST, len(used.innovation.carriers)
+            used_count = len(used.innovation.carriers)
+            # no matrix of lost numbers has an inverse
+            if not used.is_done or is_lost(after):
+                status = LOST
+            else:
+                if used.has_findings:
+                    act_on_findings(model, after, block, row, screened, used)
+                is_due, is_moved = close_row(model, after, block, number, row, screened, used, result)
+                if is_due:
+                    mixture = ask_anchor(model, after, block.carriers["reported_wet"][number])
+                    if is_contradicted(mixture):
+                        start_again(model, after, mixture)
+                        is_moved = True
         if is_moved:
             residual_db = block.carriers["deviation_db"][number] - site_level_db(model, after.mean)
             result.carriers["residual_db"][number] = residual_db
@@ -216,9 +224,8 @@ def begin_result(block: RowBlock, number: int, result: BlockResult) -> None:
 def write_state(model: FilterModel, state: FilterState, status: int, shares: int, found: NDArray[np.void]) -> int:
     """Write what a record of `RESULT` says of the state after a row; return what became of the row."""
     mean, watch, one = state.mean, state.watch[0], model.plant[0]
-    for place in range(len(mean)):
-        if not (math.isfinite(mean[place]) and math.isfinite(state.covariance[place, place])):
-            status = LOST
+    if is_lost(state):
+        status = LOST
     found["status"] = status
     for axis in range(3):
         found["attitude_deg"][axis] = mean[axis]
@@ -274,6 +281,15 @@ def _fault(model: FilterModel, state: FilterState, k: int, residual_db: float) -
     return UPLINK_FADE if residual_db < 0.0 else INTERFERENCE
 
 
+def is_lost(state: FilterState) -> bool:
+    """Return whether numbers of a state are none, or so uncertain that rounding loses what a row tells."""
+    for place in range(len(state.mean)):
+        # negated, so that NaN is lost
+        if not (math.isfinite(state.mean[place]) and abs(state.covariance[place, place]) <= _LOST_VARIANCE):
+            return True
+    return False
+
+
 def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: int, trace: RowTrace) -> Present:
     """Move the state over the step before a row, in place, and the watches with it; return who is there."""
     watch, row, carriers = state.watch[0], block.rows[number], block.carriers[number]
@@ -286,8 +302,9 @@ def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: i
         pass_motion(watch, minutes)
         if row["is_declared"]:
             _declare(state, block, number)
-    deviation_db = np.where(carriers["is_masked"], np.nan, carriers["deviation_db"])
-    present = np.flatnonzero(np.isfinite(deviation_db) & ~state.carriers["is_flagged"])
+    is_there = np.isfinite(carriers["deviation_db"]) & ~carriers["is_masked"]
+    deviation_db = np.where(is_there, carriers["deviation_db"], np.nan)
+    present = np.flatnonzero(is_there & ~state.carriers["is_flagged"])
     white_db2 = (model.carriers["white_sigma_db"] * state.carriers["white_scale"]) ** 2 + carriers["white_db"] ** 2
     reference_db, reference_db2 = state.mean[-every:].copy(), np.empty(every)
     for k in range(every):

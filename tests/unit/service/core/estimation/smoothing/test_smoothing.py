@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from wheel_filter import WHEELS, H
 
-from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.state_changes import with_torque
+from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import (
     ATTITUDE,
     FREE_REFERENCE_DB2,
@@ -18,15 +17,15 @@ from service.core.estimation.filtering.filter_model import (
     PolarimeterModel,
     no_motion,
 )
-from service.core.estimation.filtering.state_changes import momentum_count, sensors_first
+from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.motion_sensor import SensorEffect, SensorWatch
+from service.core.estimation.filtering.plant import filter_model, momentum_count
 from service.core.estimation.filtering.polarimeter import AngleBlock, push_block
+from service.core.estimation.filtering.state_changes import sensors_first, with_torque
 from service.core.estimation.filtering.wheel_momentum import FREE_N_M_S, push_record
-from service.core.estimation.filtering.rows.row_kernels import ARRAYS
 from service.core.estimation.smoothing.effective_row import (
     EffectiveRow,
     LinearStep,
-    StepCapture,
     before_resize,
     before_row,
     before_start,
@@ -176,18 +175,16 @@ def model():
 
 def taken(model, changes_db, seed=1):
     """Return states, results and effective rows of a still spacecraft, each row with a change (N,) of its levels."""
-    rng = np.random.default_rng(seed)
-    capture = StepCapture(ARRAYS)
+    rng, compiled = np.random.default_rng(seed), filter_model(model, SETTINGS)
     states, rows = [start(model, 0, filter_models.aligned(model))], []
     for change_db in changes_db:
         level_db = change_db + model.white_sigma_db * rng.standard_normal(CARRIERS)
         before = states[-1]
         epoch_us = before.epoch_us + MINUTE_US
-        found = step(model, SETTINGS, before, epoch_us, level_db, no_motion(), kernels=capture.kernels)
-        plain = step(model, SETTINGS, before, epoch_us, level_db, no_motion())
-        np.testing.assert_array_equal(found.state.gaussian.covariance, plain.state.gaussian.covariance)
-        np.testing.assert_array_equal(found.state.gaussian.mean, plain.state.gaussian.mean)
-        rows.append(effective_row(model, SETTINGS, before, found, capture.newest, np.arange(len(before.gaussian.mean))))
+        found = step(compiled, before, epoch_us, level_db, no_motion(), is_traced=True)
+        plain = step(compiled, before, epoch_us, level_db, no_motion())
+        assert filter_models.bits(found.state) == filter_models.bits(plain.state)
+        rows.append(effective_row(model, SETTINGS, before, found, found.trace, np.arange(len(before.mean))))
         states.append(found.state)
     return states[1:], rows
 
@@ -195,21 +192,21 @@ def taken(model, changes_db, seed=1):
 def test_later_rows_make_every_sigma_smaller_and_the_newest_row_is_the_filter(model):
     states, rows = taken(model, np.zeros((EFFECTIVE_ROWS, CARRIERS)))
     newest, *older = smoothed_rows(rows)
-    np.testing.assert_array_equal(newest.mean[ATTITUDE], states[-1].gaussian.mean[ATTITUDE])
+    np.testing.assert_array_equal(newest.mean[ATTITUDE], states[-1].mean[ATTITUDE])
     for own, state in zip(older, states[-2::-1], strict=True):
-        assert (np.diag(own.covariance)[ATTITUDE] < np.diag(state.gaussian.covariance)[ATTITUDE]).all()
+        assert (np.diag(own.covariance)[ATTITUDE] < np.diag(state.covariance)[ATTITUDE]).all()
 
 
 def test_a_carrier_whose_level_steps_is_an_edge_and_the_attitude_goes_on(model):
     changes_db = np.zeros((EFFECTIVE_ROWS, CARRIERS))
     changes_db[30:, 2] = 3.0
     states, rows = taken(model, changes_db)
-    flagged = next(k for k, state in enumerate(states) if state.carriers.is_flagged[2])
+    flagged = next(k for k, state in enumerate(states) if state.carriers["is_flagged"][2])
     assert len(rows[flagged - 1].restarted) == 0
     assert len(rows[flagged].restarted) == model.components + 1
     smoothed = list(smoothed_rows(rows))[::-1]
     sigma = np.array([np.sqrt(np.diag(each.covariance)[1]) for each in smoothed])
-    assert sigma[flagged - 5] < np.sqrt(states[flagged - 5].gaussian.covariance[1, 1])
+    assert sigma[flagged - 5] < np.sqrt(states[flagged - 5].covariance[1, 1])
     # skipped rows and the restart leave no trace in the angles
     error_deg = np.abs([each.mean[ATTITUDE] for each in smoothed])
     assert (error_deg <= 4.0 * np.array([np.sqrt(np.diag(each.covariance))[ATTITUDE] for each in smoothed])).all()
@@ -231,7 +228,7 @@ def test_states_without_a_link_to_others_have_just_begun():
 
 
 def test_hidden_states_come_and_go(model):
-    mean = start(model, 0, filter_models.aligned(model)).gaussian.mean
+    mean = start(model, 0, filter_models.aligned(model)).mean
     core = len(mean) - CARRIERS * (model.components + 1)
     wider = np.insert(mean, core, [0.0, 7.0])
     origin = state_origin(model, mean, wider)
@@ -241,7 +238,7 @@ def test_hidden_states_come_and_go(model):
 
 
 def test_a_state_that_was_moved_in_between_has_no_past(model):
-    mean = start(model, 0, filter_models.aligned(model)).gaussian.mean
+    mean = start(model, 0, filter_models.aligned(model)).mean
     moved = mean.copy()
     moved[0] += 0.1
     assert state_origin(model, mean, moved) is None
@@ -268,9 +265,9 @@ def sensed_model():
 @pytest.fixture
 def sensed_rows(sensed_model):
     """Return rows of a still spacecraft with an unloading of its wheels on the way."""
-    rng, capture = np.random.default_rng(20261126), StepCapture(ARRAYS)
+    rng, compiled = np.random.default_rng(20261126), filter_model(sensed_model, SENSED)
     gaussian = with_torque(sensed_model, filter_models.aligned(sensed_model), SENSED)
-    first = sensors_first(sensed_model, gaussian, SENSED)
+    first = sensors_first(sensed_model, len(gaussian.mean), SENSED)
     state, wheels, port, taken = start(sensed_model, 0, gaussian), SensorWatch(), SensorWatch(0), []
     for number in range(SENSED_ROWS):
         gaussian, at_us = state.gaussian, state.epoch_us
@@ -288,12 +285,12 @@ def sensed_rows(sensed_model):
             place = first + momentum_count(SENSED)
             port, gaussian, effect = push_block(port, gaussian, place, block, at_us, SENSED.polarimeters[0])
             records.append((effect, gaussian))
-        sensed = state._replace(gaussian=gaussian)
+        sensed = state.with_gaussian(gaussian)
         level_db = sensed_model.white_sigma_db * rng.standard_normal(SENSED_CARRIERS)
-        found = step(sensed_model, SENSED, sensed, at_us + MINUTE_US, level_db, no_motion(), kernels=capture.kernels)
+        found = step(compiled, sensed, at_us + MINUTE_US, level_db, no_motion(), is_traced=True)
         origin = np.arange(len(gaussian.mean)) if taken else None
         effects = [effect for effect, _ in records]
-        row = effective_row(sensed_model, SENSED, sensed, found, capture.newest, origin, effects)
+        row = effective_row(sensed_model, SENSED, sensed, found, found.trace, origin, effects)
         taken.append(Taken(state.gaussian, records, found.state.gaussian, row))
         state = found.state
     assert not wheels.jumps

@@ -1,4 +1,4 @@
-"""Anchor of the filter: the watch, the mixture of carriers and protection."""
+"""The anchor: the mixture over what may be wrong with carriers, protection levels, and a start from the references."""
 
 from itertools import product
 
@@ -9,21 +9,29 @@ from mixture_models import CALM, PRIOR, STORM, branches, jacobian
 
 import service.core.estimation.filtering.anchor as module
 from service.core.estimation.filtering.anchor import (
+    DRY,
+    ERROR_SIGMA_DEG,
+    HYPOTHESES,
+    RISK,
+    Branches,
+    Mixture,
     ask_anchor,
-    calm_anchor,
-    carrier_hypotheses,
     is_contradicted,
     is_question_due,
+    mixture_error_deg,
     protection_levels_deg,
-    protection_now_deg,
-    push_residuals,
+    push_anchor,
+    solve_mixture,
+    start_again,
 )
-from service.core.estimation.filtering.anchor import DRY, Branches, Mixture, solve_mixture
-from service.core.estimation.filtering.carrier_watch import healthy
-from service.core.estimation.filtering.filter_model import ATTITUDE
-from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
+from service.core.estimation.filtering.filter_model import ATTITUDE, DRIFT, Gaussian, reference_states
+from service.core.estimation.filtering.filter_state import start
+from service.core.estimation.filtering.integrity import assess
+from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.row_block import empty_result
 
 MINUTE_US = filter_models.MINUTE_US
+NAMES = tuple(HYPOTHESES)
 
 
 @pytest.fixture
@@ -31,24 +39,29 @@ def model():
     return filter_models.carrier_model(carriers=12)
 
 
-def run(
-    model, minutes, error_deg=(0.0, 0.0, 0.0), *, watch=None, change=None, noise_db=0.1, loss_db=0.0, reported=None
-):
-    """Return the watch and the answers of some minutes in which the attitude of the filter has an error."""
-    rng, state = np.random.default_rng(3), filter_models.aligned(model)
-    watch = calm_anchor(12, 0) if watch is None else watch
-    carriers = healthy(np.full(12, 0.03**2))
-    carriers = carriers if change is None else change(carriers)
-    answers = []
+def begun(model, epoch_us=0):
+    return start(model, epoch_us, filter_models.aligned(model))
+
+
+def run(model, minutes, error_deg=(0.0, 0.0, 0.0), *, state=None, noise_db=0.1, loss_db=0.0, reported=np.nan):
+    """Return the state and the answers of some minutes in which the attitude of the filter has an error."""
+    rng, compiled = np.random.default_rng(3), filter_model(model)
+    state = begun(model) if state is None else filter_models.copied(state)
+    reported_wet, answers = np.full(12, reported), []
     for minute in range(1, minutes + 1):
         residual_db = model.gradient_db_deg @ error_deg + rng.normal(0.0, noise_db, 12) - loss_db
-        watch, answer = push_residuals(watch, residual_db, np.full(12, noise_db**2)), None
-        if is_question_due(watch, minute * MINUTE_US):
-            watch, answer = ask_anchor(
-                model, watch, carriers, state, minute * MINUTE_US, is_raining=False, reported_wet=reported
-            )
-        answers.append(answer)
-    return watch, answers
+        state.watch["epoch_us"] = minute * MINUTE_US
+        push_anchor(state, residual_db, np.full(12, noise_db**2))
+        answers.append(ask_anchor(compiled, state, reported_wet) if is_question_due(state) else None)
+    return state, answers
+
+
+def level_deg(state):
+    return state.watch["level_deg"][0]
+
+
+def error_deg(found):
+    return mixture_error_deg(found)[0]
 
 
 def test_they_are_asked_every_minute_at_first_and_every_ten_minutes_then(model):
@@ -59,14 +72,14 @@ def test_they_are_asked_every_minute_at_first_and_every_ten_minutes_then(model):
 def test_more_minutes_make_a_lower_level(model):
     first, _ = run(model, 1)
     last, _ = run(model, 20)
-    assert (last.level_deg < first.level_deg).all()
-    assert last.level_deg[1] < 0.15
+    assert (level_deg(last) < level_deg(first)).all()
+    assert level_deg(last)[1] < 0.15
 
 
 def test_an_error_of_the_attitude_contradicts(model):
     _, answers = run(model, 20, (0.0, 0.15, 0.0))
     assert is_contradicted(answers[-1])
-    np.testing.assert_allclose(answers[-1].error_deg[1:], [0.15, 0.0], atol=0.04)
+    np.testing.assert_allclose(error_deg(answers[-1])[1:], [0.15, 0.0], atol=0.04)
     assert not is_contradicted(run(model, 20)[1][-1])
 
 
@@ -76,47 +89,51 @@ def test_yaw_alone_and_small_errors_are_left_to_the_filter(error_deg):
 
 
 def test_a_reference_that_is_not_known_tells_nothing(model):
-    def without(carriers):
-        known = carriers.aligned_reference_db.copy()
-        known[:8] = np.nan
-        return carriers._replace(aligned_reference_db=known)
-
-    few, _ = run(model, 20, change=without)
+    known = np.where(np.arange(12) < 8, np.nan, 0.0)
+    few, _ = run(model, 20, state=begun(model).with_carriers(aligned_reference_db=known))
     all_of_them, _ = run(model, 20)
-    assert (few.level_deg > all_of_them.level_deg).all()
+    assert (level_deg(few) > level_deg(all_of_them)).all()
+
+
+def levels_now_deg(model, state, epoch_us, sigma_deg):
+    """Return level and nominal level (2, 3) that are told at an epoch by some sigma of the attitude."""
+    later, found = filter_models.copied(state).with_watch(epoch_us=epoch_us), empty_result(1, 12).rows[0]
+    later.covariance[ATTITUDE, ATTITUDE] = np.diag(np.square(sigma_deg))
+    assess(filter_model(model), later, 12, found)
+    return np.array([found["protection_deg"], found["nominal_deg"]])
 
 
 def test_the_level_grows_with_sigma_and_ends_after_half_an_hour(model):
-    watch, _ = run(model, 20)
-    sigma = filter_models.aligned(model).attitude_sigma_deg
-    now = 20 * MINUTE_US
-    both = np.array([watch.level_deg, watch.nominal_deg])
-    np.testing.assert_array_equal(protection_now_deg(watch, now, 0.5 * sigma), both)
-    np.testing.assert_allclose(protection_now_deg(watch, now, sigma + 0.01), both + 0.04)
+    state, _ = run(model, 20)
+    sigma, now = state.gaussian.attitude_sigma_deg, 20 * MINUTE_US
+    both = np.array([state.watch["level_deg"][0], state.watch["nominal_deg"][0]])
+    np.testing.assert_array_equal(levels_now_deg(model, state, now, 0.5 * sigma), both)
+    np.testing.assert_allclose(levels_now_deg(model, state, now, sigma + 0.01), both + 0.04)
     # with every carrier dry little is left of the hypotheses but their priors
     assert ((both[1] < both[0]) & (both[0] < 3.0 * both[1])).all()
-    assert np.isfinite(protection_now_deg(watch, now + 30 * MINUTE_US, sigma)).all()
-    assert np.isnan(protection_now_deg(watch, now + 30 * MINUTE_US + 1, sigma)).all()
-    assert np.isnan(protection_now_deg(calm_anchor(12, 0), MINUTE_US, sigma)).all()
+    assert np.isfinite(levels_now_deg(model, state, now + 30 * MINUTE_US, sigma)).all()
+    assert np.isnan(levels_now_deg(model, state, now + 30 * MINUTE_US + 1, sigma)).all()
+    assert np.isnan(levels_now_deg(model, begun(model), MINUTE_US, sigma)).all()
 
 
 def test_noise_of_rows_that_is_declared_raises_the_level(model):
     _, answers = run(model, 20, noise_db=2.0)
     assert not is_contradicted(answers[-1])
-    assert (run(model, 20, noise_db=2.0)[0].level_deg[1:] > 1.5 * run(model, 20)[0].level_deg[1:]).all()
+    assert (level_deg(run(model, 20, noise_db=2.0)[0])[1:] > 1.5 * level_deg(run(model, 20)[0])[1:]).all()
 
 
 def test_each_carrier_has_its_likeliest_hypothesis_and_since_when(model):
-    assert {each.name for each in carrier_hypotheses(calm_anchor(12, 0))} == {None}
+    assert np.isnan(begun(model).carriers["probability"]).all()
     dry, _ = run(model, 30)
-    wet, _ = run(model, 60, watch=dry._replace(minutes=0), loss_db=np.where(np.arange(12) == 5, 0.8, 0.0))
-    before, after = carrier_hypotheses(dry), carrier_hypotheses(wet)
-    assert {each.name for each in before} == {"dry"}
-    assert [k for k, each in enumerate(after) if each.name != "dry"] == [5]
-    assert after[5].name == "wet"
-    assert 0.5 < after[5].probability <= 1.0
-    assert 0 < after[5].since_us < 30 * MINUTE_US
-    assert after[0].since_us == before[0].since_us == 0
+    loss_db = np.where(np.arange(12) == 5, 0.8, 0.0)
+    wet, _ = run(model, 60, state=dry.with_watch(anchor_minutes=0), loss_db=loss_db)
+    before, after = dry.carriers, wet.carriers
+    assert {NAMES[k] for k in before["hypothesis"]} == {"dry"}
+    assert [k for k in range(12) if NAMES[after["hypothesis"][k]] != "dry"] == [5]
+    assert NAMES[after["hypothesis"][5]] == "wet"
+    assert 0.5 < after["probability"][5] <= 1.0
+    assert 0 < after["hypothesis_since_us"][5] < 30 * MINUTE_US
+    assert after["hypothesis_since_us"][0] == before["hypothesis_since_us"][0] == 0
 
 
 def test_reports_of_the_weather_make_wet_likelier_or_less_likely(model):
@@ -126,21 +143,19 @@ def test_reports_of_the_weather_make_wet_likelier_or_less_likely(model):
         answers = run(model, 20, loss_db=loss_db, reported=reported)[1]
         return answers[-1].branch_probability[5, 0]
 
-    nobody = dry_probability(None)
-    assert dry_probability(np.full(12, np.nan)) == nobody
-    assert dry_probability(np.ones(12)) < nobody < dry_probability(np.zeros(12))
+    assert dry_probability(1.0) < dry_probability(np.nan) < dry_probability(0.0)
 
 
 def test_reports_of_rain_that_is_none_raise_the_level_and_turn_nothing(model):
-    told, answers = run(model, 20, reported=np.ones(12))
+    told, answers = run(model, 20, reported=1.0)
     assert not is_contradicted(answers[-1])
-    assert (told.level_deg > run(model, 20)[0].level_deg).all()
+    assert (level_deg(told) > level_deg(run(model, 20)[0])).all()
 
 
 def test_old_references_are_less_sure(model):
     young, _ = run(model, 20)
-    old, _ = run(model, 20, watch=calm_anchor(12, -90 * 86_400_000_000))
-    assert (old.level_deg[ATTITUDE] > young.level_deg).all()
+    old, _ = run(model, 20, state=begun(model, -90 * 86_400_000_000))
+    assert (level_deg(old) > level_deg(young)).all()
 
 
 def by_hand(design, residual_db, hypotheses):
@@ -166,7 +181,7 @@ def test_all_combinations_kept_are_those_of_least_squares(monkeypatch):
     found = solve_mixture(design, residual_db, branches(4), PRIOR)
     probability, error = by_hand(design, residual_db, branches(4))
     assert len(found.probability) == len(probability) == 2 * 5**4
-    np.testing.assert_allclose(found.error_deg, probability @ error, atol=1e-12)
+    np.testing.assert_allclose(error_deg(found), probability @ error, atol=1e-12)
     np.testing.assert_allclose(np.sort(found.probability), np.sort(probability), atol=1e-12)
 
 
@@ -178,7 +193,7 @@ def test_what_is_merged_loses_no_probability_and_hardly_moves_the_answer():
     assert len(found.probability) == module.KEPT
     assert found.probability.sum() == pytest.approx(1.0, abs=1e-12)
     np.testing.assert_allclose(found.branch_probability.sum(axis=1), 1.0, atol=1e-12)
-    np.testing.assert_allclose(found.error_deg, probability @ error, atol=0.005)
+    np.testing.assert_allclose(error_deg(found), probability @ error, atol=0.005)
 
 
 def test_stations_in_rain_do_not_turn_the_spacecraft():
@@ -189,7 +204,7 @@ def test_stations_in_rain_do_not_turn_the_spacecraft():
     # least squares of all carriers would be wrong by more than that
     plain = np.linalg.lstsq(design, residual_db, rcond=None)[0]
     assert np.abs(plain[1:3]).max() > 0.1
-    assert np.abs(found.error_deg[1:]).max() < 0.05
+    assert np.abs(error_deg(found)[1:]).max() < 0.05
     assert (found.branch_probability[[2, 5, 8, 11, 14], DRY] < 0.1).all()
 
 
@@ -199,8 +214,8 @@ def test_an_error_of_the_attitude_is_found_through_the_rain():
     residual_db = design @ [0.0, 0.2, -0.15, 0.1] + rng.normal(0.0, 0.06, 16)
     residual_db[[1, 4, 9]] -= [0.9, 1.5, 0.6]
     found = solve_mixture(design, residual_db, branches(16), PRIOR)
-    np.testing.assert_allclose(found.error_deg[1:], [0.2, -0.15], atol=0.06)
-    assert (np.abs(found.error_deg[1:] - [0.2, -0.15]) < 4.0 * found.sigma_deg[1:]).all()
+    np.testing.assert_allclose(error_deg(found)[1:], [0.2, -0.15], atol=0.06)
+    assert (np.abs(error_deg(found)[1:] - [0.2, -0.15]) < 4.0 * mixture_error_deg(found)[1][1:]).all()
 
 
 def test_a_carrier_without_a_reading_tells_nothing_and_is_told_nothing():
@@ -212,7 +227,7 @@ def test_a_carrier_without_a_reading_tells_nothing_and_is_told_nothing():
     seven = branches(8)
     seven = Branches(seven.mean_db[kept], seven.variance_db2[kept], seven.log_probability[:, kept], np.log([0.8, 0.2]))
     np.testing.assert_allclose(
-        found.error_deg, solve_mixture(design[kept], residual_db[kept], seven, PRIOR).error_deg, atol=1e-12
+        error_deg(found), error_deg(solve_mixture(design[kept], residual_db[kept], seven, PRIOR)), atol=1e-12
     )
     share = found.branch_probability[3, DRY]
     assert CALM[DRY] > share > STORM[DRY]
@@ -220,25 +235,15 @@ def test_a_carrier_without_a_reading_tells_nothing_and_is_told_nothing():
 
 def test_without_readings_the_error_is_what_it_was_before():
     found = solve_mixture(np.ones((3, 4)), np.full(3, np.nan), branches(3), PRIOR)
-    np.testing.assert_allclose(found.sigma_deg, PRIOR[:3])
-    np.testing.assert_array_equal(found.error_deg, 0.0)
-
-
-@pytest.mark.parametrize("carriers", [1, 4, 16])
-def test_compiled_the_same_source_gives_the_same_mixture_and_levels(carriers):
-    rng, compiled = np.random.default_rng(10), compiled_kernels().anchor
-    design, residual_db = jacobian(rng, carriers), rng.normal(0.0, 0.4, carriers)
-    plain = solve_mixture(design, residual_db, branches(carriers), PRIOR)
-    first, second = (solve_mixture(design, residual_db, branches(carriers), PRIOR, compiled) for _ in range(2))
-    for one, other, again in zip(plain, first, second, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)  # products of another library add in another order
-        np.testing.assert_array_equal(other, again)
-    np.testing.assert_allclose(
-        protection_levels_deg(plain), protection_levels_deg(first, kernels=compiled), rtol=0.0, atol=1e-5
-    )  # found to 3e-6 deg
+    np.testing.assert_allclose(mixture_error_deg(found)[1], PRIOR[:3])
+    np.testing.assert_array_equal(error_deg(found), 0.0)
 
 
 SIGMA_DEG = np.array([0.2, 0.02, 0.03])
+
+
+def levels_deg(mixture, risk=RISK):
+    return protection_levels_deg(mixture, np.zeros(3), risk)
 
 
 def one(mean_deg=(0.0, 0.0, 0.0), sigma_deg=SIGMA_DEG):
@@ -247,18 +252,18 @@ def one(mean_deg=(0.0, 0.0, 0.0), sigma_deg=SIGMA_DEG):
 
 def test_one_normal_error_has_the_quantile_of_the_normal_distribution():
     # two-sided: 1e-4 lies beyond 3.891 sigma
-    np.testing.assert_allclose(protection_levels_deg(one()), 3.8906 * SIGMA_DEG, rtol=1e-3)
+    np.testing.assert_allclose(levels_deg(one()), 3.8906 * SIGMA_DEG, rtol=1e-3)
 
 
 def test_an_expected_error_is_added():
     # one-sided now: 1e-4 lies beyond 3.719 sigma
-    levels = protection_levels_deg(one((0.0, 0.3, -0.3)))
+    levels = levels_deg(one((0.0, 0.3, -0.3)))
     np.testing.assert_allclose(levels[1:], 0.3 + 3.719 * SIGMA_DEG[1:], rtol=1e-3)
 
 
 def test_an_unlikely_combination_counts_once_it_is_likelier_than_the_risk():
     def levels(probability):
-        return protection_levels_deg(
+        return levels_deg(
             Mixture(
                 np.array([1.0 - probability, probability]),
                 np.array([[0.0, 0.0, 0.0], [0.0, 0.5, 0.0]]),
@@ -283,9 +288,81 @@ def test_errors_of_the_assumed_kind_pass_the_level_as_often_as_it_says():
         at = np.arange(12), np.array(chosen)
         truth = rng.normal(0.0, PRIOR)
         residual_db = design @ truth + known.mean_db[at] + np.sqrt(known.variance_db2[at]) * rng.normal(size=12)
-        level = protection_levels_deg(solve_mixture(design, residual_db, known, PRIOR), risk)
+        level = levels_deg(solve_mixture(design, residual_db, known, PRIOR), risk)
         passed += np.abs(truth[:3]) > level
     # two standard deviations of a share of 2 % in 600 draws are 1.1 %
     assert (passed / draws < risk + 0.012).all()
     # a level that nothing ever passes says nothing
     assert passed.sum() > 0
+
+
+ERROR_DEG = np.array([0.1, -0.2, 0.15])
+FEW = 6
+
+
+@pytest.fixture
+def few():
+    return filter_models.carrier_model(carriers=FEW)
+
+
+@pytest.fixture
+def state(few):
+    """Return a filter that learned references: carrier 1 is set aside, 2 has a level of its own."""
+    gaussian = filter_models.aligned(few)
+    mean = gaussian.mean.copy()
+    mean[reference_states(few, np.arange(FEW))] = [0.3, 0.0, 1.5, -0.4, 0.0, 0.0]
+    mean[DRIFT] = 0.01
+    state = start(few, 0, Gaussian(mean, gaussian.covariance))
+    return state.with_carriers(is_flagged=np.arange(FEW) == 1, is_relearned=np.isin(np.arange(FEW), [0, 2, 3]))
+
+
+def mixture(likeliest=("dry", "dry", "learned", "rain", "dry", "dry")):
+    place = {"dry": 0, "rain": 2, "changed": 3, "learned": 4}
+    told = np.full((FEW, 5), 0.025)
+    told[np.arange(FEW), [place[each] for each in likeliest]] = 0.9
+    return Mixture(np.ones(1), ERROR_DEG[None], np.diag([0.01, 0.0004, 0.0009])[None], told)
+
+
+def started_again(model, state):
+    after = filter_models.copied(state)
+    start_again(filter_model(model), after, mixture())
+    return after
+
+
+def test_the_attitude_moves_by_the_error_and_is_free(few, state):
+    after = started_again(few, state).gaussian
+    np.testing.assert_allclose(after.mean[ATTITUDE], state.mean[ATTITUDE] + ERROR_DEG)
+    sigma_deg = np.hypot(ERROR_SIGMA_DEG, state.gaussian.attitude_sigma_deg)
+    np.testing.assert_allclose(after.covariance[ATTITUDE, ATTITUDE], np.diag(sigma_deg**2))
+    assert not after.covariance[ATTITUDE, 3:].any()
+    np.testing.assert_array_equal(after.mean[DRIFT], state.mean[DRIFT])
+
+
+def test_dry_carriers_have_the_reference_of_the_alignment_again(few, state):
+    after = started_again(few, state)
+    positions = reference_states(few, np.array([0, 1, 4]))
+    np.testing.assert_array_equal(after.mean[positions], 0.0)
+    assert not after.carriers["is_flagged"][[0, 1, 4]].any()
+    assert not after.carriers["is_relearned"][[0, 1, 4]].any()
+
+
+def test_wet_carriers_are_set_aside_and_learned_levels_stay(few, state):
+    after = started_again(few, state)
+    assert np.flatnonzero(after.carriers["is_flagged"]).tolist() == [3]
+    # it comes back to the level of the alignment, not to the one that rain taught
+    assert after.carriers["saved_reference_db"][3] == 0.0
+    assert after.mean[reference_states(few, np.array([2]))] == 1.5
+
+
+def test_a_carrier_without_a_reference_of_the_alignment_is_never_given_one(few, state):
+    known = np.where(np.arange(FEW) == 4, np.nan, 0.0)
+    unknown = state.with_carriers(aligned_reference_db=known)
+    after = started_again(few, unknown)
+    assert after.carriers["is_flagged"][4]
+    assert np.isfinite(after.mean).all()
+
+
+def test_the_level_is_that_of_the_moved_attitude(few, state):
+    after = started_again(few, state)
+    # 3.891 sigma of an error that is expected to be zero now
+    np.testing.assert_allclose(level_deg(after), 3.8906 * np.array([0.1, 0.02, 0.03]), rtol=1e-3)
