@@ -156,6 +156,9 @@ def take_rows(
         status, used_count, is_moved = TAKEN, 0, True
         if block.rows["epoch_us"][number] <= before.watch["epoch_us"][0]:
             status = OLD
+        elif is_lost(after):
+            # no linear algebra goes over such numbers
+            status = LOST
         elif len(row.carriers) >= MIN_CARRIERS:
             screened = screen_row(model, after, block, number, row, result)
             used = use_row(model, after, block, number, row, screened, result, trace)
@@ -196,9 +199,8 @@ def begin_result(block: RowBlock, number: int, result: BlockResult) -> None:
 def write_state(state: FilterState, status: int, found: NDArray[np.void]) -> int:
     """Write what a record of `RESULT` says of the state after a row; return what became of the row."""
     mean = state.mean
-    for place in range(len(mean)):
-        if not (math.isfinite(mean[place]) and math.isfinite(state.covariance[place, place])):
-            status = LOST
+    if is_lost(state):
+        status = LOST
     found["status"] = status
     for axis in range(3):
         found["attitude_deg"][axis] = mean[axis]
@@ -207,6 +209,14 @@ def write_state(state: FilterState, status: int, found: NDArray[np.void]) -> int
             found["covariance_deg2"][axis, second] = state.covariance[axis, second]
     found["chain_db"], found["rain_db"], found["is_raining"] = mean[CHAIN], mean[RAIN], state.watch["is_raining"][0]
     return status
+
+
+def is_lost(state: FilterState) -> bool:
+    """Return whether a number of the state is none, or infinite."""
+    for place in range(len(state.mean)):
+        if not (math.isfinite(state.mean[place]) and math.isfinite(state.covariance[place, place])):
+            return True
+    return False
 
 
 def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: int, trace: RowTrace) -> Present:
