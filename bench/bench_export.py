@@ -173,7 +173,7 @@ class Works:
         self._sink = path.with_name("out")
         self._names = [f"c{k:02d}" for k in range(CARRIERS)]
         # what a file of measurements asks of the service's context
-        self._context: Any = SimpleNamespace(storage=SqlStorage(sqlite_url(str(path))), kernels="numba")
+        self._context: Any = SimpleNamespace(storage=SqlStorage(sqlite_url(str(path))))
         self._span = Window(START_US, int(rows.epochs_us[-1]) + 1)
         self._by_column = np.ascontiguousarray(rows.levels.T)
 

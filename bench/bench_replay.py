@@ -12,7 +12,7 @@ import tempfile
 import time
 from contextlib import closing
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 from unittest.mock import patch
 
 import numpy as np
@@ -60,11 +60,11 @@ def main() -> bool:
     return is_met
 
 
-def measure(database: Path, rows: int, kernels: Literal["numpy", "numba"] = "numba") -> ReplayTimes:
+def measure(database: Path, rows: int) -> ReplayTimes:
     """Return the times of a replay of some rows."""
     with closing(SqlStorage(sqlite_url(str(database)))) as storage:
         _fill(storage, rows)
-        config = ChainConfig(kernels=kernels)
+        config = ChainConfig()
         _replay(storage, config, 200)
         before_s = yardstick_s()
         whole_s, chain_s = _replay(storage, config, rows)

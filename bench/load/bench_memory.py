@@ -151,7 +151,7 @@ def fill_replay(url: str, rows: int) -> None:
 def replay_mb(url: str, rows: int) -> float:
     """Return the growth by a replay of the archive."""
     with closing(SqlStorage(url)) as storage:
-        config = ChainConfig(kernels="numba")
+        config = ChainConfig()
 
         def run(spacecraft_id: str, version: str, report: Callable[[float], None]) -> None:
             ReplayRun(storage, config, spacecraft_id, version).run(report)

@@ -5,12 +5,14 @@ import hashlib
 import io
 import json
 import typing
+from collections.abc import Sequence
 from enum import Enum
 from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from service.core.estimation.filtering.filter_state import CARRIER, WATCH
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.schedule_check import PanelSwing
 from service.pipeline.estimation.paper.runner import SavedPaper
@@ -29,16 +31,20 @@ class Layout:
     ----------
     outermost : type
         NamedTuple or dataclass whose annotations name the others.
+    dtypes : sequence of dtype, optional
+        Of arrays of records in the state, which annotations do not tell apart.
     """
 
-    def __init__(self, outermost: type) -> None:
+    def __init__(self, outermost: type, dtypes: Sequence[np.dtype[np.void]] = ()) -> None:
         self._classes: dict[str, type] = {}
+        self._dtypes = dtypes
         self._find(outermost)
 
     @cached_property
     def digest(self) -> str:
         """Return what changes with the names, the fields or their types (16 hexadecimal digits)."""
         lines = [f"{name}: {self._members(one)}" for name, one in sorted(self._classes.items())]
+        lines += [str(each.descr) for each in self._dtypes]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
     def pack(self, value: Any) -> bytes:
@@ -64,7 +70,7 @@ class Layout:
             The bytes are not those of a state of this layout.
         """
         with np.load(io.BytesIO(content), allow_pickle=False) as kept:
-            arrays = [kept[f"arr_{k}"] for k in range(len(kept.files))]
+            arrays = [self._own(kept[f"arr_{k}"]) for k in range(len(kept.files))]
         value = self._decoded(json.loads(arrays[0].tobytes()), arrays)
         if not isinstance(value, outermost):
             message = f"the state is a {type(value).__name__}, not a {outermost.__name__}"
@@ -131,6 +137,16 @@ class Layout:
             case _:
                 return document
 
+    def _own(self, array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+        """Return an array whose records are of a type of the layout; files do not keep that a type is aligned."""
+        if array.dtype.names is None:
+            return array
+        own = next((each for each in self._dtypes if each == array.dtype), None)
+        if own is None:
+            message = "the state has an array of records of another type"
+            raise TypeError(message)
+        return array.view(own)
+
     def _known(self, one: type) -> None:
         if self._classes.get(one.__name__) is not one:
             message = f"{one.__name__} is not among the classes of the state"
@@ -174,7 +190,7 @@ class ChainState(NamedTuple):
     last: tuple[Measurement, bool] | None
 
 
-_LAYOUT = Layout(ChainState)
+_LAYOUT = Layout(ChainState, (CARRIER, WATCH))
 
 
 def fingerprint(config: ChainConfig) -> str:

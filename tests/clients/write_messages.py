@@ -124,7 +124,7 @@ def attitude_row(number: int, epoch_us: int, angles: Axes) -> AttitudeRow:
 def write(storage: SqlStorage, path: Path, series: str, file_format: FileFormat) -> None:
     """Write what the service exports."""
     clock = SimpleNamespace(system_us=lambda: START_US)
-    context = cast("Any", SimpleNamespace(storage=storage, clock=clock, kernels="numpy"))
+    context = cast("Any", SimpleNamespace(storage=storage, clock=clock))
     order = FileOrder(SC, series, file_format, EVERYTHING)
     file = archive_file(context, lambda sc, plan_id: storage.catalogue.plan(sc, plan_id).carrier_ids, order)
     with path.open("wb") as output:

@@ -339,7 +339,7 @@ def test_each_setting_has_meaning_and_origin() -> None:
 @pytest.mark.parametrize("name", [entry.name for entry in DEFAULTS])
 def test_each_variable_reaches_its_setting(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     default = next(entry.default for entry in DEFAULTS if entry.name == name)
-    special = {"SOO_CLOCK": "data", "SOO_LOG_LEVEL": "debug", "SOO_KERNELS": "numpy", "SOO_BOOTSTRAP_KEY": "a-secret"}
+    special = {"SOO_CLOCK": "data", "SOO_LOG_LEVEL": "debug", "SOO_BOOTSTRAP_KEY": "a-secret"}
     special["SOO_TRUSTED_PROXIES"] = "10.0.0.1"
     special["SOO_ALLOWED_ORIGINS"] = "https://grafana.example,http://[::1]:3000"
     special |= {"SOO_LOG_FORMAT": "text", "SOO_ACCESS_LOG": "False", "SOO_METRICS_NEED_KEY": "True"}

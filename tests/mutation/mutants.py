@@ -162,7 +162,7 @@ class Judge:
     def killer(self, mutant: Mutant) -> str:
         """Return the test that kills a mutant, empty where none does."""
         path, source = mutated(mutant)
-        # numba looks at the file of a kernel alone, not at those of the functions it calls: the core runs as Python
+        # the compiler would take a minute for each mutant of the core: it runs as Python
         is_compiled = not path.is_relative_to(ROOT / "service" / "core")
         near = near_tests(path, mutant.name)
         others = [] if self.is_near else [test for test in test_texts() if test not in near]

@@ -17,6 +17,8 @@ from release_ground import seed_archive
 from service_process import KEY, ServiceProcess, serving_on
 from storage_trial import Trial
 
+from service.pipeline.first_rows import compile_filter
+
 
 @pytest.fixture(scope="session")
 def service_process() -> type[ServiceProcess]:
@@ -41,7 +43,8 @@ for arguments, environment in json.load(sys.stdin):
 
 @pytest.fixture(scope="session")
 def compiled_environment() -> dict[str, str]:
-    """Return an environment in which processes share what Python and numba compile."""
+    """Return an environment in which processes share what Python and numba compile; the filter is compiled."""
+    compile_filter()
     return dict(os.environ)
 
 

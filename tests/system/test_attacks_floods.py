@@ -160,7 +160,7 @@ def flooded(start_service: Any, spacecraft: Any, carriers: Any) -> Iterator[Call
     clients: list[httpx.Client] = []
 
     def make(**settings: str) -> Flooded:
-        environment = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numba", **settings}
+        environment = {"SOO_BOOTSTRAP_KEY": KEY, **settings}
         service = start_service("--port", "0", "--clock", "data", environment=environment)
         client = service.client()
         client.timeout = 120

@@ -100,7 +100,7 @@ class Host:
 def test_up_twice_on_the_same_data_shows_the_story_twice(compiled_environment, tmp_path):
     host = Host(tmp_path)
     environment = {name: value for name, value in compiled_environment.items() if not name.startswith("SOO_")}
-    environment |= {"PYTHONPATH": str(ROOT), "SOO_KERNELS": "numpy", "TMPDIR": str(tmp_path)}
+    environment |= {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
     seen = set()
     for turn in range(2):
         with host.up(environment, tmp_path / f"log-{turn}") as demonstration:

@@ -86,7 +86,7 @@ def target(
     """A service with small limits, for all tests of this file; at the end it still answers and has not grown."""
     folder = tmp_path_factory.mktemp("hostile")
     limits = {"SOO_MAX_BODY_BYTES": str(BODY_LIMIT), "SOO_REQUEST_TIMEOUT_S": str(REQUEST_TIMEOUT_S)}
-    own = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", **limits}
+    own = {"SOO_BOOTSTRAP_KEY": KEY, **limits}
     service = service_process(folder, folder / "soo.db", ["--port", "0"], {**compiled_environment, **own})
     try:
         found = Target(service.url, service.process.pid)
@@ -111,7 +111,7 @@ def target(
 
 def test_an_address_with_all_its_connections_keeps_health_and_its_keys(start_service):
     """64 silent ones made its own /healthz 429 for 10 s. A spare place is for one request, which comes at once."""
-    limits = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_MAX_CONNECTIONS_PER_ADDRESS": "4"}
+    limits = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_MAX_CONNECTIONS_PER_ADDRESS": "4"}
     service = start_service("--port", "0", environment=limits)
     target, slow = Target(service.url, service.process.pid), head("POST", SC, "Content-Length: 10")
     held = [target.connect() for _ in range(4)]

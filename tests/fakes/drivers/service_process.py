@@ -15,8 +15,7 @@ from typing import Any
 import httpx
 
 KEY = "a-key-for-tests-only"
-#: the compiler would take longer than the tests of a module
-PLAIN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}
+PLAIN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_ACCESS_LOG": "false"}
 #: a start takes 2 s alone; the machine may be busy with other tests
 START_TIMEOUT_S = 120.0
 

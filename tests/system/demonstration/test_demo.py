@@ -186,8 +186,8 @@ until = partial(wait_until, patience_s=TIMEOUT_S)
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory, compiled_environment) -> dict[str, str]:
-    """Return the environment of both terminals; the compiler would take longer than the rows."""
-    return {**compiled_environment, "XDG_RUNTIME_DIR": str(tmp_path_factory.mktemp("run")), "SOO_KERNELS": "numpy"}
+    """Return the environment of both terminals."""
+    return {**compiled_environment, "XDG_RUNTIME_DIR": str(tmp_path_factory.mktemp("run"))}
 
 
 @pytest.fixture(scope="module")
@@ -326,9 +326,7 @@ def alone_deg(epoch_us: int) -> tuple[float, ...]:
 
 
 @pytest.mark.nightly
-def test_two_keys_release_a_torque_and_the_spacecraft_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # the compiler would take longer than the rows
-    monkeypatch.setenv("SOO_KERNELS", "numpy")
+def test_two_keys_release_a_torque_and_the_spacecraft_turns(tmp_path: Path) -> None:
     kept: list[Scene] = []
     alone = Alone(TWO_STEP_SEED, TWO_STEP_DAYS, TWO_STEP_QUIET_DAYS)
     with ExitStack() as stack:

@@ -251,7 +251,7 @@ def test_a_service_that_is_stopped_hands_over_and_follows_when_it_goes_on(start_
 
 #: some seconds of computing
 ROWS = 2500
-PLAIN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}
+PLAIN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_ACCESS_LOG": "false"}
 
 
 def ended_children_s():

@@ -25,7 +25,6 @@ LAG_MIN = 20
 PIECES = ((1, 40), (40, 75), (75, 110), (110, 140))
 SETTINGS = {
     "SOO_BOOTSTRAP_KEY": "a-key-for-tests-only",
-    "SOO_KERNELS": "numpy",
     "SOO_SMOOTHING__LAG_S": str(60 * LAG_MIN),
 }
 
@@ -46,7 +45,7 @@ def made_from(url):
         window = Window(at(-100), at(1000))
         stored = storage.results.attitude_rows(SC, SMOOTHED, Method.ROBUST_SMOOTHED, window, 10_000, None)
         order = LaggedOrder(grid_us(at(0) + GRID_US - 1), storage.archive.head(SC).consumed_number, LAG_MIN * MINUTE)
-        return stored, LaggedRun(storage, ChainConfig(kernels="numpy"), SC, order).run().rows
+        return stored, LaggedRun(storage, ChainConfig(), SC, order).run().rows
     finally:
         storage.close()
 

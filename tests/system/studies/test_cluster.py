@@ -22,7 +22,6 @@ from waiting import wait_until
 from service.cli.operation import parallel_replay
 from service.composition.bootstrap import storage_opener
 from service.composition.settings import Settings
-from service.pipeline.config import ChainConfig
 from service.records.operations.work import JobState, Replay
 from service.study.executors import ClusterError, WorkerChoice, executor_of
 
@@ -221,7 +220,7 @@ def station(lived, tmp_path, monkeypatch):
 
 def replayed(station, workers):
     """Replay the morning in parts; return the version and how often progress was shown."""
-    settings = Settings(database_url=station.url, kernels=ChainConfig().kernels)
+    settings = Settings(database_url=station.url)
     shown = []
     replay = parallel_replay.replay_in_parts(settings, SC, WANTED, workers, shown.append)
     assert shown[-1] == 1.0

@@ -29,7 +29,6 @@ PLAIN = {
     "SOO_MAX_CONNECTIONS": ("max_connections", "9", 9),
     "SOO_MAX_CONNECTIONS_PER_ADDRESS": ("max_connections_per_address", "5", 5),
     "SOO_MAX_SOURCES_PER_KEY": ("max_sources_per_key", "4", 4),
-    "SOO_KERNELS": ("kernels", "numpy", "numpy"),
     "SOO_TLS_CERTIFICATE": ("tls_certificate", "chain.pem", "chain.pem"),
     "SOO_TLS_KEY": ("tls_key", "key.pem", "key.pem"),
     "SOO_TRUSTED_PROXIES": ("trusted_proxies", "10.0.0.0/8,::1", "10.0.0.0/8,::1"),
@@ -124,9 +123,8 @@ def test_the_chain_gets_the_settings_of_its_stages(monkeypatch):
     monkeypatch.setenv("SOO_ESTIMATION__MIN_ROWS", "5")
     monkeypatch.setenv("SOO_ROBUST__DRIFT_TIME_H", "6.5")
     monkeypatch.setenv("SOO_OPERATIONS__GAIN_STEP_DB", "1.5")
-    monkeypatch.setenv("SOO_KERNELS", "numpy")
     chain = Settings().chain_config()
-    assert (chain.robust.drift_time_h, chain.operations.gain_step_db, chain.kernels) == (6.5, 1.5, "numpy")
+    assert (chain.robust.drift_time_h, chain.operations.gain_step_db) == (6.5, 1.5)
     assert chain.interlock.validity_limit_deg == 0.35
     assert (chain.torque.min_pulse_s, chain.fade.depth_db, chain.estimation.min_rows) == (0.2, 0.4, 5)
 

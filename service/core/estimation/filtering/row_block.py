@@ -122,7 +122,7 @@ class RowBlock(NamedTuple):
 
 
 class BlockResult(NamedTuple):
-    """What is left of rows."""
+    """Results of rows."""
 
     #: (T,) of `RESULT` and (T, N) of `RESULT_CARRIER`
     rows: NDArray[np.void]

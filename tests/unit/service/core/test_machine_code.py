@@ -1,33 +1,52 @@
 """Machine code is kept between processes; where it cannot be read or written, functions are compiled and go on."""
 
-import importlib.util
+import importlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
+import filter_models
 import numpy as np
 import pytest
 from numba.core import caching
 
-from service.core.machine_code import compiled
+from service.core.compiled_entry import CompiledEntry
+from service.core.estimation.filtering.attitude_filter import step
+from service.core.estimation.filtering.filter_model import no_motion
+from service.core.estimation.filtering.filter_state import start
+from service.core.estimation.filtering.plant import filter_model
+from service.core.machine_code import compiled_with
 
-SOURCE = "def doubled(values):\n    return values + values\n"
+CALLED = "FACTOR = {factor}\n\ndef scaled(values):\n    return FACTOR * values\n"
+ENTRY = "from called_arithmetic import scaled\n\ndef run(values):\n    return scaled(values) + 1.0\n"
+MODULES = ("called_arithmetic", "entry_arithmetic")
 TWO = np.ones(2)
 
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """Function that compiles one and the same function as every process does, and returns it after a call."""
+    """Function that compiles one of two modules as every process does, and returns it after a call."""
     monkeypatch.setattr(caching.config, "CACHE_DIR", str(tmp_path / "kept"))
-    source = tmp_path / "arithmetic.py"
-    source.write_text(SOURCE)
+    # the modules are read from their sources each time
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "entry_arithmetic.py").write_text(ENTRY)
 
-    def fresh():
-        spec = importlib.util.spec_from_file_location("arithmetic", source)
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        function = compiled(module.doubled)
-        np.testing.assert_array_equal(function(TWO), 2 * TWO)
+    def fresh(factor=2.0):
+        (tmp_path / "called_arithmetic.py").write_text(CALLED.format(factor=factor))
+        for name in MODULES:
+            monkeypatch.delitem(sys.modules, name, raising=False)
+        importlib.invalidate_caches()
+        modules = [importlib.import_module(name) for name in MODULES]
+        function = compiled_with(modules[1].run, modules)
+        np.testing.assert_array_equal(function(TWO), factor * TWO + 1.0)
         return function
 
-    return fresh
+    yield fresh
+    for name in MODULES:
+        sys.modules.pop(name, None)
 
 
 def hits(function):
@@ -43,6 +62,10 @@ def kept(tmp_path, pattern):
 
 def test_machine_code_is_read_by_the_next_process(fresh):
     assert [hits(fresh()), hits(fresh())] == [0, 1]
+
+
+def test_machine_code_of_an_older_source_of_a_called_function_is_not_used(fresh):
+    assert [hits(fresh(2.0)), hits(fresh(3.0)), hits(fresh(3.0)), hits(fresh(2.0))] == [0, 0, 1, 0]
 
 
 @pytest.mark.parametrize("pattern", ["*.nbi", "*.nbc"])
@@ -72,3 +95,37 @@ def test_what_cannot_be_kept_is_compiled_by_every_process(fresh, monkeypatch):
 def test_without_a_place_it_is_compiled(fresh, monkeypatch):
     monkeypatch.setattr(caching.CompileResultCacheImpl, "_locator_classes", [])
     assert [hits(fresh()), hits(fresh())] == [0, 0]
+
+
+def test_other_forms_of_arrays_are_brought_into_the_one_that_is_compiled(fresh):
+    fresh()
+    modules = [sys.modules[name] for name in MODULES]
+    entry = CompiledEntry(modules[1].run, modules)
+    plain, read_only = np.arange(6.0), np.arange(6.0)
+    read_only.setflags(write=False)
+    # the first one decides about nothing
+    for values in (read_only, plain, np.arange(12.0)[::2] / 2.0, read_only):
+        np.testing.assert_array_equal(entry(values), 2.0 * np.arange(6.0) + 1.0)
+    with pytest.raises(TypeError):
+        entry(np.arange(6))
+    assert len(entry._compiled.signatures) == 1
+
+
+def filtered():
+    """Return mean and sigma of the filter after some rows, of which one carrier steps in the last."""
+    model, rng = filter_models.carrier_model(), np.random.default_rng(3)
+    arrays, state = filter_model(model), start(model, 0, filter_models.aligned(model))
+    for row in range(1, 16):
+        deviation_db = rng.normal(0.0, 0.15, model.carriers) + 3.0 * (row > 12) * (np.arange(model.carriers) == 2)
+        found = step(arrays, state, row * filter_models.MINUTE_US, deviation_db, no_motion())
+        state = found.state
+    return [*state.mean.tolist(), *np.sqrt(state.covariance.diagonal()).tolist(), *found.protection_deg.tolist()]
+
+
+def test_without_the_compiler_the_filter_runs_as_it_stands():
+    asked = "import json, test_machine_code as here; print(json.dumps(here.filtered()))"
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": path}
+    command = [sys.executable, "-c", asked]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=True)
+    np.testing.assert_allclose(json.loads(done.stdout), filtered(), rtol=1e-9, atol=1e-12)

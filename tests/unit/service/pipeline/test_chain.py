@@ -8,7 +8,7 @@ import synthetic_payload as synthetic
 from geometry_flight import Flight, FlightPayload
 
 from bench.bench_chain import measure
-from service.core.estimation.filtering.rows.row_kernels import compiled_kernels
+from service.core import compiled_entry
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.first_rows import compile_filter
@@ -283,12 +283,9 @@ def test_momentum_and_rate_are_known_while_they_are_fresh_in_whatever_order_they
 
 
 @pytest.mark.slow
-def test_rows_of_a_spacecraft_find_their_machine_code():
+def test_rows_of_a_spacecraft_find_their_machine_code(monkeypatch):
     compile_filter()
-    kernels = compiled_kernels()
-    row = kernels.ordinary_row
-    held = (row._hold_model._compiled, row._hold_state._compiled, row._taken._compiled)
-    stages = (kernels.move_state._compiled, *held, kernels.anchor.mix, kernels.anchor.levels)
-    made = [len(stage.signatures) for stage in stages]
-    measure(16, 30, "numba", (Method.ROBUST,), has_commands=False)
-    assert [len(stage.signatures) for stage in stages] == made == [1, 1, 1, 1, 1, 1]
+    copied, plain = [], compiled_entry._plain
+    monkeypatch.setattr(compiled_entry, "_plain", lambda value: copied.append(value) or plain(value))
+    measure(16, 30, (Method.ROBUST,), has_commands=False)
+    assert copied == []

@@ -218,6 +218,5 @@ def test_the_latest_and_one_of_each_day_are_kept(busy):
     assert numbers == [19, 18, 17, 16, 15, 11, 7, 3]
 
 
-def test_other_kernels_and_settings_take_no_state_of_these():
-    others = (ChainConfig(kernels="numba"), ChainConfig(robust=RobustConfig(min_white_db=0.03)))
-    assert FITS not in {fingerprint(each) for each in others}
+def test_other_settings_take_no_state_of_these():
+    assert fingerprint(ChainConfig(robust=RobustConfig(min_white_db=0.03))) != FITS

@@ -5,13 +5,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as some
 
-from service.pipeline.checkpoints import ChainState, Layout
+from service.core.estimation.filtering.filter_state import CARRIER, WATCH, initial_watch
+from service.pipeline.checkpoints import _LAYOUT, ChainState, Layout
 
 
 class Colour(StrEnum):
@@ -90,6 +92,29 @@ def test_the_digest_changes_with_a_field():
     Other.__name__ = "Inner"
     assert Layout(Inner).digest != Layout(Other).digest
     assert Layout(ChainState).digest == Layout(ChainState).digest
+
+
+@pytest.mark.parametrize("of_state", [CARRIER, WATCH])
+def test_the_digest_changes_with_a_field_of_an_array_of_records(of_state):
+    fields = [(name, of_state[name]) for name in of_state.names]
+    swapped = [fields[1], fields[0], *fields[2:]]
+    renamed = [("other", fields[0][1]), *fields[1:]]
+    retyped = [(fields[0][0], np.dtype("f4")), *fields[1:]]
+    others = [np.dtype(each, align=True) for each in (fields[1:], swapped, renamed, retyped)]
+    digests = {Layout(ChainState, (each,)).digest for each in (of_state, *others)}
+    assert len(digests) == 5
+    assert Layout(ChainState, (CARRIER, WATCH)).digest == _LAYOUT.digest
+
+
+def test_arrays_of_records_come_back_as_the_compiled_filter_takes_them():
+    layout, values = Layout(Outer, (CARRIER, WATCH)), initial_watch(7)
+    content = layout.pack(Outer(values, None))
+    found = layout.unpack(content, Outer).values
+    for name in WATCH.names:
+        np.testing.assert_array_equal(found[name], values[name])
+    assert numba.typeof(found) == numba.typeof(values)
+    with pytest.raises(TypeError, match="records of another type"):
+        Layout(Outer, (CARRIER,)).unpack(content, Outer)
 
 
 def test_two_classes_of_one_name_are_refused():

@@ -13,6 +13,7 @@ from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.model import robust_model, signals
 from service.pipeline.inputs.knowledge import Knowledge
+from service.pipeline.inputs.known_motion import consume
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import AxisTorques, FedForwardTorque
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange
@@ -29,11 +30,11 @@ def test_the_state_begins_at_the_stated_angles_with_their_sigma():
     alignment = PAYLOAD.alignment(ALIGNED_US, angles_deg=(0.1, 0.2, -0.3))
     alignment = replace(alignment, sigma_deg=replace_axes(alignment.sigma_deg, yaw=NAN))
     state = Stepped(alignment=alignment).state
-    np.testing.assert_array_equal(state.filter.gaussian.mean[:3], [0.1, 0.2, -0.3])
+    np.testing.assert_array_equal(state.filter.mean[:3], [0.1, 0.2, -0.3])
     # a sigma that nobody stated is 0.05
     np.testing.assert_allclose(state.filter.gaussian.attitude_sigma_deg, [0.05, 0.005, 0.005], rtol=1e-12)
     assert (state.filter.epoch_us, state.commanded.since_us, state.source) == (ALIGNED_US, ALIGNED_US, None)
-    assert not state.filter.carriers.is_flagged.any()
+    assert not state.filter.carriers["is_flagged"].any()
 
 
 def replace_axes(axes, **changes):
@@ -45,16 +46,16 @@ def test_a_carrier_without_reference_shows_its_level_first_and_comes_back_to_non
     announced = {name: own[1:] for name, own in alignment.references_by_method.items()}
     stepped = Stepped(alignment=replace(alignment, references_by_method=announced))
     watch = stepped.state.filter.carriers
-    assert np.flatnonzero(watch.is_flagged).tolist() == [0]
+    assert np.flatnonzero(watch["is_flagged"]).tolist() == [0]
     # level 0.0 would be that of the calibration, which the receiving chain may have moved since
-    assert np.isnan(watch.saved_reference_db[0])
-    assert np.isfinite(watch.saved_reference_db[1:]).all()
-    assert stepped.state.filter.gaussian.covariance[-16, -16] == FREE_REFERENCE_DB2
+    assert np.isnan(watch["saved_reference_db"][0])
+    assert np.isfinite(watch["saved_reference_db"][1:]).all()
+    assert stepped.state.filter.covariance[-16, -16] == FREE_REFERENCE_DB2
     rows = [stepped.step(minute).row for minute in range(1, 45)]
     assert rows[0].carriers_used == 15
     assert [(item.carrier, item.reason) for item in rows[28].excluded] == [("c00", "step")]
     assert rows[-1].carriers_used == 16
-    assert stepped.state.filter.carriers.is_relearned[0]
+    assert stepped.state.filter.carriers["is_relearned"][0]
 
 
 # ---- rows -----------------------------------------------------------------------------------------------------------
@@ -192,13 +193,12 @@ def test_numbers_that_break_the_filter_leave_the_state_before_them(monkeypatch):
     for minute in range(1, 5):
         stepped.step(minute)
     before = stepped.state
-    real = __import__("service.pipeline.estimation.robust.method", fromlist=["step"]).step
 
-    def broken(*args, **options):
-        announced = real(*args, **options)
-        return announced._replace(attitude_deg=announced.attitude_deg * NAN)
+    def broken(*args):
+        known, commanded = consume(*args)
+        return known._replace(correction_deg=np.full(3, NAN)), commanded
 
-    monkeypatch.setattr("service.pipeline.estimation.robust.method.step", broken)
+    monkeypatch.setattr("service.pipeline.estimation.robust.method.consume", broken)
     with pytest.raises(ArithmeticError, match="lost its numbers"):
         stepped.step(5)
     monkeypatch.undo()
@@ -236,8 +236,7 @@ def test_rates_are_those_of_the_state():
     measurement = PAYLOAD.measurement(ALIGNED_US + MINUTE)
     assert measurement.plan_id == 1
     outcome = stepped.step(1)
-    gaussian = outcome.state.filter.gaussian
-    mean = gaussian.mean.copy()
+    mean = outcome.state.filter.mean.copy()
     mean[:9] = [0.4, -0.3, 0.2, 0.01, 0.02, 0.03, 0.1, 0.2, 0.3]
     turn = stepped.model.settings.coupling_per_h
     wanted = np.array([0.3 * turn + 0.11, 0.4 * turn + 0.22, 0.33]) / 3600.0
@@ -259,14 +258,14 @@ def test_the_state_is_carried_over_by_signal():
     knowledge = replace(old.knowledge, active={CalibrationMethod.GEOMETRY: payload.calibration(2)})
     new = robust_model(knowledge, PAYLOAD.calibration(), CONFIG)
     carried = carried_state(old.state, old.model, new)
-    mean, before = carried.filter.gaussian.mean, old.state.filter.gaussian.mean
+    mean, before = carried.filter.mean, old.state.filter.mean
     np.testing.assert_array_equal(mean[:11], before[:11])
     references, former = mean[-9:], before[-16:]
     assert former[4] > 0.8
     kept = [0, 1, 3, 4, 5, 6, 7, 8]
     np.testing.assert_array_equal(references[kept], former[[order[k] for k in kept]])
-    assert carried.filter.carriers.is_flagged.tolist() == [False, False, True] + [False] * 6
-    assert carried.filter.carriers.is_relearned.tolist() == [False, True] + [False] * 7
+    assert carried.filter.carriers["is_flagged"].tolist() == [False, False, True] + [False] * 6
+    assert carried.filter.carriers["is_relearned"].tolist() == [False, True] + [False] * 7
     assert (carried.commanded, carried.source) == (old.state.commanded, old.state.source)
 
 

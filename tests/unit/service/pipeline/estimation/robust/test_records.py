@@ -9,11 +9,11 @@ import pytest
 from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.state_changes import with_share
+from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
-from service.core.estimation.filtering.state_changes import sensors_first
-from service.core.estimation.filtering.rows.row_kernels import ARRAYS
+from service.core.estimation.filtering.filter_state import start
+from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.state_changes import sensors_first, with_share
 from service.pipeline.estimation.robust.attitude_rows import frozen, no_readings, push_readings, telemetry_advice
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
@@ -29,9 +29,13 @@ MINUTE_US, CARRIERS = 60_000_000, 6
 @pytest.fixture
 def model():
     carriers = filter_models.carrier_model(carriers=CARRIERS)
-    names = tuple("abcdef")
     return SimpleNamespace(
-        filter=carriers, settings=FilterSettings(), rate_sensor=None, calibration_id=1, carrier_ids=names
+        filter=carriers,
+        settings=FilterSettings(),
+        arrays=filter_model(carriers),
+        rate_sensor=None,
+        calibration_id=1,
+        carrier_ids=tuple("abcdef"),
     )
 
 
@@ -43,10 +47,9 @@ def run(recorder, model, state, rows, *, is_recorded=True, **known):
     """Take rows that swing and return the state after them."""
     for _ in range(rows):
         level_db = 0.1 * np.sin(state.epoch_us / MINUTE_US + np.arange(CARRIERS))
-        kernels = recorder.capturing(ARRAYS) if is_recorded else ARRAYS
         motion = no_motion()._replace(**known)
         epoch_us = state.epoch_us + MINUTE_US
-        found = step(model.filter, model.settings, state, epoch_us, level_db, motion, kernels=kernels)
+        found = step(model.arrays, state, epoch_us, level_db, motion, is_traced=is_recorded)
         if is_recorded:
             recorder.push(model, state, found)
         state = found.state
@@ -59,8 +62,8 @@ def test_a_row_that_is_taken_again_replaces_itself_and_all_later_ones(model):
     run(recorder, model, third, 4)
     again = run(recorder, model, third, 2)
     assert [row.epoch_us // MINUTE_US for row in recorder.rows] == [1, 2, 3, 4, 5]
-    assert recorder.rows[-1].mean is again.gaussian.mean
-    np.testing.assert_array_equal(recorder.rows[3].origin, np.arange(len(third.gaussian.mean)))
+    assert recorder.rows[-1].mean is again.mean
+    np.testing.assert_array_equal(recorder.rows[3].origin, np.arange(len(third.mean)))
 
 
 def test_the_first_row_and_one_after_a_gap_in_the_record_have_no_past(model):
@@ -75,7 +78,7 @@ def test_another_calibration_has_no_past(model):
     recorder = RowRecorder(100)
     state = run(recorder, model, aligned(model), 2)
     other = SimpleNamespace(**{**vars(model), "calibration_id": 2})
-    state = state._replace(gaussian=state.gaussian._replace(mean=state.gaussian.mean.copy()))
+    state = state._replace(mean=state.mean.copy())
     run(recorder, other, state, 1)
     assert recorder.rows[-1].origin is None
 
@@ -86,14 +89,13 @@ def test_a_released_command_is_a_new_state_and_all_others_have_their_past(model)
     run(recorder, model, with_share(model.filter, state, 0), 1, unreported=np.zeros((1, 2, 3)))
     origin = recorder.rows[-1].origin
     assert np.flatnonzero(origin < 0).tolist() == [core_size(model.filter)]
-    np.testing.assert_array_equal(np.delete(origin, core_size(model.filter)), np.arange(len(state.gaussian.mean)))
+    np.testing.assert_array_equal(np.delete(origin, core_size(model.filter)), np.arange(len(state.mean)))
 
 
 def test_a_row_that_is_not_newer_than_the_state_is_not_kept(model):
     recorder = RowRecorder(100)
     state = run(recorder, model, aligned(model), 2)
-    kernels = recorder.capturing(ARRAYS)
-    found = step(model.filter, model.settings, state, state.epoch_us, np.zeros(CARRIERS), no_motion(), kernels=kernels)
+    found = step(model.arrays, state, state.epoch_us, np.zeros(CARRIERS), no_motion(), is_traced=True)
     recorder.push(model, state, found)
     assert len(recorder.rows) == 2
 
@@ -131,7 +133,7 @@ def test_a_step_with_a_record_is_moved_by_its_rate_without_the_turn_of_the_orbit
     flight = stepped(BESIDE, (0.5, 1.0))
     state, model = with_rates(flight.state, flight.model, flight.knowledge, ALIGNED_US + MINUTE)
     assert state.rates.is_measured
-    np.testing.assert_allclose(state.filter.gaussian.mean[RATE], [0.036, -0.018, 0.0072], atol=1e-3)
+    np.testing.assert_allclose(state.filter.mean[RATE], [0.036, -0.018, 0.0072], atol=1e-3)
     assert model.settings.drift_deg_h == (0.01, 0.01, 0.01)
     assert advice(flight) == []
 
@@ -142,7 +144,7 @@ def test_records_behind_the_step_later_ones_and_none_leave_it_to_the_inertial_mo
         state, model = with_rates(flight.state, flight.model, flight.knowledge, ALIGNED_US + MINUTE)
         assert not state.rates.is_measured
         assert model is flight.model
-        assert state.filter.gaussian is flight.state.filter.gaussian
+        assert state.filter is flight.state.filter
 
 
 def test_rates_of_the_loop_are_left_out_with_words():
@@ -181,7 +183,7 @@ def test_a_first_record_that_cannot_be_that_of_the_spacecraft_refuses_the_teleme
     after, _ = with_momenta(before.state, before.model, before.knowledge)
     assert after.momentum.is_refused == is_refused
     # telemetry that is refused moves no state
-    assert (after.filter.gaussian is before.state.filter.gaussian) == is_refused
+    assert (after.filter.mean is before.state.filter.mean) == is_refused
 
 
 def test_a_later_one_is_left_out_alone():
@@ -221,10 +223,10 @@ def test_every_record_of_a_batch_is_used_once_in_its_order():
     one_by_one = at_once.state
     for record in batch[1:5]:
         one_by_one, _ = with_momenta(one_by_one, at_once.model, replace(at_once.knowledge, momenta=(record,)))
-    np.testing.assert_array_equal(state.filter.gaussian.covariance, one_by_one.filter.gaussian.covariance)
-    begin = sensors_first(at_once.model.filter, state.filter.gaussian, at_once.model.settings)
+    np.testing.assert_array_equal(state.filter.covariance, one_by_one.filter.covariance)
+    begin = sensors_first(at_once.model.filter, len(state.filter.mean), at_once.model.settings)
     own = slice(begin, begin + 3)
-    sigmas = [np.sqrt(each.filter.gaussian.covariance.diagonal()[own]) for each in (state, first)]
+    sigmas = [np.sqrt(each.filter.covariance.diagonal()[own]) for each in (state, first)]
     assert (sigmas[0] < 0.75 * sigmas[1]).all()
     assert with_momenta(state, at_once.model, at_once.knowledge) == (state, [])
 
@@ -247,11 +249,11 @@ def test_a_calibration_with_another_torque_changes_nothing_in_a_filter_that_runs
     assert old.model.settings.momentum != new.model.settings.momentum
     carried = carried_state(old.state, old.model, new.model)
     own = slice(core_size(new.model.filter), core_size(new.model.filter, 16))
-    assert np.abs(old.state.filter.gaussian.mean[own]).max() > 0.0
-    np.testing.assert_array_equal(carried.filter.gaussian.mean[own], old.state.filter.gaussian.mean[own])
+    assert np.abs(old.state.filter.mean[own]).max() > 0.0
+    np.testing.assert_array_equal(carried.filter.mean[own], old.state.filter.mean[own])
     # a filter that begins under it has its torque
-    began = new.state.filter.gaussian.mean[own][:9]
-    np.testing.assert_allclose(began, 3.0 * old.state.filter.gaussian.mean[own][:9], rtol=1e-9)
+    began = new.state.filter.mean[own][:9]
+    np.testing.assert_allclose(began, 3.0 * old.state.filter.mean[own][:9], rtol=1e-9)
 
 
 STATED = Polarimeter("p", 10.0, 11e9)
@@ -265,28 +267,28 @@ def read(angles_deg, *, is_used=True):
     for minute, angle_deg in angles_deg.items():
         records.append(PolarizationRecord("p", ALIGNED_US + minute * MINUTE, angle_deg=angle_deg, sigma_deg=0.01))
         knowledge = replace(flight.knowledge, polarization={"p": tuple(records)})
-        state = replace(state, filter=state.filter._replace(epoch_us=ALIGNED_US + minute * MINUTE))
+        state = replace(state, filter=state.filter.with_watch(epoch_us=ALIGNED_US + minute * MINUTE))
         state, _ = with_polarization(state, flight.model, knowledge)
     return flight.state, state
 
 
 def test_the_first_angle_sets_the_offset_and_a_change_after_it_counts_as_yaw():
     before, first = read({5: 1.7})
-    yaw, sigma = ATTITUDE.start, np.sqrt(before.filter.gaussian.covariance[0, 0])
+    yaw, sigma = ATTITUDE.start, np.sqrt(before.filter.covariance[0, 0])
     assert first.polarimeters[0].newest_us == ALIGNED_US + 5 * MINUTE
-    assert first.filter.gaussian.mean[yaw] == pytest.approx(before.filter.gaussian.mean[yaw], abs=0.05 * sigma)
+    assert first.filter.mean[yaw] == pytest.approx(before.filter.mean[yaw], abs=0.05 * sigma)
     _, second = read({5: 1.7, 10: 1.74})
     assert second.polarimeters[0].records > 1.9
-    assert second.filter.gaussian.mean[yaw] > first.filter.gaussian.mean[yaw]
+    assert second.filter.mean[yaw] > first.filter.mean[yaw]
 
 
 def test_an_angle_that_is_not_due_and_a_polarimeter_that_is_not_used_change_nothing():
     _, two = read({5: 1.7, 9: 1.9})
     _, one = read({5: 1.7})
-    np.testing.assert_array_equal(two.filter.gaussian.mean, one.filter.gaussian.mean)
+    np.testing.assert_array_equal(two.filter.mean, one.filter.mean)
     before, unused = read({5: 1.7}, is_used=False)
     assert unused.polarimeters == ()
-    assert unused.filter.gaussian is before.filter.gaussian
+    assert unused.filter.mean is before.filter.mean
 
 
 def frozen_after(rows_dbm, period_us=MINUTE_US):

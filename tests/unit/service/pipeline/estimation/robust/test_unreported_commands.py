@@ -69,8 +69,8 @@ def state_of(flight):
 def assert_same(first, second):
     """Claim that two filters know the same, to the last bit."""
     one, other = state_of(first), state_of(second)
-    np.testing.assert_array_equal(one.filter.gaussian.mean, other.filter.gaussian.mean)
-    np.testing.assert_array_equal(one.filter.gaussian.covariance, other.filter.gaussian.covariance)
+    np.testing.assert_array_equal(one.filter.mean, other.filter.mean)
+    np.testing.assert_array_equal(one.filter.covariance, other.filter.covariance)
     # detectors, sums and motions that are still to come too
     # motions keep the number or the counter of their command
     assert re.sub(MARK, "", repr(one)) == re.sub(MARK, "", repr(other))
@@ -119,7 +119,7 @@ def test_between_release_and_report_the_effect_is_uncertain(flight):
     flown(flight, {5: (released(flight),)}, last=9, announced=())
     flown(never, {}, last=9, announced=())
     # nothing has acted yet: the filter knows what it knew
-    one, other = (state_of(chain).filter.gaussian.mean[:9] for chain in (flight, never))
+    one, other = (state_of(chain).filter.mean[:9] for chain in (flight, never))
     np.testing.assert_allclose(one, other, rtol=1e-12)
     absent, other = (one.robust(one.changed(30, np.nan)) for one in (flight, never))
     np.testing.assert_allclose(absent.attitude_deg, other.attitude_deg, rtol=1e-12)
@@ -229,7 +229,7 @@ def test_until_its_report_a_successor_may_or_may_not_have_taken_the_place(flight
     inputs = {5: (released(flight),), 15: (reported(flight),), 16: (released(flight, 2, NEXT),)}
     rows = flown(flight, inputs, announced=announced)
     position = 11
-    assert state_of(flight).filter.gaussian.mean[position] == pytest.approx(float(is_taken), abs=0.15)
+    assert state_of(flight).filter.mean[position] == pytest.approx(float(is_taken), abs=0.15)
     turned = (flight.truth_deg + turned_deg(LAST, announced))[1:]
     np.testing.assert_allclose(np.array(rows[-1].attitude_deg)[1:], turned, atol=0.02)
     assert not any("unannounced_motion" in row.inhibitions for row in rows)
