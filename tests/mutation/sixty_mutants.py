@@ -71,8 +71,12 @@ PIPELINE = (
     # an angle that is far away allows control
     Mutant("_of_fix", "> config.model_range_deg", "< -config.model_range_deg"),
     # yaw and roll are judged, pitch is not
-    Mutant("filtered_row", "announced.attitude_deg[1:]", "announced.attitude_deg[:2]"),
-    Mutant("frozen", "(readings.rows >= _ROWS) & (", "(readings.rows >= _ROWS) | ("),
+    Mutant(
+        "filtered_rows",
+        "max(abs(attitude_deg[1]), abs(attitude_deg[2]))",
+        "max(abs(attitude_deg[0]), abs(attitude_deg[1]))",
+    ),
+    Mutant("push_readings", ">= _ROWS and is_lasting", ">= _ROWS or is_lasting"),
     # the angle at the alignment counts twice
     Mutant("reference_powers", "- turned_db", "+ turned_db"),
     # an alarm returns within its deadband

@@ -4,7 +4,7 @@ import numpy as np
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 
 from service.pipeline.config import ChainConfig
-from service.pipeline.estimation.robust.method import initial_state, step_robust
+from service.pipeline.estimation.robust.method import initial_state, step_late, take_rows
 from service.pipeline.estimation.robust.model import robust_model
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import CommandedMotion
@@ -35,13 +35,15 @@ class Stepped:
         measurement = self.payload.measurement(
             ALIGNED_US + round(minute * MINUTE), self.angles if angles is None else angles, **changes
         )
-        outcome = step_robust(
+        power_dbm = measurement.power_dbm + np.asarray(change_db)
+        if is_late:
+            return step_late(self.state, self.model, measurement, power_dbm)
+        (outcome,) = take_rows(
             self.state,
             self.model,
             self.knowledge,
-            measurement,
-            measurement.power_dbm + np.asarray(change_db),
-            is_late=is_late,
+            [measurement],
+            power_dbm[None, :],
             is_catch_up=False,
             config=CONFIG,
         )

@@ -151,7 +151,7 @@ def test_when_the_driving_method_fails_the_command_is_zero(flight, monkeypatch):
     def broken(*_args, **_options):
         raise ArithmeticError
 
-    monkeypatch.setattr("service.pipeline.estimation.robust.runner.step_with_record", broken)
+    monkeypatch.setattr("service.pipeline.estimation.robust.runner.steps_in_time", broken)
     command = flight.chain.step(flight.row(20)).command
     assert command.inhibitions == ("internal_error",)
     assert command.schedule == ()
@@ -162,7 +162,7 @@ def test_the_paper_method_does_not_step_before_it_has_a_model(flight):
     assert (runner.is_running, runner.carrier_states()) == (False, {})
     runner.rebuild(Knowledge())
     with pytest.raises(ValueError, match="without a model"):
-        runner.step(flight.row(1), PAYLOAD.plan(), Knowledge(), is_late=False, is_catch_up=False)
+        runner.steps([flight.row(1)], PAYLOAD.plan(), Knowledge(), is_late=False, is_catch_up=False)
 
 
 def test_without_the_robust_method_carriers_are_known_by_the_paper_method():

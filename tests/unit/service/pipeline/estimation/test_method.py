@@ -236,7 +236,7 @@ def test_a_late_row_and_a_method_that_fails_have_none(flight, monkeypatch):
     def fail(*_args, **_others):
         raise ValueError
 
-    monkeypatch.setattr("service.pipeline.estimation.robust.runner.step_with_record", fail)
+    monkeypatch.setattr("service.pipeline.estimation.robust.runner.steps_in_time", fail)
     outcome = flight.chain.step(flight.row(6))
     assert outcome.rows[0].inhibitions == ("internal_error",)
     assert [each is None for each in outcome.carriers] == [True, False]

@@ -13,8 +13,8 @@ from service.core.estimation.filtering.attitude_filter import step
 from service.core.estimation.filtering.filter_model import ATTITUDE, RATE, FilterSettings, core_size, no_motion
 from service.core.estimation.filtering.filter_state import start
 from service.core.estimation.filtering.plant import filter_model
+from service.core.estimation.filtering.readings import frozen_readings, no_readings
 from service.core.estimation.filtering.state_changes import sensors_first, with_share
-from service.pipeline.estimation.robust.attitude_rows import frozen, no_readings, push_readings, telemetry_advice
 from service.pipeline.estimation.robust.method import carried_state
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
 from service.pipeline.estimation.robust.runner import with_momenta, with_polarization, with_rates
@@ -124,9 +124,8 @@ BESIDE = BodyRateSensor(in_loop=False, bias_deg_h=0.01, bias_tau_h=8.0, noise_de
 
 
 def advice(flight):
-    state, epoch_us = flight.state, ALIGNED_US + MINUTE
-    found = telemetry_advice(flight.model, flight.knowledge, state.momentum, state.rates, ALIGNED_US, epoch_us)
-    return [name for name, is_given in found.items() if is_given]
+    """Return what the next row advises, records of sensors among it."""
+    return list(flight.step(2).row.advice)
 
 
 def test_a_step_with_a_record_is_moved_by_its_rate_without_the_turn_of_the_orbit():
@@ -293,11 +292,8 @@ def test_an_angle_that_is_not_due_and_a_polarimeter_that_is_not_used_change_noth
 
 def frozen_after(rows_dbm, period_us=MINUTE_US):
     """Return which carriers are frozen after each of some rows (T, N)."""
-    readings, answers = no_readings(len(rows_dbm[0])), []
-    for number, row in enumerate(rows_dbm):
-        readings = push_readings(readings, np.asarray(row, dtype=np.float64), number * period_us)
-        answers.append(frozen(readings, number * period_us))
-    return np.array(answers)
+    epochs_us = period_us * np.arange(len(rows_dbm), dtype=np.int64)
+    return frozen_readings(no_readings(len(rows_dbm[0])), epochs_us, np.array(rows_dbm, dtype=np.float64))[1]
 
 
 def test_a_reading_that_stands_for_twenty_minutes_is_frozen_until_it_moves():

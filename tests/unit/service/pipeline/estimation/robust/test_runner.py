@@ -218,7 +218,7 @@ def test_before_it_is_aligned_it_does_not_run_and_refuses_to_step():
     runner = RobustRunner(FlightDocuments(PAYLOAD, flight.aligned_us, (0, 0, 0)), ChainConfig())
     assert (runner.method, runner.is_running, runner.carrier_states()) == (Method.ROBUST, False, {})
     with pytest.raises(ValueError, match="without a model"):
-        runner.step(flight.row(1), PAYLOAD.plan(), Knowledge(), is_late=False, is_catch_up=False)
+        runner.steps([flight.row(1)], PAYLOAD.plan(), Knowledge(), is_late=False, is_catch_up=False)
     runner.start(Knowledge())
     runner.rebuild(Knowledge())
     assert not runner.is_running

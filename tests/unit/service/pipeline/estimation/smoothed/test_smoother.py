@@ -13,7 +13,7 @@ from service.core.estimation.filtering.filter_model import ATTITUDE, DRIFT, RATE
 from service.pipeline.estimation import smoothed as lagged_rows
 from service.pipeline.estimation import smoothed as smoother
 from service.pipeline.estimation.robust.row_recorder import RowRecorder
-from service.pipeline.estimation.robust.runner import step_with_record
+from service.pipeline.estimation.robust.runner import steps_in_time
 from service.pipeline.estimation.smoothed import GRID_US, LaggedRows, SpanSmoother, angles_of, grid_us, lagged_angles
 from service.records.catalogue import BodyRateSensor, Method, Polarimeter, WheelMomentum
 from service.records.inputs import PolarizationRecord, TelemetryRecord
@@ -210,13 +210,12 @@ def recorded():
         measurement = PAYLOAD.measurement(at_us, np.zeros(3))
         power_dbm = measurement.power_dbm + rng.normal(0.0, 0.05, len(measurement.power_dbm))
         for recorder in (whole, joined) if minute >= JOINED else (whole,):
-            outcome = step_with_record(
+            (outcome,) = steps_in_time(
                 state,
                 model=flight.model,
                 knowledge=heard,
-                measurement=measurement,
-                power_dbm=power_dbm,
-                is_late=False,
+                measurements=[measurement],
+                power_dbm=power_dbm[None, :],
                 is_catch_up=False,
                 config=CONFIG,
                 recorder=recorder,
