@@ -18,7 +18,7 @@ from db.database import Database, EpochSpan, add_entries, count_entries, lock_he
 from db.encoding.measurement_runs import Cursor
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, kind_of
 from db.encoding.segments import DAY_US
-from db.measurements import power_summaries, retention, sealing
+from db.measurements import power_samples, retention, sealing
 from db.measurements.ingest import StoreBatch
 from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
 from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
@@ -362,7 +362,7 @@ class SqlArchive:
         """Yield the rows of a window in buckets that lie within one interval each; every row is in one of them."""
         key, chosen = self._database.key(spacecraft_id), Chosen(window, source)
         carriers_of = partial(self._carrier_ids, key)
-        return power_summaries.sampled(self._database, key, chosen, intervals, carriers_of, figure)
+        return power_samples.sampled(self._database, key, chosen, intervals, carriers_of, figure)
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""

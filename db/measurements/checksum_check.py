@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from db.documents import damaged_documents
 from db.schema.columns import agrees, checksum_of, measurement_checksums, row_name
-from db.schema.tables import measurement, measurement_detail, metadata, result_segment
+from db.schema.tables import measurement, measurement_detail, metadata, segment
 from service.errors import StorageError
 from service.records.epoch import format_epoch
 
@@ -91,7 +91,7 @@ def checksums_of_rows(key: int, rows: Sequence[Row[Any]]) -> bytes:
 def _checked(connection: Connection, table: Table) -> CheckedTable:
     agreeing = lacking = differing = 0
     named = []
-    at_once = _FETCH_SEGMENTS if table is result_segment else _FETCH
+    at_once = _FETCH_SEGMENTS if table is segment else _FETCH
     options = {"stream_results": True, "max_row_buffer": at_once}
     for rows in connection.execute(_rows(table), execution_options=options).partitions(at_once):
         for row in rows:

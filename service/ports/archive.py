@@ -381,9 +381,6 @@ class Results(Protocol):
         others the newest rows are read, and the spans before them are said to be left out.
         """
 
-    def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:
-        """Summarise live attitude and commands of days that ended by an epoch and have no summary, a day a step."""
-
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
 
