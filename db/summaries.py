@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, select
 
-from db.encoding.column_blob import ColumnBlob, pack_columns
+from db.encoding.column_blob import ColumnBlob, arrow, pack_columns
 from db.encoding.segments import SegmentHead
 from db.schema.columns import agrees, checksum_of
 from db.schema.tables import summary
@@ -59,8 +59,7 @@ def bins_of(quantity: str, epochs_us: IntArray, values: NDArray[np.floating]) ->
 
 def _packed(bins: Summaries, bin_us: int) -> bytes:
     """Return bins as a blob, a row for each bin of each column."""
-    import pyarrow as pa
-
+    pa = arrow()
     starts_us = bins.first_us // bin_us * bin_us
     is_held = bins.counts > 0
     count, columns = bins.counts.shape

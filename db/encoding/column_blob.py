@@ -12,8 +12,10 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
+from functools import cache
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,15 @@ _META = b"soo"
 Positions = IntArray | slice
 
 
+@cache
+def arrow() -> Any:
+    """Return pyarrow, which takes 90 ms to import; its memory is that of the process, which gives back what is free."""
+    import pyarrow as pa
+
+    pa.set_memory_pool(pa.system_memory_pool())
+    return pa
+
+
 def pack_columns(columns: Mapping[str, Any]) -> bytes:
     """Return columns of equal length as a blob.
 
@@ -41,8 +52,7 @@ def pack_columns(columns: Mapping[str, Any]) -> bytes:
     columns : mapping
         Arrays of pyarrow, or what it makes them of, by name.
     """
-    # 90 ms that only sealed days need
-    import pyarrow as pa
+    pa = arrow()
     from pyarrow import parquet
 
     arrays = {name: values if isinstance(values, pa.Array) else pa.array(values) for name, values in columns.items()}
@@ -55,8 +65,8 @@ def pack_columns(columns: Mapping[str, Any]) -> bytes:
             held |= columns
         elif array.null_count < count:
             held[name] = array
-    held, same = _different(held, pa)
-    encodings = {name: _encoding(array, pa) for name, array in held.items()}
+    held, same = _different(held)
+    encodings = {name: _encoding(array) for name, array in held.items()}
     table, sink = pa.table(held), pa.BufferOutputStream()
     with parquet.ParquetWriter(
         sink,
@@ -76,9 +86,9 @@ def pack_columns(columns: Mapping[str, Any]) -> bytes:
     return bytes(sink.getvalue())
 
 
-def _encoding(array: Any, pa: Any) -> str | None:
+def _encoding(array: Any) -> str | None:
     """Return the encoding of a column, None for the numbers of a dictionary."""
-    kind = array.type
+    kind, pa = array.type, arrow()
     if pa.types.is_integer(kind):
         return "DELTA_BINARY_PACKED"
     if pa.types.is_floating(kind) or pa.types.is_decimal(kind) or pa.types.is_fixed_size_binary(kind):
@@ -88,12 +98,12 @@ def _encoding(array: Any, pa: Any) -> str | None:
     return "PLAIN" if pa.types.is_boolean(kind) else "DELTA_LENGTH_BYTE_ARRAY"
 
 
-def _different(held: Mapping[str, Any], pa: Any) -> tuple[dict[str, Any], dict[str, str]]:
+def _different(held: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """Return columns without those of floats that repeat an earlier one, and which those repeat."""
     first: dict[bytes, str] = {}
     same: dict[str, str] = {}
     for name, array in held.items():
-        if pa.types.is_floating(array.type):
+        if arrow().types.is_floating(array.type):
             content = (array.is_null().to_numpy(zero_copy_only=False), array.to_numpy(zero_copy_only=False))
             other = first.setdefault(b"".join(each.tobytes() for each in content), name)
             if other != name:
@@ -106,8 +116,7 @@ def _numbers(name: str, array: Any) -> tuple[list[str], dict[str, Any]] | None:
 
     A number counts where `_spelled` writes it so. Other texts stand in the column of the texts.
     """
-    import pyarrow as pa
-
+    pa = arrow()
     texts = array.to_pylist()
     rows = [None if text is None else _NUMBER.split(text) for text in texts]
     patterns = Counter(tuple(row[::2]) for row in rows if row is not None)
@@ -150,7 +159,7 @@ class ColumnBlob:
     """Columns read from a blob; ValueError where it holds none, or not ``count`` rows where that is stated."""
 
     def __init__(self, blob: bytes, count: int | None = None) -> None:
-        import pyarrow as pa
+        pa = arrow()
         from pyarrow import parquet
 
         try:
@@ -158,6 +167,7 @@ class ColumnBlob:
         except (pa.ArrowException, OSError) as fault:
             raise ValueError(str(fault)) from fault
         self.count: int = self._file.metadata.num_rows
+        self.size = len(blob)
         if count not in {None, self.count}:
             message = f"{self.count} rows where {count} belong"
             raise ValueError(message)
@@ -168,60 +178,70 @@ class ColumnBlob:
         stored = dict.fromkeys((*self._file.schema.names, *self._same, *self._texts))
         #: of the columns that hold any value
         self.names: tuple[str, ...] = tuple(name for name in stored if name not in slots)
-        self._arrays: dict[str, Any] = {}
 
-    def read(self, names: Sequence[str]) -> list[Any]:
-        """Return columns as arrays of pyarrow, None for what no row holds."""
-        import pyarrow as pa
-
-        wanted = [self._same.get(name, name) for name in names]
-        missing = {name for name in wanted if name not in self._arrays and name in self._file.schema.names}
-        if missing:
-            try:
-                table = self._file.read(list(missing), use_threads=False)
-            except (pa.ArrowException, OSError) as fault:
-                raise ValueError(str(fault)) from fault
-            self._arrays.update(zip(table.column_names, (column.combine_chunks() for column in table), strict=True))
-        return [self._arrays.get(name) for name in wanted]
+    def read(self, names: Iterable[str]) -> dict[str, Any]:
+        """Return those of some columns that hold any value as arrays of pyarrow."""
+        pa = arrow()
+        stored = {name: self._same.get(name, name) for name in names}
+        try:
+            held = set(self._file.schema.names)
+            table = self._file.read(list({name for name in stored.values() if name in held}), use_threads=False)
+        except (pa.ArrowException, OSError) as fault:
+            raise ValueError(str(fault)) from fault
+        found = dict(zip(table.column_names, (column.combine_chunks() for column in table), strict=True))
+        return {name: found[other] for name, other in stored.items() if other in found}
 
     def whole(self, *names: str) -> list[NDArray[Any]]:
         """Return columns that every row has a number in, as they were packed."""
         found = self.read(names)
-        for name, array in zip(names, found, strict=True):
-            if array is None or array.null_count:
+        for name in names:
+            if name not in found or found[name].null_count:
                 message = f"rows lack the column {name}"
                 raise ValueError(message)
-        return [array.to_numpy(zero_copy_only=False) for array in found]
+        return [found[name].to_numpy(zero_copy_only=False) for name in names]
 
-    def values(self, name: str, chosen: Positions) -> list[Any]:
+    def values(self, name: str, chosen: Positions = slice(None)) -> list[Any]:
         """Return some values of a column as Python has them; a missing double is ``math.nan`` itself."""
-        if name in self._texts:
-            return self._rendered(name, chosen)
-        (array,) = self.read([name])
-        if array is None:
-            return [None] * len(np.empty(self.count, dtype=np.bool_)[chosen])
-        if str(array.type) in {"string", "binary"} or str(array.type).startswith("fixed_size_binary"):
-            return _texts(array, chosen)
-        if array.null_count:
-            return list(np.array(array.to_pylist(), dtype=object)[chosen])
-        found = array.to_numpy(zero_copy_only=False)[chosen]
-        if found.dtype.kind == "f" and np.isnan(found).any():
-            return [value if value == value else math.nan for value in found.tolist()]
-        return list(found.tolist())
+        return self.columns([name], chosen)[name]
 
-    def _rendered(self, name: str, chosen: Positions) -> list[str | None]:
-        """Return some of the texts that differ in their numbers alone."""
-        around = self._texts[name]
-        slots = [f"{name}#{slot}" for slot in range(len(around) - 1)]
-        self.read(slots)
-        columns = [self.values(slot, chosen) for slot in slots]
-        pattern = "%s".join(part.replace("%", "%%") for part in around)
-        (rest,) = self.read([name])
-        others = [None] * len(columns[0]) if rest is None else _texts(rest, chosen)
-        return [
-            other if row[0] is None else pattern % tuple(map(_spelled, row))
-            for row, other in zip(zip(*columns, strict=True), others, strict=True)
-        ]
+    def columns(self, names: Sequence[str], chosen: Positions) -> dict[str, list[Any]]:
+        """Return some values of columns, as `values` does."""
+        slots = {name: self._slots(name) for name in names}
+        arrays = self.read([*names, *chain.from_iterable(slots.values())])
+        nothing = [None] * len(np.empty(self.count, dtype=np.bool_)[chosen])
+
+        def held(name: str) -> list[Any]:
+            return _values_of(arrays[name], chosen) if name in arrays else nothing
+
+        return {
+            name: _rendered(self._texts[name], [held(slot) for slot in slots[name]], held(name))
+            if slots[name]
+            else held(name)
+            for name in names
+        }
+
+    def _slots(self, name: str) -> list[str]:
+        """Return the columns with the numbers of texts."""
+        return [f"{name}#{slot}" for slot in range(len(self._texts.get(name, "x")) - 1)]
+
+
+def _rendered(around: Sequence[str], numbers: Sequence[list[Any]], others: Sequence[str | None]) -> list[str | None]:
+    """Return the texts that stand around numbers, and the others."""
+    pattern = "%s".join(part.replace("%", "%%") for part in around)
+    rows = zip(zip(*numbers, strict=True), others, strict=True)
+    return [other if row[0] is None else pattern % tuple(map(_spelled, row)) for row, other in rows]
+
+
+def _values_of(array: Any, chosen: Positions) -> list[Any]:
+    """Return some values of an array."""
+    if str(array.type) in {"string", "binary"} or str(array.type).startswith("fixed_size_binary"):
+        return _texts(array, chosen)
+    if array.null_count:
+        return list(np.array(array.to_pylist(), dtype=object)[chosen])
+    found = array.to_numpy(zero_copy_only=False)[chosen]
+    if found.dtype.kind == "f" and np.isnan(found).any():
+        return [value if value == value else math.nan for value in found.tolist()]
+    return list(found.tolist())
 
 
 def _texts(array: Any, chosen: Positions) -> list[Any]:
@@ -242,8 +262,7 @@ def decimals(values: NDArray[np.float32], places: int) -> Any | None:
     places : int
         Decimal places.
     """
-    import pyarrow as pa
-
+    pa = arrow()
     is_known = ~np.isnan(values)
     known = values[is_known]
     scale = 10.0**places
@@ -276,7 +295,5 @@ def _of_steps(steps: NDArray[Any], places: int) -> NDArray[np.float32]:
 
 
 def _decimal_type() -> int:
-    import pyarrow as pa
-
-    kind: int = pa.decimal128(9, 2).id
+    kind: int = arrow().decimal128(9, 2).id
     return kind

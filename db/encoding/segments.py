@@ -152,6 +152,8 @@ class MeasurementSegment:
         self._blob = blob
         names = ("epoch_us", "number", "received_at_us", "feeds", "is_late", "has_flags", "seq")
         columns = blob.whole(*names)
+        #: of the blob, in memory
+        self.blob_bytes = blob.size
         if [column.dtype.kind for column in columns] != [*"iiibbbi"]:
             message = "it has other columns than measurements have"
             raise ValueError(message)
@@ -170,10 +172,6 @@ class MeasurementSegment:
             self._power_dbm = self._levels(_POWER)
         return self._power_dbm
 
-    def power_columns(self) -> list[Any]:
-        """Return the powers of each carrier as a column of pyarrow, of decimals or of float32."""
-        return self._blob.read([f"{_POWER}{k}" for k in range(self._carriers)])
-
     def details(self) -> Float32Array:
         """Return the details, (T, K, N), NaN = not stated."""
         if self._details is None:
@@ -188,11 +186,10 @@ class MeasurementSegment:
     def all_flags(self) -> NDArray[np.int32]:
         """Return the bit masks, (T, N), 0 where a row has none."""
         if self._flags is None:
-            columns = self._blob.read([f"{_FLAGS}{k}" for k in range(self._carriers)])
+            columns = self._blob.read(f"{_FLAGS}{k}" for k in range(self._carriers))
             self._flags = np.zeros((len(self.epochs_us), self._carriers), dtype=np.int32)
-            for k, column in enumerate(columns):
-                if column is not None:
-                    self._flags[:, k] = column.to_numpy(zero_copy_only=False)
+            for name, column in columns.items():
+                self._flags[:, int(name.removeprefix(_FLAGS))] = column.to_numpy(zero_copy_only=False)
         return self._flags
 
     def rows(self) -> MeasuredColumns:
@@ -240,11 +237,10 @@ class MeasurementSegment:
 
     def _levels(self, prefix: str) -> Float32Array:
         """Return levels of the carriers, (T, N), NaN where a carrier has no column."""
-        columns = self._blob.read([f"{prefix}{k}" for k in range(self._carriers)])
+        columns = self._blob.read(f"{prefix}{k}" for k in range(self._carriers))
         levels: Float32Array = np.full((self._carriers, len(self.epochs_us)), np.nan, dtype="<f4")
-        for k, column in enumerate(columns):
-            if column is not None:
-                levels[k] = levels_of(column)
+        for name, column in columns.items():
+            levels[int(name.removeprefix(prefix))] = levels_of(column)
         levels.setflags(write=False)
         return levels.T
 
@@ -271,7 +267,7 @@ class SegmentCache:
 
     def put(self, head: SegmentHead, chunk: MeasurementSegment, carriers: int) -> None:
         """Hold a piece; what was not read for longest goes."""
-        size = head.row_count * (4 * carriers + _ROW_BYTES)
+        size = head.row_count * (4 * carriers + _ROW_BYTES) + chunk.blob_bytes
         with self._lock:
             if (head.segment_id, head.checksum) not in self._held:
                 self._held[head.segment_id, head.checksum] = size, chunk

@@ -157,8 +157,8 @@ def _stored(connection: Connection, key: int, records: Sequence[SlowInput]) -> d
     return known
 
 
-#: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
-BLOCK_PAGE_ROWS = 32_768
+#: rows of a page that is read as blocks, about those of a segment: larger pages are no faster and take more memory
+BLOCK_PAGE_ROWS = 8_640
 #: rows of a page that is read as records, of which one takes half a kilobyte
 RECORD_PAGE_ROWS = 2048
 #: blocks of a longer span would drive out of memory what others read again and again

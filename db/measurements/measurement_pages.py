@@ -148,10 +148,18 @@ class MeasurementPages:
     def read_blocks(
         self, chosen: Chosen, limit: int, after: Cursor | None
     ) -> tuple[list[MeasurementBlock], Cursor | None]:
-        """Return the next rows behind a cursor as blocks, and the cursor behind them; None when there are none."""
+        """Return the next rows behind a cursor as blocks, and the cursor behind them; None when there are none.
+
+        The last ones may be more than ``limit``, at most twice as many.
+        """
         parts = self._parts(chosen, limit, after, POWERS)
         if not parts:
             return [], None
+        sealed = sum(len(run.positions) for run in parts if isinstance(run.chunk, MeasurementSegment))
+        whole = sum(len(run.positions) for run in parts)
+        if sealed < limit and whole - sealed < limit:
+            # neither kind of rows fills the page: there are no others
+            limit = whole
         if len(parts) == 1:
             run = ChunkRun(parts[0].chunk, parts[0].positions[:limit])
             return [run.block()], run.end

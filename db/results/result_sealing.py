@@ -8,6 +8,7 @@ import numpy as np
 from sqlalchemy import Connection, LargeBinary, Table, func, select, tuple_
 
 from db.database import Database
+from db.encoding.column_blob import arrow
 from db.encoding.row_mapping import attitude_of, torque_of
 from db.encoding.segments import DAY_US, SegmentHead, Series, day_of
 from db.results.result_samples import ATTITUDE, IMPULSE, carrier_figures, carriers_name, figures
@@ -69,8 +70,7 @@ ROWS = ResultRows()
 
 def _array(kind: Any, values: Sequence[Any]) -> Any:
     """Return the values of a column of the table as an array; None where there is none."""
-    import pyarrow as pa
-
+    pa = arrow()
     if isinstance(kind, Figure):
         found = np.array(values, dtype=np.float64)
         return None if np.isnan(found).all() else found

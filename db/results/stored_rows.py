@@ -53,18 +53,16 @@ class ResultSegment:
     def rows(self, chosen: Positions = slice(None)) -> list[Any]:
         """Return some rows as `row_type` of their table; they have no checksum of their own."""
         count = len(self.epochs_us[chosen])
-        names = list(self._table.c.keys())
-        self._blob.read(names)
-        columns = [self._column(name, chosen, count) for name in names]
+        stored = self._blob.columns([name for name in self._blob.names if name not in HEAD_COLUMNS], chosen)
+        columns = [stored.get(column.name) or self._column(column) * count for column in self._table.c]
         return list(map(row_type(self._table)._make, zip(*columns, strict=True)))
 
-    def _column(self, name: str, chosen: Positions, count: int) -> list[Any]:
-        if name in HEAD_COLUMNS:
-            return [None if name == "checksum" else getattr(self._head, name)] * count
-        if name not in self._blob.names and isinstance(self._table.c[name].type, Figure):
-            # NaN is null in the table, and a column of it is not kept
-            return [math.nan] * count
-        return self._blob.values(name, chosen)
+    def _column(self, column: Any) -> list[Any]:
+        """Return the value that all rows have in a column that is not stored."""
+        if column.name in HEAD_COLUMNS:
+            return [None if column.name == "checksum" else getattr(self._head, column.name)]
+        # NaN is null in the table, and a column of it is not kept
+        return [math.nan if isinstance(column.type, Figure) else None]
 
     def after(self, cursor: tuple[int, int] | None) -> BoolArray:
         """Return which rows lie beyond (epoch, number)."""

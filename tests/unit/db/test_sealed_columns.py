@@ -252,7 +252,7 @@ def head(number: int, checksum: bytes = b"sum ") -> SegmentHead:
 
 
 def chunk(number):
-    return SimpleNamespace(position=number)
+    return SimpleNamespace(position=number, blob_bytes=0)
 
 
 def held(cache: SegmentCache) -> list[int]:
