@@ -43,11 +43,8 @@ class RowKind(Protocol):
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Any]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
 
-    def arrays(self, of: Series, rows: Sequence[Any]) -> Mapping[str, Any]:
-        """Return rows as the columns of a segment."""
-
-    def bins(self, of: Series, rows: Sequence[Any]) -> Bins:
-        """Return what is summarised of rows."""
+    def packed(self, of: Series, rows: Sequence[Any]) -> tuple[Mapping[str, Any], Bins]:
+        """Return rows as the columns of a segment, and what is summarised of them."""
 
 
 class Change(NamedTuple):
@@ -107,7 +104,7 @@ def _prepared(connection: Connection, of: Series, day: int, kind: RowKind) -> Ch
     target, end_us = _target(list(heads(connection, of.of_segments(), start_us, stop_us)), rows, most)
     fresh = [row for row in rows if end_us is None or row.epoch_us < end_us]
     merged = fresh if target is None else sorted(fresh + kind.sealed(connection, target), key=position_of)
-    written = tuple((_segment(of, day, part, kind), kind.bins(of, part)) for part in _parts(merged, most))
+    written = tuple(_segment(of, day, part, kind) for part in _parts(merged, most))
     return Change(of, tuple(map(position_of, fresh)), None if target is None else target.segment_id, written)
 
 
@@ -133,11 +130,12 @@ def _parts(rows: Sequence[Any], most: int) -> Iterator[Sequence[Any]]:
         yield rows[start:stop]
 
 
-def _segment(of: Series, day: int, rows: Sequence[Any], kind: RowKind) -> dict[str, Any]:
-    """Return the columns of a segment but its id and checksum."""
+def _segment(of: Series, day: int, rows: Sequence[Any], kind: RowKind) -> tuple[dict[str, Any], Bins]:
+    """Return the columns of a segment but its id and checksum, and what is summarised of it."""
+    columns, bins = kind.packed(of, rows)
     numbers = [row.number for row in rows]
     sequences = [row.sequence for row in rows if getattr(row, "sequence", None) is not None]
-    return {
+    values = {
         "spacecraft_key": of.key,
         "series": of.table.name,
         **dict(zip(Series._fields[2:], of[2:], strict=True)),
@@ -150,8 +148,9 @@ def _segment(of: Series, day: int, rows: Sequence[Any], kind: RowKind) -> dict[s
         "last_number": max(numbers),
         "first_sequence": min(sequences, default=None),
         "last_sequence": max(sequences, default=None),
-        "content": pack_columns(kind.arrays(of, rows)),
+        "content": pack_columns(columns),
     }
+    return values, bins
 
 
 def carry_out(connection: Connection, change: Change) -> bool:

@@ -68,16 +68,12 @@ class MeasurementRows:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
         return list(map(read_chunk(connection, None, head).record, range(head.row_count)))
 
-    def arrays(self, of: Series, rows: Sequence[Measurement]) -> dict[str, Any]:  # noqa: ARG002 - as the protocol says
-        """Return rows as the columns of a segment."""
-        return measured_arrays(_columns(rows))
-
-    def bins(self, of: Series, rows: Sequence[Measurement]) -> Bins:  # noqa: ARG002 - as the protocol says
-        """Return the bins of powers and of C/N0, in the order of the plan."""
+    def packed(self, of: Series, rows: Sequence[Measurement]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
+        """Return rows as the columns of a segment, and the bins of powers and of C/N0 in the order of the plan."""
         columns = _columns(rows)
         c_n0_db_hz = columns.details[:, DETAIL_NAMES.index(_C_N0)]
         of_powers = bins_of("power_dbm", columns.epochs_us, columns.power_dbm)
-        return of_powers | bins_of(_C_N0, columns.epochs_us, c_n0_db_hz)
+        return measured_arrays(columns), of_powers | bins_of(_C_N0, columns.epochs_us, c_n0_db_hz)
 
 
 ROWS = MeasurementRows()

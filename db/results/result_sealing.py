@@ -44,28 +44,29 @@ class ResultRows:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
         return read_results(connection, head).rows()
 
-    def arrays(self, of: Series, rows: Sequence[Any]) -> dict[str, Any]:
-        """Return rows as the columns of a segment."""
+    def packed(self, of: Series, rows: Sequence[Any]) -> tuple[dict[str, Any], Bins]:
+        """Return rows as the columns of a segment, and what is summarised of them."""
         columns = zip(of.table.c, zip(*rows, strict=True), strict=True)
-        found = {
+        arrays = {
             column.name: _array(column.type, values) for column, values in columns if column.name not in HEAD_COLUMNS
         }
-        return {name: array for name, array in found.items() if array is not None}
-
-    def bins(self, of: Series, rows: Sequence[Any]) -> Bins:
-        """Return the bins of the figures of rows, of those of their carriers by plan, and the states of live rows."""
-        if of.table is not attitude:
-            return bins_of(IMPULSE, *figures([torque_of(row) for row in rows]))
-        records = [attitude_of(row) for row in rows]
-        found = bins_of(ATTITUDE, *figures(records))
-        for plan_id, epochs_us, steps in carrier_figures(rows):
-            found |= bins_of(carriers_name(plan_id), epochs_us, steps)
-        if of.version == LIVE and (states := stretch_of([records])) is not None:
-            found[STATES, 0] = packed_stretch(states)
-        return found
+        return {name: array for name, array in arrays.items() if array is not None}, _bins(of, rows)
 
 
 ROWS = ResultRows()
+
+
+def _bins(of: Series, rows: Sequence[Any]) -> Bins:
+    """Return the bins of the figures of rows, of those of their carriers by plan, and the states of live rows."""
+    if of.table is not attitude:
+        return bins_of(IMPULSE, *figures([torque_of(row) for row in rows]))
+    records = [attitude_of(row) for row in rows]
+    found = bins_of(ATTITUDE, *figures(records))
+    for plan_id, epochs_us, steps in carrier_figures(rows):
+        found |= bins_of(carriers_name(plan_id), epochs_us, steps)
+    if of.version == LIVE and (states := stretch_of([records])) is not None:
+        found[STATES, 0] = packed_stretch(states)
+    return found
 
 
 def _array(kind: Any, values: Sequence[Any]) -> Any:
