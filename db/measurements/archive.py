@@ -55,7 +55,7 @@ from service.records.levels.measurement import (
     SourceState,
 )
 from service.records.operations.release import InterlockHold
-from service.records.storage import RetiredRows, SealedPart, SegmentState
+from service.records.storage import RetiredRows, SealedPart
 
 LOOKUP_CHUNK = 500
 #: what carries its own key; everything else is journaled by the call that makes it
@@ -436,10 +436,6 @@ class SqlArchive:
     def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
         """Seal closed days, a transaction a step."""
         return sealing.seal(self._database, self._database.key(spacecraft_id), before_us, received_before_us)
-
-    def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
-        """Read every sealed segment and yield whether it can be read."""
-        return sealing.states(self._database, self._database.key(spacecraft_id))
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a transaction a step."""

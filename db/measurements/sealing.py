@@ -15,9 +15,7 @@ from db.encoding.segments import (
     SegmentHead,
     Series,
     day_of,
-    heads_where,
     measured_arrays,
-    of_measurements,
     read_chunk,
 )
 from db.measurements.checksum_check import checksums_of_rows
@@ -25,9 +23,8 @@ from db.schema.columns import agrees
 from db.schema.tables import measurement, measurement_detail, source
 from db.sealing import Change, Position, position_of, seal_day
 from db.summaries import Bins, bins_of
-from service.errors import StorageError
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
-from service.records.storage import SealedPart, SegmentState
+from service.records.storage import SealedPart
 
 _C_N0 = "c_n0_db_hz"
 
@@ -135,25 +132,3 @@ def _reported(name: str, change: Change) -> SealedPart:
     first_us = min(values["first_epoch_us"] for values, _ in change.written)
     moved, last_us = len(change.sealed), change.sealed[-1][0]
     return SealedPart(name, change.of.plan_id, first_us, last_us, moved, change.rows_of_segments)
-
-
-def states(database: Database, key: int) -> Iterator[SegmentState]:
-    """Read every segment of measurements and yield what came of it."""
-    with database.read() as connection:
-        found = list(heads_where(connection, *of_measurements(key)))
-    for head in found:
-        with database.read() as connection:
-            fault = _fault(connection, head)
-        day_us = head.day * DAY_US
-        yield SegmentState(head.segment_id, head.source_key, head.plan_id, day_us, head.row_count, fault)
-
-
-def _fault(connection: Connection, head: SegmentHead) -> str | None:
-    """Return why a segment cannot be read."""
-    try:
-        read_chunk(connection, None, head).rows()
-    except StorageError as fault:
-        if fault.code != "storage.corrupt":
-            raise
-        return fault.detail
-    return None

@@ -38,7 +38,7 @@ from service.records.levels.measurement import (
     SourceState,
 )
 from service.records.operations.work import Job, JobState, Replay, ReplayVersion
-from service.records.storage import Checkpoint, RetiredRows, SealedPart, SealedResults, SegmentState
+from service.records.storage import Checkpoint, RetiredRows, SealedPart, SealedResults
 
 
 class Intervals(Protocol):
@@ -199,9 +199,6 @@ class Archive(Protocol):
         Days of a source with a row received at or after ``received_before_us`` wait: more may be coming. Nothing that
         any method answers changes.
         """
-
-    def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
-        """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a short transaction a step.

@@ -86,7 +86,10 @@ def answers(setting, windows, alignment):
 
 def outcome(make, row, dice, methods):
     """Return results of a row that no two rows have in common."""
-    axes = [Axes(*(dice.choice([dice.gauss(0.0, 1.0), -0.0, float("nan")]) for _ in range(3))) for _ in range(3)]
+    axes = [
+        Axes(*(dice.choice([dice.gauss(0.0, 1.0), -0.0, float("nan"), float("inf")]) for _ in range(3)))
+        for _ in range(3)
+    ]
     pulses = tuple(Pulse(row.epoch_us + k, dice.random(), axes[2]) for k in range(dice.randrange(3)))
     rates = dice.choice([None, axes[1]])
     rows = tuple(make.attitude_row(row, method, attitude_deg=axes[0], rates_deg_s=rates) for method in methods)
