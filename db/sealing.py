@@ -43,7 +43,7 @@ class RowKind(Protocol):
     def sealed(self, connection: Connection, head: SegmentHead) -> list[Any]:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
 
-    def packed(self, of: Series, rows: Sequence[Any]) -> tuple[Mapping[str, Any], Bins]:
+    def columns_and_bins(self, of: Series, rows: Sequence[Any]) -> tuple[Mapping[str, Any], Bins]:
         """Return rows as the columns of a segment, and what is summarised of them."""
 
 
@@ -132,7 +132,7 @@ def _parts(rows: Sequence[Any], most: int) -> Iterator[Sequence[Any]]:
 
 def _segment(of: Series, day: int, rows: Sequence[Any], kind: RowKind) -> tuple[dict[str, Any], Bins]:
     """Return the columns of a segment but its id and checksum, and what is summarised of it."""
-    columns, bins = kind.packed(of, rows)
+    columns, bins = kind.columns_and_bins(of, rows)
     numbers = [row.number for row in rows]
     sequences = [row.sequence for row in rows if getattr(row, "sequence", None) is not None]
     values = {

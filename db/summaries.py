@@ -53,11 +53,11 @@ def bins_of(quantity: str, epochs_us: IntArray, values: NDArray[np.floating]) ->
     for bin_s in (MINUTE_S, HOUR_S) if is_dense else (HOUR_S,):
         bins = bins.gathered(bins.first_us // (bin_s * US_PER_S))
         # without a value no byte, which says that rows need not be read
-        made[quantity, bin_s] = b"" if is_empty else _packed(bins, bin_s * US_PER_S)
+        made[quantity, bin_s] = b"" if is_empty else _blob(bins, bin_s * US_PER_S)
     return made
 
 
-def _packed(bins: Summaries, bin_us: int) -> bytes:
+def _blob(bins: Summaries, bin_us: int) -> bytes:
     """Return bins as a blob, a row for each bin of each column."""
     pa = arrow()
     starts_us = bins.first_us // bin_us * bin_us
@@ -125,7 +125,7 @@ def stored_blobs(connection: Connection, ids: Sequence[int], quantity: str, bin_
     return found
 
 
-def binned(
+def bins_within(
     connection: Connection, heads: Sequence[SegmentHead], quantity: str, intervals: Intervals, columns: slice
 ) -> tuple[Summaries | None, list[SegmentHead]]:
     """Return columns of segments in bins that lie within one interval each, and the segments to be read as rows."""

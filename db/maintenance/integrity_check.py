@@ -212,7 +212,7 @@ def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[D
             except StorageError:
                 continue
             compared += 1
-            if not _agree(connection, found, kind.packed(series_of(found, series), rows)[1]):
+            if not _agree(connection, found, kind.columns_and_bins(series_of(found, series), rows)[1]):
                 wrong.append(format_epoch(found.first_epoch_us)[:10])
     if wrong:
         detail = f"{name}: {len(wrong)} of {compared} summaries differ from their rows: {', '.join(sorted(set(wrong)))}"

@@ -9,7 +9,7 @@ from db.database import Database
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.segments import DAY_US, SegmentCache, SegmentHead, day_of, read_chunk
 from db.measurements.measurement_pages import FULL, POWERS, Chosen, MeasurementPages
-from db.summaries import binned
+from db.summaries import bins_within
 from service.core.rows import Summaries
 from service.ports.archive import Intervals, MeasuredFigure, SampledPowers
 from service.records.calibration import Window
@@ -63,7 +63,7 @@ def _sealed(
     columns: slice,
 ) -> Iterator[Summaries]:
     """Yield columns of the segments of one plan; those of a segment without a sound summary row by row."""
-    buckets, rest = binned(connection, heads, figure, intervals, columns)
+    buckets, rest = bins_within(connection, heads, figure, intervals, columns)
     if buckets is not None:
         yield buckets
     scan = cache.for_scan()

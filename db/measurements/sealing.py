@@ -65,7 +65,7 @@ class MeasurementRows:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
         return list(map(read_chunk(connection, None, head).record, range(head.row_count)))
 
-    def packed(self, of: Series, rows: Sequence[Measurement]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
+    def columns_and_bins(self, of: Series, rows: Sequence[Measurement]) -> tuple[dict[str, Any], Bins]:  # noqa: ARG002
         """Return rows as the columns of a segment, and the bins of powers and of C/N0 in the order of the plan."""
         columns = _columns(rows)
         c_n0_db_hz = columns.details[:, DETAIL_NAMES.index(_C_N0)]

@@ -14,7 +14,7 @@ from db.measurements.retention import kept_from_us
 from db.results.replays import check_held
 from db.results.stored_rows import read_results, unsealed_rows
 from db.schema.tables import attitude, summary
-from db.summaries import READ_AT_ONCE, binned
+from db.summaries import READ_AT_ONCE, bins_within
 from service.core.rows import Summaries
 from service.ports.archive import LIVE, Intervals, SampledCarriers
 from service.records.calibration import Window
@@ -88,7 +88,7 @@ def sampled_figures(
 
     for connection, part in _seasons(database, of, window):
         found = list(heads(connection, of.of_segments(), part.start_us, part.stop_us))
-        buckets, rest = binned(connection, found, quantity, intervals, slice(columns))
+        buckets, rest = bins_within(connection, found, quantity, intervals, slice(columns))
         if buckets is not None:
             yield buckets
         for rows in _rows_of(connection, of, rest, part):
@@ -102,7 +102,7 @@ def sampled_carriers(database: Database, of: Series, window: Window, intervals: 
         plans = _plans_of(connection, [head.segment_id for head in found])
         for plan_id in sorted({plan_id for ids in plans.values() for plan_id in ids}):
             its = [head for head in found if plan_id in plans.get(head.segment_id, ())]
-            buckets, rest = binned(connection, its, carriers_name(plan_id), intervals, slice(None))
+            buckets, rest = bins_within(connection, its, carriers_name(plan_id), intervals, slice(None))
             if buckets is not None:
                 yield SampledCarriers(plan_id, in_decibels(buckets))
             opened = (row for head in rest for row in read_results(connection, head).rows())

@@ -12,7 +12,7 @@ from db.encoding.column_blob import arrow
 from db.encoding.row_mapping import attitude_of, torque_of
 from db.encoding.segments import DAY_US, SegmentHead, Series, day_of
 from db.results.result_samples import ATTITUDE, IMPULSE, carrier_figures, carriers_name, figures
-from db.results.state_history import STATES, packed_stretch, stretch_of
+from db.results.state_history import STATES, stretch_blob, stretch_of
 from db.results.stored_rows import HEAD_COLUMNS, TABLES, read_results
 from db.schema.columns import Figure, agrees, checksum_of
 from db.schema.tables import attitude
@@ -44,7 +44,7 @@ class ResultRows:
         """Return the rows of a segment; StorageError ``storage.corrupt``."""
         return read_results(connection, head).rows()
 
-    def packed(self, of: Series, rows: Sequence[Any]) -> tuple[dict[str, Any], Bins]:
+    def columns_and_bins(self, of: Series, rows: Sequence[Any]) -> tuple[dict[str, Any], Bins]:
         """Return rows as the columns of a segment, and what is summarised of them."""
         columns = zip(of.table.c, zip(*rows, strict=True), strict=True)
         arrays = {
@@ -65,7 +65,7 @@ def _bins(of: Series, rows: Sequence[Any]) -> Bins:
     for plan_id, epochs_us, steps in carrier_figures(rows):
         found |= bins_of(carriers_name(plan_id), epochs_us, steps)
     if of.version == LIVE and (states := stretch_of([records])) is not None:
-        found[STATES, 0] = packed_stretch(states)
+        found[STATES, 0] = stretch_blob(states)
     return found
 
 

@@ -120,7 +120,7 @@ def _newest_rows(read: EitherEnd, window: Window, most: int) -> tuple[Sequence[A
     return [row for row in rows if row.epoch_us >= start_us], start_us
 
 
-def packed_stretch(found: Stretch) -> bytes:
+def stretch_blob(found: Stretch) -> bytes:
     """Return the runs and gaps of a stretch as a blob."""
     whole = (_STRETCH, "", "", found.first_us, found.last_us, found.period_us)
     gaps = ((_GAP, "", "", *gap) for gap in found.gaps)

@@ -13,7 +13,7 @@ from service_process import serving_on
 
 from db.encoding.column_blob import pack_columns
 from db.encoding.segments import DAY_US, MeasuredColumns, measured_arrays
-from db.results.state_history import STATES, packed_stretch
+from db.results.state_history import STATES, stretch_blob
 from db.schema.tables import segment, summary
 from db.storage import SqlStorage
 from db.summaries import bins_of
@@ -71,7 +71,7 @@ def seed_year(url: str) -> None:
             lay_segment(connection, key, epochs_us, {}, None, measured(epochs_us, powers.shape[1]))
             for method in LIVE_METHODS:
                 values = random.normal(0.02, 0.01, (len(epochs_us), len(ATTITUDE_FIGURES)))
-                states = packed_stretch(states_of(epochs_us, random))
+                states = stretch_blob(states_of(epochs_us, random))
                 lay_segment(
                     connection, key, epochs_us, bins_of("attitude", epochs_us, values) | {(STATES, 0): states}, method
                 )
