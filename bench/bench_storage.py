@@ -36,6 +36,9 @@ GOAL_READ = 2.5
 GOAL_RESULTS = 290.0
 #: the same with the results of 16 carriers
 GOAL_CARRIERS = 400.0
+#: rows of one day at a row a minute, and bytes of a row of 16 carriers then, summaries included: powers, results
+MINUTES = 1440
+GOAL_MINUTE_POWERS, GOAL_MINUTE_RESULTS = 42.0, 360.0
 #: decimals of levels, None = as they come
 KINDS: dict[str, int | None] = {"0.01 dB": 2, "0.001 dB": 3, "front end": 5, "all bits": None}
 
@@ -55,6 +58,7 @@ def main() -> bool:
             urls = {kind: options.url.format(position) for position, kind in enumerate(KINDS)}
         is_met = [measure_reading(url, kind, options) for kind, url in urls.items()]
         options.carriers = 16
+        is_met.append(measure_minutes(sqlite_url(f"{folder / 'minutes'}.db"), options))
         for has_carriers in (False, True):
             url = sqlite_url(f"{folder / 'results'}{has_carriers:d}.db")
             is_met.append(measure_results(url, options, has_carriers=has_carriers))
@@ -94,10 +98,11 @@ def measure_reading(url: str, kind: str, options: argparse.Namespace) -> bool:
 def send_days(storage: SqlStorage, plan_id: int, kind: str, options: argparse.Namespace) -> int:
     """Store whole days of one front end and return how many rows; those of the front end have all that it sends."""
     first_us = START_US // DAY_US * DAY_US
-    rows: int = options.days * DAY_ROWS // options.rows * options.rows
+    day_rows = getattr(options, "day_rows", DAY_ROWS)
+    rows: int = options.days * day_rows // options.rows * options.rows
     zeros = ((0,) * options.carriers,) * options.rows
     for start in range(0, rows, options.rows):
-        epochs_us = first_us + (start + np.arange(options.rows)) * (DAY_US // DAY_ROWS)
+        epochs_us = first_us + (start + np.arange(options.rows)) * (DAY_US // day_rows)
         made = batch(plan_id, start, options, KINDS[kind])
         made = replace(made, epochs_us=epochs_us, received_at_us=int(epochs_us[-1]) + 700_000, first_seq=start)
         if kind == "front end":
@@ -106,33 +111,59 @@ def send_days(storage: SqlStorage, plan_id: int, kind: str, options: argparse.Na
     return rows
 
 
-def measure_results(url: str, options: argparse.Namespace, *, has_carriers: bool) -> bool:
-    """Print bytes a row of attitude, two methods a measurement, and of torques; return whether the goal is met."""
+def measure_minutes(url: str, options: argparse.Namespace) -> bool:
+    """Print bytes of a sealed row at a row a minute, summaries included; return whether the goals are met."""
     storage = SqlStorage(url)
     storage.prepare()
     plan_id = prepare_catalogue(storage, options)
-    send_days(storage, plan_id, "0.01 dB", argparse.Namespace(**{**vars(options), "days": 1}))
-    random = np.random.default_rng(1)
+    measured = measured_days(storage, plan_id, options, days=4, day_rows=MINUTES)
+    assert sum(part.rows for part in storage.archive.seal("bench", 1 << 60, 1 << 60)) == len(measured)
+    powers = size_of_segments(storage) + size_of_summaries(storage)
+    store_results(storage, measured, options, has_carriers=True)
+    assert sum(part.rows for part in storage.results.seal("bench", 1 << 60)) == 3 * len(measured)
+    results = size_of_segments(storage) + size_of_summaries(storage) - powers
+    storage.close()
+    print("sealed at a row a minute, summaries included, 16 carriers:")
+    is_small = judge("powers", powers / len(measured), GOAL_MINUTE_POWERS, "B")
+    return judge("results of a measurement", results / len(measured), GOAL_MINUTE_RESULTS, "B") and is_small
+
+
+def measured_days(
+    storage: SqlStorage, plan_id: int, options: argparse.Namespace, *, days: int, day_rows: int
+) -> list[Measurement]:
+    """Store days of powers of two decimals and return them."""
+    chosen = {**vars(options), "days": days, "day_rows": day_rows}
+    send_days(storage, plan_id, "0.01 dB", argparse.Namespace(**chosen))
     entries = storage.archive.journal("bench", 0, 1 << 30)
-    measured = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
+    return [entry.content for entry in entries if isinstance(entry.content, Measurement)]
+
+
+def store_results(
+    storage: SqlStorage, measured: list[Measurement], options: argparse.Namespace, *, has_carriers: bool
+) -> None:
+    """Store results of measurements of two methods and a torque command."""
+    random = np.random.default_rng(1)
     for start in range(0, len(measured), options.rows):
         outcomes = [
             outcome_of(row, random, has_carriers=has_carriers) for row in measured[start : start + options.rows]
         ]
         storage.results.save_outcomes("bench", LIVE, outcomes, measured[start].number, measured[start].epoch_us)
+
+
+def measure_results(url: str, options: argparse.Namespace, *, has_carriers: bool) -> bool:
+    """Print bytes a row of attitude, two methods a measurement, and of torques; return whether the goal is met."""
+    storage = SqlStorage(url)
+    storage.prepare()
+    plan_id = prepare_catalogue(storage, options)
+    measured = measured_days(storage, plan_id, options, days=1, day_rows=DAY_ROWS)
+    store_results(storage, measured, options, has_carriers=has_carriers)
     attitude = _size(storage, "attitude", "attitude_sequence") / (2 * len(measured))
     torque = _size(storage, "torque", "torque_sequence") / len(measured)
     started = time.process_time()
     sealed = sum(part.rows for part in storage.results.seal("bench", 1 << 60))
     sealing_s = time.process_time() - started
     assert sealed == 3 * len(measured), f"{sealed} results sealed of {3 * len(measured)}"
-    names = ("result_segment", "result_segment_sequence", "sqlite_autoindex_result_segment_1")
-    segments = _size(storage, *names) / len(measured)
-    # a day is summarised when the chain has consumed a later one
-    storage.results.save_outcomes("bench", LIVE, [], measured[-1].number, measured[-1].epoch_us + DAY_US)
-    assert sum(storage.results.complete_summaries("bench", 1 << 60)) == 3
-    names = ("attitude_summary", "sqlite_autoindex_attitude_summary_1", "carrier_summary")
-    summaries = _size(storage, *names, "sqlite_autoindex_carrier_summary_1") / len(measured)
+    segments, summaries = (size(storage) / len(measured) for size in (size_of_segments, size_of_summaries))
     storage.close()
     print(f"results: {attitude:.0f} B a row of attitude (two a measurement), {torque:.0f} B a torque command")
     print(f"  sealed at {sealed / sealing_s:.0f} rows a second of processor time")
@@ -234,8 +265,12 @@ def size_of_rows(storage: SqlStorage) -> int:
 
 def size_of_segments(storage: SqlStorage) -> int:
     """Return the bytes of the table of segments with its indexes."""
-    names = ("measurement_segment", "measurement_segment_number", "sqlite_autoindex_measurement_segment_1")
-    return _size(storage, *names)
+    return _size(storage, "segment", "segment_number", "segment_sequence", "sqlite_autoindex_segment_1")
+
+
+def size_of_summaries(storage: SqlStorage) -> int:
+    """Return the bytes of the table of summaries with its index."""
+    return _size(storage, "summary", "sqlite_autoindex_summary_1")
 
 
 def _size(storage: SqlStorage, *names: str) -> int:

@@ -1,1 +1,1 @@
-"""Encoding of rows: packed powers, sealed segments, JSON documents."""
+"""Encoding of rows: packed powers, sealed days as Parquet, JSON documents."""

@@ -44,19 +44,7 @@ from service.records.storage import BackupError, Diagnosis, Manifest, Spacecraft
 _ROWS = 2000
 #: rows with large blobs are held few at a time
 _ROWS_OF_BLOBS = 100
-_BLOB_TABLES = frozenset(
-    {
-        "attitude_summary",
-        "carrier_summary",
-        "checkpoint",
-        "measurement_segment",
-        "power_summary",
-        "replay_checkpoint",
-        "result_segment",
-        "state_summary",
-        "trace",
-    }
-)
+_BLOB_TABLES = frozenset({"checkpoint", "replay_checkpoint", "segment", "summary", "trace"})
 
 
 def copy_tables(source: Connection, target: Connection, progress: Progress) -> None:

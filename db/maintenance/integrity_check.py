@@ -13,45 +13,36 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from db.database import Database
 from db.documents import damaged_documents
-from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentCache, SegmentHead, heads, read_chunk
-from db.encoding.summary_codec import SummaryBlobs, unpack_level
+from db.encoding.segments import SegmentHead, heads_where, of_measurements, read_chunk, series_of
+from db.measurements import sealing
 from db.measurements.checksum_check import checked_tables, document_damage
-from db.measurements.power_summaries import summary_of
-from db.measurements.retention import kept_from_us
 from db.operations.access import SqlAudit
-from db.results.attitude_reader import AttitudeReader
-from db.results.attitude_summaries import NO_ROWS, TORQUE, day_blobs
-from db.results.carrier_summaries import blobs_by_plan, carrier_rows
-from db.results.state_summaries import stored_states, stretch_of
-from db.results.stored_rows import ResultSeries, opened, paged
+from db.results import result_sealing
+from db.results.stored_rows import TABLES, read_results
 from db.schema.layout import LAYOUT, layout_of, refusal
 from db.schema.tables import (
     attitude,
-    attitude_summary,
-    carrier_summary,
     head,
     journal,
     measurement,
     measurement_detail,
-    measurement_segment,
-    power_summary,
-    result_segment,
     retention_mark,
+    segment,
     source,
     spacecraft,
+    summary,
     torque,
 )
+from db.sealing import RowKind
+from db.summaries import Bins, differences
 from service.errors import StorageError
 from service.ports.archive import LIVE
-from service.records.calibration import Window
-from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import IntArray
 from service.records.operations.access import findings
 from service.records.storage import Diagnosis
 
 _FETCH = 50_000
-_FOR_EVER_US = 1 << 62
 #: numbers that a report names at most
 _NAMED = 5
 
@@ -161,21 +152,21 @@ def heads_of_all(connection: Connection) -> list[Row[Any]]:
 
 def _add_segments(connection: Connection, key: int, ledger: Ledger) -> None:
     """Count the numbers of sealed days in, and note which days are damaged."""
-    for segment in heads(connection, key, 0, _FOR_EVER_US):
+    for found in heads_where(connection, *of_measurements(key)):
         ledger.segments += 1
-        ledger.rows_sealed += segment.row_count
-        held = ledger.rows_of_source.get(segment.source_key, 0)
-        ledger.rows_of_source[segment.source_key] = held + segment.row_count
-        numbers = _numbers_of(connection, segment, ledger)
+        ledger.rows_sealed += found.row_count
+        held = ledger.rows_of_source.get(found.source_key, 0)
+        ledger.rows_of_source[found.source_key] = held + found.row_count
+        numbers = _numbers_of(connection, found, ledger)
         if numbers is not None:
             ledger.count(numbers)
 
 
-def _numbers_of(connection: Connection, segment: SegmentHead, ledger: Ledger) -> IntArray | None:
+def _numbers_of(connection: Connection, found: SegmentHead, ledger: Ledger) -> IntArray | None:
     """Return the numbers of a sealed day; None, and a note, when it cannot be read."""
     try:
-        chunk = read_chunk(connection, None, segment)
-        chunk.extras()
+        chunk = read_chunk(connection, None, found)
+        chunk.rows()
     except StorageError as error:
         ledger.damaged.append(error.detail)
         return None
@@ -184,15 +175,15 @@ def _numbers_of(connection: Connection, segment: SegmentHead, ledger: Ledger) ->
 
 def _sealed_numbers(connection: Connection, key: int, table: Table, ledger: Ledger) -> Iterator[IntArray]:
     """Yield the numbers of measurements that sealed results name, and note which segments are damaged."""
-    segment_id = result_segment.c.segment_id
-    is_its = (result_segment.c.spacecraft_key == key, result_segment.c.series == table.name)
-    for found in paged(connection, select(result_segment).where(*is_its).order_by(segment_id), segment_id):
+    is_its = (segment.c.spacecraft_key == key, segment.c.series == table.name)
+    for found in heads_where(connection, *is_its):
         try:
-            segment = opened(connection, found)
+            results = read_results(connection, found)
+            results.rows()
         except StorageError as error:
             ledger.damaged_results.append(error.detail)
             continue
-        yield segment.numbers[segment.epochs_us >= ledger.kept_from_us]
+        yield results.numbers[results.epochs_us >= ledger.kept_from_us]
 
 
 def _numbers(connection: Connection, table: Table, condition: ColumnElement[bool]) -> Iterator[IntArray]:
@@ -204,7 +195,7 @@ def _numbers(connection: Connection, table: Table, condition: ColumnElement[bool
 
 
 _Item = TypeVar("_Item")
-#: summaries of powers, and of attitude, that are compared with their rows
+#: segments of a series whose summaries are compared with their rows
 _COMPARED = 10
 _ADVICE = "Charts and timelines of these days are wrong, exports are not. Restore a backup that is known to be sound."
 
@@ -212,10 +203,17 @@ _ADVICE = "Charts and timelines of these days are wrong, exports are not. Restor
 def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[Diagnosis]:
     """Yield whether evenly chosen summaries of a spacecraft agree with their rows, where those can be read."""
     compared, wrong = 0, []
-    for start_us, is_right in [*_of_powers(connection, key), *_of_attitude(connection, key)]:
-        compared += 1
-        if not is_right:
-            wrong.append(format_epoch(start_us)[:10])
+    for series in (measurement, *TABLES.values()):
+        its = list(heads_where(connection, segment.c.spacecraft_key == key, segment.c.series == series.name))
+        for found in _evenly(its):
+            kind: RowKind = sealing.ROWS if series is measurement else result_sealing.ROWS
+            try:
+                rows = kind.sealed(connection, found)
+            except StorageError:
+                continue
+            compared += 1
+            if not _agree(connection, found, kind.columns_and_bins(series_of(found, series), rows)[1]):
+                wrong.append(format_epoch(found.first_epoch_us)[:10])
     if wrong:
         detail = f"{name}: {len(wrong)} of {compared} summaries differ from their rows: {', '.join(sorted(set(wrong)))}"
         yield Diagnosis("summaries", "fault", detail, _ADVICE)
@@ -223,72 +221,16 @@ def compare_summaries(connection: Connection, key: int, name: str) -> Iterator[D
         yield Diagnosis("summaries", "ok", f"{name}: {compared} summaries compared with their rows")
 
 
-def _of_powers(connection: Connection, key: int) -> Iterator[tuple[int, bool]]:
-    """Yield the first epoch of some segments and whether their hours are those made again."""
-    ids = list(
-        connection.scalars(
-            select(power_summary.c.segment_id)
-            .join(measurement_segment)
-            .where(measurement_segment.c.spacecraft_key == key)
-            .order_by(power_summary.c.segment_id)
-        )
-    )
-    for segment_id in _evenly(ids):
-        is_it = measurement_segment.c.segment_id == segment_id
-        head = SegmentHead(*connection.execute(select(*HEAD_COLUMNS).where(is_it)).one())
-        hours = connection.scalar(select(power_summary.c.hours).where(power_summary.c.segment_id == segment_id))
-        try:
-            rows = read_chunk(connection, None, head).rows()
-        except StorageError:
-            continue
-        yield head.first_epoch_us, _agree(hours or b"", summary_of(rows))
-
-
-def _of_attitude(connection: Connection, key: int) -> Iterator[tuple[int, bool]]:
-    """Yield some days of attitude and whether their hours, those of their carriers and their states are right."""
-    table, cache = attitude_summary, SegmentCache()
-    measured_from_us = kept_from_us(connection, key, "measurements")
-    is_its = (table.c.spacecraft_key == key, table.c.day.is_not(None), table.c.method != TORQUE)
-    query = select(table.c.start_us, table.c.method, table.c.summary_id).where(*is_its).order_by(table.c.start_us)
-    for start_us, method, summary_id in map(tuple, _evenly(connection.execute(query).all())):
-        hours = connection.scalar(select(table.c.hours).where(table.c.summary_id == summary_id))
-        is_its_plan = carrier_summary.c.summary_id == summary_id
-        of_plans = select(carrier_summary.c.plan_id, carrier_summary.c.hours).where(is_its_plan)
-        stored = {row.plan_id: row.hours for row in connection.execute(of_plans)}
-        read_carriers = partial(carrier_rows, connection, ResultSeries(key, attitude, LIVE, method))
-        read = AttitudeReader(connection, cache, key, Method(method)).rows
-        try:
-            made = day_blobs(read, start_us, method)
-            by_plan = blobs_by_plan(read_carriers, start_us)
-            states = stretch_of(read, Window(start_us, start_us + DAY_US))
-        except StorageError:
-            continue
-        yield start_us, _agree(hours or b"", made)
-        for plan_id in stored.keys() | by_plan.keys():
-            yield start_us, _agree(stored.get(plan_id, b""), by_plan.get(plan_id, NO_ROWS))
-        # rows for which nothing was computed are made of measurements, which may have been deleted since
-        if start_us >= measured_from_us and (known := stored_states(connection, summary_id)) is not None:
-            yield start_us, known == states
-
-
 def _evenly(found: Sequence[_Item]) -> Sequence[_Item]:
     """Return about ``_COMPARED`` of some items, the first among them."""
     return found[:: max(1, len(found) // _COMPARED)]
 
 
-def _agree(stored: bytes, made: SummaryBlobs) -> bool:
-    """Return whether hours are those made again; sums to rounding."""
-    if not stored or not made.hours:
-        return stored == made.hours
-    try:
-        one, other = unpack_level(stored).buckets, unpack_level(made.hours).buckets
-    except ValueError:
-        return False
-    if one.counts.shape != other.counts.shape:
-        return False
-    arrays = (each._replace(sums=each.minima) for each in (one, other))
-    is_equal = all(np.array_equal(a, b) for a, b in zip(*arrays, strict=True))
-    return is_equal and bool(np.allclose(one.sums, other.sums, rtol=1e-9, atol=1e-9))
+def _agree(connection: Connection, found: SegmentHead, made: Bins) -> bool:
+    """Return whether the summaries of a segment are those made again; sums to rounding."""
+    query = select(summary).where(summary.c.segment_id == found.segment_id)
+    stored = {(row.quantity, row.bin_s): row.content for row in connection.execute(query)}
+    return stored.keys() == made.keys() and not any(any(differences(stored[name], made[name])) for name in made)
 
 
 Report = Callable[[str], None]
@@ -497,8 +439,8 @@ def _results(connection: Connection, state: Row[Any], name: str, ledger: Ledger)
         query = select(func.count(table.c.sequence), func.max(table.c.sequence))
         count, last = connection.execute(query.where(table.c.spacecraft_key == key, table.c.version == LIVE)).one()
         sequences, newest = sequences + count, max(newest, last or 0)
-    sealed = select(func.coalesce(func.sum(result_segment.c.row_count), 0), func.max(result_segment.c.last_sequence))
-    is_live = (result_segment.c.spacecraft_key == key, result_segment.c.version == LIVE)
+    sealed = select(func.coalesce(func.sum(segment.c.row_count), 0), func.max(segment.c.last_sequence))
+    is_live = (segment.c.spacecraft_key == key, segment.c.version == LIVE)
     rows_sealed, last = connection.execute(sealed.where(*is_live)).one()
     sequences, newest = sequences + int(rows_sealed), max(newest, last or 0)
     is_whole = newest == state.result_sequence and (sequences == newest or ledger.rows_dropped)

@@ -18,7 +18,7 @@ from db.database import Database, EpochSpan, add_entries, count_entries, lock_he
 from db.encoding.measurement_runs import Cursor
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, kind_of
 from db.encoding.segments import DAY_US
-from db.measurements import power_summaries, retention, sealing
+from db.measurements import power_samples, retention, sealing
 from db.measurements.ingest import StoreBatch
 from db.measurements.journal_heads import HEAD_COLUMNS, head_states, journal_heads
 from db.measurements.measurement_pages import EVER, UNCHECKED, Chosen, MeasurementPages
@@ -55,7 +55,7 @@ from service.records.levels.measurement import (
     SourceState,
 )
 from service.records.operations.release import InterlockHold
-from service.records.storage import RetiredRows, SealedPart, SegmentState
+from service.records.storage import RetiredRows, SealedPart
 
 LOOKUP_CHUNK = 500
 #: what carries its own key; everything else is journaled by the call that makes it
@@ -157,8 +157,8 @@ def _stored(connection: Connection, key: int, records: Sequence[SlowInput]) -> d
     return known
 
 
-#: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
-BLOCK_PAGE_ROWS = 32_768
+#: rows of a page that is read as blocks, about those of a segment: larger pages are no faster and take more memory
+BLOCK_PAGE_ROWS = 8_640
 #: rows of a page that is read as records, of which one takes half a kilobyte
 RECORD_PAGE_ROWS = 2048
 #: blocks of a longer span would drive out of memory what others read again and again
@@ -362,7 +362,7 @@ class SqlArchive:
         """Yield the rows of a window in buckets that lie within one interval each; every row is in one of them."""
         key, chosen = self._database.key(spacecraft_id), Chosen(window, source)
         carriers_of = partial(self._carrier_ids, key)
-        return power_summaries.sampled(self._database, key, chosen, intervals, carriers_of, figure)
+        return power_samples.sampled(self._database, key, chosen, intervals, carriers_of, figure)
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
@@ -436,10 +436,6 @@ class SqlArchive:
     def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
         """Seal closed days, a transaction a step."""
         return sealing.seal(self._database, self._database.key(spacecraft_id), before_us, received_before_us)
-
-    def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
-        """Read every sealed segment and yield whether it can be read."""
-        return sealing.states(self._database, self._database.key(spacecraft_id))
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a transaction a step."""

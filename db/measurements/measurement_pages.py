@@ -16,18 +16,18 @@ from db.encoding.power_codec import unpack_powers
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
 from db.encoding.segments import (
     DAY_US,
+    MeasurementSegment,
     SegmentCache,
-    SegmentChunk,
     SegmentHead,
     day_of,
     heads,
     heads_of_numbers,
-    newest_heads,
+    of_measurements,
     read_chunk,
 )
 from db.measurements.checksum_check import require_sound
 from db.newest_rows import newest_rows, start_of_last
-from db.schema.tables import measurement, measurement_detail, measurement_segment, source
+from db.schema.tables import measurement, measurement_detail, segment, source
 from service.records.calibration import Window
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.measurement import Float32Array, Measurement, MeasurementBlock
@@ -140,7 +140,7 @@ class MeasurementPages:
         rows = self._rows(chosen, LIGHT).order_by(*order).offset(count - 1).limit(1)
         row = self._connection.execute(rows).first()
         start_us, stop_us = chosen.window.start_us if row is None else row.epoch_us, chosen.window.stop_us
-        found = newest_heads(self._connection, self.key, start_us, stop_us, *self._of_segments(chosen))
+        found = heads(self._connection, self._of_segments(chosen), start_us, stop_us, newest_first=True)
         chunks = (read_chunk(self._connection, self._cache, head) for head in found)
         epochs_us = (chunk.epochs_us[_positions(chunk, chosen, None, stop_us)] for chunk in chunks)
         return start_of_last(epochs_us, count, start_us)
@@ -148,10 +148,18 @@ class MeasurementPages:
     def read_blocks(
         self, chosen: Chosen, limit: int, after: Cursor | None
     ) -> tuple[list[MeasurementBlock], Cursor | None]:
-        """Return the next rows behind a cursor as blocks, and the cursor behind them; None when there are none."""
+        """Return the next rows behind a cursor as blocks, and the cursor behind them; None when there are none.
+
+        The last ones may be more than ``limit``, at most twice as many.
+        """
         parts = self._parts(chosen, limit, after, POWERS)
         if not parts:
             return [], None
+        sealed = sum(len(run.positions) for run in parts if isinstance(run.chunk, MeasurementSegment))
+        whole = sum(len(run.positions) for run in parts)
+        if sealed < limit and whole - sealed < limit:
+            # neither kind of rows fills the page: there are no others
+            limit = whole
         if len(parts) == 1:
             run = ChunkRun(parts[0].chunk, parts[0].positions[:limit])
             return [run.block()], run.end
@@ -185,16 +193,15 @@ class MeasurementPages:
     def segments(self, chosen: Chosen) -> list[SegmentHead]:
         """Return the heads of segments that may hold chosen rows."""
         window = chosen.window
-        return list(heads(self._connection, self.key, window.start_us, window.stop_us, *self._of_segments(chosen)))
+        return list(heads(self._connection, self._of_segments(chosen), window.start_us, window.stop_us))
 
     def next_us(self, epoch_us: int) -> int | None:
         """Return an epoch up to which no row stands from the given one on; None where none follows."""
         rows = select(func.min(measurement.c.epoch_us)).where(
             measurement.c.spacecraft_key == self.key, measurement.c.epoch_us >= epoch_us
         )
-        segment = measurement_segment.c
-        days = select(func.min(segment.first_epoch_us)).where(
-            segment.spacecraft_key == self.key, segment.first_epoch_us >= day_of(epoch_us) * DAY_US
+        days = select(func.min(segment.c.first_epoch_us)).where(
+            *of_measurements(self.key), segment.c.first_epoch_us >= day_of(epoch_us) * DAY_US
         )
         found = [self._connection.scalar(query) for query in (rows, days)]
         return min((max(each, epoch_us) for each in found if each is not None), default=None)
@@ -236,7 +243,7 @@ class MeasurementPages:
         row = self._connection.execute(self._rows(chosen, LIGHT).order_by(*order).limit(1)).first()
         best = None if row is None else (row.epoch_us, row.number, row.received_at_us)
         start_us = chosen.window.start_us if best is None else best[0]
-        for head in newest_heads(self._connection, self.key, start_us, EVER.stop_us, *self._of_segments(chosen)):
+        for head in heads(self._connection, self._of_segments(chosen), start_us, EVER.stop_us, newest_first=True):
             if best is not None and head.day < day_of(best[0]):
                 break
             chunk = read_chunk(self._connection, self._cache, head)
@@ -249,14 +256,13 @@ class MeasurementPages:
 
     def last_number(self, window: Window) -> int:
         """Return a journal number behind which no row lies in a window; 0 where none does at all."""
-        segment = measurement_segment.c
         rows = select(func.max(measurement.c.number)).where(
             measurement.c.spacecraft_key == self.key, within(measurement.c.epoch_us, window)
         )
-        days = select(func.max(segment.last_number)).where(
-            segment.spacecraft_key == self.key,
-            segment.first_epoch_us < window.stop_us,
-            segment.last_epoch_us >= window.start_us,
+        days = select(func.max(segment.c.last_number)).where(
+            *of_measurements(self.key),
+            segment.c.first_epoch_us < window.stop_us,
+            segment.c.last_epoch_us >= window.start_us,
         )
         return max(self._connection.scalar(query) or 0 for query in (rows, days))
 
@@ -266,7 +272,7 @@ class MeasurementPages:
             measurement.c.spacecraft_key == self.key, within(measurement.c.epoch_us, window)
         )
         found = set(self._connection.scalars(held.distinct()))
-        for head in heads(self._connection, self.key, window.start_us, window.stop_us):
+        for head in heads(self._connection, of_measurements(self.key), window.start_us, window.stop_us):
             is_inside = head.first_epoch_us >= window.start_us or head.last_epoch_us < window.stop_us
             # only a segment that reaches beyond both ends may have no row in the window
             if head.plan_id not in found and (is_inside or self._has_rows(head, window)):
@@ -281,7 +287,7 @@ class MeasurementPages:
         """Yield parts of segments until they hold the next ``limit`` rows of their own."""
         start_us = chosen.window.start_us if after is None else max(chosen.window.start_us, after[0])
         parts: list[ChunkRun] = []
-        for head in heads(self._connection, self.key, start_us, chosen.window.stop_us, *self._of_segments(chosen)):
+        for head in heads(self._connection, self._of_segments(chosen), start_us, chosen.window.stop_us):
             reached_us = end_us(parts, limit)
             if reached_us is not None and head.first_epoch_us >= reached_us:
                 return
@@ -320,13 +326,13 @@ class MeasurementPages:
         return conditions
 
     def _of_segments(self, chosen: Chosen) -> list[ColumnElement[bool]]:
-        conditions: list[ColumnElement[bool]] = []
+        conditions = list(of_measurements(self.key))
         if chosen.source is not None:
-            conditions.append(measurement_segment.c.source_key == self._source_key(chosen.source))
+            conditions.append(segment.c.source_key == self._source_key(chosen.source))
         if chosen.feeds_only:
-            conditions.append(measurement_segment.c.feeding_count > 0)
+            conditions.append(segment.c.feeding_count > 0)
         if chosen.before_number is not None:
-            conditions.append(measurement_segment.c.first_number < chosen.before_number)
+            conditions.append(segment.c.first_number < chosen.before_number)
         return conditions
 
     @cached_property
@@ -361,7 +367,7 @@ def _columns(rows: Sequence[Row[Any]]) -> dict[str, tuple[Any, ...]]:
     return dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
 
 
-def _positions(chunk: SegmentChunk, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:
+def _positions(chunk: MeasurementSegment, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:
     """Return the places of the chosen rows of a segment behind a cursor."""
     first, last = np.searchsorted(chunk.epochs_us, (chosen.window.start_us, stop_us))
     positions: IntArray = np.arange(first, last)

@@ -28,13 +28,11 @@ from db.database import Database, lock_head
 from db.encoding.segments import DAY_US, day_of
 from db.schema.tables import (
     attitude,
-    attitude_summary,
     head,
     measurement,
     measurement_detail,
-    measurement_segment,
-    result_segment,
     retention_mark,
+    segment,
     torque,
     trace,
 )
@@ -77,8 +75,6 @@ def _length(column: ColumnElement[bytes]) -> ColumnElement[int]:
     return func.coalesce(func.length(column), 0)
 
 
-_SEGMENT = measurement_segment.c
-_RESULTS = result_segment.c
 _ONE = literal(1, Integer)
 _ROWS = _Part(
     measurement,
@@ -87,15 +83,6 @@ _ROWS = _Part(
     _length(measurement.c.powers) + _length(measurement.c.flags) + 64,
     _ONE,
     number=measurement.c.number,
-)
-_SEGMENTS = _Part(
-    measurement_segment,
-    _SEGMENT.last_epoch_us,
-    (_SEGMENT.segment_id,),
-    _length(_SEGMENT.columns) + _length(_SEGMENT.powers) + _length(_SEGMENT.extras) + 128,
-    _SEGMENT.row_count,
-    SEGMENTS_AT_ONCE,
-    number=_SEGMENT.last_number,
 )
 _ATTITUDE = _Part(
     attitude,
@@ -117,27 +104,27 @@ _TORQUE = _Part(
 )
 
 
-def _sealed_results(table: Table) -> _Part:
-    """Return the part of a series of results that is sealed."""
+def _sealed(table: Table) -> _Part:
+    """Return the part of a series that is sealed."""
     return _Part(
-        result_segment,
-        _RESULTS.last_epoch_us,
-        (_RESULTS.segment_id,),
-        _length(_RESULTS.content) + 128,
-        _RESULTS.row_count,
+        segment,
+        segment.c.last_epoch_us,
+        (segment.c.segment_id,),
+        _length(segment.c.content) + 128,
+        segment.c.row_count,
         SEGMENTS_AT_ONCE,
-        number=_RESULTS.last_number,
-        prefix=(_RESULTS.version, _RESULTS.method),
-        is_its=_RESULTS.series == table.name,
+        number=segment.c.last_number,
+        prefix=(segment.c.version, segment.c.method),
+        is_its=segment.c.series == table.name,
     )
 
 
 _TRACE = _Part(trace, trace.c.epoch_us, (trace.c.trace_id,), trace.c.size_bytes + 128, _ONE)
 #: which tables hold a series
 PARTS: dict[str, tuple[_Part, ...]] = {
-    "measurements": (_ROWS, _SEGMENTS),
-    "attitude": (_ATTITUDE, _sealed_results(attitude)),
-    "torques": (_TORQUE, _sealed_results(torque)),
+    "measurements": (_ROWS, _sealed(measurement)),
+    "attitude": (_ATTITUDE, _sealed(attitude)),
+    "torques": (_TORQUE, _sealed(torque)),
     "traces": (_TRACE,),
 }
 
@@ -239,11 +226,7 @@ def delete_named(
 
 
 def _count(connection: Connection, key: int, series: str, stop_us: int, rows: int) -> None:
-    """Move the mark of a series, never back, and add to its count; summaries of results go with their rows."""
-    if series in {"attitude", "torques"}:
-        is_its = (attitude_summary.c.method == "torque") == (series == "torques")
-        is_old = and_(attitude_summary.c.spacecraft_key == key, attitude_summary.c.start_us < stop_us)
-        connection.execute(delete(attitude_summary).where(is_old, is_its))
+    """Move the mark of a series, never back, and add to its count."""
     is_it = (retention_mark.c.spacecraft_key == key, retention_mark.c.series == series)
     known = connection.execute(select(retention_mark).where(*is_it)).first()
     if known is None:

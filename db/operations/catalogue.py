@@ -10,7 +10,7 @@ from sqlalchemy.exc import IntegrityError
 from db.database import EpochSpan, Repository, add_entries, count_entries, lock_head, next_id
 from db.documents import damaged_documents, with_digest
 from db.encoding.record_codec import decode, decode_all, encode, encode_all
-from db.schema.tables import calibration, carrier_plan, ephemeris, head, measurement, measurement_segment, source
+from db.schema.tables import calibration, carrier_plan, ephemeris, head, measurement, segment, source
 from db.schema.tables import spacecraft as spacecraft_table
 from service.errors import ConflictError, NotFoundError
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
@@ -141,7 +141,7 @@ def _withdraw_plan(connection: Connection, key: int, spacecraft_id: str, plan_id
     row = connection.execute(_version(carrier_plan, "plan_id", key, plan_id)).first()
     if row is None or row.sha256 == _WITHDRAWN:
         raise _no_version(spacecraft_id, "plan", "carrier plan", plan_id)
-    for table in (measurement, measurement_segment, calibration):
+    for table in (measurement, segment, calibration):
         found = select(table.c.plan_id).where(table.c.spacecraft_key == key, table.c.plan_id == plan_id)
         if connection.execute(found.limit(1)).first() is not None:
             detail = f"Rows or calibrations use plan {plan_id}, so it stays."

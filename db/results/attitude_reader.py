@@ -14,11 +14,11 @@ from sqlalchemy import Connection, and_, func, select
 from db.encoding.measurement_runs import ChunkRun
 from db.encoding.record_codec import decode
 from db.encoding.row_mapping import attitude_of
-from db.encoding.segments import SegmentCache
+from db.encoding.segments import SegmentCache, Series
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
 from db.newest_rows import RowPages, newest_rows
-from db.results.stored_rows import ResultSeries, newest_row, page_of_rows, stored_rows
+from db.results.stored_rows import newest_row, page_of_rows, stored_rows
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, calibration, head, journal, retention_mark
 from service.ports.archive import LIVE
@@ -64,7 +64,7 @@ class AttitudeReader:
         self._pages = MeasurementPages(connection, cache, key)
         self._key = key
         self._method = method
-        self._stored = ResultSeries(key, attitude, LIVE, method.value)
+        self._stored = Series(key, attitude, LIVE, method.value)
         self._measured_from_us = kept_from_us(connection, key, "measurements")
 
     def rows(

@@ -10,10 +10,10 @@ import numpy as np
 from sqlalchemy import Connection, delete, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
-from db.encoding.segments import DAY_US, SegmentCache, heads_of_numbers, read_chunk
+from db.encoding.segments import DAY_US, SegmentCache, Series, heads_of_numbers, read_chunk
 from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import kept_from_us
-from db.results.stored_rows import ResultSeries, newest_sealed_us, stored_numbers
+from db.results.stored_rows import newest_sealed_us, stored_numbers
 from db.schema.tables import alignment, attitude, complete_mark, head, measurement
 from service.ports.archive import LIVE
 from service.records.calibration import Window
@@ -132,7 +132,7 @@ def _lacking(connection: Connection, key: int, window: Window, numbers: IntArray
     """Return those numbers of measurements of a window that lack a result."""
     is_whole = np.ones(len(numbers), dtype=np.bool_)
     for name in names:
-        held = stored_numbers(connection, ResultSeries(key, attitude, LIVE, name), window)
+        held = stored_numbers(connection, Series(key, attitude, LIVE, name), window)
         is_whole &= np.isin(numbers, held)
     return numbers[~is_whole]
 

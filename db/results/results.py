@@ -15,24 +15,24 @@ from db.connection.writer import insert_new
 from db.database import Database, lock_head
 from db.encoding.measurement_runs import pack_carriers, unpack_carriers
 from db.encoding.row_mapping import attitude_of, attitude_values, torque_of, torque_values
+from db.encoding.segments import Series
 from db.measurements.archive import store_inputs
-from db.results import attitude_summaries, carrier_summaries, result_sealing
+from db.results import result_sealing
 from db.results.attitude_reader import AttitudeReader, newest_computed
-from db.results.attitude_summaries import TORQUE, forget_days
 from db.results.calibrations import SqlCalibrations
-from db.results.carrier_summaries import CarrierRow
 from db.results.jobs import SqlJobs, checkpoints, store_checkpoint
 from db.results.pending import PendingCount
 from db.results.replays import SqlReplays, check_held, note_rows
-from db.results.state_summaries import state_history
+from db.results.result_samples import sampled_carriers, sampled_figures
+from db.results.state_history import state_history
 from db.results.stored_rows import (
-    ResultSeries,
     newest_row,
     next_sealed_sequence,
     numbers_where,
     page_of_rows,
     sealed_keys,
     sealed_of_sequences,
+    stored_rows,
 )
 from db.schema.columns import sound_rows
 from db.schema.tables import attitude, head, torque
@@ -45,6 +45,8 @@ from service.records.storage import Checkpoint, SealedResults
 
 #: key tuples in one query; SQLite before 3.32 binds 999 values at most
 _LOOKUP_CHUNK = 250
+#: columns of an impulse
+_AXES = 3
 
 Result = AttitudeRow | TorqueCommand
 ResultKey = tuple[Any, ...]
@@ -76,7 +78,6 @@ def store_outcomes(
     fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)
     numbered = list(zip(fresh, range(state.result_sequence + 1, 1 << 62), strict=False))
     _insert(connection, key, version, numbered, _carriers(outcomes))
-    forget_days(connection, key, state.consumed_epoch_us, (result.epoch_us for result in fresh))
     applied = [outcome.applied for outcome in outcomes if outcome.applied is not None]
     if applied:
         store_inputs(connection, key, applied)
@@ -128,7 +129,7 @@ def _not_sealed(connection: Connection, key: int, version: str, results: list[Re
         wanted.setdefault(_method_of(result), []).append((result.epoch_us, result.number))
     sealed = {
         method: sealed_keys(
-            connection, ResultSeries(key, torque if method is None else attitude, version, method), keys
+            connection, Series(key, torque if method is None else attitude, version, method or ""), keys
         )
         for method, keys in wanted.items()
     }
@@ -252,7 +253,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             if version == LIVE:
                 reader = AttitudeReader(connection, self._database.segments, key, method)
                 return reader.rows(window, limit, after, newest_first=newest_first)
-            of = ResultSeries(key, attitude, version, method.value)
+            of = Series(key, attitude, version, method.value)
             rows = page_of_rows(connection, of, window, limit, after, newest_first=newest_first)
             check_held(connection, key, version)
         return [attitude_of(row) for row in rows]
@@ -261,64 +262,37 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         self, spacecraft_id: str, version: str, method: Method, window: Window
     ) -> dict[tuple[int, int], CarrierResults]:
         """Return what a method made of the carriers at the rows of a window, by (epoch, number), where it is stored."""
-        rows = self._carrier_rows(spacecraft_id, version, method, window)
-        return {(row.epoch_us, row.number): row.results for row in rows if row.results is not None}
-
-    def _carrier_rows(
-        self,
-        spacecraft_id: str,
-        version: str,
-        method: Method,
-        window: Window,
-        limit: int | None = None,
-        after: tuple[int, int] | None = None,
-    ) -> list[CarrierRow]:
-        """Return what a method made of the carriers at the stored rows beyond a cursor."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            of = ResultSeries(key, attitude, version, method.value)
-            rows = carrier_summaries.carrier_rows(connection, of, window, limit, after)
+            rows = stored_rows(connection, Series(key, attitude, version, method.value), window)
             check_held(connection, key, version)
-        return rows
+        return {(row.epoch_us, row.number): unpack_carriers(row.carriers) for row in rows if row.carriers is not None}
 
     def sampled_attitude(
         self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals, figures: int = 3
     ) -> Iterator[Summaries]:
         """Yield the first figures of the computed rows of a window; every row is in one of the buckets."""
-        read = partial(self.attitude_rows, spacecraft_id, version, method)
-        key, name = self._database.key(spacecraft_id), _summary_name(version, method.value)
-        return attitude_summaries.sampled(self._database, key, name, read, window, intervals, figures)
+        of = Series(self._database.key(spacecraft_id), attitude, version, method.value)
+        return sampled_figures(self._database, of, window, intervals, figures)
 
     def sampled_carriers(
         self, spacecraft_id: str, version: str, method: Method, window: Window, intervals: Intervals
     ) -> Iterator[SampledCarriers]:
         """Yield deviations and residuals of a window; every row is in one of the buckets."""
-        read = partial(self._carrier_rows, spacecraft_id, version, method)
-        key, name = self._database.key(spacecraft_id), _summary_name(version, method.value)
-        return carrier_summaries.sampled(self._database, key, name, read, window, intervals)
+        of = Series(self._database.key(spacecraft_id), attitude, version, method.value)
+        return sampled_carriers(self._database, of, window, intervals)
 
     def sampled_impulse(
         self, spacecraft_id: str, version: str, window: Window, intervals: Intervals
     ) -> Iterator[Summaries]:
         """Yield the impulse of the commands of a window; every command is in one of the buckets."""
-        read = partial(self.commands, spacecraft_id, version)
-        key, name = self._database.key(spacecraft_id), _summary_name(version, TORQUE)
-        return attitude_summaries.sampled(self._database, key, name, read, window, intervals)
+        of = Series(self._database.key(spacecraft_id), torque, version)
+        return sampled_figures(self._database, of, window, intervals, _AXES)
 
     def state_history(self, spacecraft_id: str, method: Method, window: Window) -> History:
         """Return from when until when the live rows of a method had which states, and where rows are missing."""
         read = partial(self.attitude_rows, spacecraft_id, LIVE, method)
         return state_history(self._database, self._database.key(spacecraft_id), method.value, read, window)
-
-    def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:
-        """Summarise live attitude and commands of closed days, a transaction a day."""
-        database, key = self._database, self._database.key(spacecraft_id)
-        for method in LIVE_METHODS:
-            read = partial(self.attitude_rows, spacecraft_id, LIVE, method)
-            read_carriers = partial(self._carrier_rows, spacecraft_id, LIVE, method)
-            yield from attitude_summaries.complete(database, key, method.value, read, before_us, read_carriers)
-        commands = partial(self.commands, spacecraft_id, LIVE)
-        yield from attitude_summaries.complete(database, key, TORQUE, commands, before_us)
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
@@ -327,7 +301,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
             if version == LIVE:
                 computed = newest_computed(connection, key, method)
                 return computed or AttitudeReader(connection, self._database.segments, key, method).newest()
-            row = newest_row(connection, ResultSeries(key, attitude, version, method.value))
+            row = newest_row(connection, Series(key, attitude, version, method.value))
         return None if row is None else attitude_of(row)
 
     def commands(
@@ -343,7 +317,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         """Return computed commands in order of (epoch, number) beyond a cursor."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            of = ResultSeries(key, torque, version)
+            of = Series(key, torque, version)
             rows = page_of_rows(connection, of, window, limit, after, newest_first=newest_first)
             check_held(connection, key, version)
         return [torque_of(row) for row in rows]
@@ -352,7 +326,7 @@ class SqlResults(SqlCalibrations, SqlJobs, SqlReplays):
         """Return the newest computed command."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            row = newest_row(connection, ResultSeries(key, torque, version))
+            row = newest_row(connection, Series(key, torque, version))
         return None if row is None else torque_of(row)
 
     def results_after(
@@ -412,17 +386,12 @@ def _alignments_after(connection: Connection, key: int, epoch_us: int) -> tuple[
     rows = select(column.number, column.alignment_id).where(*is_later, column.alignment_id.is_not(None))
     found = [tuple(row) for row in connection.execute(rows)]
     for method in LIVE_METHODS:
-        of = ResultSeries(key, attitude, LIVE, method.value)
+        of = Series(key, attitude, LIVE, method.value)
         for numbers, alignments in numbers_where(connection, of, "alignment_id", epoch_us):
             stated = zip(numbers.tolist(), alignments, strict=True)
             found += [(number, alignment) for number, alignment in stated if alignment is not None]
     both = np.array(found, dtype=np.int64).reshape(-1, 2)
     return both[:, 0], both[:, 1]
-
-
-def _summary_name(version: str, name: str) -> str:
-    # only live rows are summarised: under another name there is nothing
-    return name if version == LIVE else ""
 
 
 def _numbered(row: Any) -> tuple[int, Result]:

@@ -1,34 +1,29 @@
 """Rows of results as stored: in tables, and in the segments of sealed days."""
 
+import math
 from collections import namedtuple
-from collections.abc import Iterable, Iterator, Sequence
-from functools import cache, lru_cache, partial
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Select, Table, and_, func, select
+from sqlalchemy import Connection, Table, and_, func, select
 
 from db.database import beyond, within
-from db.encoding.column_codec import CODEC, PackedColumns, Positions
-from db.encoding.segments import DAY_US, day_of
-from db.newest_rows import PagedRow, RowPages, newest_rows, start_of_last
-from db.schema.columns import agrees, checksum_of, sound_rows
-from db.schema.tables import attitude, result_segment, spacecraft, torque
-from db.schema.tables import result_segment as segment_table
-from service.errors import StorageError
+from db.encoding.column_blob import ColumnBlob, Positions
+from db.encoding.segments import SegmentHead, Series, heads, heads_where, opened
+from db.newest_rows import newest_rows, start_of_last
+from db.schema.columns import Figure, sound_rows
+from db.schema.tables import attitude, segment, torque
 from service.ports.archive import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import LIVE_METHODS
-from service.records.epoch import format_epoch
 from service.records.levels.attitude import BoolArray, IntArray
 
-#: segments that are held open for the next reader, of some 3 MB each
-_OPEN = 8
-#: segments read at once
-_AT_ONCE = 4
 #: columns of the tables that the head of a segment states, or that are made from the others
 HEAD_COLUMNS = ("spacecraft_key", "version", "method", "checksum")
-_Head = segment_table.c
+#: tables of results by the name under which their rows are sealed
+TABLES: dict[str, Table] = {table.name: table for table in (attitude, torque)}
 
 
 @cache
@@ -38,180 +33,93 @@ def row_type(table: Table) -> Any:
 
 
 class ResultSegment:
-    """Rows of one segment, (T,), by epoch and number.
+    """Results of one segment, (T,), by epoch and number."""
 
-    Parameters
-    ----------
-    head : Any
-        Row of the table of segments.
-    columns : PackedColumns
-        Its content.
-    """
-
-    def __init__(self, head: Any, columns: PackedColumns) -> None:
-        self._columns = columns
-        self._stated = {name: getattr(head, name) for name in ("spacecraft_key", "version", "method")}
-        self._count = head.row_count
-        self.epochs_us: IntArray = np.array(columns.values("epoch_us", slice(None)), dtype=np.int64)
-        self.numbers: IntArray = np.array(columns.values("number", slice(None)), dtype=np.int64)
+    def __init__(self, head: SegmentHead, blob: ColumnBlob) -> None:
+        self._table, self._head, self._blob = TABLES[head.series], head, blob
+        self.epochs_us: IntArray
+        self.numbers: IntArray
+        self.epochs_us, self.numbers = blob.whole("epoch_us", "number")
+        if {self.epochs_us.dtype.kind, self.numbers.dtype.kind} != {"i"} or not set(blob.names) <= set(
+            self._table.c.keys()
+        ):
+            message = f"it has other columns than {head.series} has"
+            raise ValueError(message)
 
     def values(self, name: str) -> list[Any]:
         """Return a column."""
-        return self._columns.values(name, slice(None))
+        return self._blob.values(name, slice(None))
 
-    def rows(self, table: Table, chosen: Positions) -> list[Any]:
+    def rows(self, chosen: Positions = slice(None)) -> list[Any]:
         """Return some rows as `row_type` of their table; they have no checksum of their own."""
         count = len(self.epochs_us[chosen])
-        columns = [self._column(column, chosen, count) for column in table.c]
-        return list(map(row_type(table)._make, zip(*columns, strict=True)))
+        stored = self._blob.columns([name for name in self._blob.names if name not in HEAD_COLUMNS], chosen)
+        columns = [stored.get(column.name) or self._column(column) * count for column in self._table.c]
+        return list(map(row_type(self._table)._make, zip(*columns, strict=True)))
 
-    def _column(self, column: Any, chosen: Positions, count: int) -> list[Any]:
+    def _column(self, column: Any) -> list[Any]:
+        """Return the value that all rows have in a column that is not stored."""
         if column.name in HEAD_COLUMNS:
-            return [self._stated.get(column.name)] * count
-        return self._columns.values(column.name, chosen)
+            return [None if column.name == "checksum" else getattr(self._head, column.name)]
+        # NaN is null in the table, and a column of it is not kept
+        return [math.nan if isinstance(column.type, Figure) else None]
 
     def after(self, cursor: tuple[int, int] | None) -> BoolArray:
         """Return which rows lie beyond (epoch, number)."""
         if cursor is None:
-            return np.ones(self._count, dtype=np.bool_)
+            return np.ones(len(self.epochs_us), dtype=np.bool_)
         epoch_us, number = cursor
         is_beyond: BoolArray = (self.epochs_us > epoch_us) | ((self.epochs_us == epoch_us) & (self.numbers > number))
         return is_beyond
 
 
-def is_of(key: int, table: Table, version: str, method: str | None) -> tuple[ColumnElement[bool], ...]:
-    """Return the conditions for the segments of a table, a version and, of attitude, a method."""
-    return (
-        _Head.spacecraft_key == key,
-        _Head.series == table.name,
-        _Head.version == version,
-        _Head.method == (method or ""),
-    )
-
-
-def is_row_of(key: int, table: Table, version: str, method: str | None) -> tuple[ColumnElement[bool], ...]:
-    """Return the conditions for the rows of a table that are not sealed, as `is_of` does for segments."""
-    of_method = () if method is None else (attitude.c.method == method,)
-    return (table.c.spacecraft_key == key, table.c.version == version, *of_method)
-
-
-def segments(
-    connection: Connection, conditions: tuple[ColumnElement[bool], ...], start_us: int, stop_us: int
-) -> Iterator[Any]:
-    """Yield the rows of the table of segments of one series that reach into [start, stop), by epoch."""
-    first = _Head.first_epoch_us
-    query = (
-        select(segment_table)
-        # a segment ends on the day on which it begins
-        .where(*conditions, first >= day_of(start_us) * DAY_US, first < stop_us, _Head.last_epoch_us >= start_us)
-        .order_by(first)
-    )
-    return paged(connection, query, first)
-
-
-def newest_segments(
-    connection: Connection, conditions: tuple[ColumnElement[bool], ...], start_us: int, stop_us: int
-) -> Iterator[Any]:
-    """Yield the rows of the table of segments of one series that reach into [start, stop), the latest first."""
-    first = _Head.first_epoch_us
-    query = select(segment_table).where(*conditions, first < stop_us, _Head.last_epoch_us >= start_us)
-    return paged(connection, query.order_by(first.desc()), first, is_descending=True)
-
-
-def paged(
-    connection: Connection, query: Select[Any], position: ColumnElement[int], *, is_descending: bool = False
-) -> Iterator[Any]:
-    """Yield the rows of an ordered query of segments, few at a time."""
-    limited = query.limit(_AT_ONCE)
-    page = connection.execute(limited).all()
-    yield from page
-    while len(page) == _AT_ONCE:
-        end = getattr(page[-1], position.key or "")
-        page = connection.execute(limited.where(position < end if is_descending else position > end)).all()
-        yield from page
-
-
-def opened(connection: Connection, head: Any) -> ResultSegment:
-    """Return the rows of a segment; StorageError ``storage.corrupt``."""
-    try:
-        return _opened(tuple(head))
-    except (ValueError, KeyError) as fault:
-        raise _corrupt(connection, head, str(fault)) from fault
-
-
-@lru_cache(maxsize=_OPEN)
-def _opened(stored: tuple[Any, ...]) -> ResultSegment:
-    """Return the rows of a segment after they were checked; known by all that is stored, it is never out of date."""
-    head = row_type(segment_table)._make(stored)
-    if not agrees(head.checksum, partial(checksum_of, segment_table, head._asdict())):
-        message = "its checksum differs from its content"
-        raise ValueError(message)
-    if head.codec != CODEC:
-        message = f"it is written in codec {head.codec}, which this version does not know"
-        raise ValueError(message)
-    return ResultSegment(head, PackedColumns(head.content, head.row_count))
-
-
-def _corrupt(connection: Connection, head: Any, reason: str) -> StorageError:
-    """Return the error for a segment that cannot be read."""
-    owner = connection.scalar(select(spacecraft.c.id).where(spacecraft.c.spacecraft_key == head.spacecraft_key))
-    day = format_epoch(day_of(head.first_epoch_us) * DAY_US)[:10]
-    detail = (
-        f"The sealed {head.series} rows of {owner!r} of {day} (version {head.version}, result segment "
-        f"{head.segment_id}) cannot be read: {reason}. Other days are not touched."
-    )
-    return StorageError("storage.corrupt", detail)
+def read_results(connection: Connection, head: SegmentHead) -> ResultSegment:
+    """Return the results of a segment; StorageError ``storage.corrupt``."""
+    return opened(connection, head, partial(ResultSegment, head))
 
 
 #: rows in memory at once as records
 _PAGE_ROWS = 5000
 
 
-#: tables of results by the name under which their rows are sealed
-TABLES: dict[str, Table] = {table.name: table for table in (attitude, torque)}
-
-
-class ResultSeries(NamedTuple):
-    """Results of one kind and version of a spacecraft."""
-
-    key: int
-    table: Table
-    version: str
-    #: None for torques
-    method: str | None = None
-
-
-def pages(read: RowPages[PagedRow], window: Window) -> Iterator[Sequence[PagedRow]]:
-    """Yield the rows of a window, some at a time."""
+def unsealed_rows(connection: Connection, of: Series, window: Window) -> Iterator[list[Any]]:
+    """Yield the rows of the table of rows in a window, some at a time."""
     after: tuple[int, int] | None = None
-    while rows := read(window, _PAGE_ROWS, after):
+    while rows := _of_table(connection, of, window, _PAGE_ROWS, after):
         yield rows
-        after = rows[-1].epoch_us, rows[-1].number
+        after = _position(rows[-1])
+
+
+def _of_table(
+    connection: Connection, of: Series, window: Window, limit: int | None, after: tuple[int, int] | None
+) -> list[Any]:
+    """Return the first rows of the table of rows in a window beyond a cursor."""
+    table = of.table
+    query = (
+        select(table)
+        .where(*of.of_rows(), within(table.c.epoch_us, window), beyond(table.c.epoch_us, table.c.number, after))
+        .order_by(table.c.epoch_us, table.c.number)
+        .limit(limit)
+    )
+    return list(sound_rows(table, connection.execute(query)))
 
 
 def stored_rows(
     connection: Connection,
-    of: ResultSeries,
+    of: Series,
     window: Window,
     limit: int | None = None,
     after: tuple[int, int] | None = None,
 ) -> list[Any]:
     """Return the first rows of a window beyond a cursor, in order of (epoch, number)."""
-    table = of.table
-    query = (
-        select(table)
-        .where(*is_row_of(*of), within(table.c.epoch_us, window), beyond(table.c.epoch_us, table.c.number, after))
-        .order_by(table.c.epoch_us, table.c.number)
-        .limit(limit)
-    )
-    rows: list[Any] = list(sound_rows(table, connection.execute(query)))
+    rows = _of_table(connection, of, window, limit, after)
     sealed: list[Any] = []
     start_us = window.start_us if after is None else max(window.start_us, after[0])
-    for head in segments(connection, is_of(*of), start_us, window.stop_us):
-        segment = opened(connection, head)
-        is_inside = (segment.epochs_us >= window.start_us) & (segment.epochs_us < window.stop_us)
+    for head in heads(connection, of.of_segments(), start_us, window.stop_us):
+        found = read_results(connection, head)
+        is_inside = (found.epochs_us >= window.start_us) & (found.epochs_us < window.stop_us)
         missing = None if limit is None else limit - len(sealed)
-        sealed += segment.rows(table, np.flatnonzero(is_inside & segment.after(after))[:missing])
+        sealed += found.rows(np.flatnonzero(is_inside & found.after(after))[:missing])
         if limit is not None and len(sealed) >= limit:
             break
     if not sealed:
@@ -221,7 +129,7 @@ def stored_rows(
 
 def page_of_rows(
     connection: Connection,
-    of: ResultSeries,
+    of: Series,
     window: Window,
     limit: int,
     after: tuple[int, int] | None,
@@ -235,107 +143,94 @@ def page_of_rows(
     return newest_rows(read, start_of, window, limit, after)
 
 
-def _start_of_newest(connection: Connection, of: ResultSeries, window: Window, count: int) -> int:
+def _start_of_newest(connection: Connection, of: Series, window: Window, count: int) -> int:
     """Return an epoch from which on so many rows of a window stand; its start where there are fewer."""
     epoch = of.table.c.epoch_us
-    query = select(epoch).where(*is_row_of(*of), within(epoch, window)).order_by(epoch.desc())
+    query = select(epoch).where(*of.of_rows(), within(epoch, window)).order_by(epoch.desc())
     row = connection.scalar(query.offset(count - 1).limit(1))
     start_us = window.start_us if row is None else int(row)
-    found = newest_segments(connection, is_of(*of), start_us, window.stop_us)
-    epochs_us = (opened(connection, head).epochs_us for head in found)
+    found = heads(connection, of.of_segments(), start_us, window.stop_us, newest_first=True)
+    epochs_us = (read_results(connection, head).epochs_us for head in found)
     inside = (each[(each >= window.start_us) & (each < window.stop_us)] for each in epochs_us)
     return start_of_last(inside, count, start_us)
 
 
-def newest_row(connection: Connection, of: ResultSeries, before_us: int = 1 << 62) -> Any | None:
+def newest_row(connection: Connection, of: Series, before_us: int = 1 << 62) -> Any | None:
     """Return the row with the greatest (epoch, number) before an epoch."""
-    table, first = of.table, result_segment.c.first_epoch_us
-    query = select(table).where(*is_row_of(*of), table.c.epoch_us < before_us)
+    table = of.table
+    query = select(table).where(*of.of_rows(), table.c.epoch_us < before_us)
     newest_of_table = query.order_by(table.c.epoch_us.desc(), table.c.number.desc()).limit(1)
     row: Any = next(iter(sound_rows(table, connection.execute(newest_of_table))), None)
-    is_newer = () if row is None else (result_segment.c.last_epoch_us >= row.epoch_us,)
-    newest = select(result_segment).where(*is_of(*of), first < before_us, *is_newer)
-    head = connection.execute(newest.order_by(first.desc()).limit(1)).first()
+    start_us = -(1 << 62) if row is None else row.epoch_us
+    head = next(heads(connection, of.of_segments(), start_us, before_us, newest_first=True), None)
     if head is None:
         return row
-    segment = opened(connection, head)
-    (sealed,) = segment.rows(table, np.flatnonzero(segment.epochs_us < before_us)[-1:])
+    found = read_results(connection, head)
+    (sealed,) = found.rows(np.flatnonzero(found.epochs_us < before_us)[-1:])
     return sealed if row is None else max(row, sealed, key=_position)
 
 
-def stored_numbers(connection: Connection, of: ResultSeries, window: Window) -> IntArray:
+def stored_numbers(connection: Connection, of: Series, window: Window) -> IntArray:
     """Return the journal numbers of the rows of a window, in no order."""
     table = of.table
-    query = select(table.c.number).where(*is_row_of(*of), within(table.c.epoch_us, window))
+    query = select(table.c.number).where(*of.of_rows(), within(table.c.epoch_us, window))
     found = [np.array(connection.scalars(query).all(), dtype=np.int64)]
-    for head in segments(connection, is_of(*of), window.start_us, window.stop_us):
-        segment = opened(connection, head)
-        found.append(segment.numbers[(segment.epochs_us >= window.start_us) & (segment.epochs_us < window.stop_us)])
+    for head in heads(connection, of.of_segments(), window.start_us, window.stop_us):
+        each = read_results(connection, head)
+        found.append(each.numbers[(each.epochs_us >= window.start_us) & (each.epochs_us < window.stop_us)])
     return np.concatenate(found)
 
 
 def newest_sealed_us(connection: Connection, key: int) -> int:
     """Return the epoch up to which live attitude may be sealed; before every epoch while none is."""
-    newest = [
-        connection.scalar(
-            select(result_segment.c.last_epoch_us)
-            .where(*is_of(key, attitude, LIVE, method.value))
-            .order_by(result_segment.c.first_epoch_us.desc())
-            .limit(1)
-        )
-        for method in LIVE_METHODS
-    ]
-    return max((epoch_us for epoch_us in newest if epoch_us is not None), default=-(1 << 62))
+    series = (Series(key, attitude, LIVE, method.value) for method in LIVE_METHODS)
+    newest = (next(heads(connection, of.of_segments(), -(1 << 62), 1 << 62, newest_first=True), None) for of in series)
+    return max((head.last_epoch_us for head in newest if head is not None), default=-(1 << 62))
 
 
-def sealed_keys(connection: Connection, of: ResultSeries, wanted: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
+def sealed_keys(connection: Connection, of: Series, wanted: Iterable[tuple[int, int]]) -> set[tuple[int, int]]:
     """Return those of the wanted (epoch, number) that are sealed."""
     positions = set(wanted)
     if not positions:
         return set()
     epochs_us = [epoch_us for epoch_us, _ in positions]
     found: set[tuple[int, int]] = set()
-    for head in segments(connection, is_of(*of), min(epochs_us), max(epochs_us) + 1):
-        segment = opened(connection, head)
-        held = zip(segment.epochs_us.tolist(), segment.numbers.tolist(), strict=True)
+    for head in heads(connection, of.of_segments(), min(epochs_us), max(epochs_us) + 1):
+        each = read_results(connection, head)
+        held = zip(each.epochs_us.tolist(), each.numbers.tolist(), strict=True)
         found.update(positions.intersection(held))
     return found
 
 
 def sealed_of_sequences(connection: Connection, key: int, after: int, upto: int) -> Iterator[Any]:
     """Yield the sealed live rows with a sequence in (after, upto]."""
-    column = result_segment.c
-    query = select(result_segment).where(
-        column.spacecraft_key == key, column.last_sequence > after, column.first_sequence <= upto
-    )
-    for head in paged(connection, query.order_by(column.segment_id), column.segment_id):
-        segment = opened(connection, head)
-        sequences = np.array(segment.values("sequence"), dtype=np.int64)
-        yield from segment.rows(TABLES[head.series], np.flatnonzero((sequences > after) & (sequences <= upto)))
+    column = segment.c
+    is_its = (column.spacecraft_key == key, column.last_sequence > after, column.first_sequence <= upto)
+    for head in heads_where(connection, *is_its):
+        found = read_results(connection, head)
+        sequences = np.array(found.values("sequence"), dtype=np.int64)
+        yield from found.rows(np.flatnonzero((sequences > after) & (sequences <= upto)))
 
 
 def next_sealed_sequence(connection: Connection, key: int, after: int) -> int | None:
     """Return the smallest sequence above the given one that is sealed."""
-    column = result_segment.c
+    column = segment.c
     is_beyond = and_(column.spacecraft_key == key, column.last_sequence > after)
     first = connection.scalar(select(func.min(column.first_sequence)).where(is_beyond, column.first_sequence > after))
     found = [] if first is None else [int(first)]
-    reaching = select(result_segment).where(is_beyond, column.first_sequence <= after).order_by(column.segment_id)
-    for head in paged(connection, reaching, column.segment_id):
-        sequences = opened(connection, head).values("sequence")
+    for head in heads_where(connection, is_beyond, column.first_sequence <= after):
+        sequences = read_results(connection, head).values("sequence")
         found.append(min(sequence for sequence in sequences if sequence > after))
     return min(found, default=None)
 
 
-def numbers_where(
-    connection: Connection, of: ResultSeries, name: str, after_us: int
-) -> Iterator[tuple[IntArray, list[Any]]]:
+def numbers_where(connection: Connection, of: Series, name: str, after_us: int) -> Iterator[tuple[IntArray, list[Any]]]:
     """Yield numbers of sealed rows later than an epoch, and the column of that name beside them."""
-    for head in segments(connection, is_of(*of), after_us + 1, 1 << 62):
-        segment = opened(connection, head)
-        is_later: BoolArray = segment.epochs_us > after_us
-        values = segment.values(name)
-        yield segment.numbers[is_later], [values[position] for position in np.flatnonzero(is_later).tolist()]
+    for head in heads(connection, of.of_segments(), after_us + 1, 1 << 62):
+        each = read_results(connection, head)
+        is_later: BoolArray = each.epochs_us > after_us
+        values = each.values(name)
+        yield each.numbers[is_later], [values[position] for position in np.flatnonzero(is_later).tolist()]
 
 
 def _position(row: Any) -> tuple[int, int]:

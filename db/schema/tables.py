@@ -135,40 +135,46 @@ measurement_detail = Table(
     sqlite_with_rowid=False,
 )
 
-#: rows of closed days, many in one (db.encoding.segments); the blobs stand last, so that other columns read fast
-measurement_segment = Table(
-    "measurement_segment",
+#: rows of closed days, many in one (db.encoding.segments); the blob stands last, so that other columns read fast
+segment = Table(
+    "segment",
     metadata,
     Column("segment_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
     Column("spacecraft_key", Integer, ForeignKey("spacecraft.spacecraft_key"), nullable=False),
+    # name of the table of rows; version and method of results, source and plan of measurements, empty or 0 elsewhere
+    *needed(Text, "series", "version", "method"),
     *needed(Integer, "source_key", "plan_id"),
-    # whole days since 1970
+    # whole days since 1970; rows that feed the estimator, of measurements
     *needed(Integer, "day", "row_count", "feeding_count"),
+    # all rows of an epoch are in one segment
     *needed(BigInteger, "first_epoch_us", "last_epoch_us", "first_number", "last_number"),
-    Column("codec", Integer, nullable=False),
-    # of everything else in the row but its id
-    Column("crc32", BigInteger, nullable=False),
-    *needed(LargeBinary, "columns", "powers"),
-    Column("extras", LargeBinary),
+    *optional(BigInteger, "first_sequence", "last_sequence"),
+    # Parquet, see db.encoding.column_blob
+    Column("content", LargeBinary, nullable=False),
+    checksum_column(),
     # a source has one row an epoch, so no two of its segments begin together
-    UniqueConstraint("spacecraft_key", "first_epoch_us", "source_key", name="measurement_segment_start"),
+    UniqueConstraint(
+        "spacecraft_key", "series", "version", "method", "first_epoch_us", "source_key", name="segment_start"
+    ),
     # who follows the newest numbers finds at once that none of them is sealed
-    Index("measurement_segment_number", "spacecraft_key", "last_number", "first_number"),
+    Index("segment_number", "spacecraft_key", "series", "last_number", "first_number"),
+    Index("segment_sequence", "spacecraft_key", "last_sequence", "first_sequence"),
 )
 
-#: of the sealed rows of a segment (db.encoding.summary_codec); goes with it
-power_summary = Table(
-    "power_summary",
+#: of the rows of a segment (db.summaries); goes with it
+summary = Table(
+    "summary",
     metadata,
     Column(
         "segment_id",
         BigInteger().with_variant(Integer, "sqlite"),
-        ForeignKey(measurement_segment.c.segment_id, ondelete="CASCADE"),
+        ForeignKey(segment.c.segment_id, ondelete="CASCADE"),
         primary_key=True,
     ),
-    *needed(LargeBinary, "day", "hours"),
-    Column("minute_frames", LargeBinary),
-    Column("row_frames", LargeBinary, nullable=False),
+    # what is summarised, and the length of its bins; 0 where there are none
+    Column("quantity", Text, primary_key=True),
+    *keys(Integer, "bin_s"),
+    Column("content", LargeBinary, nullable=False),
     checksum_column(),
 )
 
@@ -254,66 +260,6 @@ torque = Table(
     checksum_column(),
     Index("torque_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,
-)
-
-#: rows of results of closed days, see db.results.stored_rows
-result_segment = Table(
-    "result_segment",
-    metadata,
-    Column("segment_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
-    Column("spacecraft_key", Integer, ForeignKey("spacecraft.spacecraft_key"), nullable=False),
-    # name of the table of rows; method is empty where it has none
-    *needed(Text, "series", "version", "method"),
-    *needed(Integer, "row_count", "codec"),
-    # all rows of an epoch are in one segment
-    *needed(BigInteger, "first_epoch_us", "last_epoch_us", "last_number"),
-    *optional(BigInteger, "first_sequence", "last_sequence"),
-    Column("content", LargeBinary, nullable=False),
-    checksum_column(),
-    UniqueConstraint("spacecraft_key", "series", "version", "method", "first_epoch_us", name="result_segment_start"),
-    Index("result_segment_sequence", "spacecraft_key", "last_sequence", "first_sequence"),
-)
-
-#: of the live rows of a method on one day; without bytes while it is being made
-attitude_summary = Table(
-    "attitude_summary",
-    metadata,
-    Column("summary_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
-    Column("spacecraft_key", Integer, ForeignKey("spacecraft.spacecraft_key"), nullable=False),
-    # "torque" for the commands of all methods
-    Column("method", Text, nullable=False),
-    Column("start_us", BigInteger, nullable=False),
-    *optional(LargeBinary, "day", "hours", "minute_frames", "row_frames"),
-    checksum_column(),
-    UniqueConstraint("spacecraft_key", "method", "start_us", name="attitude_summary_day"),
-)
-
-#: of the results of the carriers of one plan on the day of a summary of attitude; goes with it
-carrier_summary = Table(
-    "carrier_summary",
-    metadata,
-    Column("carrier_summary_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
-    Column("summary_id", ForeignKey(attitude_summary.c.summary_id, ondelete="CASCADE"), nullable=False),
-    Column("plan_id", Integer, nullable=False),
-    *needed(LargeBinary, "day", "hours"),
-    Column("minute_frames", LargeBinary),
-    checksum_column(),
-    UniqueConstraint("summary_id", "plan_id", name="carrier_summary_plan"),
-)
-
-#: runs of states and gaps on the day of a summary of attitude (db.results.state_summaries); goes with it
-state_summary = Table(
-    "state_summary",
-    metadata,
-    Column(
-        "summary_id",
-        BigInteger().with_variant(Integer, "sqlite"),
-        ForeignKey(attitude_summary.c.summary_id, ondelete="CASCADE"),
-        primary_key=True,
-    ),
-    *needed(BigInteger, "first_us", "last_us", "period_us"),
-    Column("content", LargeBinary, nullable=False),
-    checksum_column(),
 )
 
 #: up to which journal number every row after an alignment has results of some methods

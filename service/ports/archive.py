@@ -38,7 +38,7 @@ from service.records.levels.measurement import (
     SourceState,
 )
 from service.records.operations.work import Job, JobState, Replay, ReplayVersion
-from service.records.storage import Checkpoint, RetiredRows, SealedPart, SealedResults, SegmentState
+from service.records.storage import Checkpoint, RetiredRows, SealedPart, SealedResults
 
 
 class Intervals(Protocol):
@@ -199,9 +199,6 @@ class Archive(Protocol):
         Days of a source with a row received at or after ``received_before_us`` wait: more may be coming. Nothing that
         any method answers changes.
         """
-
-    def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
-        """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a short transaction a step.
@@ -380,9 +377,6 @@ class Results(Protocol):
         are read as their summaries; a run or gap that reaches over an end is whole up to the days at the ends. Of the
         others the newest rows are read, and the spans before them are said to be left out.
         """
-
-    def complete_summaries(self, spacecraft_id: str, before_us: int) -> Iterator[int]:
-        """Summarise live attitude and commands of days that ended by an epoch and have no summary, a day a step."""
 
     def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""

@@ -46,20 +46,6 @@ class SealedResults:
 
 
 @dataclass(frozen=True, slots=True)
-class SegmentState:
-    """One sealed segment and whether it can be read."""
-
-    segment_id: int
-    source_key: int
-    plan_id: int
-    #: midnight with which its day begins, microseconds UTC
-    day_start_us: int
-    rows: int
-    #: why it cannot be read; None when it can
-    fault: str | None
-
-
-@dataclass(frozen=True, slots=True)
 class RetiredRows:
     """Rows that one transaction of retention took away."""
 

@@ -11,13 +11,14 @@ from playwright.sync_api import expect
 from release_ground import OPERATION_US, PAYLOAD, record, seed_archive, until
 from service_process import serving_on
 
-from db.encoding.segments import DAY_US
-from db.encoding.summary_codec import pack_day
-from db.results.state_summaries import store_states
-from db.schema.tables import attitude_summary
+from db.encoding.column_blob import pack_columns
+from db.encoding.segments import DAY_US, MeasuredColumns, measured_arrays
+from db.results.state_history import STATES, stretch_blob
+from db.schema.tables import segment, summary
 from db.storage import SqlStorage
+from db.summaries import bins_of
 from service.core.rows import RowState, StateRun, Stretch
-from service.ports.archive import ATTITUDE_FIGURES
+from service.ports.archive import ATTITUDE_FIGURES, LIVE
 from service.records.catalogue import LIVE_METHODS
 from service.records.epoch import format_epoch
 from service.records.levels.measurement import MeasurementBatch
@@ -54,10 +55,10 @@ new MutationObserver((changes) => {
 
 
 def seed_year(url: str) -> None:
-    """Lay a row and the summaries of a year into an archive: charts of closed days are read from these alone."""
+    """Lay a row and the summaries of a year into an archive: charts of sealed days are read from these alone."""
     storage = SqlStorage(url)
-    # the first row of all, and one from which the clock of the data goes on
-    rows_us = np.array([FIRST_US, OPERATION_US - 60 * MINUTE_US], dtype=np.int64)
+    # a row before all, and one from which the clock of the data goes on
+    rows_us = np.array([FIRST_US - MINUTE_US, OPERATION_US - 60 * MINUTE_US], dtype=np.int64)
     powers = np.asarray(PAYLOAD.power_dbm(rows_us, (0.0, 0.0, 0.0)), dtype=np.float32)
     index, is_stale = np.arange(2), np.zeros(2, dtype=np.bool_)
     batch = MeasurementBatch("yamal-202", "sa-1", 1, OPERATION_US, index, rows_us, powers, (None, None), is_stale)
@@ -66,14 +67,40 @@ def seed_year(url: str) -> None:
     key = storage._database.key("yamal-202")
     with storage._database.engines.write.begin() as connection:
         for start_us in range(FIRST_US, FIRST_US + DAYS * DAY_US, DAY_US):
+            epochs_us = start_us + MINUTE_US * np.arange(DAY_US // MINUTE_US)
+            lay_segment(connection, key, epochs_us, {}, None, measured(epochs_us, powers.shape[1]))
             for method in LIVE_METHODS:
-                epochs_us = start_us + MINUTE_US * np.arange(DAY_US // MINUTE_US)
                 values = random.normal(0.02, 0.01, (len(epochs_us), len(ATTITUDE_FIGURES)))
-                blobs = pack_day(epochs_us, values, 3)._asdict()
-                day = {"spacecraft_key": key, "method": method.value, "start_us": start_us, **blobs}
-                made = connection.execute(attitude_summary.insert().values(day)).inserted_primary_key[0]
-                store_states(connection, made, states_of(epochs_us, random))
+                states = stretch_blob(states_of(epochs_us, random))
+                lay_segment(
+                    connection, key, epochs_us, bins_of("attitude", epochs_us, values) | {(STATES, 0): states}, method
+                )
     storage.close()
+
+
+def measured(epochs_us: np.ndarray, carriers: int) -> bytes:
+    """Return measurements of one level."""
+    count = len(epochs_us)
+    yes, no, zero = np.ones(count, np.bool_), np.zeros(count, np.bool_), np.zeros(count, np.int64)
+    powers, flags = np.full((count, carriers), -50, np.float32), np.zeros((count, carriers), np.int32)
+    details = np.full((count, 4, carriers), np.nan, np.float32)
+    rows = MeasuredColumns(epochs_us, zero, epochs_us, yes, no, no, zero - 1, powers, flags, details)
+    return pack_columns(measured_arrays(rows))
+
+
+def lay_segment(connection, key, epochs_us, bins, method=None, content=b""):
+    """Lay a segment of measurements or of a method's attitude, and its summaries; what is not read has no content."""
+    first, last = int(epochs_us[0]), int(epochs_us[-1])
+    series = {"series": "measurement", "version": "", "method": "", "source_key": 1, "plan_id": 1}
+    if method is not None:
+        series = {"series": "attitude", "version": LIVE, "method": method.value, "source_key": 0, "plan_id": 0}
+    counts = {"row_count": len(epochs_us), "feeding_count": len(epochs_us) if method is None else 0}
+    places = {"first_epoch_us": first, "last_epoch_us": last, "first_number": 0, "last_number": 0}
+    values = {"spacecraft_key": key, **series, "day": first // DAY_US, **counts, **places, "content": content}
+    name = connection.execute(segment.insert().values(values)).inserted_primary_key[0]
+    rows = [{"segment_id": name, "quantity": each[0], "bin_s": each[1], "content": bins[each]} for each in bins]
+    if rows:
+        connection.execute(summary.insert(), rows)
 
 
 def states_of(epochs_us: np.ndarray, random: np.random.Generator) -> Stretch:

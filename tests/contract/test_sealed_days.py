@@ -1,6 +1,7 @@
 """Every storage answers the same before, while and after days are sealed, whenever that happens."""
 
 import random
+import re
 import threading
 from collections.abc import Iterator
 
@@ -9,9 +10,12 @@ import pytest
 from block_rows import row_sources
 from sqlalchemy import select, update
 
-from db.encoding.segments import DAY_US
-from db.measurements import sealing
-from db.schema.tables import measurement, measurement_segment
+from db import sealing
+from db.encoding.column_blob import pack_columns
+from db.encoding.segments import DAY_US, heads_where, of_measurements
+from db.maintenance.integrity_check import examine_content
+from db.schema.columns import checksum_of
+from db.schema.tables import measurement, segment
 from db.storage import SqlStorage
 from service.core.rows import SampleBins
 from service.errors import StorageError
@@ -35,6 +39,13 @@ def seal(setting, before_us=ALWAYS, received_before_us=ALWAYS):
 def rows_in_table(setting):
     with setting.storage._database.read() as connection:
         return len(connection.execute(select(measurement.c.number)).all())
+
+
+def segments(setting):
+    """Return the heads of the sealed measurements."""
+    database = setting.storage._database
+    with database.read() as connection:
+        return list(heads_where(connection, *of_measurements(database.key(setting.id))))
 
 
 def flat(value):
@@ -123,7 +134,7 @@ def some_batch(setting, make, dice, plans):
 @pytest.mark.parametrize("seed", range(3))
 def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypatch, seed):
     """Two spacecraft live the same life; days of one are sealed again and again, into segments of few rows."""
-    monkeypatch.setattr(sealing, "SEGMENT_ROWS", 3 if seed % 2 else 10_800)
+    monkeypatch.setitem(sealing.SEGMENT_ROWS, "measurement", 3 if seed % 2 else 10_800)
     monkeypatch.setattr("db.measurements.archive.BLOCK_PAGE_ROWS", 5)
     plain, sealed = new_setting(), new_setting()
     lives = []
@@ -159,9 +170,7 @@ def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypa
     for question, answer in said[0].items():
         assert said[1][question].replace(*names) == answer, f"seed {seed}: {question}"
     assert moved == len(plain.rows())
-    with sealed.storage._database.read() as connection:
-        stored = connection.execute(select(measurement_segment.c.spacecraft_key)).all()
-    assert len(stored) == len(list(sealed.storage.archive.segments(sealed.id))) > 2
+    assert len(segments(sealed)) > 2
     # the same archive opened again: nothing that was remembered helped
     reopened = SqlStorage(sealed.storage._database.engines.write.url.render_as_string(hide_password=False))
     sealed.storage = reopened
@@ -190,34 +199,34 @@ def test_late_rows_are_merged_on_reading_and_go_into_the_segment_later(setting):
     assert (part.rows, part.rows_of_segments) == (3, 5)
     assert rows_in_table(setting) == 0
     assert [row.power_dbm[0] for row in setting.rows()] == [-0.5, -1.0, -2.0, -3.0, -4.0]
-    assert len(list(setting.storage.archive.segments(setting.id))) == 1
+    assert len(segments(setting)) == 1
 
 
 def test_a_busy_day_is_several_segments(setting, monkeypatch):
-    monkeypatch.setattr(sealing, "SEGMENT_ROWS", 10)
+    monkeypatch.setitem(sealing.SEGMENT_ROWS, "measurement", 10)
     setting.append(range(0, 64, 2))
     assert [part.rows for part in seal(setting)] == [10, 10, 10, 2]
     setting.append(range(1, 40, 2))
     seal(setting)
     assert [row.epoch_us for row in setting.rows()] == [*range(40), *range(40, 64, 2)]
-    sizes = [state.rows for state in setting.storage.archive.segments(setting.id)]
+    sizes = [head.row_count for head in segments(setting)]
     assert sum(sizes) == 52
     assert max(sizes) <= 15
 
 
 def test_rows_stored_while_a_day_is_packed_are_not_lost(setting, monkeypatch):
     setting.append([10, 30])
-    before = sealing._carry_out
+    before = sealing.carry_out
 
-    def carry_out(connection, key, change):
+    def carry_out(connection, change):
         # comes between the reading of the rows and the writing of the segment
         connection.exec_driver_sql("UPDATE head SET newest_number = newest_number + 1")
         row = dict(connection.execute(select(measurement).limit(1)).mappings().one())
         late = {**row, "epoch_us": 20, "number": row["number"] + 2, "checksum": None}
         connection.execute(measurement.insert().values(late))
-        return before(connection, key, change)
+        return before(connection, change)
 
-    monkeypatch.setattr(sealing, "_carry_out", carry_out)
+    monkeypatch.setattr(sealing, "carry_out", carry_out)
     assert next(setting.storage.archive.seal(setting.id, ALWAYS, ALWAYS)).rows == 2
     assert [row.epoch_us for row in setting.rows()] == [10, 20, 30]
     assert rows_in_table(setting) == 1
@@ -226,24 +235,22 @@ def test_rows_stored_while_a_day_is_packed_are_not_lost(setting, monkeypatch):
 def test_two_processes_that_seal_the_same_day_make_one_segment(setting, url, monkeypatch):
     setting.append([10, 20])
     other = SqlStorage(url)
-    before = sealing._carry_out
+    before = sealing.carry_out
 
-    def carry_out(connection, key, change):
-        monkeypatch.setattr(sealing, "_carry_out", before)
-        assert before(connection, key, change)
+    def carry_out(connection, change):
+        monkeypatch.setattr(sealing, "carry_out", before)
+        assert before(connection, change)
         # the other process had read the same rows
-        return before(connection, key, change)
+        return before(connection, change)
 
-    monkeypatch.setattr(sealing, "_carry_out", carry_out)
+    monkeypatch.setattr(sealing, "carry_out", carry_out)
     assert list(other.archive.seal(setting.id, ALWAYS, ALWAYS)) == []
     other.close()
     assert [row.epoch_us for row in setting.rows()] == [10, 20]
-    assert [state.rows for state in setting.storage.archive.segments(setting.id)] == [2]
+    assert [head.row_count for head in segments(setting)] == [2]
 
 
-@pytest.mark.parametrize(
-    "column", ["columns", "powers", "extras", "row_count", "codec", "first_number", "feeding_count"]
-)
+@pytest.mark.parametrize("column", ["content", "row_count", "checksum", "first_number", "feeding_count"])
 def test_a_damaged_segment_is_told_and_touches_no_other_day(setting, make, column):
     for day in range(3):
         setting.append([day * DAY_US + 5, day * DAY_US + 6], flags=[(1, 2, 3), None])
@@ -264,22 +271,59 @@ def test_a_damaged_segment_is_told_and_touches_no_other_day(setting, make, colum
     assert len(archive.measurements(setting.id, Window(0, DAY_US), 99, None)) == 2
     assert len(archive.measurements(setting.id, Window(2 * DAY_US, 3 * DAY_US), 99, None)) == 2
     assert archive.newest_measurement(setting.id).epoch_us == 2 * DAY_US + 6
-    reported = {state.day_start_us: state.fault for state in archive.segments(setting.id)}
-    assert [reported[0], reported[2 * DAY_US]] == [None, None]
-    assert "1970-01-02" in reported[DAY_US]
+    assert {words for check, words in diagnosed(setting) if check == "segments"} == {"1970-01-02"}
     # late rows of the damaged day are taken in, wait in the table of rows, and let other days be sealed
     assert setting.append([DAY_US + 9, 9]).accepted == 2
     assert [part.rows for part in seal(setting)] == [1]
     assert rows_in_table(setting) == 1
 
 
+def diagnosed(setting):
+    """Return the checks of the doctor that find a fault, and the day that each names."""
+    with setting.storage._database.read() as connection:
+        found = [each for each in examine_content(connection, lambda _: None) if each.state == "fault"]
+    days = (re.search(r"1970-01-\d\d", each.detail) for each in found)
+    return [(each.check, day and day.group()) for each, day in zip(found, days, strict=True)]
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda blob: blob[: len(blob) // 2],
+        lambda blob: blob[:-1],
+        lambda _: b"",
+        lambda _: pack_columns({"a": [1, 2]}),
+        lambda _: pack_columns({"epoch_us": ["a", "b"], "number": [1, 2]}),
+        lambda _: pack_columns({"epoch_us": [1, 2, 3]}),
+    ],
+    ids=["cut", "cut in the footer", "empty", "another schema", "other types", "more rows than its head says"],
+)
+def test_a_blob_under_a_right_checksum_that_is_no_such_day_is_told(setting, make, spoil):
+    for day in range(3):
+        setting.append([day * DAY_US + 5, day * DAY_US + 6], flags=[(1, 2, 3), None])
+    seal(setting)
+    head = next(head for head in segments(setting) if head.day == 1)
+    is_it = segment.c.segment_id == head.segment_id
+    with setting.storage._database.engines.write.begin() as connection:
+        blob = spoil(connection.scalar(select(segment.c.content).where(is_it)))
+        checksum = checksum_of(segment, {**head._asdict(), "content": blob})
+        connection.execute(update(segment).where(is_it).values(content=blob, checksum=checksum))
+    setting.storage._database.segments.clear()
+    archive = setting.storage.archive
+    with pytest.raises(StorageError, match=r"storage\.corrupt.*1970-01-02"):
+        archive.measurements(setting.id, make.ever, 99, None)
+    for window in (Window(0, DAY_US), Window(2 * DAY_US, 3 * DAY_US)):
+        assert len(archive.measurements(setting.id, window, 99, None)) == 2
+    assert ("segments", "1970-01-02") in diagnosed(setting)
+
+
 def damage(setting, first_epoch_us, column):
     """Change one thing of a segment, behind the back of the cache."""
-    is_it = measurement_segment.c.first_epoch_us == first_epoch_us
+    is_it = segment.c.first_epoch_us == first_epoch_us
     with setting.storage._database.engines.write.begin() as connection:
-        found = connection.scalar(select(measurement_segment.c[column]).where(is_it))
+        found = connection.scalar(select(segment.c[column]).where(is_it))
         changed = found + 1 if isinstance(found, int) else found[:-1] + bytes([found[-1] ^ 1])
-        connection.execute(update(measurement_segment).where(is_it).values({column: changed}))
+        connection.execute(update(segment).where(is_it).values({column: changed}))
     setting.storage._database.segments.clear()
 
 
@@ -335,7 +379,6 @@ def test_samples_are_those_of_a_moment(setting, make):
     def seal():
         list(setting.storage.archive.seal(setting.id, ALWAYS, ALWAYS))
         list(setting.storage.results.seal(setting.id, ALWAYS))
-        list(setting.storage.results.complete_summaries(setting.id, ALWAYS))
 
     def late():
         k = len(stored)

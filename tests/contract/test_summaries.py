@@ -12,9 +12,9 @@ from sqlalchemy import delete, select, update
 
 from db.encoding.segments import DAY_US
 from db.maintenance.integrity_check import compare_summaries
-from db.results import attitude_summaries, state_summaries
+from db.results import state_history
 from db.results.results import SqlResults
-from db.schema.tables import attitude_summary, carrier_summary, power_summary, state_summary
+from db.schema.tables import segment, summary
 from service.core.rows import GapSearch, RowState, SampleBins
 from service.ports.archive import ATTITUDE_FIGURES, LIVE, Outcome
 from service.records.calibration import Window
@@ -30,14 +30,21 @@ STEP_US = 300_000_000
 
 
 def seal(setting, before_us=ALWAYS):
-    """Seal and summarise what is over."""
+    """Seal what is over."""
     list(setting.storage.archive.seal(setting.id, before_us, ALWAYS))
-    list(setting.storage.results.complete_summaries(setting.id, before_us))
+    list(setting.storage.results.seal(setting.id, before_us))
 
 
-def summaries(setting, table):
+def summaries(setting, quantity):
+    """Return the summaries of a quantity by their first epoch."""
     with setting.storage._database.read() as connection:
-        return connection.execute(select(table).order_by(*table.primary_key.columns)).all()
+        query = select(summary, segment.c.first_epoch_us).join(segment).where(summary.c.quantity.startswith(quantity))
+        return connection.execute(query.order_by(segment.c.first_epoch_us, segment.c.segment_id)).all()
+
+
+def is_one(row):
+    names = ("segment_id", "quantity", "bin_s")
+    return [summary.c[name] == getattr(row, name) for name in names]
 
 
 def change(setting, statement):
@@ -152,12 +159,10 @@ def test_samples_are_those_of_the_rows(setting, make, seed, step_us):
         check_powers(setting, Window(*bounds), dice.randint(1, 60), dice.choice([None, "sa-1"]))
         check_attitude(setting, Window(*bounds), dice.randint(1, 60))
     seal(setting)
-    assert summaries(setting, power_summary)
-    assert summaries(setting, attitude_summary)
+    assert all(summaries(setting, quantity) for quantity in ("power_dbm", "attitude", "carriers"))
     for count in (1, 3, 7, 96, 997):
         check_powers(setting, Window(0, 4 * DAY_US), count)
         check_attitude(setting, Window(0, 4 * DAY_US), count)
-    assert summaries(setting, carrier_summary)
 
 
 @pytest.fixture
@@ -180,38 +185,45 @@ def summed(setting, make):
     return setting
 
 
-def test_closed_days_are_read_from_summaries(summed, monkeypatch):
-    """Neither a segment nor a row of results is opened, and the samples are the same."""
+def test_sealed_days_are_read_from_summaries(summed, monkeypatch):
+    """Of intervals that are whole hours neither a segment is opened nor a row read, and the samples are the same."""
     span = Window(0, 2 * DAY_US)
-    plain = [check_powers(summed, span, 50), check_attitude(summed, span, 50)]
-    monkeypatch.setattr("db.measurements.power_summaries.read_chunk", None)
-    monkeypatch.setattr("db.results.results.SqlResults.attitude_rows", None)
-    archive = summed.storage.archive
-    powers, angles = (SampleBins(span.start_us, span.stop_us, 50, 3) for _ in range(2))
-    for _, buckets in archive.sampled_measurements(summed.id, span, powers):
+    plain = [check_powers(summed, span, 48), check_attitude(summed, span, 48)]
+    monkeypatch.setattr("db.measurements.power_samples.read_chunk", None)
+    monkeypatch.setattr("db.results.result_samples.read_results", None)
+    powers, angles = (SampleBins(span.start_us, span.stop_us, 48, 3) for _ in range(2))
+    for _, buckets in summed.storage.archive.sampled_measurements(summed.id, span, powers):
         powers.add_summaries(buckets)
-    for buckets in attitude_summaries.sampled(
-        summed.storage._database, archive._database.key(summed.id), "robust", lambda *_: [], span, angles
-    ):
+    for buckets in summed.storage.results.sampled_attitude(summed.id, LIVE, Method.ROBUST, span, angles):
         angles.add_summaries(buckets)
     equal(powers, plain[0])
     equal(angles, plain[1])
-    # of intervals that are whole hours all figures, and those of the carriers
-    monkeypatch.setattr("db.results.results.SqlResults._carrier_rows", lambda *_: [])
     hours = SampleBins(span.start_us, span.stop_us, 48, 6)
     for _, buckets in summed.storage.results.sampled_carriers(summed.id, LIVE, Method.ROBUST, span, hours):
         hours.add_summaries(buckets)
     assert int(hours.all_intervals().counts.sum()) > 2 * 288 * 6 * 0.7
 
 
-def test_c_n0_of_closed_days_is_read_from_summaries(setting, monkeypatch):
-    """Of whole hours; a day without any says nothing, and its rows are not opened for that."""
+def test_rows_closer_than_twenty_seconds_have_minutes(setting, monkeypatch):
+    setting.append(range(0, 3_600_000_000, 10_000_000), np.arange(360) / 100)
+    seal(setting)
+    assert {row.bin_s for row in summaries(setting, "power_dbm")} == {60, 3600}
+    plain = check_powers(setting, Window(0, 3_600_000_000), 30)
+    monkeypatch.setattr("db.measurements.power_samples.read_chunk", None)
+    powers = SampleBins(0, 3_600_000_000, 30, 3)
+    for _, buckets in setting.storage.archive.sampled_measurements(setting.id, Window(0, 3_600_000_000), powers):
+        powers.add_summaries(buckets)
+    equal(powers, plain)
+
+
+def test_c_n0_of_sealed_days_is_read_from_summaries(setting, monkeypatch):
+    """A day without any says nothing, and its rows are not opened for that."""
     for day in range(2):
         epochs_us = [day * DAY_US + k * STEP_US for k in range(288)]
         stated = np.array([math.nan, 80.0, 81.5], dtype=np.float32) * np.ones((4, 288, 1), dtype=np.float32)
         setting.append(epochs_us, details=CarrierDetails(*stated) if day else None)
     seal(setting)
-    monkeypatch.setattr("db.measurements.power_summaries.read_chunk", None)
+    monkeypatch.setattr("db.measurements.power_samples.read_chunk", None)
     hours = SampleBins(0, 2 * DAY_US, 48, 3)
     read = setting.storage.archive.sampled_measurements(setting.id, Window(0, 2 * DAY_US), hours, None, "c_n0_db_hz")
     for _, buckets in read:
@@ -221,38 +233,35 @@ def test_c_n0_of_closed_days_is_read_from_summaries(setting, monkeypatch):
     assert set(samples.sums[24:, 2]) == {12 * 81.5}
 
 
-def test_an_archive_without_summaries_is_answered_from_rows_until_it_has_them(summed):
-    change(summed, delete(attitude_summary))
-    check_attitude(summed, Window(0, 3 * DAY_US), 50)
-    # the day that the chain stands in stays open: two methods and the commands of two days
-    assert sum(summed.storage.results.complete_summaries(summed.id, ALWAYS)) == 6
-    assert list(summed.storage.results.complete_summaries(summed.id, ALWAYS)) == []
-    check_attitude(summed, Window(0, 3 * DAY_US), 50)
+def test_an_archive_without_summaries_is_answered_from_rows(summed):
+    change(summed, delete(summary))
+    for count in (48, 50):
+        check_powers(summed, Window(0, 3 * DAY_US), count)
+        check_attitude(summed, Window(0, 3 * DAY_US), count)
 
 
-@pytest.mark.parametrize(
-    ("table", "column"),
-    [
-        *((table, column) for table in (power_summary, attitude_summary) for column in ("hours", "row_frames")),
-        (carrier_summary, "day"),
-        (carrier_summary, "hours"),
-    ],
-)
-def test_a_damaged_summary_is_passed_over(summed, caplog, table, column):
-    blob = bytearray(getattr(summaries(summed, table)[0], column))
-    # of every frame
-    blob[4::20] = bytes(byte ^ 1 for byte in blob[4::20])
-    name = next(iter(table.primary_key.columns))
-    is_it = name == summaries(summed, table)[0][0]
-    change(summed, update(table).where(is_it).values({column: bytes(blob)}))
+@pytest.mark.parametrize("is_agreeing", [False, True])
+@pytest.mark.parametrize("quantity", ["power_dbm", "attitude", "carriers"])
+def test_a_damaged_summary_is_passed_over(summed, caplog, quantity, is_agreeing):
+    """One that differs from its checksum, and one that holds something else."""
+    first, *_ = summaries(summed, quantity)
+    values = {**first._asdict(), "content": first.content[:40] + bytes([first.content[40] ^ 1]) + first.content[41:]}
+    if is_agreeing:
+        values["content"] = first.content[: len(first.content) // 2]
+        change(summed, delete(summary).where(*is_one(first)))
+        names = ("segment_id", "quantity", "bin_s", "content")
+        change(summed, summary.insert().values({name: values[name] for name in names}))
+    else:
+        change(summed, update(summary).where(*is_one(first)).values(content=values["content"]))
     for count in (1, 50, 72):
         check_powers(summed, Window(0, 3 * DAY_US), count)
         for method in LIVE_METHODS:
             check_attitude(summed, Window(0, 3 * DAY_US), count, method)
-    assert f"{table.name} " in caplog.text
+    assert f"summary of segment {first.segment_id} is damaged" in caplog.text
 
 
-def test_the_doctor_compares_the_carriers_of_a_day_with_their_rows(summed):
+@pytest.mark.parametrize("quantity", ["power_dbm", "attitude", "carriers", "states", "impulse"])
+def test_the_doctor_compares_summaries_with_their_rows(summed, quantity):
     database = summed.storage._database
 
     def diagnosed():
@@ -260,49 +269,25 @@ def test_the_doctor_compares_the_carriers_of_a_day_with_their_rows(summed):
             return next(compare_summaries(connection, database.key(summed.id), "craft"))
 
     assert diagnosed().state == "ok"
-    first, second = summaries(summed, carrier_summary)
-    is_second = carrier_summary.c.carrier_summary_id == second.carrier_summary_id
-    change(summed, update(carrier_summary).where(is_second).values(hours=first.hours))
+    first, second, *_ = (row for row in summaries(summed, quantity) if row.first_epoch_us < 2 * DAY_US)
+    assert first.first_epoch_us < DAY_US <= second.first_epoch_us
+    change(summed, update(summary).where(*is_one(second)).values(content=first.content))
     assert diagnosed().state == "fault"
     assert diagnosed().detail.endswith("differ from their rows: 1970-01-02")
 
 
-def test_a_late_row_while_its_day_is_summarised(summed, make, monkeypatch):
-    """Rows are read, a late row is stored, and the summary of what was read is not."""
-    change(summed, delete(attitude_summary))
+def test_a_late_row_makes_the_bins_of_its_day_again(summed, make):
+    """Rows and bins are written in one transaction: what samples count is what rows show, before and after it."""
     summed.append([DAY_US + 5], -40.0)
     late = next(row for row in summed.rows() if row.epoch_us == DAY_US + 5)
-    read = attitude_summaries.day_blobs
-
-    def read_then_late(reader, start_us, name):
-        blobs = read(reader, start_us, name)
-        if start_us == DAY_US:
-            summed.consume([Outcome((make.attitude_row(late, attitude_deg=Axes(9.0, 9.0, 9.0)),), None)])
-        return blobs
-
-    monkeypatch.setattr(attitude_summaries, "day_blobs", read_then_late)
-    list(summed.storage.results.complete_summaries(summed.id, ALWAYS))
-    check_powers(summed, Window(0, 3 * DAY_US), 50)
-    assert check_attitude(summed, Window(0, 3 * DAY_US), 50).all_intervals().maxima[:, 0].max() == 9.0
-    monkeypatch.undo()
-    assert sum(summed.storage.results.complete_summaries(summed.id, ALWAYS)) > 0
-    check_attitude(summed, Window(0, 3 * DAY_US), 50)
-
-
-def test_a_summary_that_was_begun_and_never_finished(summed, monkeypatch):
-    """A process killed between two transactions leaves a row without bytes: rows are read until it is made."""
-    change(summed, delete(attitude_summary))
-
-    def killed(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(attitude_summaries, "day_blobs", killed)
-    with pytest.raises(KeyboardInterrupt):
-        list(summed.storage.results.complete_summaries(summed.id, ALWAYS))
-    assert [row.day for row in summaries(summed, attitude_summary)] == [None]
-    check_attitude(summed, Window(0, 3 * DAY_US), 50)
-    monkeypatch.undo()
-    assert sum(summed.storage.results.complete_summaries(summed.id, ALWAYS)) == 6
+    summed.consume([Outcome((make.attitude_row(late, attitude_deg=Axes(9.0, 9.0, 9.0)),), None)])
+    for _ in range(2):
+        for count in (50, 72):
+            check_powers(summed, Window(0, 3 * DAY_US), count)
+            found = check_attitude(summed, Window(0, 3 * DAY_US), count)
+            assert found.all_intervals().maxima[:, 0].max() == 9.0
+        seal(summed)
+    assert len(summaries(summed, "power_dbm")) == 3
 
 
 def test_summaries_go_with_their_rows(summed):
@@ -310,17 +295,18 @@ def test_summaries_go_with_their_rows(summed):
     archive = summed.storage.archive
     for series in ("measurements", "attitude", "torques"):
         list(archive.drop_before(summed.id, series, 2 * DAY_US))
-    assert len(summaries(summed, power_summary)) == 1
-    assert summaries(summed, attitude_summary) == summaries(summed, carrier_summary) == []
-    check_powers(summed, Window(0, 3 * DAY_US), 50)
-    check_attitude(summed, Window(0, 3 * DAY_US), 50)
+    assert {len(summaries(summed, quantity)) for quantity in ("power_dbm", "attitude", "carriers", "impulse")} == {1}
+    check_powers(summed, Window(0, 3 * DAY_US), 72)
+    check_attitude(summed, Window(0, 3 * DAY_US), 72)
 
 
-def test_a_version_of_a_replay_is_read_from_its_rows(summed, make):
+def test_a_version_of_a_replay_is_sampled_as_the_live_one(summed, make):
     rows = summed.rows()[:200]
     summed.consume([Outcome((make.attitude_row(row),), None) for row in rows], "replay-1")
-    found = check_attitude(summed, Window(0, 3 * DAY_US), 20, version="replay-1")
-    assert found.all_intervals().counts[:, 0].sum() == 200
+    for _ in range(2):
+        found = check_attitude(summed, Window(0, 3 * DAY_US), 72, version="replay-1")
+        assert found.all_intervals().counts[:, 0].sum() == 200
+        seal(summed)
 
 
 def test_the_first_count_of_a_process_begins_where_the_last_one_ended(summed, make, monkeypatch):
@@ -375,14 +361,14 @@ def check(setting):
             running[state] = (start_us, row.epoch_us, count + 1)
     wanted += [(state, *ends) for state, ends in running.items()]
     assert [tuple(run) for run in found.runs] == sorted(wanted, key=lambda run: (run[1], run[0]))
-    if summaries(setting, state_summary):
+    if summaries(setting, "states"):
         search = GapSearch()
         # rows have one distance, so that of a day is that of all
         gaps = [*search.add(np.array([row.epoch_us for row in rows])), *search.end()]
         assert found.gaps == gaps
 
 
-def state_some_rows(setting, make, dice, day):
+def state_some_rows(setting, make, dice, day, results=0.9):
     """Store rows of some hours of a day, and results of most of them."""
     first = day * 288 + dice.randrange(200)
     epochs_us = [STEP_US * (first + k) for k in range(dice.randint(1, 88)) if dice.random() < 0.9]
@@ -399,7 +385,7 @@ def state_some_rows(setting, make, dice, day):
                 "downlink_fade": dice.random() < 0.3,
                 "excluded": (Exclusion("c01", "step"),) if dice.random() < 0.3 else (),
             }
-        if dice.random() < 0.9:
+        if dice.random() < results:
             outcomes.append(Outcome((replace(make.attitude_row(entry.content), **state),), None))
     setting.consume(outcomes)
 
@@ -410,59 +396,57 @@ def test_states_are_those_of_the_rows(setting, make, seed):
     for _ in range(8):
         state_some_rows(setting, make, dice, dice.randrange(DAYS))
         if dice.random() < 0.6:
-            list(setting.storage.results.complete_summaries(setting.id, dice.randrange(DAYS + 1) * DAY_US))
+            seal(setting, dice.randrange(DAYS + 1) * DAY_US)
         check(setting)
     state_some_rows(setting, make, dice, DAYS - 1)
-    list(setting.storage.results.complete_summaries(setting.id, ALWAYS))
-    assert summaries(setting, state_summary)
+    seal(setting)
+    assert summaries(setting, "states")
     check(setting)
 
 
 @pytest.fixture
 def state_summed(setting, make):
-    """Four days of rows, three of them summarised."""
+    """Four days of rows that all have results, three of them sealed."""
     dice = random.Random(7)
     for day in range(DAYS):
-        state_some_rows(setting, make, dice, day)
-    list(setting.storage.results.complete_summaries(setting.id, ALWAYS))
+        state_some_rows(setting, make, dice, day, results=1.0)
+    seal(setting, 3 * DAY_US)
     return setting
 
 
-def test_closed_days_are_read_from_their_summaries(state_summed, monkeypatch):
+def test_sealed_days_are_read_from_their_states(state_summed, monkeypatch):
     span = Window(rows_of(state_summed)[0].epoch_us, 3 * DAY_US)
     wanted = state_summed.storage.results.state_history(state_summed.id, Method.ROBUST, span)
     assert wanted.runs
-    monkeypatch.setattr(SqlResults, "attitude_rows", lambda *_: [])
+    monkeypatch.setattr(SqlResults, "attitude_rows", lambda *_, **__: [])
     assert state_summed.storage.results.state_history(state_summed.id, Method.ROBUST, span) == wanted
 
 
-def test_a_damaged_or_missing_summary_is_passed_over(state_summed):
-    first, second, *_ = summaries(state_summed, state_summary)
+def test_damaged_or_missing_states_are_passed_over(state_summed):
+    first, second, *_ = summaries(state_summed, "states")
     damaged = bytes([*first.content[:-1], first.content[-1] ^ 1])
-    change(
-        state_summed,
-        update(state_summary).where(state_summary.c.summary_id == first.summary_id).values(content=damaged),
-    )
-    change(state_summed, delete(state_summary).where(state_summary.c.summary_id == second.summary_id))
+    change(state_summed, update(summary).where(*is_one(first)).values(content=damaged))
+    change(state_summed, delete(summary).where(*is_one(second)))
     check(state_summed)
 
 
-def test_states_go_with_the_summary_of_their_day(state_summed):
-    change(state_summed, delete(attitude_summary))
-    assert summaries(state_summed, state_summary) == []
+def test_days_whose_measurements_were_dropped_are_read_from_their_states(state_summed, monkeypatch):
+    wanted = rows_of(state_summed)
+    list(state_summed.storage.archive.drop_before(state_summed.id, "measurements", 2 * DAY_US))
+    assert rows_of(state_summed) == wanted
     check(state_summed)
 
 
 @pytest.mark.parametrize("most", [0, 1, 40, 300])
-def test_rows_without_a_summary_are_read_up_to_a_bound_and_the_rest_is_stated(state_summed, monkeypatch, most):
+def test_rows_without_states_are_read_up_to_a_bound_and_the_rest_is_stated(state_summed, monkeypatch, most):
     """The first and the last day have no summary; what is given is what the given spans hold by themselves."""
-    first, *_ = summaries(state_summed, state_summary)
-    change(state_summed, delete(state_summary).where(state_summary.c.summary_id == first.summary_id))
+    first, *_ = summaries(state_summed, "states")
+    change(state_summed, delete(summary).where(*is_one(first)))
     rows = rows_of(state_summed)
     span = Window(rows[0].epoch_us, rows[-1].epoch_us + 1)
     history = partial(state_summed.storage.results.state_history, state_summed.id, Method.ROBUST)
     whole = history(span)
-    monkeypatch.setattr(state_summaries, "MOST_ROWS", most)
+    monkeypatch.setattr(state_history, "MOST_ROWS", most)
     found = history(span)
     ends = [span.start_us, *(end for part in found.left_out_us for end in part), span.stop_us]
     given = [Window(*part) for part in zip(ends[::2], ends[1::2], strict=True) if part[0] < part[1]]
@@ -481,7 +465,7 @@ def test_rows_without_a_summary_are_read_up_to_a_bound_and_the_rest_is_stated(st
 
 def test_an_open_day_of_more_rows_costs_no_more_than_the_bound(setting, make, monkeypatch):
     """Four times the rows of the newest day, and one bound: processor time stays, where all rows would cost four."""
-    monkeypatch.setattr(state_summaries, "MOST_ROWS", 500)
+    monkeypatch.setattr(state_history, "MOST_ROWS", 500)
     taken_s = []
     for day, count in ((0, 1000), (1, 8000)):
         span = Window(day * DAY_US, day * DAY_US + count * 10_000_000)

@@ -258,7 +258,6 @@ class ArchiveMaintenance:
         self._thread: threading.Thread | None = None
         #: measurements and results sealed, and rows dropped of each series, since the start
         self.sealed_rows = self.sealed_results = 0
-        #: days of a method that were summarised, since the start
         self.dropped_rows = dict.fromkeys((*SERIES, *LOGS, "replays"), 0)
         #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
         self._sized_at_s: dict[str, float] = {}
@@ -288,7 +287,7 @@ class ArchiveMaintenance:
                 self._drop_replays(spacecraft.id)
                 self._drop_logs(spacecraft.id, self._clock.now_us(spacecraft.id))
                 self._seal(spacecraft.id)
-                self._summarise(spacecraft.id)
+                self._mark(spacecraft.id)
         if not self._turn(ARCHIVE):
             return
         with self._guarded("the service"):
@@ -364,15 +363,10 @@ class ArchiveMaintenance:
                 format_epoch(sealed.first_epoch_us),
             )
 
-    def _summarise(self, spacecraft_id: str) -> None:
-        """Summarise closed days, and store up to where every row has its results."""
-        now_us, quiet_us = self._clock.now_us(spacecraft_id), int(self._sealing.quiet_s * US_PER_S)
-        if now_us is None:
-            return
-        results = self._storage.results
-        for _ in self._paced(results.complete_summaries(spacecraft_id, now_us - quiet_us)):
-            pass
-        results.mark_complete(spacecraft_id, runnable_methods(self._storage, spacecraft_id))
+    def _mark(self, spacecraft_id: str) -> None:
+        """Store up to where every row has its results."""
+        if self._clock.now_us(spacecraft_id) is not None:
+            self._storage.results.mark_complete(spacecraft_id, runnable_methods(self._storage, spacecraft_id))
 
     def _paced(self, steps: Iterable[_Step]) -> Iterator[_Step]:
         """Yield steps with pauses until the thread is to stop."""

@@ -91,7 +91,6 @@ def make() -> None:
             storage.audit.append(replace(AUDIT_EVENT, at_us=at(0)))
             list(storage.archive.seal(SC, _EVER, _EVER))
             list(storage.results.seal(SC, _EVER))
-            list(storage.results.complete_summaries(SC, _EVER))
         ARCHIVE.write_bytes(lzma.compress((folder / "soo.db").read_bytes(), preset=9))
         EXPECTED.write_text(json.dumps(values(folder), indent=1) + "\n", encoding="utf-8")
 

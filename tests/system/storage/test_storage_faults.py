@@ -22,7 +22,7 @@ from bench.bench_storage import outcome_of, prepare_catalogue
 from bench.bench_summaries import STEP_US, append
 from db.encoding.segments import DAY_US
 from db.maintenance.backup import create_backup, restore_backup
-from db.schema.tables import attitude, metadata, result_segment
+from db.schema.tables import attitude, metadata, segment
 from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports.archive import LIVE
@@ -141,7 +141,7 @@ def test_a_damaged_day_is_refused_alone(trial):
     # all of the day: what is sealed later would be whole
     left = "SELECT count(*) FROM measurement WHERE epoch_us < ?"
     wait_until(lambda: other.execute(left, (MIDNIGHT_US,)).fetchone()[0] == 0, "the day is sealed")
-    other.execute("UPDATE measurement_segment SET crc32 = crc32 + 1")
+    other.execute("UPDATE segment SET feeding_count = feeding_count + 1 WHERE series = 'measurement'")
     answer = one.client.get(f"{BASE}/measurements/history", params=day)
     assert (answer.status_code, answer.json()["code"]) == (503, "storage.corrupt")
     assert "2026-11-21" in answer.json()["detail"]
@@ -153,8 +153,8 @@ def test_a_damaged_day_is_refused_alone(trial):
     newest = "2026-11-23T00:00:01.000000Z"
     wait_until(lambda: one.client.get(f"{BASE}/attitude").json().get("epoch") == newest, "the row is consumed")
     faults = [each.check for each in doubtful(f"sqlite:///{one.file}") if each.state == "fault"]
-    assert set(faults) == {"segments"}
-    other.execute("UPDATE measurement_segment SET crc32 = crc32 - 1")
+    assert set(faults) == {"checksums", "segments"}
+    other.execute("UPDATE segment SET feeding_count = feeding_count - 1 WHERE series = 'measurement'")
     other.close()
     assert one.client.get(f"{BASE}/measurements/history", params=day).status_code == 200
     assert one.service.end()[0] == 0
@@ -222,8 +222,8 @@ def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_po
 SEED = 23
 DAYS = 3
 ROWS = DAYS * DAY_US // STEP_US
-#: segments of two methods and the commands of two versions; summaries of the live one but for its last day
-STEPS = 2 * 3 * DAYS + 3 * (DAYS - 1)
+#: segments of two methods and the commands of two versions
+STEPS = 2 * 3 * DAYS
 EVER = Window(0, 1 << 60)
 SETTINGS = {"SOO_BOOTSTRAP_KEY": "for-tests", "SOO_SEALING__QUIET_S": "0.1", "SOO_SEALING__PERIOD_S": "0.2"}
 
@@ -257,16 +257,16 @@ def everything(storage, version):
 def sealed_share(storage):
     """Return rows of attitude in their table and in segments."""
     with storage._database.read() as connection:
-        of_attitude = select(func.sum(result_segment.c.row_count)).where(result_segment.c.series == "attitude")
+        of_attitude = select(func.sum(segment.c.row_count)).where(segment.c.series == "attitude")
         return connection.scalar(select(func.count()).select_from(attitude)), connection.scalar(of_attitude) or 0
 
 
 def steps_done(database):
-    """Return how many segments and summaries there are, beside the process that makes them."""
+    """Return how many segments of results there are, beside the process that makes them."""
     other = sqlite3.connect(f"file:{database}?mode=ro", uri=True, timeout=120)
     try:
-        queries = ("SELECT count(*) FROM result_segment", "SELECT count(day) FROM attitude_summary")
-        return sum(other.execute(query).fetchone()[0] for query in queries)
+        query = "SELECT count(*) FROM segment WHERE series != 'measurement'"
+        return other.execute(query).fetchone()[0]
     finally:
         other.close()
 
@@ -330,7 +330,7 @@ def full(volume, database):
 
 
 #: tables that the writes touch
-STORED = ("attitude", "torque", "result_segment", "attitude_summary", "carrier_summary", "checkpoint", "replay")
+STORED = ("attitude", "torque", "segment", "summary", "checkpoint", "replay")
 
 
 def contents(storage, version):
@@ -353,14 +353,10 @@ def test_a_full_disk_fails_each_write_whole(empty_database, tmp_path):
         state = Checkpoint(*end, "fingerprint", b"state" * 20_000)
         results = storage.results
 
-        def made(before):
-            return sum(1 for _ in results.complete_summaries("bench", before))
-
         writes = {
             "live rows and their checkpoint": lambda: results.save_outcomes("bench", LIVE, outcomes, *end, state),
             "rows of a replay": lambda: results.save_outcomes("bench", version, outcomes, *end, state),
             "segments": lambda: list(results.seal("bench", 1 << 60)),
-            "summaries": lambda: made(1 << 60),
             "deleted version": lambda: list(results.drop_replays("bench", 1 << 60)),
         }
         for name, write in writes.items():

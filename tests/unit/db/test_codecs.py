@@ -1,21 +1,14 @@
-"""Stored columns, powers, carriers and details come back bit for bit, and take no more bytes than they need."""
+"""Documents, powers, carriers and details come back bit for bit, and take no more bytes than they need."""
 
 import dataclasses
-import math
-import struct
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
 from example_counts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from hypothesis.extra.numpy import arrays
 
-from db.encoding import segments
-from db.encoding.column_codec import PackedColumns, pack_columns
 from db.encoding.measurement_runs import details_of, pack_carriers, prepare_details, unpack_carriers
 from db.encoding.power_codec import (
     NO_FLAGS,
@@ -29,22 +22,7 @@ from db.encoding.power_codec import (
     unpack_powers,
 )
 from db.encoding.record_codec import decode, decode_all, decode_input, encode, encode_all, kind_of
-from db.encoding.segments import (
-    CODEC,
-    Blobs,
-    Extras,
-    SealedRows,
-    SegmentCache,
-    SegmentChunk,
-    SegmentHead,
-    crc32_of,
-    pack,
-    unpack_columns,
-    unpack_extras,
-)
-from db.encoding.summary_codec import pack_day, unpack_level, unpack_rows
 from service.core.estimation.filtering.anchor import HYPOTHESES
-from service.core.rows import Summaries
 from service.errors import StorageError
 from service.records.inputs import KINDS, AttitudeReference, Operation, PlanChange
 from service.records.levels.attitude import CARRIER_HYPOTHESES, CARRIER_STATES, STEP_DB, Axes, CarrierResults
@@ -113,78 +91,6 @@ def test_a_level_beyond_all_is_the_greatest_one():
 
 def test_hypotheses_are_those_of_the_filter():
     assert (None, *HYPOTHESES) == CARRIER_HYPOTHESES
-
-
-INT64 = st.integers(-(1 << 63), (1 << 63) - 1)
-#: texts as JSON writes numbers, and what only looks so
-NUMBERS = st.one_of(
-    st.floats().map(repr),
-    INT64.map(str),
-    st.sampled_from(
-        ["-0", "05", "1e5", "1E5", "1.50", "0.1", "-0.0", "9" * 30, "9" * 5000, "1.5.2", "--3", "٣", "1e400"]
-    ),
-)
-TEXTS = st.one_of(
-    st.text(max_size=5),
-    st.lists(st.one_of(NUMBERS, st.sampled_from(["[", ", ", '{"a": ', "%s", "%", "c"])), max_size=6).map("".join),
-)
-COLUMN_KINDS = {
-    "integer": st.none() | INT64,
-    "truth": st.none() | st.booleans(),
-    "double": st.floats().map(lambda value: math.nan if math.isnan(value) else value),
-    "text": st.none() | TEXTS,
-    "string": st.none() | st.binary(max_size=4),
-    "narrow": st.binary(min_size=3, max_size=3),
-    "absent": st.none(),
-}
-
-
-@st.composite
-def tables(draw):
-    count = draw(st.integers(1, 12))
-    return count, {name: draw(st.lists(kind, min_size=count, max_size=count)) for name, kind in COLUMN_KINDS.items()}
-
-
-def bits(values):
-    """Return values as text that tells every bit; NaN is one object."""
-    return [
-        (struct.pack("<d", value), value is math.nan) if isinstance(value, float) else (type(value), value)
-        for value in values
-    ]
-
-
-@settings(derandomize=True, deadline=None)
-@given(table=tables(), data=st.data())
-def test_every_bit_comes_back(table, data):
-    count, columns = table
-    packed = PackedColumns(pack_columns(columns), count)
-    start, stop = sorted(data.draw(st.tuples(st.integers(0, count), st.integers(0, count))))
-    positions = data.draw(st.lists(st.integers(0, count - 1), max_size=4))
-    for name, values in columns.items():
-        assert bits(packed.values(name, slice(None))) == bits(values), name
-        assert bits(packed.values(name, slice(start, stop))) == bits(values[start:stop]), name
-        chosen = np.array(positions, dtype=np.int64)
-        assert bits(packed.values(name, chosen)) == bits([values[position] for position in positions]), name
-
-
-def test_what_repeats_another_column_costs_next_to_nothing():
-    random = np.random.default_rng(3)
-    figures = random.normal(size=2000).tolist()
-    one = pack_columns({"a": figures})
-    texts = [f'[{{"torque": {value!r}, "names": ["x"]}}]' for value in figures]
-    assert len(pack_columns({"a": figures, "b": figures, "c": texts})) < 1.02 * len(one)
-    assert len(one) < 8 * 2000
-
-
-@pytest.mark.parametrize("count", [2, 4])
-def test_another_number_of_rows_is_a_value_error(count):
-    with pytest.raises(ValueError, match="bytes where"):
-        PackedColumns(pack_columns({"a": [1, 2, 3]}), count)
-
-
-def test_what_is_no_zstd_is_a_value_error():
-    with pytest.raises(ValueError, match=r"decompress|frame"):
-        PackedColumns(b"nothing", 3)
 
 
 NAN = float("nan")
@@ -337,206 +243,3 @@ def test_a_row_alone_is_packed_value_by_value_where_levels_have_few_decimals():
     assert _one_row(row) == _many_rows(row)
     for odd in (np.nan, np.inf, -0.0):
         assert _one_row(np.append(row, np.float32(odd))[None, :]) is None
-
-
-SEGMENT_KINDS = 4
-
-
-@st.composite
-def sealed_rows(draw):
-    count, carriers = draw(st.integers(1, 12)), draw(st.integers(1, 5))
-    integers = [draw(hnp.arrays(np.int64, count, elements=INT64)) for _ in range(4)]
-    claims = [draw(hnp.arrays(np.bool_, count)) for _ in range(5)]
-    powers = draw(hnp.arrays(np.uint32, (count, carriers))).view(np.float32)
-    flags = draw(hnp.arrays(np.int32, (count, carriers)))
-    details = draw(
-        hnp.arrays(np.float32, (count, SEGMENT_KINDS, carriers), elements=st.floats(width=32, allow_nan=True))
-    )
-    return SealedRows._make((*integers, *claims, powers, flags, details))
-
-
-@settings(derandomize=True, deadline=None)
-@given(rows=sealed_rows())
-def test_every_bit_of_a_segment_comes_back(rows):
-    blobs = pack(rows)
-    columns = unpack_columns(blobs.columns, len(rows.epochs_us))
-    for name, column in columns._asdict().items():
-        np.testing.assert_array_equal(column, getattr(rows, name), name)
-    powers = segments.unpack_powers(blobs.powers, len(rows.epochs_us))
-    assert powers.tobytes() == rows.power_dbm.tobytes()
-    if blobs.extras is None:
-        assert not rows.has_flags.any()
-        assert not rows.has_details.any()
-        return
-    extras: Extras = unpack_extras(blobs.extras, columns, rows.power_dbm.shape[1])
-    np.testing.assert_array_equal(extras.flags, rows.flags[rows.has_flags])
-    # any NaN is "not stated"
-    np.testing.assert_array_equal(extras.details, rows.details[rows.has_details])
-
-
-def steady(count: int, carriers: int) -> SealedRows:
-    """Return rows of a front end that measures every ten seconds, levels of two decimals."""
-    random = np.random.default_rng(5)
-    step = np.arange(count)
-    yes, no = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
-    epochs_us = 1_795_000_000_000_000 + step * 10_000_000
-    powers = np.round(random.normal(-60.0, 0.1, (count, carriers)), 2).astype(np.float32)
-    flags, details = (
-        np.zeros((count, carriers), np.int32),
-        np.full((count, SEGMENT_KINDS, carriers), np.nan, np.float32),
-    )
-    return SealedRows(epochs_us, step + 5, epochs_us + 40_000, step, yes, no, yes, no, no, powers, flags, details)
-
-
-def test_a_day_of_two_decimals_takes_a_third_of_its_powers():
-    rows = steady(8640, 32)
-    blobs = pack(rows)
-    size = len(blobs.columns) + len(blobs.powers)
-    # measured 0.25 of the powers, spec/performance.md asks for 0.35
-    assert size <= 0.30 * rows.power_dbm.nbytes, f"{size / rows.power_dbm.nbytes:.3f}"
-    # four columns of integers and five claims of a steady day are next to nothing
-    assert len(blobs.columns) < 8640
-
-
-def head_of(rows: SealedRows) -> SegmentHead:
-    first, last = int(rows.epochs_us[0]), int(rows.epochs_us[-1])
-    count = len(rows.epochs_us)
-    numbers = int(rows.numbers[0]), int(rows.numbers[-1])
-    return SegmentHead(1, 1, 1, 1, 20_000, count, count, first, last, *numbers, CODEC, 0)
-
-
-@pytest.mark.parametrize("part", ["columns", "powers"])
-def test_any_wrong_bit_changes_the_checksum(part):
-    rows = steady(20, 4)
-    blobs, head = pack(rows), head_of(rows)
-    right = crc32_of(head, blobs)
-    blob = getattr(blobs, part)
-    for position in range(8 * len(blob)):
-        wrong = bytearray(blob)
-        wrong[position // 8] ^= 1 << position % 8
-        assert crc32_of(head, blobs._replace(**{part: bytes(wrong)})) != right, position
-
-
-def test_every_figure_of_the_head_is_under_the_checksum():
-    rows = steady(20, 4)
-    blobs, head = pack(rows), head_of(rows)
-    right = crc32_of(head, blobs)
-    for name in head._fields:
-        changed = crc32_of(head._replace(**{name: getattr(head, name) + 1}), blobs)
-        assert (changed == right) == (name in ("segment_id", "crc32")), name
-
-
-def test_what_is_no_zstd_or_has_another_length_is_a_value_error():
-    rows = steady(20, 4)
-    with pytest.raises(ValueError, match="bytes"):
-        unpack_columns(pack(rows).columns, 21)
-    with pytest.raises(ValueError, match=r"decompress|frame"):
-        unpack_columns(b"nothing", 20)
-
-
-def test_the_cache_holds_what_fits_and_tells_contents_of_one_id_apart():
-    rows = steady(100, 4)
-    blobs: Blobs = pack(rows)
-    cache, head = SegmentCache(size_bytes=20_000), head_of(rows)
-    chunks = [SimpleNamespace(position=position) for position in range(4)]
-    for position, chunk in enumerate(chunks):
-        cache.put(head._replace(segment_id=position), chunk, 4)
-    # 6400 bytes each: three fit, what was not asked for longest is gone
-    assert [cache.get(head._replace(segment_id=position)) for position in range(4)] == [None, *chunks[1:]]
-    assert cache.get(head._replace(segment_id=1)) is chunks[1]
-    cache.put(head._replace(segment_id=9), chunks[0], 4)
-    assert cache.get(head._replace(segment_id=2)) is None
-    assert cache.get(head._replace(segment_id=1, crc32=7)) is None, "an id that came again after a roll-back"
-    cache.put(head._replace(segment_id=10), SegmentChunk(head, "sa-1", blobs), 4000)
-    assert cache.get(head._replace(segment_id=10)) is not None, "one is held whatever it takes"
-    cache.clear()
-    assert cache.get(head._replace(segment_id=10)) is None
-
-
-S = 1_000_000
-RNG = np.random.default_rng(7)
-
-
-@pytest.mark.parametrize(("step_us", "buckets"), [(60 * S, 24), (20 * S, 24), (19 * S, 24)])
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_levels_and_rows_come_back(step_us, buckets, dtype):
-    epochs_us = 5 * 86_400 * S + np.arange(0, 86_400 * S, step_us)
-    values = RNG.normal(size=(len(epochs_us), 3)).astype(dtype)
-    values[RNG.random(values.shape) < 0.1] = np.nan
-    made = pack_day(epochs_us, values, 2)
-    hours = unpack_level(made.hours)
-    rows = Summaries.of_rows(epochs_us, values)
-    for found, wanted in zip(hours.buckets, rows.gathered(epochs_us // (3600 * S)), strict=True):
-        np.testing.assert_allclose(found, wanted, rtol=1e-12)
-    assert len(hours.starts) == buckets
-    assert unpack_level(made.day).buckets.counts.tolist() == [np.isfinite(values).sum(axis=0).tolist()]
-    level, frames = hours, made.row_frames
-    if step_us < 20 * S:
-        level = unpack_level(made.minute_frames[hours.starts[3] : hours.starts[3] + hours.sizes[3]])
-        assert len(level.starts) == 60
-    else:
-        assert made.minute_frames is None
-    opened = unpack_rows(frames[level.starts[3] : level.starts[3] + level.sizes[3]])
-    first = np.searchsorted(epochs_us, opened.epochs_us[0])
-    assert level.buckets.first_us[3] == opened.epochs_us[0]
-    assert opened.values.dtype == dtype
-    np.testing.assert_array_equal(opened.epochs_us, epochs_us[first : first + len(opened.epochs_us)])
-    np.testing.assert_array_equal(opened.values, values[first : first + len(opened.epochs_us), :2])
-
-
-def test_a_bit_flipped_anywhere_is_found():
-    epochs_us = np.arange(0, 3600 * S, 300 * S)
-    made = pack_day(epochs_us, RNG.normal(size=(len(epochs_us), 1)), 1)
-    for blob, unpack in ((made.hours, unpack_level), (made.row_frames, unpack_rows)):
-        # the first bytes name the format and the sizes; damage there is found by the reader of zstd too
-        for position in range(len(blob)):
-            spoilt = bytearray(blob)
-            spoilt[position] ^= 1 << int(RNG.integers(8))
-            try:
-                found = unpack(bytes(spoilt))
-            except ValueError:
-                continue
-            for one, other in zip(flat(found), flat(unpack(blob)), strict=True):
-                np.testing.assert_array_equal(one, other)
-
-
-def flat(found):
-    """Return the arrays of what was unpacked."""
-    return [*found[0], *found[1:]] if isinstance(found[0], Summaries) else list(found)
-
-
-CARRIERS = 16
-ROWS = 100
-
-
-def head(number: int) -> SegmentHead:
-    return SegmentHead(number, 1, 1, 1, number, ROWS, ROWS, 0, 1, 1, ROWS, 1, 7)
-
-
-def chunk(number: int) -> SegmentChunk:
-    return cast("SegmentChunk", ("piece", number))
-
-
-def held(cache: SegmentCache) -> list[int]:
-    return [number for number in range(1, 10) if cache.get(head(number)) is not None]
-
-
-def filled(cache: Any, *numbers: int) -> Any:
-    for number in numbers:
-        cache.put(head(number), chunk(number), CARRIERS)
-    return cache
-
-
-def test_what_was_not_read_for_longest_goes():
-    cache = filled(SegmentCache(3 * ROWS * (4 * CARRIERS + 48)), 1, 2, 3)
-    cache.get(head(1))
-    filled(cache, 4)
-    assert held(cache) == [1, 3, 4]
-
-
-def test_a_scan_finds_what_is_held_adds_nothing_and_keeps_its_last_piece():
-    shared = filled(SegmentCache(), 1, 2)
-    scan = filled(shared.for_scan(), 3, 4)
-    assert held(scan) == [1, 2, 4]
-    assert scan.get(head(4)) == chunk(4)
-    assert held(shared) == [1, 2]

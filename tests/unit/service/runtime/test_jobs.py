@@ -192,15 +192,11 @@ class Results:
     """Seals results of a replay each time; keeps until when."""
 
     def __init__(self):
-        self.before_us, self.summarised_us, self.marked = [], [], []
+        self.before_us, self.marked = [], []
 
     def seal(self, _name, before_us):
         self.before_us.append(before_us)
         yield SealedResults("attitude", "replay-1", "paper", NOW_US - DAY_US, 7, 9)
-
-    def complete_summaries(self, _name, before_us):
-        self.summarised_us.append(before_us)
-        yield 1
 
     def alignments(self, _name):
         return ()
@@ -249,11 +245,10 @@ def test_versions_are_dropped_by_the_age_of_the_replay(archive):
     assert made.dropped_rows["replays"] == 7
 
 
-def test_closed_days_are_summarised_and_the_rows_without_pending_results_marked(archive):
+def test_rows_without_pending_results_are_marked(archive):
     made = maintainer(archive)
     made.poll_once()
-    results = made._storage.results
-    assert (results.summarised_us, results.marked) == ([NOW_US - 900_000_000], [("a", ())])
+    assert made._storage.results.marked == [("a", ())]
 
 
 def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):

@@ -1,0 +1,172 @@
+"""Samples of results: of sealed days from their bins, of the others from their rows."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from sqlalchemy import Connection, func, select
+
+from db.database import Database
+from db.encoding.measurement_runs import unpack_carriers
+from db.encoding.row_mapping import attitude_of, torque_of
+from db.encoding.segments import DAY_US, SegmentHead, Series, day_of, heads
+from db.measurements.retention import kept_from_us
+from db.results.replays import check_held
+from db.results.stored_rows import read_results, unsealed_rows
+from db.schema.tables import attitude, summary
+from db.summaries import READ_AT_ONCE, bins_within
+from service.core.rows import Summaries
+from service.ports.archive import LIVE, Intervals, SampledCarriers
+from service.records.calibration import Window
+from service.records.levels.attitude import STEP_DB, AttitudeRow, FloatArray, IntArray, TorqueCommand
+
+#: quantities of the summaries; those of the carriers have a name for each plan
+ATTITUDE, IMPULSE = "attitude", "impulse"
+_CARRIERS = "carriers "
+#: days that one read transaction looks at
+_SLICE_US = 128 * DAY_US
+
+
+class Figures(NamedTuple):
+    """Figures of rows: (T,) microseconds UTC and (T, C) values, NaN = absent."""
+
+    epochs_us: IntArray
+    values: FloatArray
+
+
+class CarrierFigures(NamedTuple):
+    """Deviations and residuals of the rows of a plan: (T,) microseconds UTC and (T, 2 N) steps of ``STEP_DB``."""
+
+    plan_id: int
+    epochs_us: IntArray
+    steps: FloatArray
+
+
+def figures(rows: Sequence[AttitudeRow | TorqueCommand]) -> Figures:
+    """Return what is sampled of the rows that a method computed: `ATTITUDE_FIGURES`, or the impulse."""
+    # a row without a calibration says only that nothing was computed
+    computed = [row for row in rows if isinstance(row, TorqueCommand) or row.calibration_id is not None]
+    epochs_us = np.array([row.epoch_us for row in computed], dtype=np.int64)
+    return Figures(epochs_us, np.array([_figures(row) for row in computed], dtype=np.float64))
+
+
+def _figures(row: AttitudeRow | TorqueCommand) -> tuple[float, ...]:
+    if isinstance(row, TorqueCommand):
+        return row.impulse_n_m_s
+    others = (row.residual_rms_db, row.common_db, row.downlink_fade_db, row.carriers_used, row.control_allowed)
+    return (*row.attitude_deg, *row.sigma_deg, *row.protection_deg, *others)
+
+
+def carriers_name(plan_id: int) -> str:
+    """Return the quantity of the carriers of a plan."""
+    return f"{_CARRIERS}{plan_id}"
+
+
+def carrier_figures(rows: Iterable[Any]) -> Iterator[CarrierFigures]:
+    """Yield what stored rows of attitude hold of the carriers of each plan."""
+    by_plan: dict[int, list[tuple[int, FloatArray]]] = {}
+    for row in rows:
+        if row.carriers is not None:
+            results = unpack_carriers(row.carriers)
+            levels_db = np.concatenate((results.deviation_db, results.residual_db))
+            by_plan.setdefault(results.plan_id, []).append((row.epoch_us, np.rint(levels_db / STEP_DB)))
+    for plan_id, found in by_plan.items():
+        epochs_us = np.array([epoch_us for epoch_us, _ in found], dtype=np.int64)
+        yield CarrierFigures(plan_id, epochs_us, np.array([steps for _, steps in found]))
+
+
+def sampled_figures(
+    database: Database, of: Series, window: Window, intervals: Intervals, columns: int
+) -> Iterator[Summaries]:
+    """Yield the first figures of the computed rows of a window in buckets that lie within one interval each."""
+    record, quantity = (attitude_of, ATTITUDE) if of.table is attitude else (torque_of, IMPULSE)
+
+    def of_rows(rows: Sequence[Any]) -> Iterator[Summaries]:
+        epochs_us, values = figures(list(map(record, rows)))
+        if len(epochs_us):
+            yield Summaries.of_rows(epochs_us, values[:, :columns])
+
+    for connection, part in _seasons(database, of, window):
+        found = list(heads(connection, of.of_segments(), part.start_us, part.stop_us))
+        buckets, rest = bins_within(connection, found, quantity, intervals, slice(columns))
+        if buckets is not None:
+            yield buckets
+        for rows in _rows_of(connection, of, rest, part):
+            yield from of_rows(rows)
+
+
+def sampled_carriers(database: Database, of: Series, window: Window, intervals: Intervals) -> Iterator[SampledCarriers]:
+    """Yield deviations and residuals of a window by plan, in buckets that lie within one interval each."""
+    for connection, part in _seasons(database, of, window):
+        found = list(heads(connection, of.of_segments(), part.start_us, part.stop_us))
+        plans = _plans_of(connection, [head.segment_id for head in found])
+        for plan_id in sorted({plan_id for ids in plans.values() for plan_id in ids}):
+            its = [head for head in found if plan_id in plans.get(head.segment_id, ())]
+            buckets, rest = bins_within(connection, its, carriers_name(plan_id), intervals, slice(None))
+            if buckets is not None:
+                yield SampledCarriers(plan_id, in_decibels(buckets))
+            opened = (row for head in rest for row in read_results(connection, head).rows())
+            yield from (each for each in _of_carriers(opened) if each.plan_id == plan_id)
+        bare = [head for head in found if head.segment_id not in plans]
+        for rows in _rows_of(connection, of, bare, part):
+            yield from _of_carriers(rows)
+
+
+def in_decibels(buckets: Summaries) -> Summaries:
+    """Return buckets of steps as buckets of decibels."""
+    return buckets._replace(
+        sums=buckets.sums * STEP_DB, minima=buckets.minima * STEP_DB, maxima=buckets.maxima * STEP_DB
+    )
+
+
+def _of_carriers(rows: Iterable[Any]) -> Iterator[SampledCarriers]:
+    for plan_id, epochs_us, steps in carrier_figures(rows):
+        yield SampledCarriers(plan_id, Summaries.of_rows(epochs_us, steps * STEP_DB))
+
+
+def _seasons(database: Database, of: Series, window: Window) -> Iterator[tuple[Connection, Window]]:
+    """Yield parts of a window that hold rows, whole days but for its ends, each with a read transaction.
+
+    A row is sealed or not within one transaction, and never leaves its day: each is counted once.
+    """
+    epoch_us: int | None = window.start_us
+    while epoch_us is not None and epoch_us < window.stop_us:
+        with database.read() as connection:
+            check_held(connection, of.key, of.version)
+            if of.version == LIVE and of.table is attitude:
+                # rows below the mark are on their way out
+                epoch_us = max(epoch_us, kept_from_us(connection, of.key, "attitude"))
+            epoch_us = _next_us(connection, of, epoch_us)
+            if epoch_us is None or epoch_us >= window.stop_us:
+                return
+            stop_us = min(window.stop_us, day_of(epoch_us) * DAY_US + _SLICE_US)
+            yield connection, Window(epoch_us, stop_us)
+        epoch_us = stop_us
+
+
+def _next_us(connection: Connection, of: Series, epoch_us: int) -> int | None:
+    """Return an epoch up to which no row stands from the given one on; None where none follows."""
+    column = of.table.c.epoch_us
+    first_us = connection.scalar(select(func.min(column)).where(*of.of_rows(), column >= epoch_us))
+    head = next(heads(connection, of.of_segments(), epoch_us, 1 << 62), None)
+    found = [first_us, None if head is None else head.first_epoch_us]
+    return min((max(each, epoch_us) for each in found if each is not None), default=None)
+
+
+def _rows_of(connection: Connection, of: Series, found: Iterable[SegmentHead], window: Window) -> Iterator[list[Any]]:
+    """Yield the rows of some segments, and those of a window that are not sealed, some at a time."""
+    for head in found:
+        yield read_results(connection, head).rows()
+    yield from unsealed_rows(connection, of, window)
+
+
+def _plans_of(connection: Connection, ids: Sequence[int]) -> dict[int, set[int]]:
+    """Return the plans that the carriers of segments have bins for, by id; segments without any bins are left out."""
+    plans: dict[int, set[int]] = {}
+    for start in range(0, len(ids), READ_AT_ONCE):
+        is_one = summary.c.segment_id.in_(ids[start : start + READ_AT_ONCE])
+        for segment_id, quantity in connection.execute(select(summary.c.segment_id, summary.c.quantity).where(is_one)):
+            held = plans.setdefault(segment_id, set())
+            if quantity.startswith(_CARRIERS):
+                held.add(int(quantity.removeprefix(_CARRIERS)))
+    return plans
