@@ -89,8 +89,8 @@ from service.core.estimation.filtering.row_block import LOST, OLD, TAKEN, BlockR
 MIN_CARRIERS = 4
 #: smallest declared step of an attitude that the watch on motion must not take for its own, deg
 _STEP_DEG = 0.05
-#: variance beside which rounding loses the noise of a row, dB^2 or deg^2
-_LOST_VARIANCE = 1e12
+#: variance whose products are no numbers any more; that of an angle grows far over months without a row
+_LOST_VARIANCE = 1e100
 
 
 class Present(NamedTuple):
@@ -217,7 +217,7 @@ def write_state(state: FilterState, status: int, found: NDArray[np.void]) -> int
 
 
 def is_lost(state: FilterState) -> bool:
-    """Return whether numbers of a state are none, or so uncertain that rounding loses what a row tells."""
+    """Return whether numbers of a state are none, or so uncertain that products of them are."""
     for place in range(len(state.mean)):
         # negated, so that NaN is lost
         if not (math.isfinite(state.mean[place]) and abs(state.covariance[place, place]) <= _LOST_VARIANCE):
