@@ -216,7 +216,7 @@ def test_a_block_of_events_alone_is_taken_as_its_rows_are(story):
     ("name", "value"),
     [
         ("correction_deg", np.nan),
-        ("correction_deg", 1e100),
+        ("correction_deg", 1e110),
         ("rate_change_deg_h", np.inf),
         ("attitude_step_deg", 1e160),
     ],
@@ -243,6 +243,14 @@ def test_a_state_whose_numbers_are_lost_stays_as_it_is(story, place, value):
     state, result = taken(story.model, lost, part(story.block, 0, 3))
     assert {*result.rows["status"]} == {LOST}
     assert state is lost
+
+
+def test_a_gap_of_months_under_a_torque_loses_no_numbers():
+    told = Story(rows=3, shares=0)
+    told.block.rows["epoch_us"] += 100 * 86_400_000_000
+    state, result = taken(told.model, told.state, told.block)
+    assert result.rows["status"][0] == TAKEN
+    assert np.isfinite(state.mean).all()
 
 
 def test_levels_beyond_all_measure_are_skipped(story):
