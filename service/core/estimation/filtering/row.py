@@ -89,6 +89,8 @@ from service.core.estimation.filtering.row_block import LOST, OLD, TAKEN, BlockR
 MIN_CARRIERS = 4
 #: smallest declared step of an attitude that the watch on motion must not take for its own, deg
 _STEP_DEG = 0.05
+#: variance beside which rounding loses the noise of a row, dB^2 or deg^2
+_LOST_VARIANCE = 1e12
 
 
 class PredictedRow(NamedTuple):
@@ -157,20 +159,23 @@ def take_rows(
         if block.rows["epoch_us"][number] <= before.watch["epoch_us"][0]:
             status = OLD
         elif is_lost(after):
-            # no linear algebra goes over such numbers
             status = LOST
         elif len(row.carriers) >= MIN_CARRIERS:
             screened = screen_row(model, after, block, number, row, result)
             used = use_row(model, after, block, number, row, screened, result, trace)
-            if used.has_findings:
-                act_on_findings(model, after, block, row, screened, used)
-            is_due, is_moved = close_row(model, after, block, number, row, screened, used, result)
-            if is_due:
-                mixture = ask_anchor(model, after, block.carriers["reported_wet"][number])
-                if is_contradicted(mixture):
-                    start_again(model, after, mixture)
-                    is_moved = True
-            status, used_count = TAKEN if used.is_done else LOST, len(used.innovation.carriers)
+            used_count = len(used.innovation.carriers)
+            # no matrix of lost numbers has an inverse
+            if not used.is_done or is_lost(after):
+                status = LOST
+            else:
+                if used.has_findings:
+                    act_on_findings(model, after, block, row, screened, used)
+                is_due, is_moved = close_row(model, after, block, number, row, screened, used, result)
+                if is_due:
+                    mixture = ask_anchor(model, after, block.carriers["reported_wet"][number])
+                    if is_contradicted(mixture):
+                        start_again(model, after, mixture)
+                        is_moved = True
         if is_moved:
             residual_db = block.carriers["deviation_db"][number] - site_level_db(model, after.mean)
             result.carriers["residual_db"][number] = residual_db
@@ -212,9 +217,10 @@ def write_state(state: FilterState, status: int, found: NDArray[np.void]) -> int
 
 
 def is_lost(state: FilterState) -> bool:
-    """Return whether a number of the state is none, or infinite."""
+    """Return whether numbers of a state are none, or so uncertain that rounding loses what a row tells."""
     for place in range(len(state.mean)):
-        if not (math.isfinite(state.mean[place]) and math.isfinite(state.covariance[place, place])):
+        # negated, so that NaN is lost
+        if not (math.isfinite(state.mean[place]) and abs(state.covariance[place, place]) <= _LOST_VARIANCE):
             return True
     return False
 
@@ -231,8 +237,9 @@ def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: i
         pass_motion(watch, minutes)
         if row["is_declared"]:
             _declare(state, block, number)
-    deviation_db = np.where(carriers["is_masked"], np.nan, carriers["deviation_db"])
-    present = np.flatnonzero(np.isfinite(deviation_db) & ~state.carriers["is_flagged"])
+    is_there = np.isfinite(carriers["deviation_db"]) & ~carriers["is_masked"]
+    deviation_db = np.where(is_there, carriers["deviation_db"], np.nan)
+    present = np.flatnonzero(is_there & ~state.carriers["is_flagged"])
     white_db2 = (model.carriers["white_sigma_db"] * state.carriers["white_scale"]) ** 2 + carriers["white_db"] ** 2
     reference_db, reference_db2 = state.mean[-every:].copy(), np.empty(every)
     for k in range(every):
