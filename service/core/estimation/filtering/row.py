@@ -93,7 +93,7 @@ _STEP_DEG = 0.05
 _LOST_VARIANCE = 1e12
 
 
-class PredictedRow(NamedTuple):
+class Present(NamedTuple):
     """Carriers of a row after its prediction."""
 
     #: (N,) dB, NaN = absent or masked
@@ -225,7 +225,7 @@ def is_lost(state: FilterState) -> bool:
     return False
 
 
-def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: int, trace: RowTrace) -> PredictedRow:
+def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: int, trace: RowTrace) -> Present:
     """Move the state over the step before a row, in place, and the watches with it; return who is there."""
     watch, row, carriers = state.watch[0], block.rows[number], block.carriers[number]
     step_us, every = row["epoch_us"] - watch["epoch_us"], len(model.carriers)
@@ -244,7 +244,7 @@ def begin_row(model: FilterModel, state: FilterState, block: RowBlock, number: i
     reference_db, reference_db2 = state.mean[-every:].copy(), np.empty(every)
     for k in range(every):
         reference_db2[k] = state.covariance[k - every, k - every]
-    return PredictedRow(deviation_db, present, white_db2, reference_db, reference_db2, minutes)
+    return Present(deviation_db, present, white_db2, reference_db, reference_db2, minutes)
 
 
 def _predict(
@@ -298,7 +298,7 @@ def _declare(state: FilterState, block: RowBlock, number: int) -> None:
 
 
 def screen_row(
-    model: FilterModel, state: FilterState, block: RowBlock, number: int, present: PredictedRow, result: BlockResult
+    model: FilterModel, state: FilterState, block: RowBlock, number: int, present: Present, result: BlockResult
 ) -> Screened:
     """Test all carriers together, and let the unknown of their common cause be free, in place."""
     watch, carriers, row = state.watch[0], state.carriers, block.rows[number]
@@ -333,7 +333,7 @@ def screen_row(
     return Screened(innovation, values, is_minute, cause, watch["alarms"].copy())
 
 
-def _innovation(model: FilterModel, state: FilterState, present: PredictedRow) -> Innovation:
+def _innovation(model: FilterModel, state: FilterState, present: Present) -> Innovation:
     """Return the innovations of the carriers to be judged, their patterns linearised at the predicted attitude."""
     at_deg, white_db2 = state.mean[ATTITUDE].copy(), present.white_db2[present.carriers]
     return innovate(model, state.mean, state.covariance, present.deviation_db, present.carriers, white_db2, at_deg)
@@ -368,7 +368,7 @@ def use_row(
     state: FilterState,
     block: RowBlock,
     number: int,
-    present: PredictedRow,
+    present: Present,
     screened: Screened,
     result: BlockResult,
     trace: RowTrace,
@@ -401,7 +401,7 @@ def use_row(
 
 
 def act_on_findings(
-    model: FilterModel, state: FilterState, block: RowBlock, present: PredictedRow, screened: Screened, used: Used
+    model: FilterModel, state: FilterState, block: RowBlock, present: Present, screened: Screened, used: Used
 ) -> None:
     """Act on what a row found, in place: motion of its own, commands that are not obeyed, failed carriers."""
     watch, one, shares = state.watch[0], model.plant[0], block.unreported.shape[1]
@@ -440,14 +440,14 @@ def close_row(
     state: FilterState,
     block: RowBlock,
     number: int,
-    present: PredictedRow,
+    present: Present,
     screened: Screened,
     used: Used,
     result: BlockResult,
 ) -> tuple[bool, bool]:
     """Learn from a row, in place: noise, flagged carriers, rain, anchor and drift; write what is left of the deviations.
 
-    Return whether the references of the alignment are to be asked, and whether what is left is to be written again.
+    Return whether the references of the alignment are to be asked, and whether what is left is to be written anew.
     """
     watch, declared, is_declared = state.watch[0], block.carriers[number], block.rows["is_declared"][number]
     if screened.is_minute and used.degrees:
