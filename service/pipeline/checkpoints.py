@@ -37,14 +37,15 @@ class Layout:
 
     def __init__(self, outermost: type, dtypes: Sequence[np.dtype[np.void]] = ()) -> None:
         self._classes: dict[str, type] = {}
-        self._dtypes = dtypes
+        # by the same types without padding, whose bytes are whatever lay there in memory
+        self._dtypes = {np.dtype([(name, each[name]) for name in each.names or ()]): each for each in dtypes}
         self._find(outermost)
 
     @cached_property
     def digest(self) -> str:
         """Return what changes with the names, the fields or their types (16 hexadecimal digits)."""
         lines = [f"{name}: {self._members(one)}" for name, one in sorted(self._classes.items())]
-        lines += [str(each.descr) for each in self._dtypes]
+        lines += [str(each.descr) for each in self._dtypes.values()]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
 
     def pack(self, value: Any) -> bytes:
@@ -103,7 +104,7 @@ class Layout:
     def _encoded(self, value: Any, arrays: list[Any]) -> Any:
         """Return a value as JSON knows it; arrays are numbered from 1."""
         if isinstance(value, np.ndarray | np.generic) and not value.dtype.hasobject:
-            arrays.append(value)
+            arrays.append(self._packed(value))
             return {"array" if isinstance(value, np.ndarray) else "scalar": len(arrays)}
         if isinstance(value, Enum):
             return {"is": type(value).__name__, "member": value.name}
@@ -137,15 +138,25 @@ class Layout:
             case _:
                 return document
 
+    def _packed(self, value: Any) -> Any:
+        """Return a value as it is stored: records without padding."""
+        if value.dtype.names is None:
+            return value
+        packed = next((packed for packed, own in self._dtypes.items() if own == value.dtype), None)
+        if packed is None:
+            message = f"an array of {value.dtype} is no part of a state"
+            raise TypeError(message)
+        return value.astype(packed)
+
     def _own(self, array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-        """Return an array whose records are of a type of the layout; files do not keep that a type is aligned."""
+        """Return an array of `_packed` whose records are of the very type that the filter was compiled for."""
         if array.dtype.names is None:
             return array
-        own = next((each for each in self._dtypes if each == array.dtype), None)
+        own = self._dtypes.get(array.dtype)
         if own is None:
             message = "the state has an array of records of another type"
             raise TypeError(message)
-        return array.view(own)
+        return array.astype(own)
 
     def _known(self, one: type) -> None:
         if self._classes.get(one.__name__) is not one:

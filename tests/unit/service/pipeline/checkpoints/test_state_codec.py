@@ -113,6 +113,11 @@ def test_arrays_of_records_come_back_as_the_compiled_filter_takes_them():
     for name in WATCH.names:
         np.testing.assert_array_equal(found[name], values[name])
     assert numba.typeof(found) == numba.typeof(values)
+    # padding of records holds whatever lay there in memory
+    values.view(np.uint8)[WATCH.fields["is_steady"][1] + 1] = 99
+    assert layout.pack(Outer(values, None)) == content
+    with pytest.raises(TypeError, match="no part of a state"):
+        LAYOUT.pack(Outer(values, None))
     with pytest.raises(TypeError, match="records of another type"):
         Layout(Outer, (CARRIER,)).unpack(content, Outer)
 
