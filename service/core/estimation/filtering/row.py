@@ -108,8 +108,8 @@ MIN_CARRIERS = 4
 _STEP_DEG = 0.05
 #: fewest rows of a flagged carrier from which its kind of fault is told, and carriers of a transponder that moved
 _INFORMATIVE_ROWS, _MIN_GROUP = QUIET_ROWS // 2, 3
-#: variance beside which rounding loses the noise of a row, dB^2 or deg^2
-_LOST_VARIANCE = 1e12
+#: variance whose products are no numbers any more; that of an angle grows far over months without a row
+_LOST_VARIANCE = 1e100
 
 
 class PredictedRow(NamedTuple):
@@ -282,7 +282,7 @@ def _fault(model: FilterModel, state: FilterState, k: int, residual_db: float) -
 
 
 def is_lost(state: FilterState) -> bool:
-    """Return whether numbers of a state are none, or so uncertain that rounding loses what a row tells."""
+    """Return whether numbers of a state are none, or so uncertain that products of them are."""
     for place in range(len(state.mean)):
         # negated, so that NaN is lost
         if not (math.isfinite(state.mean[place]) and abs(state.covariance[place, place]) <= _LOST_VARIANCE):
