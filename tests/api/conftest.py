@@ -67,7 +67,10 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         supervisor=cast(
             "Any",
             SimpleNamespace(
-                restarts=SimpleNamespace(under_way=None), failures=StepFailures(), is_disagreeing=lambda _: False
+                restarts=SimpleNamespace(under_way=None),
+                failures=StepFailures(),
+                is_disagreeing=lambda _: False,
+                newest_results=lambda *_: None,
             ),
         ),
         alarms=cast("Any", None),

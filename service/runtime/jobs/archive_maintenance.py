@@ -3,7 +3,7 @@
 import logging
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
@@ -23,9 +23,9 @@ from service.pipeline.planning.candidates import (
     motion_gain,
 )
 from service.pipeline.planning.planning import Recommendation, Rule, recommend
-from service.ports.archive import LIVE
 from service.ports.storage import ARCHIVE, Clock, Storage, Term
 from service.records.calibration import (
+    Alignment,
     Calibration,
     CalibrationMethod,
     CalibrationResult,
@@ -157,19 +157,17 @@ def wanted_count(candidates: Candidates, count: int | None, origin: str) -> int:
     return min(DEFAULT_COUNT, total) if count is None else count
 
 
-def newest_advice(storage: Storage, spacecraft_id: str) -> tuple[str, ...]:
-    """Return the advice of the newest row of the robust method."""
-    row = storage.results.newest_attitude(spacecraft_id, LIVE, Method.ROBUST)
-    return () if row is None else row.advice
-
-
-def runnable_methods(storage: Storage, spacecraft_id: str) -> tuple[Method, ...]:
+def runnable_methods(alignments: Sequence[Alignment]) -> tuple[Method, ...]:
     """Return the methods that run on every row since the newest alignment: those that it took references for.
 
     A method whose first calibration came after the alignment runs from then on, but rows before it never get its
     result; what waits for it waits for the other method's result too, for both are stored together.
+
+    Parameters
+    ----------
+    alignments : sequence
+        Of one spacecraft, newest first.
     """
-    alignments = storage.results.alignments(spacecraft_id)
     if not alignments:
         return ()
     named = alignments[0].calibration_by_method
@@ -372,7 +370,7 @@ class ArchiveMaintenance:
         results = self._storage.results
         for _ in self._paced(results.complete_summaries(spacecraft_id, now_us - quiet_us)):
             pass
-        results.mark_complete(spacecraft_id, runnable_methods(self._storage, spacecraft_id))
+        results.mark_complete(spacecraft_id, runnable_methods(results.alignments(spacecraft_id)))
 
     def _paced(self, steps: Iterable[_Step]) -> Iterator[_Step]:
         """Yield steps with pauses until the thread is to stop."""

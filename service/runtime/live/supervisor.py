@@ -9,9 +9,11 @@ import logging
 import math
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import islice
+from typing import NamedTuple
 
 from service.errors import NotFoundError, StorageError
 from service.pipeline.chain import Chain
@@ -19,9 +21,10 @@ from service.pipeline.config import ChainConfig
 from service.pipeline.control.release.events import StoredRow
 from service.ports.archive import LIVE, Outcome
 from service.ports.storage import Storage, Term
-from service.records.inputs import AlignmentSet, JournalEntry
-from service.records.levels.attitude import AppliedCommand, CarrierState
-from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.catalogue import LIVE_METHODS, Method
+from service.records.inputs import AlignmentSet, Correction, JournalEntry
+from service.records.levels.attitude import AppliedCommand, AttitudeRow, CarrierState, ReleasedCommand, TorqueCommand
+from service.records.levels.measurement import BatchReceipt, HeadState, Measurement, MeasurementBatch
 from service.records.storage import Checkpoint
 from service.runtime.live.chain_restart import PERIOD_US, ChainRestarts, checkpoint_of
 from service.runtime.live.journal_consumer import StepResults, consume, result_events, seen_of, trips_after
@@ -45,6 +48,50 @@ _ANSWER_S = 0.5
 _UNKNOWN = math.inf
 
 
+#: newest rows of a method that are at hand without the archive
+_ROWS_AT_HAND = 24
+
+
+class NewestResults(NamedTuple):
+    """Newest results of a chain, as they were stored last."""
+
+    #: entry of the journal up to which they are, and sequence of the last of them
+    consumed_number: int
+    sequence: int
+    #: entry from which on the chain has consumed all
+    since_number: int
+    #: of each method some rows without a gap, the newest last
+    rows: dict[Method, tuple[AttitudeRow, ...]]
+    command: TorqueCommand | None
+    #: the newest row without a result of a method, by method
+    lacking: dict[Method, int]
+    #: the newest commanded motion that it knows of, or where it began
+    motion_number: int
+
+    def after(
+        self, number: int, sequence: int, entries: Sequence[JournalEntry], outcomes: Sequence[Outcome]
+    ) -> "NewestResults":
+        """Return the newest results after some more entries, up to a number, of which came outcomes."""
+        rows, command = dict(self.rows), self.command
+        methods: dict[int, set[Method]] = {}
+        for outcome in outcomes:
+            for row in outcome.rows:
+                methods.setdefault(row.number, set()).add(row.method)
+                before = rows.get(row.method, ())
+                # a late row stands between others
+                is_next = not before or (row.epoch_us, row.number) > (before[-1].epoch_us, before[-1].number)
+                rows[row.method] = (*before[1 - _ROWS_AT_HAND :], row) if is_next else before[-1:]
+            if outcome.command is not None and (command is None or outcome.command.epoch_us >= command.epoch_us):
+                command = outcome.command
+        lacking, motion_number = dict(self.lacking), self.motion_number
+        for entry in entries:
+            if isinstance(entry.content, Correction | ReleasedCommand):
+                motion_number = entry.number
+            if isinstance(entry.content, Measurement) and entry.content.feeds_estimator:
+                lacking |= dict.fromkeys(set(LIVE_METHODS) - methods.get(entry.number, set()), entry.number)
+        return NewestResults(number, sequence, self.since_number, rows, command, lacking, motion_number)
+
+
 @dataclass
 class _Follower:
     """One spacecraft's chain and how far it is."""
@@ -55,8 +102,8 @@ class _Follower:
     turn: int
     consumed_number: int
     consumed_epoch_us: int | None
-    #: sequence of the newest stored result
-    sequence: int
+    #: as of the last stored ones
+    newest: NewestResults
     #: newest epoch of the last checkpoint
     kept_us: int | None
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -160,6 +207,13 @@ class Supervisor:
             return follower.chain.carrier_states()
         finally:
             follower.lock.release()
+
+    def newest_results(self, spacecraft_id: str, head: HeadState) -> NewestResults | None:
+        """Return the newest results if a chain of this process has made them up to a head; None: the archive knows."""
+        follower = self._followers.get(spacecraft_id)
+        newest = None if follower is None else follower.newest
+        place = (head.consumed_number, head.result_sequence)
+        return newest if newest is not None and (newest.consumed_number, newest.sequence) == place else None
 
     def rows_by_kind(self, spacecraft_id: str) -> dict[bool, int]:
         """Return how many rows the robust method has taken since the start, by whether they were ordinary."""
@@ -355,10 +409,16 @@ class Supervisor:
         for outcome in outcomes:
             self._note_row(follower.spacecraft_id, outcome)
         follower.consumed_number = number
+        before = follower.newest
+        newest = before.after(number, sequence, entries, outcomes)
+        if sequence - before.sequence != sum(len(each.rows) + (each.command is not None) for each in outcomes):
+            # some were stored before, by a run under a former alignment, and stay as they are
+            command = self._storage.results.newest_command(follower.spacecraft_id, LIVE)
+            newest = newest._replace(rows={}, command=command)
+        follower.newest = newest
         if checkpoint is not None:
             follower.kept_us = epoch_us
-        self._publish(follower.spacecraft_id, result_events(number, entries, outcomes, follower.sequence, sequence))
-        follower.sequence = sequence
+        self._publish(follower.spacecraft_id, result_events(number, entries, outcomes, before.sequence, sequence))
         if any(outcome.applied is not None for outcome in outcomes):
             self.notify(follower.spacecraft_id)
 
@@ -382,8 +442,9 @@ class Supervisor:
         back = self.restarts.chain(spacecraft_id, head.consumed_number)
         if back is None:
             return None
-        stood = (head.consumed_number, head.consumed_epoch_us, head.result_sequence)
-        follower = _Follower(spacecraft_id, back.chain, turn, *stood, back.kept_us)
+        number, command = head.consumed_number, self._storage.results.newest_command(spacecraft_id, LIVE)
+        newest = NewestResults(number, head.result_sequence, number, {}, command, {}, number)
+        follower = _Follower(spacecraft_id, back.chain, turn, number, head.consumed_epoch_us, newest, back.kept_us)
         self._followers[spacecraft_id] = follower
         self._publisher.begin(spacecraft_id, follower.consumed_number)
         return follower

@@ -3,7 +3,6 @@
 import threading
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -16,7 +15,7 @@ from service.errors import BusyError, ConflictError, InvalidInputError, NotFound
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method, Onboard
 from service.records.inputs import PolarizationRecord, TelemetryRecord
-from service.records.levels.attitude import Axes, row_without_attitude
+from service.records.levels.attitude import Axes
 from service.records.operations.work import JobState
 from service.records.storage import (
     SERIES,
@@ -27,7 +26,7 @@ from service.records.storage import (
     SealingConfig,
 )
 from service.runtime.jobs.alignment_service import AlignmentRequest
-from service.runtime.jobs.archive_maintenance import ArchiveMaintenance, newest_advice, runnable_methods
+from service.runtime.jobs.archive_maintenance import ArchiveMaintenance, runnable_methods
 from service.runtime.jobs.job_runner import JobAbortedError, JobRunner
 
 TRACKER = ("star_tracker",) * 3
@@ -126,18 +125,6 @@ def test_without_an_active_calibration(ground):
 PAYLOAD = SyntheticPayload.make(6)
 
 
-def storage_with(**results: Any) -> Any:
-    """Return a storage whose results answer as stated."""
-    return SimpleNamespace(results=SimpleNamespace(**{name: lambda *_, v=value: v for name, value in results.items()}))
-
-
-@pytest.mark.parametrize("advice", [None, (), ("realign", "state_torque")])
-def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...] | None) -> None:
-    row = row_without_attitude(START_US, START_US, 1, Method.ROBUST, ())
-    newest = None if advice is None else replace(row, advice=advice)
-    assert newest_advice(storage_with(newest_attitude=newest), "sc") == (advice or ())
-
-
 @pytest.mark.parametrize(
     ("named", "methods"),
     [
@@ -151,7 +138,7 @@ def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...] | None) ->
 def test_methods_that_the_alignment_started_run(named: dict[str, int] | None, methods: set[Method]) -> None:
     alignment = PAYLOAD.alignment(START_US + HOUR)
     stored = () if named is None else (replace(alignment, calibration_by_method=named),)
-    assert set(runnable_methods(storage_with(alignments=stored), "sc")) == methods
+    assert set(runnable_methods(stored)) == methods
 
 
 DAY_US = 86_400_000_000
