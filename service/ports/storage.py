@@ -146,6 +146,10 @@ ARCHIVE = ""
 Term = Callable[[str], int]
 
 
+#: number of a process among those on a server, and its terms by name
+LeaseLoan = tuple[int | None, Mapping[str, int]]
+
+
 class Leases(Protocol):
     """Leases of an archive: one a spacecraft, and one of the archive.
 
@@ -170,6 +174,12 @@ class Leases(Protocol):
 
     def ended(self) -> int:
         """Return a number that changes when another process has ended; its jobs are nobody's then."""
+
+    def lend(self) -> LeaseLoan | None:
+        """Return what a process of ours needs to write under the leases of this one; None where it needs nothing."""
+
+    def borrow(self, loan: LeaseLoan | None) -> None:
+        """Write under the leases of another process from now on."""
 
     def give_back(self) -> None:
         """Let other processes have all leases."""

@@ -93,7 +93,7 @@ def job_of(client: httpx.Client, started: dict[str, Any]) -> dict[str, Any]:
 def test_an_ended_service_fails_its_calibration_and_goes_on_with_its_replay(
     start_service, spacecraft, carriers, tmp_path, number
 ):
-    settings = {"SOO_BOOTSTRAP_KEY": "a-key-for-tests-only", "SOO_WORKERS__PROCESSES": "1"}
+    settings = {"SOO_BOOTSTRAP_KEY": "a-key-for-tests-only"}
     options = ("--port", "0", "--clock", "data")
     service = start_service(*options, environment=settings)
     with service.client() as client:
