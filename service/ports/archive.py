@@ -329,6 +329,16 @@ class Results(Protocol):
         takes the place of the one before.
         """
 
+    def submit_outcomes(
+        self,
+        spacecraft_id: str,
+        outcomes: Sequence[Outcome],
+        consumed_number: int,
+        consumed_epoch_us: int | None,
+        checkpoint: Checkpoint | None = None,
+    ) -> "Future[int]":
+        """Queue live outcomes as `save_outcomes` stores them; the future gives the last sequence after the commit."""
+
     def checkpoints(
         self, spacecraft_id: str, fingerprint: str, until_number: int, before_us: int | None = None
     ) -> Iterator[Checkpoint]:

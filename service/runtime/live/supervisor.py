@@ -9,10 +9,11 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import dataclass, field
-from itertools import islice
+from functools import partial
 from typing import NamedTuple
 
 from service.errors import NotFoundError, StorageError
@@ -42,6 +43,8 @@ _POLL_S = 0.5
 _PAUSE_S = 0.005
 #: rows that stream in are consumed so long before what came of them is stored, in one go
 _STEP_S = 0.02
+#: what waits for a spacecraft is consumed so long before the others have their turn
+_BLOCK_S = 0.05
 #: a question about the newest row waits so long for a step under way, s
 _ANSWER_S = 0.5
 #: a journal may have grown by anything
@@ -106,7 +109,26 @@ class _Follower:
     newest: NewestResults
     #: newest epoch of the last checkpoint
     kept_us: int | None
+    #: entries taken from the journal, or from memory, that no step has consumed; whether more may follow them
+    left: list[JournalEntry] = field(default_factory=list)
+    has_more: bool = False
+    #: alignment under way, and what comes of the rows after it
+    alignment: tuple[JournalEntry, Iterator[Outcome]] | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+@dataclass
+class _Block:
+    """Entries of one spacecraft that were consumed, and what came of them on its way into the archive."""
+
+    follower: _Follower
+    entries: list[JournalEntry]
+    step: StepResults
+    #: keeps control as it is until the results are handled
+    steady: ExitStack
+    checkpoint: Checkpoint | None
+    #: sequence of the last result
+    stored: Future[int]
 
 
 class Supervisor:
@@ -152,6 +174,8 @@ class Supervisor:
         self._feed = feed
         self._config = config
         self._followers: dict[str, _Follower] = {}
+        #: on their way into the archive
+        self._blocks: list[_Block] = []
         self._wake = threading.Condition()
         #: up to which number a journal is known to have grown
         self._due: dict[str, float] = {}
@@ -239,9 +263,16 @@ class Supervisor:
                 # what nobody has announced, also while others keep this thread busy
                 due = dict.fromkeys(self._grown(), _UNKNOWN) | due
                 polled_s = time.monotonic()
+            began_s = time.monotonic()
             for spacecraft_id, up_to in sorted(due.items()):
-                self._follow_guarded(spacecraft_id, up_to)
-            time.sleep(_PAUSE_S)
+                self._guarded(spacecraft_id, partial(self._follow, spacecraft_id, up_to))
+                if time.monotonic() - began_s > _BLOCK_S:
+                    # commits of several spacecraft go on together while the next ones are computed
+                    self._conclude_blocks()
+                    began_s = time.monotonic()
+            self._conclude_blocks()
+            if not self._due:
+                time.sleep(_PAUSE_S)
         self._keep_states()
 
     def _stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
@@ -266,14 +297,13 @@ class Supervisor:
         is_present = follower is not None and follower.turn == self._turn(spacecraft_id)
         return not is_present or follower is None or newest_number > follower.consumed_number
 
-    def _follow_guarded(self, spacecraft_id: str, up_to: float) -> None:
-        """Follow one journal; a fault is logged, the state is rebuilt and the journal tried again."""
+    def _guarded(self, spacecraft_id: str, step: Callable[[], None]) -> None:
+        """Do a step of one spacecraft; a fault is logged, the state is rebuilt and the journal tried again."""
         if self.failures.is_waiting(spacecraft_id):
             # the poll finds it again
             return
         try:
-            self._follow(spacecraft_id, up_to)
-            self.failures.forget(spacecraft_id, "step")
+            step()
         except Exception as fault:  # noqa: BLE001 the supervisor outlives every fault; the chain is rebuilt from the archive
             if isinstance(fault, NotFoundError) and fault.code == "spacecraft.unknown":
                 # deleted
@@ -290,95 +320,144 @@ class Supervisor:
             self._followers.pop(spacecraft_id, None)
 
     def _follow(self, spacecraft_id: str, up_to: float) -> None:
-        """Consume the entries of one journal up to a number, or to its end."""
+        """Take the next block of one journal, up to a number or to its end, and let what comes of it be stored."""
         turn = self._turn(spacecraft_id)
         if turn == 0:
             self._followers.pop(spacecraft_id, None)
-            self.failures.forget(spacecraft_id, "row")
+            self.failures.forget(spacecraft_id, "row", "step")
             self._relay.poll(spacecraft_id)
             return
         self._relay.forget(spacecraft_id)
         follower = self._followers.get(spacecraft_id)
         if follower is None or follower.turn != turn:
             follower = self._rebuild(spacecraft_id, turn)
-            if follower is None:
-                return
-        while not self._is_stopping and self._turn(spacecraft_id) == turn and follower.consumed_number < up_to:
-            index = (spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
-            fresh = self._fresh.after(*index)
-            entries = fresh or self._storage.archive.journal(*index)
-            if not entries:
-                return
+        if follower is None or self._is_stopping:
+            return
+        if follower.alignment is None and not follower.left and not self._take(follower, up_to):
+            self.failures.forget(spacecraft_id, "step")
+            return
+        with follower.lock:
+            entries, step = self._block(follower)
+        self._submit(follower, entries, step)
+        is_behind = follower.has_more and bool(entries) and entries[-1].number < up_to
+        if follower.left or follower.alignment is not None or is_behind:
+            # the others have their turn
+            self.notify(spacecraft_id, up_to)
+
+    def _take(self, follower: _Follower, up_to: float) -> bool:
+        """Take the next entries; return whether there are any."""
+        if follower.consumed_number >= up_to:
+            return False
+        index = (follower.spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
+        fresh = self._fresh.after(*index)
+        follower.left = fresh or self._storage.archive.journal(*index)
+        # nothing unconsumed is ever dropped, so less than asked for was all; what came since has notified
+        follower.has_more = bool(fresh) or len(follower.left) >= _ENTRIES_AT_ONCE
+        if follower.left:
             # rows were stored before they were accepted: listeners need not wait for what is computed from them
-            self._publisher.followed(spacecraft_id, entries)
-            self._gathered(follower, entries)
-            if not fresh and len(entries) < _ENTRIES_AT_ONCE:
-                # nothing unconsumed is ever dropped, so this was all; what came since has notified
-                return
+            self._publisher.followed(follower.spacecraft_id, follower.left)
+        return bool(follower.left)
 
-    def _gathered(self, follower: _Follower, entries: list[JournalEntry]) -> None:
-        """Consume a batch and what streams in meanwhile, store what came of it, hand it to those who look at it."""
-        while entries and not self._is_stopping:
-            if isinstance(entries[0].content, AlignmentSet):
-                self._catch_up(follower, entries[0])
-                entries = entries[1:]
-            else:
-                entries = self._process_part(follower, entries)
+    def _block(self, follower: _Follower) -> tuple[list[JournalEntry], StepResults]:
+        """Consume for some time, and return the entries that were consumed with what came of them.
 
-    def _catch_up(self, follower: _Follower, entry: JournalEntry) -> None:
-        """Run the rows after an alignment; they are stored in parts: of a year they would not fit into memory.
+        A block ends behind a command that counts as applied: control must have seen it, and may have tripped by it,
+        before the next row is computed. Of an alignment with many rows after it there are blocks without an entry.
+        """
+        until_s = time.monotonic() + _BLOCK_S
+        if follower.alignment is None and isinstance(follower.left[0].content, AlignmentSet):
+            entry = follower.left.pop(0)
+            rows = consume(follower.chain, entry, self._storage.archive, follower.spacecraft_id)
+            follower.alignment = entry, rows
+        if follower.alignment is not None:
+            return self._realigned(follower, *follower.alignment, until_s)
+        step, entries = StepResults(), follower.left
+        follower.left = self._consume(follower, entries, step, until_s)
+        stream_s = until_s - _BLOCK_S + _STEP_S
+        # waiting for a commit after every few rows would never catch up with fast front ends
+        while not (follower.left or step.has_applied or time.monotonic() >= stream_s or self._is_stopping):
+            more = self._fresh.after(follower.spacecraft_id, entries[-1].number, _ENTRIES_AT_ONCE)
+            if not more:
+                break
+            self._publisher.followed(follower.spacecraft_id, more)
+            follower.left = self._consume(follower, more, step, until_s)
+            entries = entries + more
+        return entries[: len(entries) - len(follower.left)], step
+
+    def _realigned(
+        self, follower: _Follower, entry: JournalEntry, rows: Iterator[Outcome], until_s: float
+    ) -> tuple[list[JournalEntry], StepResults]:
+        """Run rows after an alignment; they are stored in blocks: of a year they would not fit into memory.
 
         The head stays before the alignment until all are stored, so a restart runs them again and adds what lacks.
         """
-        found = consume(follower.chain, entry, self._storage.archive, follower.spacecraft_id)
-        is_last = False
-        while not is_last:
-            with follower.lock:
-                step = StepResults(list(islice(found, _ENTRIES_AT_ONCE)))
-            is_last = len(step.outcomes) < _ENTRIES_AT_ONCE
-            if self._is_stopping and not is_last:
-                # its chain stands within an entry: it is no state to go on from
-                del self._followers[follower.spacecraft_id]
-                return
-            self._conclude(follower, [entry] if is_last else [], step)
+        outcomes: list[Outcome] = []
+        for outcome in rows:
+            outcomes.append(outcome)
+            if len(outcomes) >= _ENTRIES_AT_ONCE or time.monotonic() >= until_s:
+                return [], StepResults(outcomes)
+        follower.alignment = None
+        return [entry], StepResults(outcomes)
 
-    def _process_part(self, follower: _Follower, entries: list[JournalEntry]) -> list[JournalEntry]:
-        """Take a batch as far as the first command that counts as applied; return what is left of it.
-
-        Control must have seen such a command, and may have tripped by it, before the next row is computed.
-        """
-        step, spacecraft_id, until_s = StepResults(), follower.spacecraft_id, time.monotonic() + _STEP_S
-        with follower.lock:
-            left = self._consume(follower, entries, step)
-            # waiting for a commit after every few rows would never catch up with fast front ends
-            while not left and not step.has_applied and time.monotonic() < until_s and not self._is_stopping:
-                more = self._fresh.after(spacecraft_id, entries[-1].number, _ENTRIES_AT_ONCE)
-                if not more:
-                    break
-                self._publisher.followed(spacecraft_id, more)
-                left = self._consume(follower, more, step)
-                entries += more
-        self._conclude(follower, entries[: len(entries) - len(left)], step)
-        return left
-
-    def _conclude(self, follower: _Follower, entries: list[JournalEntry], step: StepResults) -> None:
-        """Store what came of entries, and hand it to those who look at it; no entries: one is not at its end yet."""
+    def _submit(self, follower: _Follower, entries: list[JournalEntry], step: StepResults) -> None:
+        """Let what came of entries be stored; no entries: one is not at its end yet."""
         spacecraft_id = follower.spacecraft_id
-        others = [entry.content for entry in entries if not isinstance(entry.content, Measurement)]
-        with nullcontext(enter_result=False) if self._release is None else self._release.steady(spacecraft_id) as held:
-            if held:
+        rows = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
+        epochs_us = [row.epoch_us for row in rows if row.feeds_estimator]
+        if epochs_us:
+            follower.consumed_epoch_us = max(follower.consumed_epoch_us or epochs_us[0], *epochs_us)
+        number = entries[-1].number if entries else follower.consumed_number
+        with ExitStack() as steady:
+            if self._release is not None and steady.enter_context(self._release.steady(spacecraft_id)):
                 step.withhold(trips_after(self._storage.archive, spacecraft_id, follower.consumed_number))
-            self._store_and_publish(follower, entries, step.outcomes)
-            if self._release is not None:
-                has_inputs = any(not isinstance(content, AppliedCommand) for content in others)
-                self._release.on_rows(spacecraft_id, step.released, has_inputs=has_inputs)
+            checkpoint = self._checkpoint(follower, number, PERIOD_US) if entries else None
+            stored = self._storage.results.submit_outcomes(
+                spacecraft_id, step.outcomes, number, follower.consumed_epoch_us, checkpoint
+            )
+            self._blocks.append(_Block(follower, entries, step, steady.pop_all(), checkpoint, stored))
+
+    def _conclude_blocks(self) -> None:
+        """Wait until the blocks are stored, and hand what came of them to those who look at it."""
+        blocks, self._blocks = self._blocks, []
+        for block in blocks:
+            with block.steady:
+                self._guarded(block.follower.spacecraft_id, partial(self._conclude, block))
+
+    def _conclude(self, block: _Block) -> None:
+        """Hand on what came of a block, once it is stored."""
+        follower, entries, step = block.follower, block.entries, block.step
+        spacecraft_id = follower.spacecraft_id
+        sequence = block.stored.result()
+        number = entries[-1].number if entries else follower.consumed_number
+        for outcome in step.outcomes:
+            self._note_row(spacecraft_id, outcome)
+        follower.consumed_number = number
+        before = follower.newest
+        newest = before.after(number, sequence, entries, step.outcomes)
+        if sequence - before.sequence != sum(len(each.rows) + (each.command is not None) for each in step.outcomes):
+            # some were stored before, by a run under a former alignment, and stay as they are
+            newest = newest._replace(rows={}, command=self._storage.results.newest_command(spacecraft_id, LIVE))
+        follower.newest = newest
+        if block.checkpoint is not None:
+            follower.kept_us = follower.consumed_epoch_us
+        if entries or sequence > before.sequence:
+            self._publish(spacecraft_id, result_events(number, entries, step.outcomes, before.sequence, sequence))
+        if any(outcome.applied is not None for outcome in step.outcomes):
+            self.notify(spacecraft_id)
+        if self._release is not None:
+            others = (entry.content for entry in entries if not isinstance(entry.content, Measurement))
+            has_inputs = any(not isinstance(content, AppliedCommand) for content in others)
+            self._release.on_rows(spacecraft_id, step.released, has_inputs=has_inputs)
         if self._watcher is not None and step.seen:
             self._watcher.on_rows(spacecraft_id, step.seen)
+        self.failures.forget(spacecraft_id, "step")
 
-    def _consume(self, follower: _Follower, entries: list[JournalEntry], step: StepResults) -> list[JournalEntry]:
-        """Feed entries to the chain and note what came of them.
+    def _consume(
+        self, follower: _Follower, entries: list[JournalEntry], step: StepResults, until_s: float
+    ) -> list[JournalEntry]:
+        """Feed entries to the chain until an instant and note what came of them; at least one is fed.
 
-        Return those behind the first applied command, or from an alignment on.
+        Return those behind that instant, behind the first applied command, or from an alignment on.
         """
         chain, archive = follower.chain, self._storage.archive
         for index, entry in enumerate(entries, start=1):
@@ -390,37 +469,9 @@ class Supervisor:
                 step.seen += seen_of(chain, entry, reported)
             if reported and isinstance(entry.content, Measurement):
                 step.released += (StoredRow(outcome, chain.command_evidence()) for outcome in reported)
-            if step.has_applied:
+            if step.has_applied or time.monotonic() >= until_s:
                 return entries[index:]
         return []
-
-    def _store_and_publish(self, follower: _Follower, entries: list[JournalEntry], outcomes: list[Outcome]) -> None:
-        """Store a batch in one transaction, then tell the feed."""
-        rows = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
-        epochs_us = [row.epoch_us for row in rows if row.feeds_estimator]
-        if epochs_us:
-            follower.consumed_epoch_us = max(follower.consumed_epoch_us or epochs_us[0], *epochs_us)
-        number = entries[-1].number if entries else follower.consumed_number
-        epoch_us = follower.consumed_epoch_us
-        checkpoint = self._checkpoint(follower, number, PERIOD_US) if entries else None
-        sequence = self._storage.results.save_outcomes(
-            follower.spacecraft_id, LIVE, outcomes, number, epoch_us, checkpoint
-        )
-        for outcome in outcomes:
-            self._note_row(follower.spacecraft_id, outcome)
-        follower.consumed_number = number
-        before = follower.newest
-        newest = before.after(number, sequence, entries, outcomes)
-        if sequence - before.sequence != sum(len(each.rows) + (each.command is not None) for each in outcomes):
-            # some were stored before, by a run under a former alignment, and stay as they are
-            command = self._storage.results.newest_command(follower.spacecraft_id, LIVE)
-            newest = newest._replace(rows={}, command=command)
-        follower.newest = newest
-        if checkpoint is not None:
-            follower.kept_us = epoch_us
-        self._publish(follower.spacecraft_id, result_events(number, entries, outcomes, before.sequence, sequence))
-        if any(outcome.applied is not None for outcome in outcomes):
-            self.notify(follower.spacecraft_id)
 
     def _note_row(self, spacecraft_id: str, outcome: Outcome) -> None:
         """Note whether a row could be computed by every method."""
@@ -460,7 +511,9 @@ class Supervisor:
         """Store the state of every chain that has moved on since its last checkpoint, at a clean stop."""
         for spacecraft_id, follower in self._followers.items():
             turn, number = self._turn(spacecraft_id), follower.consumed_number
-            checkpoint = self._checkpoint(follower, number, 1) if turn and follower.turn == turn else None
+            # a chain within an entry is no state to go on from
+            is_whole = bool(turn) and follower.turn == turn and follower.alignment is None
+            checkpoint = self._checkpoint(follower, number, 1) if is_whole else None
             if checkpoint is None:
                 continue
             try:

@@ -51,17 +51,17 @@ def results_of(station):
 
 def ending(storage, calls, end):
     """Return a storage whose n-th call to save some outcomes ends something first."""
-    save, left = storage.results.save_outcomes, calls
+    save, left = storage.results.submit_outcomes, calls
 
-    def save_outcomes(*arguments):
+    def submit_outcomes(*arguments):
         nonlocal left
-        left -= bool(arguments[2])
+        left -= bool(arguments[1])
         if left == 0:
             left = -1
             end()
         return save(*arguments)
 
-    return with_part(storage, "results", save_outcomes=save_outcomes)
+    return with_part(storage, "results", submit_outcomes=submit_outcomes)
 
 
 def full():

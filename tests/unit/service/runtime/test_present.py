@@ -1,6 +1,7 @@
 """The present of a spacecraft: by how many statements it is told, and that it is the truth wherever it is asked for."""
 
 import contextlib
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
@@ -27,11 +28,12 @@ from service.runtime.live.supervisor import Supervisor
 
 @contextlib.contextmanager
 def statements() -> Iterator[list[str]]:
-    """Note every SELECT that any thread executes."""
+    """Note every SELECT of this thread: that of the supervisor goes on beside it."""
     selects: list[str] = []
+    asking = threading.get_ident()
 
     def note(_connection: Any, _cursor: Any, statement: str, *_: Any) -> None:
-        if statement.lstrip().upper().startswith("SELECT"):
+        if threading.get_ident() == asking and statement.lstrip().upper().startswith("SELECT"):
             selects.append(statement)
 
     event.listen(Engine, "before_cursor_execute", note)
